@@ -1,0 +1,40 @@
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench clean
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= python3
+
+help:  ## what there is to make
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+$(VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $@
+
+setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
+
+demo: setup  ## a synthetic PlenOctree, converted, inspected and checked: build/demo
+	mkdir -p build/demo
+	$(BIN)/nerfbake sample octree build/demo/sample.npz --resolution 128 --force
+	$(BIN)/nerfbake svo build/demo/sample.npz build/demo/sample.svo.pb --force
+	$(BIN)/nerfbake lod build/demo/sample.svo.pb build/demo/sample_64.svo.npz --level 6 --force
+	$(BIN)/nerfbake info build/demo/sample.svo.pb
+	$(BIN)/nerfbake check build/demo/sample.npz
+	$(BIN)/nerfbake check build/demo/sample.svo.pb
+	$(BIN)/nerfbake check build/demo/sample_64.svo.npz
+
+lint: setup  ## ruff and mypy --strict
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint  ## everything that CI holds us to
+	$(BIN)/pytest
+
+bench: setup  ## the figures of the README, anew: benchmarks/results
+	$(BIN)/python benchmarks/svo.py
+
+clean:  ## what make made
+	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis

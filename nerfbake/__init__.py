@@ -1,0 +1,41 @@
+"""nerfbake: bakes trained radiance fields into what engines, DCC tools, web pages and shaders can use.
+
+    from nerfbake import load, save, build_octree
+
+    octree = build_octree(load("chair.npz"), resolution=128)
+    save("chair.svo.pb", octree)
+
+Names are imported on first use, so that `import nerfbake` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from nerfbake.catalog import SCENES, STAGES
+
+if TYPE_CHECKING:
+    from nerfbake.io import load as load
+    from nerfbake.io import save as save
+    from nerfbake.scene.n3tree import N3Tree as N3Tree
+    from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
+    from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
+    from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
+    from nerfbake.stages.scene_to_summary import summarise as summarise
+    from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
+
+__version__ = "0.1.0"
+
+_HOMES = {"load": "nerfbake.io", "save": "nerfbake.io", "NerfbakeError": "nerfbake.errors", **SCENES, **STAGES}
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'nerfbake' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,5 @@
+"""`python -m nerfbake`."""
+
+from nerfbake.cli.main import main
+
+main()

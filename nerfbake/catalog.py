@@ -1,0 +1,85 @@
+"""The two tables: every format and every stage. The rest of the program looks things up here.
+
+Modules are named as strings and imported on first use, so that nothing heavy loads before it is needed.
+A new format is one file and one line; a new stage is one file and one line. A test holds both to it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from nerfbake.errors import InvalidFile, UsageError
+
+
+class Format(NamedTuple):
+    """A way to write a scene as bytes."""
+
+    name: str  # what --to takes and info prints
+    scene: str  # name of the scene type that it holds
+    suffix: str  # the ending of its files
+    module: str  # has encode(scene, **options) and decode(view, *, max_memory, ...)
+    title: str
+    companion: str | None = None  # a file `<stem><companion>` that says more about this one
+
+    def load_module(self) -> Any:
+        return import_module(self.module)
+
+
+# Longer endings stand before the endings they contain.
+FORMATS = (
+    Format("svo.npz", "SparseVoxelOctree", ".svo.npz", "nerfbake.formats.octree_npz", "octree, plain NumPy arrays"),
+    Format("svo.pb", "SparseVoxelOctree", ".svo.pb", "nerfbake.formats.octree_protobuf", "octree, Protocol Buffers"),
+    Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
+)
+
+SCENES = {
+    "N3Tree": "nerfbake.scene.n3tree",
+    "SparseVoxelOctree": "nerfbake.scene.octree",
+}
+
+STAGES = {
+    "build_octree": "nerfbake.stages.n3tree_to_octree",
+    "cut_octree": "nerfbake.stages.octree_to_octree",
+    "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
+    "summarise": "nerfbake.stages.scene_to_summary",
+}
+
+
+def format_named(name: str, scene: str) -> Format:
+    """The format of this name that holds this scene type. Raises UsageError."""
+    known = formats_of(scene)
+    for form in known:
+        if form.name == name.removeprefix("."):
+            return form
+    raise UsageError(f"no format of {scene} is called {name!r}; allowed: {', '.join(form.name for form in known)}")
+
+
+def format_of_path(path: str, scene: str) -> Format:
+    """The format of this scene type that a file's ending stands for. Raises UsageError."""
+    known = formats_of(scene)
+    for form in known:
+        if path.lower().endswith(form.suffix):
+            return form
+    endings = ", ".join(form.suffix for form in known)
+    raise UsageError(f"the ending of {path!r} names no format of {scene}; allowed: {endings}, or --to FORMAT")
+
+
+def formats_of(scene: str) -> list[Format]:
+    return [form for form in FORMATS if form.scene == scene]
+
+
+def format_of_content(path: str, head: bytes) -> Format:
+    """The format of something to read, by its ending, or by its first bytes (512 or more, if there are so many).
+
+    A stream has no ending, and some endings cover others: an octree's .svo.npz may have been renamed to .npz.
+    """
+    by_ending = [form for form in FORMATS if path.lower().endswith(form.suffix)]
+    likely = [form for form in FORMATS if not by_ending or form.suffix.endswith(by_ending[0].suffix)]
+    for form in likely if len(likely) > 1 else []:
+        if form.load_module().recognise(head):
+            return form
+    if by_ending:
+        return by_ending[0]
+    start = head[:8].hex(" ") or "nothing"
+    raise InvalidFile(f"starts with {start}, as no known format does; allowed: {', '.join(f.title for f in FORMATS)}")

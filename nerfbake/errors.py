@@ -1,0 +1,95 @@
+"""What can go wrong, said in one line, with the exit code that a shell sees.
+
+| exit code | meaning |
+|---|---|
+| 0 | done |
+| 1 | bad input: a file or scene that cannot be right (`NerfbakeError`) |
+| 2 | wrong usage: an option, a format or an ending that there is not (`UsageError`, click's own) |
+| 4 | the output cannot be written (`OutputError`); what stood there before is untouched |
+| 130, 141, 143 | stopped by Ctrl-C, by a reader that closed the pipe, by SIGTERM |
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Problem(NamedTuple):
+    """One thing that is wrong: where, what was found, what is allowed, and how often."""
+
+    place: str
+    found: str
+    allowed: str
+    times: int = 1
+
+    def __str__(self) -> str:
+        more = f" (and {self.times - 1:,} more)" if self.times > 1 else ""
+        return f"{self.place} {self.found}; allowed: {self.allowed}{more}"
+
+    @property
+    def line(self) -> str:
+        """As one line, whatever a hostile file put into it."""
+        return one_line(str(self))
+
+
+def one_line(text: str) -> str:
+    """Without line breaks and other characters that would move a terminal's cursor."""
+    return " ".join("".join(char if char.isprintable() else " " for char in text).split())
+
+
+class NerfbakeError(Exception):
+    """The parent of every error that nerfbake raises on purpose; str() is the one line a user reads.
+
+    `io` adds the name of the file that is to blame.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str | Problem, *, source: str | None = None) -> None:
+        super().__init__(what)
+        self.what = what
+        self.source = source
+
+    @property
+    def problem(self) -> Problem:
+        return self.what if isinstance(self.what, Problem) else Problem("file", self.what, "a file that nerfbake reads")
+
+    def __str__(self) -> str:
+        line = one_line(str(self.what))
+        return f"{self.source}: {line}" if self.source else line
+
+
+class UsageError(NerfbakeError):
+    """A command or call that asks for what there is not."""
+
+    exit_code = 2
+
+
+class InvalidFile(NerfbakeError):
+    """Bytes that are not what they claim to be."""
+
+
+class InvalidScene(NerfbakeError):
+    """Arrays that break the rules of their type, or a stage that has nothing to give back."""
+
+
+class MemoryLimit(NerfbakeError):
+    """A file or a result that would take more memory than the caller allowed."""
+
+    def __init__(self, what: str, need: int, limit: int) -> None:
+        super().__init__(Problem(what, f"needs {format_size(need)}", f"{format_size(limit)} (--max-memory)"))
+
+
+class OutputError(NerfbakeError):
+    """An output that cannot be written, or must not be."""
+
+    exit_code = 4
+
+
+def format_size(size: float) -> str:
+    """A size in bytes, for people: 1536 -> '1.5 KiB'."""
+    for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
+        if size < 1024 or unit == "TiB":
+            break
+        size /= 1024
+    return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"

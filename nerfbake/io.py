@@ -1,0 +1,171 @@
+"""load and save: the only place that opens files.
+
+A file is mapped, not read; '-' is stdin or stdout. What is written appears whole or not at all: a temporary file in
+the same folder is renamed over the target once everything is in it, with the permissions any new file gets.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+from nerfbake.catalog import Format, format_named, format_of_content, format_of_path, formats_of
+from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, Problem, UsageError
+
+MAX_MEMORY = 4 << 30
+STREAM = "-"
+_CHUNK = 1 << 20
+
+Scene = TypeVar("Scene")
+
+
+def load(
+    source: str | Path, kind: type[Scene] | None = None, *, max_memory: int = MAX_MEMORY, sound: bool = True
+) -> Scene:
+    """The scene in a file of any format, or on stdin ('-').
+
+    kind: the scene type that is wanted; another one raises InvalidFile. max_memory bounds, in bytes, what a file's
+    headers may declare, before anything is allocated. sound=False gives a scene back even if its structure is
+    broken, for scene.problems(). Raises NerfbakeError naming the file.
+    """
+    return load_with_format(source, kind, max_memory=max_memory, sound=sound)[0]
+
+
+def load_with_format(
+    source: str | Path, kind: type[Scene] | None = None, *, max_memory: int = MAX_MEMORY, sound: bool = True
+) -> tuple[Scene, Format, int]:
+    """Like load(), with the file's format and its size in bytes."""
+    name = "stdin" if str(source) == STREAM else str(source)
+    with _blame(name):
+        view = _read_all(sys.stdin.buffer, max_memory) if name == "stdin" else _map(Path(source), max_memory)
+        if not len(view):
+            raise InvalidFile("is empty; allowed: a file that nerfbake reads")
+        form = format_of_content("" if name == "stdin" else name, bytes(view[:512]))
+        extra: dict[str, Any] = {}
+        if form.companion and name != "stdin":
+            extra["companion"] = Path(name[: -len(form.suffix)] + form.companion).exists()
+        scene = form.load_module().decode(view, max_memory=max_memory, **extra)
+        if kind is not None and not isinstance(scene, kind):
+            raise InvalidFile(f"holds {_article(form.scene)}; allowed: {_article(kind.__name__)}")
+        if sound:
+            scene.require_sound()
+        return scene, form, len(view)
+
+
+def check(source: str | Path, *, max_memory: int = MAX_MEMORY) -> list[Problem]:
+    """Everything that is wrong with a file: what keeps it from being read, else its structure, else its values."""
+    try:
+        scene: Any = load(source, max_memory=max_memory, sound=False)
+    except NerfbakeError as error:
+        return [error.problem]
+    problems: list[Problem] = scene.problems()
+    return problems
+
+
+def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool = False, **options: Any) -> int:
+    """Writes a scene in the format that the target's ending names (or `to`, always for '-'); gives its size in bytes.
+
+    options go to the format's encode(). Raises OutputError if the target exists and `force` is not given, or if it
+    cannot be written; what stood there before is then untouched.
+    """
+    form = format_for(target, type(scene).__name__, to=to)
+    pieces = form.load_module().encode(scene, **options)
+    if str(target) == STREAM:
+        if sys.stdout.isatty():
+            raise UsageError("stdout is a terminal; allowed: a pipe or a file")
+        return _write_all(sys.stdout.buffer, pieces)
+    with _blame(str(target), OutputError), replacing(Path(target), force=force) as file:
+        return _write_all(file, pieces)
+
+
+def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:
+    """The format to write. Raises UsageError where neither `to` nor the ending names one for this scene type."""
+    if to is not None:
+        return format_named(to, scene)
+    if str(target) == STREAM and len(only := formats_of(scene)) == 1:
+        return only[0]
+    if str(target) == STREAM:
+        raise UsageError("stdout has no ending that names a format; allowed: --to FORMAT")
+    return format_of_path(str(target), scene)
+
+
+def require_absent(target: str | Path, *, force: bool) -> None:
+    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+    if str(target) != STREAM and not force and os.path.lexists(target) and _is_regular(Path(target)):
+        raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
+
+
+@contextmanager
+def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
+    """A file that takes the target's place when the block ends well, and vanishes when it does not."""
+    require_absent(target, force=force)
+    target = Path(os.path.realpath(target))
+    if target.exists() and not _is_regular(target):
+        # A pipe or a device is written to; renaming something over /dev/null would be a disaster.
+        with open(target, "wb") as file:
+            yield file
+        return
+    temporary = target.with_name(f".{target.name[:200]}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            yield file
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _is_regular(path: Path) -> bool:
+    return not path.exists() or stat.S_ISREG(path.stat().st_mode)
+
+
+@contextmanager
+def _blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[None]:
+    """Names the file in every error that leaves the block; turns the system's errors into ours."""
+    try:
+        yield
+    except NerfbakeError as error:
+        if error.source is None:
+            error.source = name
+        raise
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise error_type(f"{error.strerror or error}", source=name) from error
+
+
+def _map(path: Path, max_memory: int) -> memoryview:
+    with open(path, "rb") as file:
+        status = os.fstat(file.fileno())
+        if stat.S_ISREG(status.st_mode):
+            if not status.st_size:
+                return memoryview(b"")
+            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        return _read_all(file, max_memory)
+
+
+def _read_all(file: IO[bytes], max_memory: int) -> memoryview:
+    data = bytearray()
+    while chunk := file.read(_CHUNK):
+        data += chunk
+        if len(data) > max_memory:
+            raise MemoryLimit("the stream", len(data), max_memory)
+    return memoryview(data).toreadonly()
+
+
+def _write_all(file: IO[bytes], pieces: Iterator[bytes | memoryview]) -> int:
+    size = 0
+    for piece in pieces:
+        file.write(piece)
+        size += len(piece)
+    file.flush()
+    return size
+
+
+def _article(noun: str) -> str:
+    return f"an {noun}" if noun[0] in "AEIOUN" else f"a {noun}"
