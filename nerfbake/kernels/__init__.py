@@ -1,0 +1,1 @@
+"""Array maths: arrays in, arrays out, vectorised over nodes, voxels and points."""

@@ -1,0 +1,44 @@
+"""What the D values of a node mean: svox's `data_format`."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from nerfbake.errors import InvalidScene, Problem
+
+SH_SIZES = (1, 4, 9, 16, 25)
+
+
+class Basis(NamedTuple):
+    """kind is 'SH', 'SG', 'ASG' or 'RGBA'; size is B, the number of basis functions per colour channel.
+
+    The D values are all B coefficients of red, then of green, then of blue, density sigma last: D = 3 B + 1.
+    RGBA has B = 1: red, green, blue, sigma.
+    """
+
+    kind: str
+    size: int
+
+    @property
+    def data_dim(self) -> int:
+        return 3 * self.size + 1
+
+
+def parse_basis(data_format: str) -> Basis:
+    """'SH9' -> Basis('SH', 9). Raises InvalidScene for a name that svox does not know."""
+    match = re.fullmatch(r"(SH|SG|ASG)([1-9][0-9]{0,3})|RGBA", data_format)
+    if match and not match[1]:
+        return Basis("RGBA", 1)
+    if match and (match[1] != "SH" or int(match[2]) in SH_SIZES):
+        return Basis(match[1], int(match[2]))
+    known = f"RGBA, SGk, ASGk, or SHk with k of {', '.join(map(str, SH_SIZES))}"
+    raise InvalidScene(Problem("data_format", f"is {data_format[:40]!r}", known))
+
+
+def guess_data_format(data_dim: int) -> str:
+    """The format of a file that does not say: 4 values are RGBA, 3 k + 1 are SHk (svox's rule); else ''."""
+    if data_dim == 4:
+        return "RGBA"
+    size, rest = divmod(data_dim - 1, 3)
+    return f"SH{size}" if rest == 0 and size in SH_SIZES else ""

@@ -1,0 +1,172 @@
+"""The PlenOctree as svox stores it: a table of nodes with N^3 cells each, children by relative offset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.lookup import in_chunks, n3tree_cells
+from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, walk
+from nerfbake.scene.basis import parse_basis
+
+MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
+
+
+@dataclass(frozen=True, eq=False)
+class N3Tree:
+    """A sparse N^3 tree over the cube [0, 1]^3. Source: spec/n3tree.md; svox's class of the same name.
+
+    child    (n, N, N, N) int32: offset of the child's row from this row, 0 = leaf; cells are [x][y][z]
+    data     (n, N, N, N, D) float16 or float32: a row for EVERY cell; only those of leaves mean anything
+    offset, invradius  (3,) float64: world to tree, p = world * invradius + offset
+    data_format  'SH9', 'RGBA', 'SG25', ...: scene.basis says how D is laid out; sigma (1/world unit) is last
+    extra_data   the lobes of SG and ASG (B, 4 or 11) float32, else None
+    dialect  how the file spelled it: 'svox', 'legacy', 'quantised', 'quantised+retained'
+    ndc      True for a forward-facing scene, whose cube is not a box of the world
+    Rows that the root does not reach (freed ones) are junk and never read.
+    """
+
+    child: npt.NDArray[np.int32]
+    data: npt.NDArray[Any]
+    offset: npt.NDArray[np.float64]
+    invradius: npt.NDArray[np.float64]
+    data_format: str
+    extra_data: npt.NDArray[np.float32] | None = None
+    dialect: str = "svox"
+    ndc: bool = False
+
+    def __post_init__(self) -> None:
+        shape = self.child.shape
+        if self.child.ndim != 4 or shape[0] < 1 or len(set(shape[1:])) != 1 or not 2 <= shape[1] <= 64:
+            raise InvalidScene(Problem("child", f"has shape {shape}", "(n, N, N, N) with n >= 1, N = 2 to 64"))
+        if self.child.dtype != np.int32:
+            raise InvalidScene(Problem("child", f"has dtype {self.child.dtype}", "int32"))
+        if self.data.shape[:-1] != shape or self.data.ndim != 5:
+            raise InvalidScene(Problem("data", f"has shape {self.data.shape}", f"{(*shape, 'D')} as child has it"))
+        if self.data.dtype not in (np.float16, np.float32):
+            raise InvalidScene(Problem("data", f"has dtype {self.data.dtype}", "float16 or float32"))
+        basis = parse_basis(self.data_format)
+        if self.data_dim != basis.data_dim:
+            found = f"has {self.data_dim} values per cell"
+            raise InvalidScene(Problem("data", found, f"{basis.data_dim} for data_format {self.data_format}"))
+        for name in ("offset", "invradius"):
+            value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
+            object.__setattr__(self, name, value)
+
+    def __str__(self) -> str:
+        return f"{self.data_format} PlenOctree of {self.resolution}^3, {sum(map(len, self.levels)):,} nodes"
+
+    # -- sizes -------------------------------------------------------------------------------------------------
+    @property
+    def N(self) -> int:
+        """Cells per node and axis."""
+        return int(self.child.shape[1])
+
+    @property
+    def n(self) -> int:
+        """Rows of the table, freed ones included."""
+        return int(self.child.shape[0])
+
+    @property
+    def data_dim(self) -> int:
+        return int(self.data.shape[-1])
+
+    @cached_property
+    def _walk(self) -> Walk:
+        flat = self.child.reshape(self.n, -1)
+
+        def targets(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+            offsets = flat[rows].astype(np.int64)
+            # Offset 0 is a leaf. An offset back to row 0 must not read as one: it becomes row -1, which is refused.
+            absolute = offsets + rows[:, None]
+            absolute[absolute == 0] = -1
+            absolute[offsets == 0] = 0
+            return absolute
+
+        max_levels = 1
+        while self.N ** (max_levels + 1) <= MAX_CELLS_PER_AXIS:
+            max_levels += 1
+        shape = (self.N,) * 3
+        return walk(self.n, targets, shape=shape, name="child", max_levels=max_levels, later=True)
+
+    @property
+    def levels(self) -> list[npt.NDArray[np.int64]]:
+        """Rows of the live nodes by depth, breadth-first. Raises InvalidScene if the table is not a tree."""
+        self.require_sound()
+        return self._walk.levels
+
+    @property
+    def parent_cells(self) -> list[npt.NDArray[np.int64]]:
+        """Like levels: the flat cell (row * N^3 + cell) that points to each node; -1 for the root."""
+        self.require_sound()
+        return self._walk.cells
+
+    @property
+    def resolution(self) -> int:
+        """Cells along an axis at the deepest level."""
+        return int(self.N ** len(self.levels))
+
+    @cached_property
+    def leaf_mask(self) -> npt.NDArray[np.bool_]:
+        """(n, N, N, N) bool: cells that mean something, that is leaves of live nodes."""
+        live = np.zeros(self.n, bool)
+        for rows in self.levels:
+            live[rows] = True
+        mask: npt.NDArray[np.bool_] = (self.child == 0) & live[:, None, None, None]
+        return mask
+
+    # -- soundness ---------------------------------------------------------------------------------------------
+    def require_sound(self) -> None:
+        """Raises InvalidScene with the first structural problem, if there is one."""
+        if problems := self.structure_problems():
+            raise InvalidScene(problems[0])
+
+    def structure_problems(self) -> list[Problem]:
+        return self._walk.problems
+
+    def value_problems(self, *, negative_is_empty: bool = False) -> list[Problem]:
+        """Values that no renderer can use; only live leaves count. The structure must be sound."""
+        leaf, sigma, problems = self.leaf_mask, self.data[..., -1], []
+        if not all_finite(self.data):
+            problems += count_problem("data", ~np.isfinite(self.data) & leaf[..., None], self.data, "a finite number")
+        negative = leaf & (sigma < 0)
+        if negative.any() and not negative_is_empty:
+            first = np.unravel_index(int(np.argmax(negative)), negative.shape)
+            where = place("data", (*first, self.data_dim - 1))
+            allowed = "a density of 0 or more (--sigma-min 0 reads less as empty)"
+            problems.append(Problem(where, f"is {sigma[first]:g}", allowed, int(negative.sum())))
+        positive = np.isfinite(self.invradius) & (self.invradius > 0)
+        problems += count_problem("invradius", ~positive, self.invradius, "a finite number above 0")
+        problems += count_problem("offset", ~np.isfinite(self.offset), self.offset, "a finite number")
+        if self.extra_data is not None:
+            problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
+        return problems
+
+    def problems(self) -> list[Problem]:
+        """Everything that is wrong; values are looked at once the structure is sound."""
+        return self.structure_problems() or self.value_problems()
+
+    # -- reading -----------------------------------------------------------------------------------------------
+    def sample(self, points: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """The values of the leaves that hold these points: (..., 3) world coordinates -> (..., D) float32.
+
+        A point on a boundary belongs to the upper cell; within 1e-12 of the cube's edge length below one it
+        counts as on it, so that the rounding of a world coordinate does not choose. Empty leaves (sigma <= 0)
+        and points outside the cube read as zeros.
+        """
+        tree_points = np.asarray(points, np.float64) * self.invradius + self.offset
+        flat_child, levels = self.child.reshape(self.n, -1), len(self.levels)
+        flat_data = self.data.reshape(-1, self.data_dim)
+
+        def read(chunk: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+            cells = n3tree_cells(flat_child, self.N, levels, chunk)
+            values = flat_data[np.maximum(cells, 0)].astype(np.float32)
+            values[(cells < 0) | ~(values[:, -1] > 0)] = 0
+            return values
+
+        return in_chunks(read, tree_points, self.data_dim)

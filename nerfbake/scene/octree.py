@@ -1,0 +1,261 @@
+"""The sparse voxel octree of TR-24-01: node children and node data, breadth-first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.lookup import in_chunks, octree_nodes
+from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
+from nerfbake.scene.basis import parse_basis
+
+MAX_SIZE = 4096  # voxels along an axis
+Layout = Literal["full", "compact"]
+Lookup = Literal["nearest", "trilinear"]
+
+
+def _zeros() -> npt.NDArray[np.float64]:
+    return np.zeros(3)
+
+
+def _ones() -> npt.NDArray[np.float64]:
+    return np.ones(3)
+
+
+@dataclass(frozen=True, eq=False)
+class SparseVoxelOctree:
+    """A sparse octree over a grid of W x H x D voxels. Source: TR-24-01, 3.2; spec/svo.md.
+
+    size           (W, H, D) voxels along x, y, z; the root's cube is the next power of two
+    node_children  (c, 8) int32: row of each child, 0 = none; octant = x + 2y + 4z (1 = the upper half)
+    node_data      (n, D) float32 or float16, a row for EVERY node; density sigma (1/world unit) is last
+    data_format    scene.basis says how D is laid out; '' if nobody knows
+    origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size, voxel (0, 0, 0) starts at origin
+    extra_data     the lobes of SG and ASG, else None
+
+    Nodes stand in breadth-first order, so that each level is contiguous and children are numbered 1, 2, 3, ...
+    as they are met. c = n is the report's `full` layout; c = nodes above the last level is `compact`.
+    A node without any child is a leaf and fills its cube; in a node that has children, an octant without one
+    is empty. What an internal node holds is what its level should show (stages.n3tree_to_octree has the rule).
+    """
+
+    size: tuple[int, int, int]
+    node_children: npt.NDArray[np.int32]
+    node_data: npt.NDArray[Any]
+    data_format: str = ""
+    origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
+    voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
+    extra_data: npt.NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        size = tuple(int(edge) for edge in self.size)
+        object.__setattr__(self, "size", size)
+        if len(size) != 3 or not all(1 <= edge <= MAX_SIZE for edge in size):
+            raise InvalidScene(Problem("size", f"is {'x'.join(map(str, size))}", f"1 to {MAX_SIZE} voxels an axis"))
+        if self.node_children.ndim != 2 or self.node_children.shape[1] != 8 or self.node_children.dtype != np.int32:
+            found = f"has shape {self.node_children.shape}, dtype {self.node_children.dtype}"
+            raise InvalidScene(Problem("node_children", found, "(c, 8) int32"))
+        if self.node_data.ndim != 2 or not self.node_data.size or self.node_data.dtype not in (np.float16, np.float32):
+            found = f"has shape {self.node_data.shape}, dtype {self.node_data.dtype}"
+            raise InvalidScene(Problem("node_data", found, "(n, D) float16 or float32, n and D at least 1"))
+        if self.c > self.n:
+            raise InvalidScene(Problem("node_children", f"has {plural(self.c, 'row')}", f"{self.n:,}, one a node"))
+        if self.data_format and (dim := parse_basis(self.data_format).data_dim) != self.data_dim:
+            found = f"has {self.data_dim} values per node"
+            raise InvalidScene(Problem("node_data", found, f"{dim} for data_format {self.data_format}"))
+        for name in ("origin", "voxel_size"):
+            value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
+            object.__setattr__(self, name, value)
+
+    def __str__(self) -> str:
+        size = "x".join(map(str, self.size))
+        return f"{self.data_format} octree of {size}, {self.n:,} nodes, {self.node_data.dtype}, {self.layout}".strip()
+
+    # -- sizes -------------------------------------------------------------------------------------------------
+    @property
+    def n(self) -> int:
+        return int(self.node_data.shape[0])
+
+    @property
+    def c(self) -> int:
+        """Nodes that have child slots."""
+        return int(self.node_children.shape[0])
+
+    @property
+    def data_dim(self) -> int:
+        return int(self.node_data.shape[1])
+
+    @property
+    def layout(self) -> Layout:
+        return "full" if self.c == self.n else "compact"
+
+    @property
+    def grid_level(self) -> int:
+        """The level whose nodes are single voxels: log2 of the root cube's edge."""
+        return max(edge - 1 for edge in self.size).bit_length()
+
+    @property
+    def sigma(self) -> npt.NDArray[Any]:
+        """(n,) density in 1/world unit; a view."""
+        return self.node_data[:, -1]
+
+    @property
+    def level_sizes(self) -> list[int]:
+        """Nodes in each level, the root's first. Raises InvalidScene if the structure is not sound."""
+        self.require_sound()
+        return [int(size) for size in np.diff(self._level_ends, prepend=0)]
+
+    @property
+    def max_level(self) -> int:
+        """Levels below the root."""
+        return len(self.level_sizes) - 1
+
+    @cached_property
+    def childless(self) -> npt.NDArray[np.bool_]:
+        """(n,) bool: the leaves."""
+        childless = np.ones(self.n, bool)
+        childless[: self.c] = ~self.node_children.any(axis=1)
+        return childless
+
+    # -- soundness ---------------------------------------------------------------------------------------------
+    @cached_property
+    def _parents(self) -> npt.NDArray[np.int64] | None:
+        """The parents of nodes 1, 2, 3, ... if the nodes stand in breadth-first order, else None.
+
+        In that order the children read 1, 2, ..., n - 1, row by row, each behind its parent: one pass proves a
+        table sound.
+        """
+        parents, octants = np.nonzero(self.node_children)
+        children = self.node_children[parents, octants]
+        numbered = len(children) == self.n - 1 and bool((children == np.arange(1, self.n)).all())
+        return parents if numbered and bool((children > parents).all()) else None
+
+    @cached_property
+    def _level_ends(self) -> list[int]:
+        """Where each level ends in a table in breadth-first order; at most one level more than the grid has."""
+        assert self._parents is not None
+        ends = [1]
+        while ends[-1] < self.n and len(ends) < self.grid_level + 2:
+            # Children are numbered as they are met: a level ends behind the last child of the level above.
+            ends.append(1 + int(np.searchsorted(self._parents, ends[-1])))
+        return ends
+
+    @cached_property
+    def _walk(self) -> Walk:
+        table = np.zeros((self.n, 8), np.int32)
+        table[: self.c] = self.node_children
+
+        def targets(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+            return table[rows].astype(np.int64)
+
+        return walk(self.n, targets, shape=(8,), name="node_children", max_levels=self.grid_level + 1, later=False)
+
+    def structure_problems(self) -> list[Problem]:
+        if self._parents is not None:
+            levels = len(self._level_ends) - 1
+            size = "x".join(map(str, self.size))
+            allowed = f"{self.grid_level} for {size} voxels"
+            found = f"has {levels} or more levels below the root"
+            return [Problem("node_children", found, allowed)] if levels > self.grid_level else []
+        reached = sum(map(len, self._walk.levels))
+        if self._walk.problems:
+            return self._walk.problems
+        if reached < self.n:
+            found = f"leads to {reached:,} of {plural(self.n, 'node')}"
+            return [Problem("node_children", found, "a way from the root to every node")]
+        return [Problem("node_children", "is not in breadth-first order", "children numbered 1, 2, 3, ... as met")]
+
+    def breadth_first(self) -> SparseVoxelOctree:
+        """The same octree in breadth-first order; itself where it is so already, or where its order is not all
+        that is wrong with it."""
+        if self._parents is not None or self._walk.problems:
+            return self
+        order = np.concatenate(self._walk.levels)
+        if len(order) < self.n:
+            return self
+        table = np.zeros((self.n, 8), np.int32)
+        table[: self.c] = self.node_children
+        rank = np.zeros(self.n, np.int32)
+        rank[order] = np.arange(self.n, dtype=np.int32)
+        # The root is row 0 in both orders and nobody's child: rank[0] = 0 keeps "no child" as it is.
+        return replace(self, node_children=rank[table[order]], node_data=self.node_data[order])
+
+    def require_sound(self) -> None:
+        """Raises InvalidScene with the first structural problem, if there is one."""
+        if problems := self.structure_problems():
+            raise InvalidScene(problems[0])
+
+    def value_problems(self) -> list[Problem]:
+        """Values that no renderer can use."""
+        problems = []
+        if not all_finite(self.node_data):
+            problems += count_problem("node_data", ~np.isfinite(self.node_data), self.node_data, "a finite number")
+        problems += count_problem("sigma", self.sigma < 0, self.sigma, "a density of 0 or more")
+        problems += count_problem("origin", ~np.isfinite(self.origin), self.origin, "a finite number")
+        positive = np.isfinite(self.voxel_size) & (self.voxel_size > 0)
+        problems += count_problem("voxel_size", ~positive, self.voxel_size, "a finite number above 0")
+        if self.extra_data is not None:
+            problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
+        return problems
+
+    def problems(self) -> list[Problem]:
+        """Everything that is wrong; values are looked at once the structure is sound."""
+        return self.structure_problems() or self.value_problems()
+
+    # -- layouts -----------------------------------------------------------------------------------------------
+    def with_layout(self, layout: Layout) -> SparseVoxelOctree:
+        """The same octree with child slots for every node (`full`) or for those above the last level (`compact`)."""
+        keep = self.n if layout == "full" else self.n - self.level_sizes[-1]
+        if keep == self.c:
+            return self
+        children = np.zeros((keep, 8), np.int32)
+        children[: self.c] = self.node_children[:keep]
+        return replace(self, node_children=children)
+
+    # -- reading -----------------------------------------------------------------------------------------------
+    def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
+        """The values at these points: (..., 3) world coordinates -> (..., D) float32.
+
+        nearest: the voxel that holds the point. trilinear: the eight voxels whose centres surround it, weighted
+        as usual. Empty space and everything outside the W x H x D grid read as zeros.
+        """
+        if lookup not in ("nearest", "trilinear"):
+            raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
+        self.require_sound()
+        voxel_points = (np.asarray(points, np.float64) - self.origin) / self.voxel_size
+        read = self._nearest if lookup == "nearest" else self._trilinear
+        return in_chunks(read, voxel_points, self.data_dim)
+
+    def _nearest(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+        voxels, inside = self._voxels(points)
+        return self._read(voxels, inside)
+
+    def _trilinear(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+        voxels, inside = self._voxels(points - 0.5, margin=1)
+        t = np.where(inside[:, None], points - 0.5 - voxels, 0)
+        out = np.zeros((len(points), self.data_dim), np.float32)
+        for corner in range(8):
+            step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+            weight = np.where(step, t, 1 - t).prod(axis=1).astype(np.float32)
+            out += self._read(voxels + step, inside) * weight[:, None]
+        return out
+
+    def _voxels(
+        self, points: npt.NDArray[np.float64], margin: int = 0
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Whole coordinates, and which of them lie in the grid or at most `margin` below it."""
+        floor = np.floor(points)
+        inside = np.all((floor >= -margin) & (floor < self.size), axis=1)
+        floor[~inside] = 0  # NaN and what int64 cannot hold
+        return floor.astype(np.int64), inside
+
+    def _read(self, voxels: npt.NDArray[np.int64], inside: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+        node = octree_nodes(self.node_children, self.childless, self.grid_level, voxels)
+        values = self.node_data[np.maximum(node, 0)].astype(np.float32)
+        values[(node < 0) | ~inside | (voxels >= self.size).any(axis=1)] = 0
+        return values
