@@ -1,0 +1,76 @@
+"""The octree as plain NumPy arrays (.svo.npz), for scripts: `np.load` is the whole reader.
+
+| key | dtype, shape | meaning |
+|---|---|---|
+| svo_version | int64 | 1 |
+| size | int32 (3,) | W, H, D |
+| node_children | int32 (c, 8) | c = n (`full`) or the nodes above the last level (`compact`) |
+| node_data | float32 or float16 (n, D) | sigma last |
+| level_sizes | int32 (levels,) | nodes of each level |
+| data_format | text | 'SH9', ... |
+| origin, voxel_size | float64 (3,) | world = origin + voxel * voxel_size |
+| extra_data | float32 (B, 4 or 11) | only for SG and ASG |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._npz_reader import ZIP_MAGIC, NpzReader
+from nerfbake.formats._npz_writer import write_npz
+from nerfbake.formats._octree import assemble, children_with
+from nerfbake.scene.octree import SparseVoxelOctree
+
+VERSION = 1
+
+
+def recognise(head: bytes) -> bool:
+    """True for the first bytes of the archives that encode() writes."""
+    return head[:4] in ZIP_MAGIC and b"svo_version.npy" in head[:64]
+
+
+def encode(octree: SparseVoxelOctree, *, no_child: int = 0) -> Iterator[bytes | memoryview]:
+    arrays: dict[str, npt.ArrayLike] = {
+        "svo_version": np.int64(VERSION),
+        "size": np.array(octree.size, np.int32),
+        "node_children": children_with(octree.node_children, no_child),
+        "node_data": octree.node_data,
+        "level_sizes": np.array(octree.level_sizes, np.int32),
+        "data_format": np.array(octree.data_format),
+        "origin": octree.origin,
+        "voxel_size": octree.voxel_size,
+    }
+    if octree.extra_data is not None:
+        arrays["extra_data"] = octree.extra_data
+    return write_npz(arrays)
+
+
+def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+    npz = NpzReader(view, max_memory=max_memory)
+    npz.require("svo_version", "size", "node_children", "node_data", "data_format", "origin", "voxel_size")
+    if (version := npz.scalar("svo_version")) != VERSION:
+        raise InvalidFile(Problem("svo_version", f"is {version}", f"{VERSION}"))
+    size = _array(npz, "size", "iu", (3,))
+    return assemble(
+        size=(int(size[0]), int(size[1]), int(size[2])),
+        children=_array(npz, "node_children", "i", (None, 8)),
+        data=_array(npz, "node_data", "f", (None, None)),
+        data_format=str(npz.scalar("data_format")),
+        origin=_array(npz, "origin", "f", (3,)),
+        voxel_size=_array(npz, "voxel_size", "f", (3,)),
+        extra_data=_array(npz, "extra_data", "f", (None, None)).astype(np.float32) if "extra_data" in npz else None,
+    )
+
+
+def _array(npz: NpzReader, key: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    array = npz.array(key)
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    if array.dtype.kind not in kinds or not fits:
+        allowed = f"({', '.join('any' if edge is None else str(edge) for edge in shape)}) of kind {kinds}"
+        raise InvalidFile(Problem(key, f"has dtype {array.dtype}, shape {array.shape}", allowed))
+    return array
