@@ -1,0 +1,1 @@
+"""Words: one small click file a command; no arithmetic, no try."""

@@ -1,0 +1,34 @@
+"""`nerfbake check`: what is wrong with a file."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from nerfbake import io
+from nerfbake.cli.params import Input, as_json, reads, speaks
+from nerfbake.cli.words import Words
+
+
+@click.command()
+@reads
+@as_json
+@speaks
+def check(source: Input, as_json: bool, words: Words) -> int:
+    """Print everything that is wrong with IN, a line each; exit 1 if anything is.
+
+    \b
+      nerfbake check chair.npz && nerfbake svo chair.npz chair.svo.pb
+    """
+    with words.phase(f"checking {source.path}"):
+        problems = io.check(source.path, max_memory=source.max_memory)
+    if as_json:
+        found = [{**problem._asdict(), "message": str(problem)} for problem in problems]
+        click.echo(json.dumps({"file": source.path, "ok": not problems, "problems": found}))
+    else:
+        for problem in problems:
+            click.echo(f"{source.path}: {problem.line}")
+        if not problems:
+            words.say(f"{source.path}: ok")
+    return 1 if problems else 0

@@ -1,0 +1,54 @@
+"""`nerfbake info`: what a file is."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+import nerfbake
+from nerfbake import io
+from nerfbake.cli.params import Input, as_json, reads, speaks
+from nerfbake.cli.words import Words
+from nerfbake.errors import format_size
+
+
+@click.command()
+@reads
+@as_json
+@speaks
+def info(source: Input, as_json: bool, words: Words) -> None:
+    """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
+
+    \b
+      nerfbake info chair.npz
+      nerfbake info chair.svo.pb --json | jq .nodes
+    """
+    with words.phase(f"reading {source.path}"):
+        scene: Any
+        scene, form, size = io.load_with_format(source.path, max_memory=source.max_memory)
+        facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    for name, value in facts.items():
+        click.echo(f"{name.replace('_', ' '):<20}{_text(name, value)}")
+
+
+def _text(name: str, value: Any) -> str:
+    match value:
+        case None:
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case int():
+            return f"{value:,} ({format_size(value)})" if name.startswith("bytes") else f"{value:,}"
+        case dict():
+            return ", ".join(f"{key} {_text(key, part)}" for key, part in value.items())
+        case [float(), *_]:
+            return f"[{', '.join(f'{part:.6g}' for part in value)}]"
+        case list():
+            return (" x " if name == "resolution" else ", ").join(_text("", part) for part in value)
+        case _:
+            return str(value)

@@ -1,0 +1,26 @@
+"""`nerfbake lod`: an octree cut at a level."""
+
+from __future__ import annotations
+
+import click
+
+import nerfbake
+from nerfbake.cli.params import Input, Output, no_child, reads, speaks, writes
+from nerfbake.cli.words import Words
+
+
+@click.command()
+@reads
+@writes
+@click.option("--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep; 0 is the root alone.")
+@no_child
+@speaks
+def lod(source: Input, target: Output, level: int, no_child: int, words: Words) -> None:
+    """Write the octree IN down to a level as OUT; what is cut off shows as its mean.
+
+    \b
+      nerfbake lod chair.svo.pb chair_lod.svo.pb --level 6
+    """
+    target.require("SparseVoxelOctree")
+    octree = source.read(words, nerfbake.SparseVoxelOctree)
+    target.write(words, nerfbake.cut_octree(octree, level=level), no_child=no_child)

@@ -1,0 +1,84 @@
+"""The command line: the list of commands, and the one place where errors become words and exit codes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+from typing import NoReturn
+
+import click
+
+import nerfbake
+from nerfbake.cli.check import check
+from nerfbake.cli.convert import convert
+from nerfbake.cli.info import info
+from nerfbake.cli.lod import lod
+from nerfbake.cli.sample import sample
+from nerfbake.cli.svo import svo
+from nerfbake.errors import NerfbakeError, one_line
+
+
+class InOrder(click.Group):
+    """Lists the commands in the order in which people meet them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(nerfbake.__version__, prog_name="nerfbake")
+def cli() -> None:
+    """Bake trained radiance fields into what engines, DCC tools, web pages and shaders can use.
+
+    Formats follow the files' endings; '-' is stdin or stdout. Data go to stdout, words to stderr.
+
+    \b
+      nerfbake svo chair.npz chair.svo.pb --resolution 128
+      nerfbake svo chair.npz - --to svo.pb | nerfbake info - --json
+
+    Exit codes: 0 done, 1 bad input, 2 wrong usage, 4 the output cannot be written.
+    """
+
+
+for command in (svo, convert, lod, info, check, sample):
+    cli.add_command(command)
+
+
+def main() -> NoReturn:
+    """Runs the command line and exits."""
+    signal.signal(signal.SIGTERM, _stop)
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """The exit code of a command line."""
+    try:
+        result = cli.main(arguments, prog_name="nerfbake", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "nerfbake"
+        return _fail(f"{error.format_message()} (see '{command} --help')", error.exit_code)
+    except click.ClickException as error:
+        return _fail(error.format_message(), error.exit_code)
+    except NerfbakeError as error:
+        return _fail(str(error), error.exit_code)
+    except MemoryError:
+        return _fail("out of memory; a lower --resolution or --max-memory may help", 1)
+    except BrokenPipeError:
+        # Whoever read the pipe has seen enough. Nothing more may be flushed into it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except (click.Abort, KeyboardInterrupt):
+        return _fail("stopped", 128 + signal.SIGINT)
+
+
+def _fail(text: str, code: int) -> int:
+    click.echo(f"error: {one_line(text)}", err=True)
+    return code
+
+
+def _stop(number: int, frame: FrameType | None) -> NoReturn:
+    """SIGTERM: leaves through the cleanup that removes temporary files."""
+    sys.exit(128 + number)

@@ -1,0 +1,135 @@
+"""The arguments and options that commands share, each said once."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import click
+
+from nerfbake import io
+from nerfbake.cli.words import Words
+
+
+class Size(click.ParamType[int]):
+    """A number of bytes: 512MB, 4GiB, 1000000."""
+
+    name = "size"
+    units = {"": 1, "b": 1} | {f"{k}b": 1000**i for i, k in enumerate("kmgt", 1)}
+    units |= {f"{k}ib": 1024**i for i, k in enumerate("kmgt", 1)}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        if isinstance(value, int):
+            return value
+        number = value.lower().rstrip("bkmgti ")
+        unit = self.units.get(value.lower()[len(number) :].strip())
+        if unit is None or not number.replace(".", "", 1).isdecimal() or not float(number) * unit >= 1:
+            self.fail(f"{value!r} is no size; allowed: 4GiB, 512MB, 1000000, ...", param, ctx)
+        return int(float(number) * unit)
+
+
+class Resolution(click.ParamType[tuple[int, int, int]]):
+    """R, or WxHxD, each 1 to 4096 voxels."""
+
+    name = "R|WxHxD"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
+        if isinstance(value, tuple):
+            return value
+        edges = value.lower().split("x")
+        if len(edges) not in (1, 3) or not all(e.isdecimal() and len(e) < 5 and 1 <= int(e) <= 4096 for e in edges):
+            self.fail(f"{value!r} is no resolution; allowed: R or WxHxD, each 1 to 4096", param, ctx)
+        w, h, d = (int(edge) for edge in (edges * 3 if len(edges) == 1 else edges))
+        return w, h, d
+
+
+@dataclass(frozen=True)
+class Input:
+    """A file to read, or stdin."""
+
+    path: str
+    max_memory: int
+
+    def read(self, words: Words, kind: type | None = None) -> Any:
+        with words.phase(f"reading {self.path}"):
+            return io.load(self.path, kind, max_memory=self.max_memory)
+
+
+@dataclass(frozen=True)
+class Output:
+    """A file to write, or stdout."""
+
+    path: str
+    to: str | None
+    force: bool
+
+    def require(self, scene: str) -> None:
+        """Raises, before any work is done, if a scene of this type could not be written here."""
+        io.format_for(self.path, scene, to=self.to)
+        io.require_absent(self.path, force=self.force)
+
+    def write(self, words: Words, scene: Any, **options: Any) -> None:
+        with words.phase(f"writing {self.path}"):
+            size = io.save(self.path, scene, to=self.to, force=self.force, **options)
+        words.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
+
+
+Command = Callable[..., Any]
+
+
+def reads(function: Command) -> Command:
+    """Adds the argument IN and --max-memory; the command gets `source`, an Input."""
+
+    @click.argument("source", metavar="IN", type=click.Path(allow_dash=True))
+    @click.option(
+        "--max-memory",
+        type=Size(),
+        default="4GiB",
+        show_default=True,
+        help="Most that IN may declare, or a result take.",
+    )
+    @functools.wraps(function)
+    def command(*args: Any, source: str, max_memory: int, **others: Any) -> Any:
+        return function(*args, source=Input(source, max_memory), **others)
+
+    return command
+
+
+def writes(function: Command) -> Command:
+    """Adds the argument OUT, --to and --force; the command gets `target`, an Output."""
+
+    @click.argument("target", metavar="OUT", type=click.Path(allow_dash=True))
+    @click.option(
+        "--to", metavar="FORMAT", help="Format of OUT, where its ending does not name it: svo.pb, svo.npz, npz."
+    )
+    @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+    @functools.wraps(function)
+    def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
+        return function(*args, target=Output(target, to, force), **others)
+
+    return command
+
+
+def speaks(function: Command) -> Command:
+    """Adds -q and -v; the command gets `words`."""
+
+    @click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
+    @click.option("-v", "--verbose", is_flag=True, help="Say how long each step took.")
+    @functools.wraps(function)
+    def command(*args: Any, quiet: bool, verbose: bool, **others: Any) -> Any:
+        return function(*args, words=Words(quiet=quiet, verbose=verbose), **others)
+
+    return command
+
+
+as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+no_child = click.option(
+    "--no-child",
+    type=click.Choice(["0", "-1"]),
+    default="0",
+    show_default=True,
+    callback=lambda ctx, param, value: int(value),
+    help="How OUT spells 'no child'.",
+)

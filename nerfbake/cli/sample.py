@@ -1,0 +1,40 @@
+"""`nerfbake sample`: synthetic scenes for trying things out, without a download."""
+
+from __future__ import annotations
+
+import click
+
+import nerfbake
+from nerfbake.cli.params import Output, speaks, writes
+from nerfbake.cli.words import Words
+
+
+@click.group()
+def sample() -> None:
+    """Write a synthetic scene, to try things out without a download."""
+
+
+@sample.command()
+@writes
+@click.option(
+    "--resolution", type=click.IntRange(4, 1024), default=128, show_default=True, help="Cells an axis, a power of two."
+)
+@click.option(
+    "--basis",
+    type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
+    default="SH9",
+    show_default=True,
+    help="Spherical harmonics of the colours.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
+@speaks
+def octree(target: Output, resolution: int, basis: str, seed: int, words: Words) -> None:
+    """Write a PlenOctree (svox .npz) of shiny shapes, with leaves at several depths, as OUT.
+
+    \b
+      nerfbake sample octree sample.npz --resolution 256
+    """
+    target.require("N3Tree")
+    with words.phase("growing the tree"):
+        tree = nerfbake.sample_n3tree(resolution=resolution, basis=basis, seed=seed)
+    target.write(words, tree)

@@ -1,0 +1,45 @@
+"""`nerfbake svo`: PlenOctree to sparse voxel octree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+import nerfbake
+from nerfbake.cli.params import Input, Output, Resolution, no_child, reads, speaks, writes
+from nerfbake.cli.words import Words
+
+RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its centre (as TR-24-01 has it)."
+
+
+@click.command()
+@reads
+@writes
+@click.option("--resolution", type=Resolution(), help="Voxels an axis, 1 to 4096.  [default: the tree's finest]")
+@click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
+@click.option(
+    "--layout",
+    type=click.Choice(["full", "compact"]),
+    default="full",
+    show_default=True,
+    help="Child slots for every node, or only above the last level.",
+)
+@click.option(
+    "--dtype", type=click.Choice(["float32", "float16"]), default="float32", show_default=True, help="Of the values."
+)
+@click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
+@no_child
+@speaks
+def svo(source: Input, target: Output, no_child: int, words: Words, **options: Any) -> None:
+    """Resample the PlenOctree IN to a sparse voxel octree OUT.
+
+    \b
+      nerfbake svo chair.npz chair.svo.pb --resolution 128
+      nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
+    """
+    target.require("SparseVoxelOctree")
+    tree = source.read(words, nerfbake.N3Tree)
+    with words.phase("building the octree"):
+        octree = nerfbake.build_octree(tree, max_memory=source.max_memory, **options)
+    target.write(words, octree, no_child=no_child)

@@ -1,0 +1,52 @@
+"""What a command says while it works: all of it on stderr, so that stdout is data alone."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+PATIENCE = 1.0  # seconds before a terminal shows that something is going on
+
+
+class Words:
+    """quiet: nothing but errors. verbose: each step with its time. Else one line for each file written."""
+
+    def __init__(self, *, quiet: bool, verbose: bool) -> None:
+        self._quiet, self._verbose = quiet, verbose
+
+    def say(self, text: str) -> None:
+        if not self._quiet:
+            click.echo(text, err=True)
+
+    @contextmanager
+    def phase(self, text: str) -> Iterator[None]:
+        """A step of the work: a terminal shows a spinner once it has lasted a second, a pipe shows nothing."""
+        start, done = time.perf_counter(), threading.Event()
+        spinner = threading.Thread(target=_spin, args=(text, done), daemon=True)
+        if sys.stderr.isatty() and not self._quiet:
+            spinner.start()
+        try:
+            yield
+        finally:
+            done.set()
+            if spinner.is_alive():
+                spinner.join()
+        if self._verbose:
+            self.say(f"{text}: {time.perf_counter() - start:.2f} s")
+
+
+def _spin(text: str, done: threading.Event) -> None:
+    if done.wait(PATIENCE):
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        progress.add_task(text, total=None)
+        done.wait()

@@ -1,0 +1,110 @@
+"""Any scene -> what a person or a script wants to know about it, as plain numbers and text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+
+
+def summarise(scene: N3Tree | SparseVoxelOctree) -> dict[str, Any]:
+    """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
+
+    Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
+    """
+    return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
+
+
+def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
+    leaves = tree.leaf_mask.reshape(tree.n, -1)
+    data = tree.data.reshape(*leaves.shape, tree.data_dim)
+    occupied = leaves & (data[..., -1] > 0)
+    live = sum(map(len, tree.levels))
+    corners = (np.array([[0.0] * 3, [1.0] * 3]) - tree.offset) / tree.invradius
+    # A cell of a node of level d is a cube of level d + 1.
+    return {
+        "kind": "PlenOctree (N3Tree)",
+        "dialect": tree.dialect,
+        **_values(tree.data_format, tree.data.dtype),
+        "branching": tree.N,
+        "forward_facing": tree.ndc,
+        "resolution": [tree.resolution] * 3,
+        "nodes": live,
+        "freed_rows": tree.n - live,
+        "nodes_per_level": [len(rows) for rows in tree.levels],
+        "leaves": int(leaves.sum()),
+        "leaves_per_level": [0] + [int(leaves[rows].sum()) for rows in tree.levels],
+        "occupied_leaves": int(occupied.sum()),
+        "occupied_per_level": [0] + [int(occupied[rows].sum()) for rows in tree.levels],
+        "world_box": _box(corners),
+        "ranges": _ranges(data, occupied, tree.data_format),
+        "non_finite": _non_finite(data, leaves),
+        "bytes_in_memory": tree.child.nbytes + tree.data.nbytes,
+    }
+
+
+def _of_octree(octree: SparseVoxelOctree) -> dict[str, Any]:
+    ends = np.cumsum(octree.level_sizes)
+    occupied = octree.childless & (octree.sigma > 0)
+
+    def per_level(mask: npt.NDArray[np.bool_]) -> list[int]:
+        return [int(part.sum()) for part in np.split(mask, ends[:-1])]
+
+    return {
+        "kind": "sparse voxel octree",
+        "layout": octree.layout,
+        **_values(octree.data_format, octree.node_data.dtype),
+        "data_dim": octree.data_dim,
+        "resolution": list(octree.size),
+        "nodes": octree.n,
+        "nodes_per_level": octree.level_sizes,
+        "leaves": int(octree.childless.sum()),
+        "leaves_per_level": per_level(octree.childless),
+        "occupied_leaves": int(occupied.sum()),
+        "occupied_per_level": per_level(occupied),
+        "world_box": _box(octree.origin + np.array([[0.0] * 3, octree.size]) * octree.voxel_size),
+        "voxel_size": octree.voxel_size.tolist(),
+        "ranges": _ranges(octree.node_data, occupied, octree.data_format),
+        "non_finite": _non_finite(octree.node_data, np.ones(octree.n, bool)),
+        "bytes_in_memory": octree.node_children.nbytes + octree.node_data.nbytes,
+    }
+
+
+def _values(data_format: str, dtype: np.dtype[Any]) -> dict[str, Any]:
+    basis = parse_basis(data_format) if data_format else None
+    return {
+        "data_format": data_format or None,
+        "basis": basis.kind if basis else None,
+        "basis_size": basis.size if basis else None,
+        "dtype": dtype.name,
+    }
+
+
+def _box(corners: npt.NDArray[np.float64]) -> list[list[float]] | None:
+    return corners.tolist() if np.isfinite(corners).all() else None
+
+
+def _ranges(data: npt.NDArray[Any], occupied: npt.NDArray[np.bool_], data_format: str) -> dict[str, Any]:
+    """Density; the first coefficient of each colour ('dc'); all the higher ones ('higher')."""
+    held = data[occupied]
+    B = parse_basis(data_format).size if data_format else 0
+    colours = held[:, : 3 * B].reshape(len(held), 3, B) if B else held[:, :-1, None]
+    return {
+        "sigma": _range(held[:, -1]),
+        "dc": _range(colours[..., 0]) if colours.size else None,
+        "higher": _range(colours[..., 1:]) if B > 1 else None,
+    }
+
+
+def _range(values: npt.NDArray[Any]) -> list[float] | None:
+    finite = values[np.isfinite(values)]
+    return [float(finite.min()), float(finite.max())] if finite.size else None
+
+
+def _non_finite(data: npt.NDArray[Any], which: npt.NDArray[np.bool_]) -> int:
+    return int(np.count_nonzero(~np.isfinite(data[which])))
