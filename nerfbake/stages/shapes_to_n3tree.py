@@ -88,12 +88,12 @@ def _shapes(random: np.random.Generator) -> list[Shape]:
 
 def _colour(random: np.random.Generator, hue: float) -> Floats:
     """A clear colour near a hue (0..1 around the wheel)."""
-    phase = 2 * np.pi * (hue + random.uniform(-0.05, 0.05) - np.arange(3) / 3)
-    return np.asarray(0.5 + 0.36 * np.cos(phase), np.float64)
+    phase: Floats = 2 * np.pi * (hue + random.uniform(-0.05, 0.05) - np.arange(3) / 3)
+    return 0.5 + 0.36 * np.cos(phase)
 
 
 def _centres(cells: npt.NDArray[np.int64], width: float) -> Floats:
-    return (cells + 0.5) * width - EDGE / 2
+    return np.asarray((cells + 0.5) * width - EDGE / 2, np.float64)
 
 
 def _distances(shapes: list[Shape], points: Floats) -> Floats:
