@@ -106,6 +106,9 @@ def refine(
     shift = max(edge - 1 for edge in size).bit_length()
     root = Cubes(*(np.zeros(1, np.int64) for _ in range(5)))
     level, inner = _keep(source, root, root.row, np.zeros(1, np.uint8), shift, size, centres=centres)
+    if not len(level.leaf):
+        # Nothing anywhere: the root stays, an inner node without children.
+        return [Level(np.zeros(1, np.int64), np.zeros(1, np.uint8), np.full(1, INNER))], inner
     levels, nodes = [level], 1
     while len(inner.row) and shift:
         shift -= 1

@@ -20,10 +20,16 @@ SNAP = 1e-12  # in tree units: a point this close below a boundary counts as on 
 Points = npt.NDArray[np.float64]
 
 
+def as_points(points: npt.ArrayLike) -> Points:
+    """(..., 3) float64. Raises InvalidScene for another shape."""
+    array = np.asarray(points, np.float64)
+    if array.ndim < 1 or array.shape[-1] != 3:
+        raise InvalidScene(Problem("points", f"have shape {array.shape}", "(..., 3)"))
+    return array
+
+
 def in_chunks(read: Callable[[Points], npt.NDArray[np.float32]], points: Points, width: int) -> npt.NDArray[np.float32]:
     """read() over (..., 3) points a chunk at a time -> (..., width)."""
-    if points.ndim < 1 or points.shape[-1] != 3:
-        raise InvalidScene(Problem("points", f"have shape {points.shape}", "(..., 3)"))
     flat = points.reshape(-1, 3)
     out = np.empty((len(flat), width), np.float32)
     for start in range(0, len(flat), CHUNK):

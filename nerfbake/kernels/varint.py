@@ -56,8 +56,8 @@ def decode_varints(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
     ends = np.flatnonzero(last)
     sizes = np.diff(ends, prepend=-1)
     if not last[-1] or sizes.max() > MAX_BYTES:
-        start = int(ends[-1]) + 1 if not last[-1] else int(ends[np.argmax(sizes > MAX_BYTES)])
-        raise InvalidFile(Problem(f"varint near byte {start:,}", "does not end", f"{MAX_BYTES} bytes a number"))
+        after = len(data) if not last[-1] else int(ends[np.argmax(sizes > MAX_BYTES)])
+        raise InvalidFile(Problem(f"the varint before byte {after:,}", "does not end", f"{MAX_BYTES} bytes a number"))
     starts = ends - sizes + 1
     values = (data[starts] & 0x7F).astype(np.uint32)
     for k in range(1, min(int(sizes.max()), 5)):

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import in_chunks, n3tree_cells
+from nerfbake.kernels.lookup import as_points, in_chunks, n3tree_cells
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, walk
 from nerfbake.scene.basis import parse_basis
 
@@ -159,7 +159,7 @@ class N3Tree:
         counts as on it, so that the rounding of a world coordinate does not choose. Empty leaves (sigma <= 0)
         and points outside the cube read as zeros.
         """
-        tree_points = np.asarray(points, np.float64) * self.invradius + self.offset
+        tree_points = as_points(points) * self.invradius + self.offset
         flat_child, levels = self.child.reshape(self.n, -1), len(self.levels)
         flat_data = self.data.reshape(-1, self.data_dim)
 

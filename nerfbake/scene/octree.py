@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import in_chunks, octree_nodes
+from nerfbake.kernels.lookup import as_points, in_chunks, octree_nodes
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
 from nerfbake.scene.basis import parse_basis
 
@@ -227,7 +227,7 @@ class SparseVoxelOctree:
         if lookup not in ("nearest", "trilinear"):
             raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
         self.require_sound()
-        voxel_points = (np.asarray(points, np.float64) - self.origin) / self.voxel_size
+        voxel_points = (as_points(points) - self.origin) / self.voxel_size
         read = self._nearest if lookup == "nearest" else self._trilinear
         return in_chunks(read, voxel_points, self.data_dim)
 

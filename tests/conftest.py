@@ -1,0 +1,65 @@
+"""Fixtures that every test may use, and the rule that real data, where they are, are really tested."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data"))
+
+hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
+hypothesis.settings.load_profile("repeatable")
+
+Shell = Callable[..., subprocess.CompletedProcess[bytes]]
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def chair(data: Path) -> Path:
+    return data / "plenoctree" / "chair"
+
+
+@pytest.fixture
+def shell(tmp_path: Path) -> Shell:
+    """Runs the real command line in a folder of its own: shell('svo', 'a.npz', 'b.svo.pb', stdin=b'...')."""
+
+    def run(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+        command = [sys.executable, "-m", "nerfbake", *arguments]
+        return subprocess.run(command, input=stdin, capture_output=True, cwd=tmp_path, timeout=60, check=False)
+
+    return run
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if not DATA.is_dir():
+        for item in items:
+            if item.get_closest_marker("data"):
+                item.add_marker(pytest.mark.skip(reason=f"no real scenes in {DATA}"))
+
+
+_skipped_although_there: list[str] = []
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):  # type: ignore[no-untyped-def]
+    report = yield
+    if report.skipped and item.get_closest_marker("data") and DATA.is_dir():
+        _skipped_although_there.append(item.nodeid)
+    return report
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if _skipped_although_there:
+        print("\nskipped, although the real scenes are there:", *_skipped_although_there, sep="\n  ")
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
