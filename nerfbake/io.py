@@ -41,8 +41,8 @@ def load_with_format(
     source: str | Path, kind: type[Scene] | None = None, *, max_memory: int = MAX_MEMORY, sound: bool = True
 ) -> tuple[Scene, Format, int]:
     """Like load(), with the file's format and its size in bytes."""
-    name = "stdin" if str(source) == STREAM else str(source)
-    with _blame(name):
+    name = reading_name(source)
+    with blame(name):
         view = _read_all(sys.stdin.buffer, max_memory) if name == "stdin" else _map(Path(source), max_memory)
         if not len(view):
             raise InvalidFile("is empty; allowed: a file that nerfbake reads")
@@ -80,7 +80,7 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
         if sys.stdout.isatty():
             raise UsageError("stdout is a terminal; allowed: a pipe or a file")
         return _write_all(sys.stdout.buffer, pieces)
-    with _blame(str(target), OutputError), replacing(Path(target), force=force) as file:
+    with blame(str(target), OutputError), replacing(Path(target), force=force) as file:
         return _write_all(file, pieces)
 
 
@@ -125,8 +125,8 @@ def _is_regular(path: Path) -> bool:
 
 
 @contextmanager
-def _blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[None]:
-    """Names the file in every error that leaves the block; turns the system's errors into ours."""
+def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[None]:
+    """Names the file in every error that leaves the block, and turns the system's errors into ours."""
     try:
         yield
     except NerfbakeError as error:
@@ -156,6 +156,11 @@ def _read_all(file: IO[bytes], max_memory: int) -> memoryview:
         if len(data) > max_memory:
             raise MemoryLimit("the stream", len(data), max_memory)
     return memoryview(data).toreadonly()
+
+
+def reading_name(source: str | Path) -> str:
+    """What words and errors call a source."""
+    return "stdin" if str(source) == STREAM else str(source)
 
 
 def _write_all(file: IO[bytes], pieces: Iterator[bytes | memoryview]) -> int:

@@ -23,4 +23,6 @@ def lod(source: Input, target: Output, level: int, no_child: int, words: Words) 
     """
     target.require("SparseVoxelOctree")
     octree = source.read(words, nerfbake.SparseVoxelOctree)
-    target.write(words, nerfbake.cut_octree(octree, level=level), no_child=no_child)
+    with source.blamed(words, f"cutting at level {level}"):
+        octree = nerfbake.cut_octree(octree, level=level)
+    target.write(words, octree, no_child=no_child)

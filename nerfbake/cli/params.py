@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,8 +54,14 @@ class Input:
     max_memory: int
 
     def read(self, words: Words, kind: type | None = None) -> Any:
-        with words.phase(f"reading {self.path}"):
+        with words.phase(f"reading {io.reading_name(self.path)}"):
             return io.load(self.path, kind, max_memory=self.max_memory)
+
+    @contextmanager
+    def blamed(self, words: Words, phase: str) -> Iterator[None]:
+        """A step of the work whose errors are this file's."""
+        with words.phase(phase), io.blame(io.reading_name(self.path)):
+            yield
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,6 @@ def svo(source: Input, target: Output, no_child: int, words: Words, **options: A
     """
     target.require("SparseVoxelOctree")
     tree = source.read(words, nerfbake.N3Tree)
-    with words.phase("building the octree"):
+    with source.blamed(words, "building the octree"):
         octree = nerfbake.build_octree(tree, max_memory=source.max_memory, **options)
     target.write(words, octree, no_child=no_child)

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 ALIGN = 64
-_MAX32 = 0xFFFFFFFF
+_ZIP64_FROM = 0xFFFFFFFF  # numbers from here on do not fit the old fields, which then hold just this
 _DATE_1980 = 0x0021  # 1 January 1980 in DOS's bits
 _UNIX, _MODE = 3 << 8, 0o100644 << 16
 
@@ -33,12 +33,12 @@ def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryvie
         head, body = _npy(np.asarray(value))
         size = len(head) + len(body)
         crc = zlib.crc32(body, zlib.crc32(head))
-        zip64 = struct.pack("<HHQQ", 1, 16, size, size) if size >= _MAX32 else b""
+        zip64 = struct.pack("<HHQQ", 1, 16, size, size) if size >= _ZIP64_FROM else b""
         version = 45 if zip64 else 20
         unpadded = at + 30 + len(name) + len(zip64) + 4
         padding = -unpadded % ALIGN
         extra = zip64 + struct.pack("<HH", 0xD935, padding) + bytes(padding)
-        common = (0, 0, 0, _DATE_1980, crc, min(size, _MAX32), min(size, _MAX32), len(name))
+        common = (0, 0, 0, _DATE_1980, crc, _u32(size), _u32(size), len(name))
         yield struct.pack("<4s5H3I2H", b"PK\3\4", version, *common, len(extra)) + name + extra
         yield head
         yield body
@@ -58,19 +58,23 @@ def _npy(array: npt.NDArray[Any]) -> tuple[bytes, memoryview]:
 
 def _central(name: bytes, version: int, common: tuple[int, ...], size: int, at: int) -> bytes:
     zip64 = b""
-    if size >= _MAX32:
+    if size >= _ZIP64_FROM:
         zip64 += struct.pack("<QQ", size, size)
-    if at >= _MAX32:
+    if at >= _ZIP64_FROM:
         zip64 += struct.pack("<Q", at)
     extra = struct.pack("<HH", 1, len(zip64)) + zip64 if zip64 else b""
     made_by = _UNIX | 45
     entry = struct.pack("<4s6H3I2H", b"PK\1\2", made_by, version, *common, len(extra))
-    return entry + struct.pack("<3H2I", 0, 0, 0, _MODE, min(at, _MAX32)) + name + extra
+    return entry + struct.pack("<3H2I", 0, 0, 0, _MODE, _u32(at)) + name + extra
 
 
 def _end(count: int, size: int, at: int) -> bytes:
     zip64 = b""
-    if at >= _MAX32:
+    if at >= _ZIP64_FROM:
         zip64 = struct.pack("<4sQ2H2I4Q", b"PK\6\6", 44, 45, 45, 0, 0, count, count, size, at)
         zip64 += struct.pack("<4sIQI", b"PK\6\7", 0, at + size, 1)
-    return zip64 + struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, count, count, size, min(at, _MAX32), 0)
+    return zip64 + struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, count, count, size, _u32(at), 0)
+
+
+def _u32(number: int) -> int:
+    return number if number < _ZIP64_FROM else 0xFFFFFFFF

@@ -29,6 +29,8 @@ def decode(view: memoryview, *, max_memory: int, companion: bool = False) -> N3T
     child = npz.array("child")
     if child.dtype.kind != "i" or child.ndim != 4:
         raise InvalidFile(Problem("child", f"has dtype {child.dtype}, shape {child.shape}", "int32 (n, N, N, N)"))
+    if child.size and max(abs(int(child.min())), abs(int(child.max()))) >= 1 << 31:
+        raise InvalidFile(Problem("child", "holds numbers beyond 32 bits", "offsets within the table"))
     data = _dequantise(npz, child) if quantised else npz.array("data")
     data_dim = data.shape[-1] if data.ndim else 0
     if "data_dim" in npz and (declared := npz.scalar("data_dim")) != data_dim:

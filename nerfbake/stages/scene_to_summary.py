@@ -25,7 +25,8 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
     data = tree.data.reshape(*leaves.shape, tree.data_dim)
     occupied = leaves & (data[..., -1] > 0)
     live = sum(map(len, tree.levels))
-    corners = (np.array([[0.0] * 3, [1.0] * 3]) - tree.offset) / tree.invradius
+    with np.errstate(divide="ignore", invalid="ignore"):
+        corners = (np.array([[0.0] * 3, [1.0] * 3]) - tree.offset) / tree.invradius
     # A cell of a node of level d is a cube of level d + 1.
     return {
         "kind": "PlenOctree (N3Tree)",

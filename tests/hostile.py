@@ -1,0 +1,77 @@
+"""Broken and hostile files: how to make them, and what no command may do with them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import resource
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from nerfbake.cli.main import run
+
+LONGEST = 5.0  # seconds a command may take over a broken file
+MEMORY = 3 << 30  # address space it may take
+
+
+def damaged(data: bytes, *, flips: int) -> Iterator[tuple[str, bytes]]:
+    """The file cut at every 1 %, then with single bits flipped."""
+    for percent in range(100):
+        yield f"cut at {percent} %", data[: len(data) * percent // 100]
+    random = np.random.default_rng(0)
+    for _ in range(flips):
+        bit = int(random.integers(8 * len(data)))
+        broken = bytearray(data)
+        broken[bit // 8] ^= 1 << bit % 8
+        yield f"bit {bit} flipped", bytes(broken)
+
+
+def complaint(arguments: list[str], output: Path | None) -> str | None:
+    """What is wrong with the way a command took its input; None if it behaved."""
+    errors, start = io.StringIO(), time.perf_counter()
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.setitimer(signal.ITIMER_REAL, LONGEST)
+    try:
+        with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+            code = run(arguments)
+    except BaseException as error:
+        return f"{type(error).__name__}: {error} after {time.perf_counter() - start:.1f} s"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    lines = errors.getvalue().splitlines()
+    there = output is not None and output.exists()
+    if there and output is not None:
+        output.unlink()
+    if code == 1 and not (len(lines) == 1 and lines[0].startswith("error: ") and not there):
+        return f"exit 1, output there: {there}, said {lines}"
+    if code not in (0, 1):
+        return f"exit {code}, said {lines}"
+    return None
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError
+
+
+def main(command: str, source: Path, flips: int) -> None:
+    """Runs a command over every damaged copy of a file, in little memory; prints what went wrong as JSON."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    data = source.read_bytes()
+    suffix = source.name.partition(".")[2]
+    bad, out = source.with_name(f"bad.{suffix}"), source.with_name("out.svo.npz")
+    found = []
+    for name, broken in damaged(data, flips=flips):
+        bad.write_bytes(broken)
+        if said := complaint([command, str(bad), str(out), "-q"], out):
+            found.append(f"{name}: {said}")
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]))
