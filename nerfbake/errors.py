@@ -86,6 +86,15 @@ class OutputError(NerfbakeError):
     exit_code = 4
 
 
+class PipeClosed(NerfbakeError):
+    """Whoever read our stdout has seen enough."""
+
+    exit_code = 141
+
+    def __init__(self) -> None:
+        super().__init__("the reader of stdout has closed it")
+
+
 def format_size(size: float) -> str:
     """A size in bytes, for people: 1536 -> '1.5 KiB'."""
     for unit in ("B", "KiB", "MiB", "GiB", "TiB"):

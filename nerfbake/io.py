@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 from nerfbake.catalog import Format, format_named, format_of_content, format_of_path, formats_of
-from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, Problem, UsageError
+from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, PipeClosed, Problem, UsageError
 
 MAX_MEMORY = 4 << 30
 STREAM = "-"
@@ -79,7 +79,10 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
     if str(target) == STREAM:
         if sys.stdout.isatty():
             raise UsageError("stdout is a terminal; allowed: a pipe or a file")
-        return _write_all(sys.stdout.buffer, pieces)
+        try:
+            return _write_all(sys.stdout.buffer, pieces)
+        except BrokenPipeError:
+            raise PipeClosed from None
     with blame(str(target), OutputError), replacing(Path(target), force=force) as file:
         return _write_all(file, pieces)
 
@@ -132,8 +135,6 @@ def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[
     except NerfbakeError as error:
         if error.source is None:
             error.source = name
-        raise
-    except BrokenPipeError:
         raise
     except OSError as error:
         raise error_type(f"{error.strerror or error}", source=name) from error

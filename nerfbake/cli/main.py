@@ -17,7 +17,7 @@ from nerfbake.cli.info import info
 from nerfbake.cli.lod import lod
 from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
-from nerfbake.errors import NerfbakeError, one_line
+from nerfbake.errors import NerfbakeError, PipeClosed, one_line
 
 
 class InOrder(click.Group):
@@ -62,14 +62,14 @@ def run(arguments: list[str]) -> int:
         return _fail(f"{error.format_message()} (see '{command} --help')", error.exit_code)
     except click.ClickException as error:
         return _fail(error.format_message(), error.exit_code)
+    except PipeClosed as error:
+        # Nothing more may be flushed into the pipe at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error.exit_code
     except NerfbakeError as error:
         return _fail(str(error), error.exit_code)
     except MemoryError:
         return _fail("out of memory; a lower --resolution or --max-memory may help", 1)
-    except BrokenPipeError:
-        # Whoever read the pipe has seen enough. Nothing more may be flushed into it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
     except (click.Abort, KeyboardInterrupt):
         return _fail("stopped", 128 + signal.SIGINT)
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import as_points, in_chunks, n3tree_cells
-from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, walk
+from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, plural, walk
 from nerfbake.scene.basis import parse_basis
 
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
@@ -59,7 +59,7 @@ class N3Tree:
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
-        return f"{self.data_format} PlenOctree of {self.resolution}^3, {sum(map(len, self.levels)):,} nodes"
+        return f"{self.data_format} PlenOctree of {self.resolution}^3, {plural(sum(map(len, self.levels)), 'node')}"
 
     # -- sizes -------------------------------------------------------------------------------------------------
     @property

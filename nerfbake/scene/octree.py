@@ -74,7 +74,8 @@ class SparseVoxelOctree:
 
     def __str__(self) -> str:
         size = "x".join(map(str, self.size))
-        return f"{self.data_format} octree of {size}, {self.n:,} nodes, {self.node_data.dtype}, {self.layout}".strip()
+        nodes = f"{plural(self.n, 'node')}, {self.node_data.dtype}, {self.layout}"
+        return f"{self.data_format or 'plain'} octree of {size}, {nodes}"
 
     # -- sizes -------------------------------------------------------------------------------------------------
     @property

@@ -50,6 +50,8 @@ def build_octree(
     size = _grid_size(tree, resolution)
     if resample not in ("mean", "nearest"):
         raise InvalidScene(Problem("resample", f"is {resample!r}", "mean, nearest"))
+    if sigma_min is not None and not sigma_min >= 0:
+        raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
     _require_usable(tree, sigma_min)
     source = _source(tree, sigma_min or 0.0)
     node_bytes = tree.data_dim * np.dtype(dtype).itemsize + 8 * 4 + 16

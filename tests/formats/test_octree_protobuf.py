@@ -16,6 +16,7 @@ from numpy.testing import assert_array_equal
 from nerfbake import build_octree
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats import octree_protobuf
+from nerfbake.kernels.varint import encode_varints
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import REPOSITORY
 from tests.scenes import assert_same_octree, n3tree, octrees
@@ -124,8 +125,8 @@ def test_a_file_of_listing_3_alone_is_read(schemas: dict[str, Any]) -> None:
 def test_a_packed_array_may_come_in_pieces() -> None:
     octree = build_octree(n3tree())
     whole = written(octree)
-    table = octree_protobuf.encode_varints(octree.node_children.reshape(-1))
-    run = b"\x2a" + octree_protobuf.encode_varints(np.array([len(table)], np.int32)) + table
+    table = encode_varints(octree.node_children.reshape(-1))
+    run = b"\x2a" + encode_varints(np.array([len(table)], np.int32)) + table
     assert run in whole
     pieces = b"\x2a\x08" + table[:8] + b"\x2a" + bytes([len(table) - 8]) + table[8:]
     assert_same_octree(read(whole.replace(run, pieces)), octree)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,7 +26,7 @@ def one(value: int) -> bytes:
 
 
 @given(arrays(np.int32, st.integers(0, 40), elements=numbers))
-def test_varints_are_what_the_definition_says(values: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_varints_are_what_the_definition_says(values: npt.NDArray[np.int32]) -> None:
     expected = b"".join(one(int(value)) for value in values)
     assert encode_varints(values) == expected
     assert varint_sizes(values) == len(expected)

@@ -123,4 +123,12 @@ def test_shapes_are_checked(wrong: dict[str, object]) -> None:
 
 def test_bases() -> None:
     assert [parse_basis(name).data_dim for name in ("SH1", "SH25", "RGBA", "SG25", "ASG8")] == [4, 76, 4, 76, 25]
-    assert [guess_data_format(dim) for dim in (4, 28, 49, 76, 13, 1, 6)] == ["RGBA", "SH9", "SH16", "SH25", "SH4", "", ""]
+    assert [guess_data_format(dim) for dim in (4, 28, 49, 76, 13, 1, 6)] == [
+        "RGBA",
+        "SH9",
+        "SH16",
+        "SH25",
+        "SH4",
+        "",
+        "",
+    ]

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,7 +15,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from tests.scenes import n3tree, octrees, world_centres
 
 
-def grid_octree(values: np.ndarray) -> SparseVoxelOctree:  # type: ignore[type-arg]
+def grid_octree(values: npt.NDArray[Any]) -> SparseVoxelOctree:
     """A 2 x 2 x 2 grid of single densities, values[x, y, z]."""
     children = np.zeros((9, 8), np.int32)
     children[0] = np.arange(1, 9)

@@ -160,7 +160,7 @@ def test_a_forward_facing_scene_is_refused() -> None:
 
 @pytest.mark.parametrize("resolution", [0, -1, 4097, (4, 4, 0)])
 def test_a_resolution_out_of_range_is_refused(resolution: int | tuple[int, int, int]) -> None:
-    with pytest.raises(InvalidScene, match="resolution is .*; allowed: 1 to 4096"):
+    with pytest.raises(InvalidScene, match=r"resolution is .*; allowed: 1 to 4096"):
         build_octree(n3tree(), resolution=resolution)
 
 

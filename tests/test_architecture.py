@@ -1,0 +1,116 @@
+"""The rules of the house: who may import whom, and what the catalog lists."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import nerfbake
+from nerfbake import catalog
+from tests.conftest import REPOSITORY
+
+PACKAGE = REPOSITORY / "nerfbake"
+
+# layer: what it may import from nerfbake, what it may import from outside beyond the standard library
+RULES: dict[str, tuple[set[str], set[str]]] = {
+    "errors": (set(), set()),
+    "kernels": ({"errors", "kernels"}, {"numpy"}),
+    "scene": ({"errors", "kernels", "scene"}, {"numpy"}),
+    "stages": ({"errors", "kernels", "scene", "stages"}, {"numpy"}),
+    "formats": ({"errors", "kernels", "scene", "formats"}, {"numpy"}),
+    "catalog": ({"errors"}, set()),
+    "io": ({"errors", "catalog"}, set()),
+    "cli": ({"errors", "catalog", "io", "cli", "nerfbake"}, {"click", "rich"}),
+}
+# The one library that a file is about.
+OWN_LIBRARY: dict[str, set[str]] = {}
+HEAVY = {"numpy", "rich", "google", "zipfile", "hashlib", "concurrent", "asyncio"}
+
+
+def modules() -> list[Path]:
+    return sorted(path for path in PACKAGE.rglob("*.py") if path.name not in ("__init__.py", "__main__.py"))
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names of all modules that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found |= {
+                f"{node.module}.{alias.name}" if node.module == "nerfbake" else str(node.module) for alias in node.names
+            }
+    return found
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_follow_the_rules(path: Path) -> None:
+    layer = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    ours, outside = RULES[layer]
+    for name in imports(path):
+        top, _, rest = name.partition(".")
+        if top == "nerfbake":
+            assert (rest.split(".")[0] or "nerfbake") in ours, f"{layer} may not import {name}"
+        elif top not in sys.stdlib_module_names:
+            assert top in outside | OWN_LIBRARY.get(path.stem, set()), f"{path.name} may not import {name}"
+
+
+def test_only_io_opens_files() -> None:
+    openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
+    for path in modules():
+        if path.stem == "io":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call):
+                name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+                assert name not in openers or path.stem == "main", f"{path.name}: {name}() at line {node.lineno}"
+
+
+def test_every_format_and_stage_has_its_line() -> None:
+    def files(folder: str) -> set[str]:
+        return {f"nerfbake.{folder}.{path.stem}" for path in (PACKAGE / folder).glob("[!_]*.py")}
+
+    assert {form.module for form in catalog.FORMATS} == files("formats")
+    assert set(catalog.STAGES.values()) == files("stages")
+    assert set(catalog.SCENES.values()) <= files("scene")
+
+
+def test_every_line_of_the_catalog_is_true() -> None:
+    for form in catalog.FORMATS:
+        module = form.load_module()
+        assert all(callable(getattr(module, name)) for name in ("encode", "decode", "recognise"))
+        assert form.scene in catalog.SCENES
+        assert form.name == form.suffix.removeprefix(".")
+    for name, home in (catalog.STAGES | catalog.SCENES).items():
+        assert callable(getattr(import_module(home), name))
+
+
+def test_longer_endings_come_first() -> None:
+    endings = [form.suffix for form in catalog.FORMATS]
+    for i, ending in enumerate(endings):
+        assert not any(ending.endswith(earlier) for earlier in endings[:i])
+
+
+def test_public_names_are_there() -> None:
+    for name in nerfbake.__all__:
+        assert callable(getattr(nerfbake, name))
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = nerfbake.nonsense
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["svo", "--help"], ["--version"]])
+def test_the_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    code = f"""if True:
+        import sys
+        from nerfbake.cli.main import run
+        run({arguments!r})
+        print(*sorted({{name.partition('.')[0] for name in sys.modules}} & {HEAVY!r}), file=sys.stderr)"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.split() == []

@@ -1,0 +1,130 @@
+"""The real chair: what the files' own description says of them, and every voxel against the tree."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from nerfbake import build_octree, cut_octree, load, save, summarise
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from tests.conftest import DATA
+from tests.scenes import assert_same_octree, world_centres
+
+pytestmark = pytest.mark.data
+
+# nodes, leaves that hold something: as the data's README has them
+FILES = {
+    "chair_sh9": (117_491, 524_883, "svox"),
+    "chair_sh9_128": (24_886, 137_542, "svox"),
+    "chair_sh9_128_legacy": (24_886, 137_542, "legacy"),
+    "chair_sh9_128_fragmented": (25_881, 116_640, "svox"),
+    "chair_sh9_128_quant": (24_886, 117_658, "quantised"),
+    "chair_sh9_128_quant_retain1": (24_886, 117_658, "quantised+retained"),
+}
+
+
+def file(name: str) -> Path:
+    return DATA / "plenoctree" / "chair" / f"{name}.npz"
+
+
+@cache
+def chair(name: str) -> N3Tree:
+    return load(file(name), N3Tree)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_figures_of_the_description(name: str) -> None:
+    nodes, occupied, dialect = FILES[name]
+    facts = summarise(chair(name))
+    assert facts["nodes"] + facts["freed_rows"] == nodes
+    assert facts["occupied_leaves"] == occupied
+    assert facts["dialect"] == dialect
+    assert facts["data_format"] == "SH9"
+    assert chair(name).problems() == []
+
+
+def test_levels_of_the_description() -> None:
+    facts = summarise(chair("chair_sh9"))
+    assert facts["nodes_per_level"] == [1, 8, 45, 152, 633, 3207, 18083, 95362]
+    # There, leaves are counted by the depth of the node they are cells of; here by their own level, one below.
+    assert facts["leaves_per_level"] == [0, 0, 19, 208, 583, 1857, 7573, 49302, 762896]
+    assert facts["occupied_per_level"] == [0, 0, 0, 0, 0, 0, 80, 14276, 510527]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(64, 64, 64), (128, 128, 128), (100, 80, 60)])
+@pytest.mark.parametrize("name", FILES)
+def test_every_voxel_reads_what_the_tree_reads(name: str, size: tuple[int, int, int]) -> None:
+    tree = chair(name)
+    octree = build_octree(tree, resolution=size, resample="nearest")
+    points = world_centres(octree)
+    assert_array_equal(octree.sample(points), tree.sample(points))
+
+
+@pytest.mark.slow
+def test_every_voxel_at_256_reads_what_the_tree_reads() -> None:
+    tree = chair("chair_sh9")
+    octree = build_octree(tree, resolution=256, resample="nearest")
+    points = world_centres(octree).reshape(16, -1, 3)
+    for slab in points:
+        assert_array_equal(octree.sample(slab), tree.sample(slab))
+    # At the tree's own resolution there is nothing to average.
+    assert_same_octree(octree, build_octree(tree))
+
+
+def test_spellings_of_one_tree_give_one_octree() -> None:
+    for resolution in (128, 64):
+        plain, legacy = (build_octree(chair(name), resolution=resolution) for name in list(FILES)[1:3])
+        assert_same_octree(plain, legacy)
+
+
+def test_the_fragmented_tree_is_the_plain_one_with_some_nodes_averaged() -> None:
+    # svox's merge replaced 3,981 nodes by the float16 mean of their cells before it freed their rows: its octree is the
+    # plain one everywhere else, and holds one leaf for eight there.
+    plain, fragmented = (build_octree(chair(f"chair_sh9_128{end}"), resolution=128) for end in ("", "_fragmented"))
+    points = world_centres(plain).reshape(64, 2, 64, 2, 64, 2, 3).transpose(0, 2, 4, 1, 3, 5, 6).reshape(-1, 8, 3)
+    a, b = plain.sample(points), fragmented.sample(points)
+    differ = (a != b).any(axis=(1, 2))
+    assert differ.sum() == 3981 == summarise(chair("chair_sh9_128_fragmented"))["freed_rows"]
+    assert_array_equal(b[differ], np.broadcast_to(b[differ][:, :1], b[differ].shape))
+    np.testing.assert_allclose(b[differ][:, 0], a[differ].mean(axis=1), rtol=1e-3, atol=2e-4)
+
+
+@pytest.mark.parametrize("retained", [0, 1])
+def test_quantised_values_are_decoded_exactly(retained: int) -> None:
+    name = "chair_sh9_128_quant" + "_retain1" * retained
+    tree = chair(name)
+    with np.load(file(name)) as npz:
+        colors, codes, sigma = npz["quant_colors"], npz["quant_map"], npz["sigma"]
+        kept = npz["data_retained"] if retained else None
+    assert_array_equal(tree.data[..., 27], sigma)
+    for i in range(9):
+        rgb = kept[i] if kept is not None and i < retained else colors[i - retained][codes[i - retained]]
+        for channel in range(3):
+            assert_array_equal(tree.data[..., 9 * channel + i], rgb[..., channel])
+
+
+def test_a_cut_shows_what_a_bake_at_half_the_resolution_holds() -> None:
+    tree = chair("chair_sh9")
+    cut, direct = cut_octree(build_octree(tree), level=7), build_octree(tree, resolution=128)
+    assert cut.size == direct.size
+    assert_array_equal(cut.node_children, direct.node_children)
+    np.testing.assert_allclose(cut.node_data, direct.node_data, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".svo.pb", ".svo.npz"])
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+def test_files_hold_the_octree_bit_for_bit(suffix: str, dtype: str, tmp_path: Path) -> None:
+    octree = build_octree(chair("chair_sh9_128"), dtype=dtype)  # type: ignore[arg-type]
+    layouts: tuple[Layout, ...] = ("full", "compact")
+    for layout in layouts:
+        there = octree.with_layout(layout)
+        save(tmp_path / f"a{suffix}", there, force=True)
+        back = load(tmp_path / f"a{suffix}", SparseVoxelOctree)
+        assert_same_octree(back, there)
+        assert_same_octree(back.with_layout("full"), octree)
