@@ -42,4 +42,5 @@ def svo(source: Input, target: Output, no_child: int, words: Words, **options: A
     tree = source.read(words, nerfbake.N3Tree)
     with source.blamed(words, "building the octree"):
         octree = nerfbake.build_octree(tree, max_memory=source.max_memory, **options)
+    del tree  # the octree needs none of it, and writing needs memory
     target.write(words, octree, no_child=no_child)

@@ -13,11 +13,11 @@ import re
 import struct
 import warnings
 import zipfile
-import zlib
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from zlib_ng import zlib_ng
 
 from nerfbake.errors import InvalidFile, MemoryLimit, Problem
 
@@ -74,7 +74,7 @@ class NpzReader:
         info = self._members[key]
         try:
             return self._read(key, info, limit)
-        except zlib.error as error:
+        except zlib_ng.error as error:  # type: ignore[misc]  # an exception, though its stub does not say so
             raise InvalidFile(
                 f"{key}: the deflated data are damaged ({error}); allowed: a whole deflate stream"
             ) from None
@@ -94,7 +94,7 @@ class NpzReader:
         self.reserve(size, key)
         if info.compress_type == zipfile.ZIP_STORED:
             raw = np.frombuffer(packed[stream.taken :], np.uint8)
-            if zlib.crc32(packed) != info.CRC:
+            if zlib_ng.crc32(packed) != info.CRC:
                 raise InvalidFile(Problem(key, "has a wrong CRC-32", f"{info.CRC:08x}"))
         else:
             raw = np.empty(size, np.uint8)
@@ -154,7 +154,9 @@ class _Inflater:
 
     def __init__(self, key: str, packed: memoryview, info: zipfile.ZipInfo) -> None:
         self._key, self._packed, self._info = key, packed, info
-        self._inflate = zlib.decompressobj(-zlib.MAX_WBITS) if info.compress_type == zipfile.ZIP_DEFLATED else None
+        self._inflate = (
+            zlib_ng.decompressobj(-zlib_ng.MAX_WBITS) if info.compress_type == zipfile.ZIP_DEFLATED else None
+        )
         self._at = 0  # bytes of `packed` given to the inflater, or read
         self._crc = 0
         self.taken = 0
@@ -187,7 +189,7 @@ class _Inflater:
                 self._at += len(data)
             piece = self._inflate.decompress(data, min(most, _CHUNK))
             if piece:
-                self._crc = zlib.crc32(piece, self._crc)
+                self._crc = zlib_ng.crc32(piece, self._crc)
                 return piece
             if not len(data) and self._at >= len(self._packed):
                 break

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from zlib_ng import zlib_ng
 
 ALIGN = 64
 _ZIP64_FROM = 0xFFFFFFFF  # numbers from here on do not fit the old fields, which then hold just this
@@ -32,7 +32,7 @@ def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryvie
         name = f"{key}.npy".encode()
         head, body = _npy(np.asarray(value))
         size = len(head) + len(body)
-        crc = zlib.crc32(body, zlib.crc32(head))
+        crc = zlib_ng.crc32(body, zlib_ng.crc32(head))
         zip64 = struct.pack("<HHQQ", 1, 16, size, size) if size >= _ZIP64_FROM else b""
         version = 45 if zip64 else 20
         unpadded = at + 30 + len(name) + len(zip64) + 4

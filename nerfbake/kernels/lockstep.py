@@ -11,13 +11,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import MemoryLimit
+from nerfbake.errors import InvalidScene, MemoryLimit, Problem
 from nerfbake.kernels.pyramid import INNER, Level
 
 Ints = npt.NDArray[np.int64]
 
 # Octant o = x + 2y + 4z: the steps of each axis.
 STEPS = tuple(np.arange(8) >> axis & 1 for axis in range(3))
+MAX_NUMBER = 2**31 - 1  # of a leaf: 32 bits keep the levels half as large
 CHUNK = 1 << 13  # cubes split at a time: temporaries stay in the cache, and memory bounded
 
 
@@ -99,16 +100,16 @@ def refine(
 ) -> tuple[list[Level], Cubes]:
     """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
 
-    -> the levels, whose leaves are flat cells of the source, and the voxels that cover several leaves; the k-th of
-    those has the number n C + n + k. With `centres` a voxel covers what its centre hits. Raises MemoryLimit as soon
-    as the nodes, at node_bytes each, take more than max_memory.
+    -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
+    the voxels made of several parts, of which the k-th has the number n C + n + k. With `centres` a voxel covers what
+    its centre hits. Raises MemoryLimit as soon as the nodes, at node_bytes each, take more than max_memory.
     """
     shift = max(edge - 1 for edge in size).bit_length()
     root = Cubes(*(np.zeros(1, np.int64) for _ in range(5)))
     level, inner = _keep(source, root, root.row, np.zeros(1, np.uint8), shift, size, centres=centres)
     if not len(level.leaf):
         # Nothing anywhere: the root stays, an inner node without children.
-        return [Level(np.zeros(1, np.int64), np.zeros(1, np.uint8), np.full(1, INNER))], inner
+        return [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32))], inner
     levels, nodes = [level], 1
     while len(inner.row) and shift:
         shift -= 1
@@ -125,10 +126,17 @@ def refine(
         level = Level(*(np.concatenate(arrays) for arrays in zip(*(piece for piece, _ in found), strict=True)))
         inner = Cubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
         levels.append(level)
-    # Whatever is still not within one leaf is a single voxel.
-    C = source.N**3
-    level.leaf[level.leaf == INNER] = source.link.size + source.link.size // C + np.arange(len(inner.row))
-    return levels, inner
+    # Whatever is still not within one leaf is a single voxel: a whole node of the source, or parts of several.
+    exact = np.ones(len(inner.row), bool)
+    K = np.concatenate([[1], source.cells])[inner.depth]
+    for (a, b), edge in zip(spans(inner, 0, size, centres=centres), size, strict=True):
+        exact &= (b - a) * K == 2 * edge
+    number = source.link.size + inner.row
+    number[~exact] = source.link.size + source.link.size // source.N**3 + np.arange(np.count_nonzero(~exact))
+    if number.max(initial=0) > MAX_NUMBER:
+        raise InvalidScene(Problem("the tree", f"has {source.link.size:,} cells", f"{MAX_NUMBER:,} with their voxels"))
+    level.leaf[level.leaf == INNER] = number
+    return levels, inner.take(~exact)
 
 
 def _keep(
@@ -152,5 +160,5 @@ def _keep(
     # A leaf may not reach beyond the grid: its values would fill space that is none of its own.
     for q, edge in zip(cubes[:3], size, strict=True):
         leaf[(q + 1) << shift > edge] = INNER
-    level = Level(parent[held], octant[held], leaf[held])
+    level = Level(parent[held].astype(np.int32), octant[held], leaf[held].astype(np.int32))
     return level, cubes.take(held & (leaf == INNER))

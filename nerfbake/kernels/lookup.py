@@ -7,12 +7,12 @@ million points, and memory stays bounded.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.parallel import over_chunks
 
 CHUNK = 1 << 15
 SNAP = 1e-12  # in tree units: a point this close below a boundary counts as on it
@@ -32,8 +32,11 @@ def in_chunks(read: Callable[[Points], npt.NDArray[np.float32]], points: Points,
     """read() over (..., 3) points a chunk at a time -> (..., width)."""
     flat = points.reshape(-1, 3)
     out = np.empty((len(flat), width), np.float32)
-    for start in range(0, len(flat), CHUNK):
-        out[start : start + CHUNK] = read(flat[start : start + CHUNK])
+
+    def work(begin: int, end: int) -> None:
+        out[begin:end] = read(flat[begin:end])
+
+    over_chunks(work, len(flat), CHUNK)
     return out.reshape(*points.shape[:-1], width)
 
 
@@ -62,29 +65,28 @@ def n3tree_cells(child: npt.NDArray[np.int32], N: int, levels: int, points: Poin
 
 
 def octree_nodes(
-    children: npt.NDArray[np.int32], childless: npt.NDArray[np.bool_], levels: int, voxels: npt.NDArray[Any]
+    children: npt.NDArray[np.int32],
+    childless: npt.NDArray[np.bool_],
+    levels: int,
+    codes: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.int64]:
-    """The leaf that holds each voxel (m, 3) of the cube of 2^levels voxels an edge; -1 for empty space.
+    """The leaf that holds each voxel, given by its Morton code; -1 for empty space.
 
-    children is (c, 8) with 0 for "no child"; childless is (n,) bool. A voxel outside the cube is empty.
+    children is (c, 8) with 0 for "no child"; childless is (n,) bool; the cube has 2^levels voxels an edge.
     """
-    # One unsigned comparison sees both ends: -1 wraps to the largest number.
-    inside = (voxels.view(np.uint64) < np.uint64(1 << levels)).all(axis=1)
-    node = np.full(len(voxels), -1, np.int64)
-    active = np.flatnonzero(inside)
-    x, y, z = (voxels[active, axis] for axis in range(3))
-    at = np.zeros(len(active), np.int64)
+    node = np.full(len(codes), -1, np.int64)
+    active, at = np.arange(len(codes)), np.zeros(len(codes), np.int64)
     flat = children.reshape(-1)
-    for shift in range(levels - 1, -2, -1):
+    for shift in range(3 * levels - 3, -4, -3):
         leaf = childless[at]
-        if leaf.any():
-            node[active[leaf]] = at[leaf]
-            inner = ~leaf
-            active, at, x, y, z = active[inner], at[inner], x[inner], y[inner], z[inner]
-        if shift < 0 or not len(active):
+        node[active[leaf]] = at[leaf]
+        if shift < 0 or leaf.all():
             break
-        octant = (x >> shift & 1) | (y >> shift & 1) << 1 | (z >> shift & 1) << 2
-        at = flat[at * 8 + octant].astype(np.int64)
-        filled = at != 0
-        active, at, x, y, z = active[filled], at[filled], x[filled], y[filled], z[filled]
+        # What is at a leaf has no children to go on to: it drops out with those that meet empty space.
+        slot = at * 8 + (codes >> shift & 7)
+        slot[leaf] = 0
+        below = flat.take(slot, mode="clip")
+        below[leaf] = 0
+        on = np.flatnonzero(below)
+        active, at, codes = active[on], below[on].astype(np.int64), codes[on]
     return node

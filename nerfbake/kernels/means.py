@@ -7,12 +7,15 @@ mean of everything below: a level of detail shows the same as a bake at that res
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-CHUNK = 1 << 13
+from nerfbake.kernels.parallel import over_chunks
+
+CHUNK = 1 << 11  # runs at a time: temporaries stay in the second-level cache
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,39 +34,43 @@ def opacity(sigma: npt.NDArray[Any], length: float) -> Floats:
 
 
 def mean_of_runs(
-    values: npt.NDArray[Any],
+    rows_at: Callable[[npt.NDArray[np.int64]], npt.NDArray[Any]],
     weight: Floats,
     volume: Floats,
-    starts: npt.NDArray[np.int64],
     counts: npt.NDArray[np.int64],
+    data_dim: int,
 ) -> Weighted:
-    """Means over runs of consecutive rows: run i is rows starts[i] to starts[i] + counts[i].
+    """Means over runs of consecutive rows: the first run is counts[0] rows, the next counts[1], and so on.
 
-    values (m, D), density last; weight (m,) opacities; volume (m,) each row's share of its run's volume (what is
-    left to 1 is empty). Sums run from the first row to the last, the same on every machine.
+    rows_at(i) gives the values (len(i), D) of some of the rows 0 .. m, density last; weight (m,) opacities; volume
+    (m,) each row's share of its run's volume (what is left to 1 is empty). Sums run from a run's first row to its
+    last, the same on every machine.
     """
+    # Longest runs first, so that the k-th rows of all that have one are the first few of a chunk.
     order = np.argsort(-counts, kind="stable")
-    starts, longest = starts[order], int(counts.max(initial=0))
+    starts, longest = (np.cumsum(counts) - counts)[order], int(counts.max(initial=0))
     with_at_least = np.searchsorted(-counts[order], -np.arange(longest), side="left")
-    out = np.empty((len(starts), values.shape[1]), np.float32)
-    out_opacity = np.zeros(len(starts))
+    out = np.empty((len(starts), data_dim), np.float32)
+    sorted_opacity = np.zeros(len(starts))
     share = (weight * volume).astype(np.float32)
-    for begin in range(0, len(starts), CHUNK):
-        end = min(begin + CHUNK, len(starts))
-        total = np.zeros((end - begin, values.shape[1]), np.float32)
+
+    def work(begin: int, end: int) -> None:
+        total = np.zeros((end - begin, data_dim), np.float32)
         for k in range(longest):
             some = min(int(with_at_least[k]), end) - begin
             if some <= 0:
                 break
             rows = starts[begin : begin + some] + k
-            piece = values[rows].astype(np.float32)
+            piece = rows_at(rows).astype(np.float32, copy=False)
             piece[:, :-1] *= share[rows, None]
             piece[:, -1] *= volume[rows]
             total[:some] += piece
-            out_opacity[begin : begin + some] += weight[rows] * volume[rows]
-        divisor = out_opacity[begin:end].astype(np.float32)
+            sorted_opacity[begin : begin + some] += weight[rows] * volume[rows]
+        divisor = sorted_opacity[begin:end].astype(np.float32)
         total[:, :-1] /= np.where(divisor > 0, divisor, 1)[:, None]
         out[order[begin:end]] = total
-    back = np.empty(len(starts))
-    back[order] = out_opacity
-    return Weighted(out, back)
+
+    over_chunks(work, len(starts), CHUNK)
+    out_opacity = np.empty(len(starts))
+    out_opacity[order] = sorted_opacity
+    return Weighted(out, out_opacity)

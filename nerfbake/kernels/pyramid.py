@@ -16,9 +16,9 @@ INNER = -1  # in place of a leaf's number: the node has children
 class Level(NamedTuple):
     """One level's nodes in breadth-first order: by parent, then by octant."""
 
-    parent: Ints  # index in the level above
+    parent: npt.NDArray[np.int32]  # index in the level above
     octant: npt.NDArray[np.uint8]
-    leaf: Ints  # which leaf it is, a number of the caller's, or INNER
+    leaf: npt.NDArray[np.int32]  # which leaf it is, a number of the caller's, or INNER
 
     def take(self, which: npt.NDArray[np.bool_]) -> Level:
         return Level(self.parent[which], self.octant[which], self.leaf[which])
@@ -42,7 +42,7 @@ def drop_empty(levels: list[Level]) -> list[Level]:
     return _without_empty_levels(kept)
 
 
-def merge_equal(levels: list[Level], same: Callable[[Ints], npt.NDArray[np.bool_]]) -> list[Level]:
+def merge_equal(levels: list[Level], same: Callable[[npt.NDArray[np.int32]], npt.NDArray[np.bool_]]) -> list[Level]:
     """Eight leaves that are all the same become one, from the last level up.
 
     same((m, 8) leaves) -> (m,) bool.
@@ -85,7 +85,7 @@ def _take(levels: list[Level], height: int, keep: npt.NDArray[np.bool_]) -> None
     """Keeps some nodes of a level; those that go must have no children."""
     levels[height] = levels[height].take(keep)
     if height + 1 < len(levels):
-        rank = np.cumsum(keep) - 1
+        rank = np.cumsum(keep, dtype=np.int32) - 1
         below = levels[height + 1]
         levels[height + 1] = below._replace(parent=rank[below.parent])
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from itertools import product
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import as_points, in_chunks, octree_nodes
+from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_nodes
+from nerfbake.kernels.morton import dilate
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
 from nerfbake.scene.basis import parse_basis
 
@@ -131,8 +133,9 @@ class SparseVoxelOctree:
         In that order the children read 1, 2, ..., n - 1, row by row, each behind its parent: one pass proves a
         table sound.
         """
-        parents, octants = np.nonzero(self.node_children)
-        children = self.node_children[parents, octants]
+        flat = self.node_children.reshape(-1)
+        slots = np.flatnonzero(flat)
+        parents, children = slots // 8, flat[slots]
         numbered = len(children) == self.n - 1 and bool((children == np.arange(1, self.n)).all())
         return parents if numbered and bool((children > parents).all()) else None
 
@@ -229,34 +232,46 @@ class SparseVoxelOctree:
             raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
         self.require_sound()
         voxel_points = (as_points(points) - self.origin) / self.voxel_size
-        read = self._nearest if lookup == "nearest" else self._trilinear
+        corners = 1 if lookup == "nearest" else 2
+
+        def read(points: Points) -> npt.NDArray[np.float32]:
+            return self._read(points, corners)
+
         return in_chunks(read, voxel_points, self.data_dim)
 
-    def _nearest(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-        voxels, inside = self._voxels(points)
-        return self._read(voxels, inside)
-
-    def _trilinear(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-        voxels, inside = self._voxels(points - 0.5, margin=1)
-        t = np.where(inside[:, None], points - 0.5 - voxels, 0)
+    def _read(self, points: Points, corners: int) -> npt.NDArray[np.float32]:
+        """The voxel that holds each point (corners = 1), or the mean of the 2 x 2 x 2 around it (corners = 2)."""
+        shifted = points if corners == 1 else points - 0.5
+        low = np.floor(shifted)
+        low[~((low > -corners) & (low < MAX_SIZE))] = -corners  # all far away, NaN too
+        steps = []
+        for axis, edge in enumerate(self.size):
+            voxel = low[:, axis].astype(np.int64)
+            far = shifted[:, axis] - voxel
+            weights = [np.ones(len(points))] if corners == 1 else [1 - far, far]
+            steps.append([_Step.of(voxel + k, edge, weight) for k, weight in enumerate(weights)])
         out = np.zeros((len(points), self.data_dim), np.float32)
-        for corner in range(8):
-            step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
-            weight = np.where(step, t, 1 - t).prod(axis=1).astype(np.float32)
-            out += self._read(voxels + step, inside) * weight[:, None]
+        for x, y, z in product(*steps):
+            weight = x.weight * y.weight * z.weight
+            hit = np.flatnonzero(weight > 0)
+            codes = x.code[hit] | y.code[hit] << 1 | z.code[hit] << 2
+            node = octree_nodes(self.node_children, self.childless, self.grid_level, codes)
+            hit, node = hit[node >= 0], node[node >= 0]
+            values = self.node_data[node].astype(np.float32, copy=False)
+            if corners == 1:
+                out[hit] = values
+            else:
+                out[hit] += values * weight[hit, None].astype(np.float32)
         return out
 
-    def _voxels(
-        self, points: npt.NDArray[np.float64], margin: int = 0
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """Whole coordinates, and which of them lie in the grid or at most `margin` below it."""
-        floor = np.floor(points)
-        inside = np.all((floor >= -margin) & (floor < self.size), axis=1)
-        floor[~inside] = 0  # NaN and what int64 cannot hold
-        return floor.astype(np.int64), inside
 
-    def _read(self, voxels: npt.NDArray[np.int64], inside: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
-        node = octree_nodes(self.node_children, self.childless, self.grid_level, voxels)
-        values = self.node_data[np.maximum(node, 0)].astype(np.float32)
-        values[(node < 0) | ~inside | (voxels >= self.size).any(axis=1)] = 0
-        return values
+class _Step(NamedTuple):
+    """One of a point's neighbouring voxels along an axis; outside the grid it weighs nothing."""
+
+    code: npt.NDArray[np.int64]  # dilated for a Morton code
+    weight: npt.NDArray[np.float64]
+
+    @staticmethod
+    def of(voxel: npt.NDArray[np.int64], edge: int, weight: npt.NDArray[np.float64]) -> _Step:
+        inside = (voxel >= 0) & (voxel < edge)
+        return _Step(dilate(np.where(inside, voxel, 0)), np.where(inside, weight, 0))

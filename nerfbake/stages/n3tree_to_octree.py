@@ -11,12 +11,13 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lockstep import Cubes, Source, refine
 from nerfbake.kernels.means import mean_of_runs, opacity
 from nerfbake.kernels.overlap import parts_of
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.pyramid import INNER, Level, child_counts, children_table, drop_empty, merge_equal
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 
 Resample = Literal["mean", "nearest"]
-Ints = npt.NDArray[np.int64]
+Ints = npt.NDArray[np.signedinteger[Any]]
 
 MAX_MEMORY = 4 << 30
 _FLOAT16_MAX = 65504.0
@@ -57,7 +58,8 @@ def build_octree(
     node_bytes = tree.data_dim * np.dtype(dtype).itemsize + 8 * 4 + 16
     levels, mixed = refine(source, size, centres=resample == "nearest", node_bytes=node_bytes, max_memory=max_memory)
     leaves = _Leaves(tree, source, _finest_width(tree), np.dtype(dtype))
-    leaves.add_voxels(mixed, size)
+    if (levels[-1].leaf >= source.link.size).any():
+        leaves.add_means(mixed, size)
     levels = merge_equal(drop_empty(levels), leaves.same)
     data = _node_values(levels, leaves)
     return SparseVoxelOctree(
@@ -150,10 +152,8 @@ class _Leaves:
             same[part] = (values == values[:, :1]).all(axis=(1, 2))
         return same
 
-    def add_voxels(self, voxels: Cubes, size: tuple[int, int, int]) -> None:
-        """Works out the means of these voxels, and of the tree's nodes that they are made of."""
-        if not len(voxels.row):
-            return
+    def add_means(self, voxels: Cubes, size: tuple[int, int, int]) -> None:
+        """Works out the means of the tree's nodes, from the deepest up, and of voxels made of several parts."""
         tree, C = self._tree, self._tree.N**3
         self._means = np.zeros((tree.n + len(voxels.row), self.data_dim), np.float32)
         self._mean_opacity = np.zeros(len(self._means))
@@ -164,7 +164,7 @@ class _Leaves:
                 link = self._source.link[cells[held]]
                 parts = np.where(link > 0, len(self._cells) + link, cells[held])
                 counts = held.reshape(-1, C).sum(axis=1)
-                self._set_means(part, parts, np.full(len(parts), 1 / C), counts)
+                self._set_means(part, parts, np.broadcast_to(1 / C, len(parts)), counts)
         for start in range(0, len(voxels.row), _CHUNK):
             chunk = Cubes(*(array[start : start + _CHUNK] for array in voxels))
             covered = parts_of(self._source, chunk, size)
@@ -173,14 +173,19 @@ class _Leaves:
             self._set_means(where, covered.part, covered.volume, counts)
 
     def _set_means(self, where: Ints, parts: Ints, volume: npt.NDArray[np.float64], counts: Ints) -> None:
-        mean = mean_of_runs(self._exact(parts), self.opacity(parts), volume, np.cumsum(counts) - counts, counts)
+        def rows_at(rows: Ints) -> npt.NDArray[Any]:
+            return self._exact(parts[rows])
+
+        mean = mean_of_runs(rows_at, self.opacity(parts), volume, counts, self.data_dim)
         self._means[where], self._mean_opacity[where] = mean
 
     def _exact(self, leaf: Ints) -> npt.NDArray[Any]:
-        if not len(self._means):
-            return self._cells[leaf]
-        values = self._cells[np.minimum(leaf, len(self._cells) - 1)].astype(np.float32)
         mean = leaf >= len(self._cells)
+        if not mean.any():
+            return self._cells[leaf]
+        if mean.all():
+            return self._means[leaf - len(self._cells)]
+        values = self._cells[np.where(mean, 0, leaf)].astype(np.float32)
         values[mean] = self._means[leaf[mean] - len(self._cells)]
         return values
 
@@ -207,15 +212,18 @@ def _node_values(levels: list[Level], leaves: _Leaves) -> npt.NDArray[Any]:
     for height, level in reversed(list(enumerate(levels))):
         start = end - sizes[height]
         level_weight = np.zeros(sizes[height])
-        for part in _chunks(np.flatnonzero(level.leaf != INNER)):
-            data[start + part] = leaves.values(level.leaf[part])
-            level_weight[part] = leaves.opacity(level.leaf[part])
+        own = np.flatnonzero(level.leaf != INNER)
+        level_weight[own] = leaves.opacity(level.leaf[own])
+
+        def copy(begin: int, end: int, own: Ints = own, level: Level = level, start: int = start) -> None:
+            data[start + own[begin:end]] = leaves.values(level.leaf[own[begin:end]])
+
+        over_chunks(copy, len(own), _CHUNK)
         inner = np.flatnonzero(level.leaf == INNER)
         if height + 1 < len(levels) and len(inner):
             counts = child_counts(levels, height)[inner]
             below = data[end : end + sizes[height + 1]]
-            eighth = np.full(len(below), 1 / 8)
-            mean = mean_of_runs(below, weight, eighth, np.cumsum(counts) - counts, counts)
+            mean = mean_of_runs(below.__getitem__, weight, np.broadcast_to(1 / 8, len(below)), counts, leaves.data_dim)
             data[start + inner], level_weight[inner] = mean
         weight, end = level_weight, start
     return data
