@@ -9,7 +9,7 @@ from nerfbake.kernels import parallel
 @pytest.mark.parametrize("count", [0, 1, 7, 100])
 @pytest.mark.parametrize("cores", [1, 3, None])
 def test_every_chunk_is_worked_once(count: int, cores: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel.os, "cpu_count", lambda: cores)
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
     done = np.zeros(count, int)
 
     def work(begin: int, end: int) -> None:
