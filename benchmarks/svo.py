@@ -1,0 +1,174 @@
+"""`nerfbake svo` as whole processes: against np.load of the same file, its peak memory, and how it scales.
+
+    python benchmarks/svo.py            rewrites benchmarks/results/svo.md
+
+Comparisons are ratios of runs that take turns on the same machine; absolute times are only context. Peak memory is the
+operating system's own figure for the finished process. Needs the real chair beside the project; without it those rows
+say so.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+HERE = Path(__file__).parent
+DATA = Path(os.environ.get("NERFBAKE_DATA", HERE.parents[1] / "shared" / "data"))
+CHAIR = DATA / "plenoctree" / "chair" / "chair_sh9.npz"
+RESULT = HERE / "results" / "svo.md"
+ROUNDS = 9
+
+NERFBAKE = [sys.executable, "-m", "nerfbake"]
+NP_LOAD = "import sys, numpy as np\nwith np.load(sys.argv[1]) as npz:\n    arrays = [npz[key] for key in npz.files]"
+
+
+class Run(NamedTuple):
+    """A finished process."""
+
+    seconds: float
+    peak: int  # bytes
+
+
+def measure(command: list[str]) -> Run:
+    """Wall time and peak memory of a whole process."""
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    seconds = time.perf_counter() - start
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)} exited with {process.returncode}")
+    return Run(seconds, usage.ru_maxrss * 1024)
+
+
+def in_turn(commands: list[list[str]], rounds: int = ROUNDS) -> list[list[Run]]:
+    """Every command once a round, after one round that does not count."""
+    runs = [[measure(command) for command in commands] for _ in range(rounds + 1)][1:]
+    return [list(of_command) for of_command in zip(*runs, strict=True)]
+
+
+def spread(values: list[float], digits: int = 2) -> str:
+    median, low, high = statistics.median(values), min(values), max(values)
+    return f"{median:.{digits}f} [{low:.{digits}f}..{high:.{digits}f}]"
+
+
+def decoded_size(archive: Path) -> int:
+    """Bytes of all arrays, read in a process of its own: a child starts with its parent's peak memory as its own."""
+    code = f"{NP_LOAD}\nprint(sum(array.nbytes for array in arrays))"
+    done = subprocess.run([sys.executable, "-c", code, str(archive)], capture_output=True, text=True, check=True)
+    return int(done.stdout)
+
+
+def chair_rows(folder: Path) -> list[str]:
+    """The real chair at 128^3 and 256^3 against np.load."""
+    if not CHAIR.exists():
+        return [f"| - | `{CHAIR.name}` is not there | | | | |"]
+    decoded = decoded_size(CHAIR)
+    floor = [sys.executable, "-c", NP_LOAD, str(CHAIR)]
+    bare = measure([sys.executable, "-c", "import numpy, click, nerfbake.cli.main"]).peak
+    rows = []
+    for resolution in (128, 256):
+        out = folder / f"chair_{resolution}.svo.pb"
+        svo = [*NERFBAKE, "svo", str(CHAIR), str(out), "--resolution", str(resolution), "--force", "-q"]
+        ours, theirs = in_turn([svo, floor])
+        ratios = [a.seconds / b.seconds for a, b in zip(ours, theirs, strict=True)]
+        peak = statistics.median(run.peak for run in ours)
+        rows.append(
+            f"| {resolution}^3 | {spread([run.seconds for run in ours])} | {spread([run.seconds for run in theirs])} "
+            f"| {spread(ratios)} | {peak / 1e6:.0f} | {peak / decoded:.2f} ({(peak - bare) / decoded:.2f}) "
+            f"| {out.stat().st_size / 1e6:.1f} |"
+        )
+    return [
+        f"Decoded arrays: {decoded / 1e6:.1f} MB. A process that only imports NumPy and click peaks at "
+        f"{bare / 1e6:.0f} MB; in brackets the ratio without that.",
+        "",
+        "| resolution | svo s, median [min..max] | np.load s | ratio of pairs | peak MB | peak / decoded | file MB |",
+        "|---|---|---|---|---|---|---|",
+        *rows,
+    ]
+
+
+def child_rows(folder: Path) -> list[str]:
+    """What the two spellings of "no child" cost on disk."""
+    if not CHAIR.exists():
+        return []
+    rows = ["", "| chair at 256^3 | layout | no child = 0, MB | no child = -1, MB |", "|---|---|---|---|"]
+    for layout in ("full", "compact"):
+        sizes = []
+        for spelling in ("0", "-1"):
+            out = folder / "child.svo.pb"
+            measure(
+                [*NERFBAKE, "svo", str(CHAIR), str(out), "--layout", layout, f"--no-child={spelling}", "--force", "-q"]
+            )
+            sizes.append(f"{out.stat().st_size / 1e6:.1f}")
+        rows.append(f"| svo.pb | {layout} | {' | '.join(sizes)} |")
+    return rows
+
+
+def scaling_rows(folder: Path) -> list[str]:
+    """Sample trees of growing resolution, in process: time per octree node must stay flat."""
+    rows = [
+        "| sample | tree nodes | octree nodes | build s, median [min..max] | microseconds a node |",
+        "|---|---|---|---|---|",
+    ]
+    for resolution in (128, 256, 512):
+        tree = folder / f"sample_{resolution}.npz"
+        measure([*NERFBAKE, "sample", "octree", str(tree), "--resolution", str(resolution), "-q"])
+        code = (
+            "import sys, time; from nerfbake import load, build_octree; tree = load(sys.argv[1]); build_octree(tree)\n"
+            "for _ in range(5):\n    start = time.perf_counter(); octree = build_octree(tree)\n"
+            "    print(time.perf_counter() - start, sum(map(len, tree.levels)), octree.n)"
+        )
+        done = subprocess.run([sys.executable, "-c", code, str(tree)], capture_output=True, text=True, check=True)
+        lines = [line.split() for line in done.stdout.splitlines()]
+        seconds, nodes, built = [float(line[0]) for line in lines], int(lines[0][1]), int(lines[0][2])
+        rows.append(
+            f"| {resolution}^3 | {nodes:,} | {built:,} | {spread(seconds, 3)} "
+            f"| {statistics.median(seconds) / built * 1e6:.2f} |"
+        )
+    return rows
+
+
+def machine() -> str:
+    """The facts that a figure travels with."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "zlib-ng", "nerfbake"))
+    return f"{model}, {os.cpu_count()} cores; {platform.system()}; Python {platform.python_version()}, {libraries}"
+
+
+def main() -> None:
+    """Measures everything and writes the report."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        report = [
+            "# nerfbake svo, measured",
+            "",
+            f"{machine()}. {ROUNDS} rounds in turn after a warm-up; `python benchmarks/svo.py`.",
+            "",
+            "## chair_sh9.npz as whole processes, against a Python process that np.loads every array",
+            "",
+            *chair_rows(folder),
+            *child_rows(folder),
+            "",
+            "## Scaling: sample trees at their own resolution, 5 builds in one process",
+            "",
+            *scaling_rows(folder),
+            "",
+        ]
+    RESULT.parent.mkdir(exist_ok=True)
+    RESULT.write_text("\n".join(report))
+    print(RESULT.read_text())
+
+
+if __name__ == "__main__":
+    main()
