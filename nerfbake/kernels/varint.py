@@ -15,6 +15,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidFile, Problem
 
 MAX_BYTES = 10
+CHUNK = 1 << 18  # bytes decoded at a time
 
 
 def varint_sizes(values: npt.NDArray[np.int32]) -> int:
@@ -46,19 +47,27 @@ def encode_varints(values: npt.NDArray[np.int32]) -> bytes:
 def decode_varints(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
     """The numbers behind a run of varints, cut to 32 bits as protobuf cuts an int32.
 
-    Raises InvalidFile for a number that never ends.
+    Takes 4 bytes a number and a few megabytes. Raises InvalidFile for a number that never ends.
     """
-    if not len(data):
-        return np.empty(0, np.int32)
-    last = data < 0x80
-    if last.all():
-        return data.astype(np.int32)
-    ends = np.flatnonzero(last)
-    sizes = np.diff(ends, prepend=-1)
-    if not last[-1] or sizes.max() > MAX_BYTES:
-        after = len(data) if not last[-1] else int(ends[np.argmax(sizes > MAX_BYTES)])
-        raise InvalidFile(Problem(f"the varint before byte {after:,}", "does not end", f"{MAX_BYTES} bytes a number"))
-    starts = ends - sizes + 1
+    parts = [data[start : start + CHUNK] for start in range(0, len(data), CHUNK)]
+    out = np.empty(sum(int(np.count_nonzero(part < 0x80)) for part in parts), np.int32)
+    begin = filled = 0
+    while begin < len(data):
+        part = data[begin : begin + CHUNK]
+        ends = np.flatnonzero(part < 0x80)
+        sizes = np.diff(ends, prepend=-1)
+        if not len(ends) or sizes.max() > MAX_BYTES:
+            raise InvalidFile(Problem(f"a varint behind byte {begin:,}", "does not end", f"{MAX_BYTES} bytes a number"))
+        values = _numbers(part, ends - sizes + 1, sizes)
+        out[filled : filled + len(values)] = values
+        # A number that the chunk's end cuts in two is read with the next chunk.
+        begin, filled = begin + int(ends[-1]) + 1, filled + len(values)
+    return out
+
+
+def _numbers(
+    data: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int32]:
     values = (data[starts] & 0x7F).astype(np.uint32)
     for k in range(1, min(int(sizes.max()), 5)):
         longer = sizes > k

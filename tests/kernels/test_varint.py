@@ -33,6 +33,14 @@ def test_varints_are_what_the_definition_says(values: npt.NDArray[np.int32]) -> 
     assert_array_equal(decode_varints(np.frombuffer(expected, np.uint8)), values)
 
 
+def test_numbers_cut_in_two_by_a_chunk_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(0).integers(-5, 2**31, 500).astype(np.int32)
+    data = np.frombuffer(encode_varints(values), np.uint8)
+    for chunk in (10, 11, 64, 1000):
+        monkeypatch.setattr("nerfbake.kernels.varint.CHUNK", chunk)
+        assert_array_equal(decode_varints(data), values)
+
+
 def test_longer_spellings_of_a_number_are_read() -> None:
     # Two bytes for 0, and a 64-bit number of which an int32 keeps the low bits.
     assert_array_equal(decode_varints(np.frombuffer(b"\x80\x00" + one(2**40 + 7), np.uint8)), [0, 7])
