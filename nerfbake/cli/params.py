@@ -10,8 +10,10 @@ from typing import Any
 
 import click
 
-from nerfbake import io
+from nerfbake import catalog, io
 from nerfbake.cli.words import Words
+
+FORMATS = ", ".join(form.name for form in catalog.FORMATS)
 
 
 class Size(click.ParamType[int]):
@@ -108,9 +110,7 @@ def writes(function: Command) -> Command:
     """Adds the argument OUT, --to and --force; the command gets `target`, an Output."""
 
     @click.argument("target", metavar="OUT", type=click.Path(allow_dash=True))
-    @click.option(
-        "--to", metavar="FORMAT", help="Format of OUT, where its ending does not name it: svo.pb, svo.npz, npz."
-    )
+    @click.option("--to", metavar="FORMAT", help=f"Format of OUT, where its ending does not name it: {FORMATS}.")
     @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
     @functools.wraps(function)
     def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:

@@ -7,11 +7,14 @@ million points, and memory stays bounded.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.morton import dilate
 from nerfbake.kernels.parallel import over_chunks
 
 CHUNK = 1 << 15
@@ -90,3 +93,51 @@ def octree_nodes(
         on = np.flatnonzero(below)
         active, at, codes = active[on], below[on].astype(np.int64), codes[on]
     return node
+
+
+def octree_values(
+    children: npt.NDArray[np.int32],
+    childless: npt.NDArray[np.bool_],
+    data: npt.NDArray[Any],
+    levels: int,
+    size: tuple[int, int, int],
+    points: Points,
+    corners: int,
+) -> npt.NDArray[np.float32]:
+    """(m, D) values at points (m, 3) in voxels: of the voxel that holds each point (corners = 1), or of the 2 x 2 x 2
+    whose centres surround it, weighted trilinearly (corners = 2). Empty space and what is outside `size` are zeros.
+    """
+    shifted = points if corners == 1 else points - 0.5
+    low = np.floor(shifted)
+    low[~((low > -corners) & (low < max(size)))] = -corners  # all that is far away, NaN too
+    steps = []
+    for axis, edge in enumerate(size):
+        voxel = low[:, axis].astype(np.int64)
+        far = shifted[:, axis] - voxel
+        weights = [np.ones(len(points))] if corners == 1 else [1 - far, far]
+        steps.append([_step(voxel + k, edge, weight) for k, weight in enumerate(weights)])
+    out = np.zeros((len(points), data.shape[1]), np.float32)
+    for x, y, z in product(*steps):
+        weight = x.weight * y.weight * z.weight
+        hit = np.flatnonzero(weight > 0)
+        node = octree_nodes(children, childless, levels, x.code[hit] | y.code[hit] << 1 | z.code[hit] << 2)
+        hit, node = hit[node >= 0], node[node >= 0]
+        values = data[node].astype(np.float32, copy=False)
+        if corners == 1:
+            out[hit] = values
+        else:
+            out[hit] += values * weight[hit, None].astype(np.float32)
+    return out
+
+
+class _Step(NamedTuple):
+    """One of a point's neighbouring voxels along an axis."""
+
+    code: npt.NDArray[np.int64]  # dilated, for a Morton code
+    weight: Points
+
+
+def _step(voxel: npt.NDArray[np.int64], edge: int, weight: Points) -> _Step:
+    """Outside the grid it weighs nothing."""
+    inside = (voxel >= 0) & (voxel < edge)
+    return _Step(dilate(np.where(inside, voxel, 0)), np.where(inside, weight, 0))

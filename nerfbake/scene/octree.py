@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_nodes
-from nerfbake.kernels.morton import dilate
+from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_values
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
 from nerfbake.scene.basis import parse_basis
 
@@ -232,46 +230,10 @@ class SparseVoxelOctree:
             raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
         self.require_sound()
         voxel_points = (as_points(points) - self.origin) / self.voxel_size
+        table, level = (self.node_children, self.childless, self.node_data), self.grid_level
         corners = 1 if lookup == "nearest" else 2
 
         def read(points: Points) -> npt.NDArray[np.float32]:
-            return self._read(points, corners)
+            return octree_values(*table, level, self.size, points, corners)
 
         return in_chunks(read, voxel_points, self.data_dim)
-
-    def _read(self, points: Points, corners: int) -> npt.NDArray[np.float32]:
-        """The voxel that holds each point (corners = 1), or the mean of the 2 x 2 x 2 around it (corners = 2)."""
-        shifted = points if corners == 1 else points - 0.5
-        low = np.floor(shifted)
-        low[~((low > -corners) & (low < MAX_SIZE))] = -corners  # all far away, NaN too
-        steps = []
-        for axis, edge in enumerate(self.size):
-            voxel = low[:, axis].astype(np.int64)
-            far = shifted[:, axis] - voxel
-            weights = [np.ones(len(points))] if corners == 1 else [1 - far, far]
-            steps.append([_Step.of(voxel + k, edge, weight) for k, weight in enumerate(weights)])
-        out = np.zeros((len(points), self.data_dim), np.float32)
-        for x, y, z in product(*steps):
-            weight = x.weight * y.weight * z.weight
-            hit = np.flatnonzero(weight > 0)
-            codes = x.code[hit] | y.code[hit] << 1 | z.code[hit] << 2
-            node = octree_nodes(self.node_children, self.childless, self.grid_level, codes)
-            hit, node = hit[node >= 0], node[node >= 0]
-            values = self.node_data[node].astype(np.float32, copy=False)
-            if corners == 1:
-                out[hit] = values
-            else:
-                out[hit] += values * weight[hit, None].astype(np.float32)
-        return out
-
-
-class _Step(NamedTuple):
-    """One of a point's neighbouring voxels along an axis; outside the grid it weighs nothing."""
-
-    code: npt.NDArray[np.int64]  # dilated for a Morton code
-    weight: npt.NDArray[np.float64]
-
-    @staticmethod
-    def of(voxel: npt.NDArray[np.int64], edge: int, weight: npt.NDArray[np.float64]) -> _Step:
-        inside = (voxel >= 0) & (voxel < edge)
-        return _Step(dilate(np.where(inside, voxel, 0)), np.where(inside, weight, 0))

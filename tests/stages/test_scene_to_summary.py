@@ -32,12 +32,12 @@ def test_an_octree_by_hand() -> None:
 
 @given(n3trees())
 def test_any_tree_fits_into_json(tree: N3Tree) -> None:
-    json.dumps(summarise(tree), allow_nan=False)
+    assert json.loads(json.dumps(summarise(tree), allow_nan=False)) == summarise(tree)
 
 
 @given(octrees())
 def test_any_octree_fits_into_json(octree: SparseVoxelOctree) -> None:
-    json.dumps(summarise(octree), allow_nan=False)
+    assert json.loads(json.dumps(summarise(octree), allow_nan=False)) == summarise(octree)
 
 
 def test_broken_values_are_counted() -> None:
