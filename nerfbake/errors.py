@@ -52,7 +52,11 @@ class NerfbakeError(Exception):
 
     @property
     def problem(self) -> Problem:
-        return self.what if isinstance(self.what, Problem) else Problem("file", self.what, "a file that nerfbake reads")
+        """The same as place, found and allowed, for scripts."""
+        if isinstance(self.what, Problem):
+            return self.what
+        found, _, allowed = self.what.partition("; allowed: ")
+        return Problem("file", found, allowed or "a file that nerfbake reads")
 
     def __str__(self) -> str:
         line = one_line(str(self.what))
