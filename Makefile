@@ -15,11 +15,12 @@ $(VENV)/ready: pyproject.toml
 
 setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
 
-demo: setup  ## a synthetic PlenOctree, converted, inspected and checked: build/demo
+demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and checked: build/demo
 	mkdir -p build/demo
 	$(BIN)/nerfbake sample octree build/demo/sample.npz --resolution 128 --force
 	$(BIN)/nerfbake svo build/demo/sample.npz build/demo/sample.svo.pb --force
 	$(BIN)/nerfbake lod build/demo/sample.svo.pb build/demo/sample_64.svo.npz --level 6 --force
+	$(BIN)/nerfbake render build/demo/sample.svo.pb --out build/demo/sample.png --force
 	$(BIN)/nerfbake info build/demo/sample.svo.pb
 	$(BIN)/nerfbake check build/demo/sample.npz
 	$(BIN)/nerfbake check build/demo/sample.svo.pb

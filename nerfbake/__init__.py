@@ -18,10 +18,15 @@ from nerfbake.catalog import SCENES, STAGES
 if TYPE_CHECKING:
     from nerfbake.io import load as load
     from nerfbake.io import save as save
+    from nerfbake.scene.camera import Camera as Camera
+    from nerfbake.scene.camera import Cameras as Cameras
+    from nerfbake.scene.image import Image as Image
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
+    from nerfbake.stages.scene_to_cameras import orbit as orbit
+    from nerfbake.stages.scene_to_image import render as render
     from nerfbake.stages.scene_to_summary import summarise as summarise
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
 

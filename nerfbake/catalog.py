@@ -31,14 +31,21 @@ FORMATS = (
     Format("svo.npz", "SparseVoxelOctree", ".svo.npz", "nerfbake.formats.octree_npz", "octree, plain NumPy arrays"),
     Format("svo.pb", "SparseVoxelOctree", ".svo.pb", "nerfbake.formats.octree_protobuf", "octree, Protocol Buffers"),
     Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
+    Format("png", "Image", ".png", "nerfbake.formats.image_png", "picture"),
+    Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
 )
 
 SCENES = {
+    "Camera": "nerfbake.scene.camera",
+    "Cameras": "nerfbake.scene.camera",
+    "Image": "nerfbake.scene.image",
     "N3Tree": "nerfbake.scene.n3tree",
     "SparseVoxelOctree": "nerfbake.scene.octree",
 }
 
 STAGES = {
+    "orbit": "nerfbake.stages.scene_to_cameras",
+    "render": "nerfbake.stages.scene_to_image",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
     "cut_octree": "nerfbake.stages.octree_to_octree",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",

@@ -25,20 +25,18 @@ _CHUNK = 1 << 20
 Scene = TypeVar("Scene")
 
 
-def load(
-    source: str | Path, kind: type[Scene] | None = None, *, max_memory: int = MAX_MEMORY, sound: bool = True
-) -> Scene:
+def load(source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, sound: bool = True) -> Scene:
     """The scene in a file of any format, or on stdin ('-').
 
-    kind: the scene type that is wanted; another one raises InvalidFile. max_memory bounds, in bytes, what a file's
+    kinds: the scene types that are wanted; another one raises InvalidFile. max_memory bounds, in bytes, what a file's
     headers may declare, before anything is allocated. sound=False gives a scene back even if its structure is
     broken, for scene.problems(). Raises NerfbakeError naming the file.
     """
-    return load_with_format(source, kind, max_memory=max_memory, sound=sound)[0]
+    return load_with_format(source, *kinds, max_memory=max_memory, sound=sound)[0]
 
 
 def load_with_format(
-    source: str | Path, kind: type[Scene] | None = None, *, max_memory: int = MAX_MEMORY, sound: bool = True
+    source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, sound: bool = True
 ) -> tuple[Scene, Format, int]:
     """Like load(), with the file's format and its size in bytes."""
     name = reading_name(source)
@@ -51,8 +49,9 @@ def load_with_format(
         if form.companion and name != "stdin":
             extra["companion"] = Path(name[: -len(form.suffix)] + form.companion).exists()
         scene = form.load_module().decode(view, max_memory=max_memory, **extra)
-        if kind is not None and not isinstance(scene, kind):
-            raise InvalidFile(f"holds {_article(form.scene)}; allowed: {_article(kind.__name__)}")
+        if kinds and not isinstance(scene, kinds):
+            allowed = " or ".join(_article(kind.__name__) for kind in kinds)
+            raise InvalidFile(f"holds {_article(form.scene)}; allowed: {allowed}")
         if sound:
             scene.require_sound()
         return scene, form, len(view)
@@ -68,11 +67,13 @@ def check(source: str | Path, *, max_memory: int = MAX_MEMORY) -> list[Problem]:
     return problems
 
 
-def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool = False, **options: Any) -> int:
+def save(
+    target: str | Path, scene: Any, *, to: str | None = None, force: bool = False, parents: bool = False, **options: Any
+) -> int:
     """Writes a scene in the format that the target's ending names (or `to`, always for '-'); gives its size in bytes.
 
-    options go to the format's encode(). Raises OutputError if the target exists and `force` is not given, or if it
-    cannot be written; what stood there before is then untouched.
+    parents: makes the folders that lead there; options go to the format's encode(). Raises OutputError if the target
+    exists and `force` is not given, or if it cannot be written; what stood there before is then untouched.
     """
     form = format_for(target, type(scene).__name__, to=to)
     pieces = form.load_module().encode(scene, **options)
@@ -83,6 +84,9 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
             return _write_all(sys.stdout.buffer, pieces)
         except BrokenPipeError:
             raise PipeClosed from None
+    with blame(str(target), OutputError):
+        if parents:
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
     with blame(str(target), OutputError), replacing(Path(target), force=force) as file:
         return _write_all(file, pieces)
 

@@ -15,6 +15,7 @@ from nerfbake.cli.check import check
 from nerfbake.cli.convert import convert
 from nerfbake.cli.info import info
 from nerfbake.cli.lod import lod
+from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
 from nerfbake.errors import NerfbakeError, PipeClosed, one_line
@@ -42,7 +43,7 @@ def cli() -> None:
     """
 
 
-for command in (svo, convert, lod, info, check, sample):
+for command in (svo, convert, lod, render, info, check, sample):
     cli.add_command(command)
 
 

@@ -55,9 +55,9 @@ class Input:
     path: str
     max_memory: int
 
-    def read(self, words: Words, kind: type | None = None) -> Any:
+    def read(self, words: Words, *kinds: type) -> Any:
         with words.phase(f"reading {io.reading_name(self.path)}"):
-            return io.load(self.path, kind, max_memory=self.max_memory)
+            return io.load(self.path, *kinds, max_memory=self.max_memory)
 
     @contextmanager
     def blamed(self, words: Words, phase: str) -> Iterator[None]:

@@ -12,13 +12,14 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import as_points, in_chunks, n3tree_cells
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, plural, walk
+from nerfbake.scene.base import Scene
 from nerfbake.scene.basis import parse_basis
 
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
 
 
 @dataclass(frozen=True, eq=False)
-class N3Tree:
+class N3Tree(Scene):
     """A sparse N^3 tree over the cube [0, 1]^3. Source: spec/n3tree.md; svox's class of the same name.
 
     child    (n, N, N, N) int32: offset of the child's row from this row, 0 = leaf; cells are [x][y][z]
@@ -121,11 +122,6 @@ class N3Tree:
         return mask
 
     # -- soundness ---------------------------------------------------------------------------------------------
-    def require_sound(self) -> None:
-        """Raises InvalidScene with the first structural problem, if there is one."""
-        if problems := self.structure_problems():
-            raise InvalidScene(problems[0])
-
     def structure_problems(self) -> list[Problem]:
         return self._walk.problems
 
@@ -146,10 +142,6 @@ class N3Tree:
         if self.extra_data is not None:
             problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
         return problems
-
-    def problems(self) -> list[Problem]:
-        """Everything that is wrong; values are looked at once the structure is sound."""
-        return self.structure_problems() or self.value_problems()
 
     # -- reading -----------------------------------------------------------------------------------------------
     def sample(self, points: npt.ArrayLike) -> npt.NDArray[np.float32]:

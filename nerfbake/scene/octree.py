@@ -12,6 +12,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_values
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
+from nerfbake.scene.base import Scene
 from nerfbake.scene.basis import parse_basis
 
 MAX_SIZE = 4096  # voxels along an axis
@@ -28,7 +29,7 @@ def _ones() -> npt.NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class SparseVoxelOctree:
+class SparseVoxelOctree(Scene):
     """A sparse octree over a grid of W x H x D voxels. Source: TR-24-01, 3.2; spec/svo.md.
 
     size           (W, H, D) voxels along x, y, z; the root's cube is the next power of two
@@ -187,11 +188,6 @@ class SparseVoxelOctree:
         # The root is row 0 in both orders and nobody's child: rank[0] = 0 keeps "no child" as it is.
         return replace(self, node_children=rank[table[order]], node_data=self.node_data[order])
 
-    def require_sound(self) -> None:
-        """Raises InvalidScene with the first structural problem, if there is one."""
-        if problems := self.structure_problems():
-            raise InvalidScene(problems[0])
-
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
         problems = []
@@ -204,10 +200,6 @@ class SparseVoxelOctree:
         if self.extra_data is not None:
             problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
         return problems
-
-    def problems(self) -> list[Problem]:
-        """Everything that is wrong; values are looked at once the structure is sound."""
-        return self.structure_problems() or self.value_problems()
 
     # -- layouts -----------------------------------------------------------------------------------------------
     def with_layout(self, layout: Layout) -> SparseVoxelOctree:

@@ -1,0 +1,106 @@
+"""`nerfbake render`: pictures of a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import click
+
+import nerfbake
+from nerfbake import io
+from nerfbake.cli.params import Input, reads, speaks
+from nerfbake.cli.words import Words
+
+
+class Background(click.ParamType[tuple[float, float, float] | None]):
+    """white, black, transparent, or R,G,B in 0..255."""
+
+    name = "colour"
+    known: ClassVar = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": None}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value in self.known:
+            return self.known[value]
+        parts = value.split(",") if isinstance(value, str) else []
+        if len(parts) != 3 or not all(part.isdecimal() and int(part) < 256 for part in parts):
+            self.fail(f"{value!r} is no colour; allowed: white, black, transparent, or R,G,B in 0..255", param, ctx)
+        return tuple(int(part) / 255 for part in parts)
+
+
+class PixelSize(click.ParamType[tuple[int, int]]):
+    """WxH pixels."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        edges = value.lower().split("x") if isinstance(value, str) else ()
+        if len(edges) != 2 or not all(edge.isdecimal() and 1 <= int(edge) <= 16384 for edge in edges):
+            self.fail(f"{value!r} is no size; allowed: WxH, each 1 to 16384", param, ctx)
+        return int(edges[0]), int(edges[1])
+
+
+@click.command()
+@reads
+@click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: an orbit that frames the scene]")
+@click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Which of the cameras.")
+@click.option("--all", "every", is_flag=True, help="All cameras; --out is then a folder.")
+@click.option("--turntable", type=click.IntRange(2, 1000), help="So many pictures around the scene; --out is a folder.")
+@click.option("--size", type=PixelSize(), help="Pixels.  [default: the cameras', 800x800 for an orbit]")
+@click.option("--out", required=True, type=click.Path(), help="A .png, '-', or a folder where there are several.")
+@click.option(
+    "--background", type=Background(), default="white", show_default=True, help="white, black, transparent or R,G,B."
+)
+@click.option("--lod", type=click.IntRange(min=0), help="Level of an octree to show.")
+@click.option(
+    "--transmittance-cut",
+    type=click.FloatRange(0, 1, max_open=True),
+    default=1e-4,
+    show_default=True,
+    help="Where a ray ends: 0.5 makes an opaque cutout.",
+)
+@click.option("--force", is_flag=True, help="Replace what exists.")
+@speaks
+def render(
+    source: Input,
+    cameras: str | None,
+    frame: int,
+    every: bool,
+    turntable: int | None,
+    size: tuple[int, int] | None,
+    out: str,
+    lod: int | None,
+    force: bool,
+    words: Words,
+    **options: Any,
+) -> None:
+    """Render the PlenOctree or octree IN as PNG.
+
+    \b
+      nerfbake render chair.npz --out chair.png
+      nerfbake render chair.svo.pb --cameras transforms.json --all --out views
+    """
+    several = every or turntable is not None
+    if not several:
+        io.format_for(out, "Image")
+        io.require_absent(out, force=force)
+    trees = () if lod is not None else (nerfbake.N3Tree,)
+    scene = source.read(words, *trees, nerfbake.SparseVoxelOctree)
+    with source.blamed(words, "preparing"):
+        if lod is not None:
+            scene = nerfbake.cut_octree(scene, level=lod)
+        if cameras is None:
+            width, height = size or (800, 800)
+            views = nerfbake.orbit(scene, frames=turntable or 1, width=width, height=height).cameras
+        else:
+            views = io.load(cameras, nerfbake.Cameras).cameras
+            views = tuple(view.resized(*size) if size else view for view in views)
+    chosen = views if several else views[frame : frame + 1]
+    if not chosen:
+        raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")
+    for view in chosen:
+        with source.blamed(words, f"rendering {view.name}"):
+            image = nerfbake.render(scene, view, **options)
+        path = str(Path(out) / f"{view.name}.png") if several else out
+        io.save(path, image, force=force, parents=several)
+        words.say(f"{path}: {image}")

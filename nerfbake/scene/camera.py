@@ -1,0 +1,75 @@
+"""A pinhole camera in OpenGL's axes: x to the right, y up, looking down -z; pixel centres at halves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.scene.base import Scene
+
+MAX_EDGE = 16384  # pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """width, height and focal in pixels; pose (4, 4) float64 is camera to world; name is the frame's."""
+
+    width: int
+    height: int
+    focal: float
+    pose: npt.NDArray[np.float64]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.width <= MAX_EDGE and 1 <= self.height <= MAX_EDGE):
+            raise InvalidScene(
+                Problem("camera", f"has {self.width}x{self.height} pixels", f"1 to {MAX_EDGE:,} an edge")
+            )
+        if not (np.isfinite(self.focal) and self.focal > 0):
+            raise InvalidScene(Problem("camera", f"has focal length {self.focal:g}", "a finite number above 0"))
+        if self.pose.shape != (4, 4) or not np.isfinite(self.pose).all():
+            found = f"has a pose of shape {self.pose.shape}" if self.pose.shape != (4, 4) else "has a pose with NaN"
+            raise InvalidScene(Problem("camera", found, "4 x 4 finite numbers"))
+        if not abs(np.linalg.det(self.pose[:3, :3])) > 1e-12:
+            raise InvalidScene(Problem("camera", "has a singular pose", "an invertible rotation"))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view in another number of pixels: the field of view across stays."""
+        return replace(self, width=width, height=height, focal=self.focal * width / self.width)
+
+    def rays(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """The camera's place (3,) and a unit direction for each pixel (height * width, 3), rows from the top."""
+        x = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
+        y = -(np.arange(self.height) + 0.5 - self.height / 2) / self.focal
+        looks = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1).reshape(-1, 3)
+        directions = looks @ self.pose[:3, :3].T
+        return self.pose[:3, 3], directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras(Scene):
+    """The cameras of a capture, in order."""
+
+    cameras: tuple[Camera, ...]
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise InvalidScene(Problem("frames", "are none", "at least one camera"))
+
+    def __str__(self) -> str:
+        return f"{len(self.cameras)} cameras"
+
+
+def look_at(
+    centre: npt.NDArray[np.float64], azimuth: float, elevation: float, distance: float
+) -> npt.NDArray[np.float64]:
+    """(4, 4) pose that looks at a point from so far away; angles in radians, z is up."""
+    away = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(away, right), away], axis=1)
+    pose[:3, 3] = centre + distance * away
+    return pose

@@ -1,0 +1,47 @@
+"""A picture with its transparency and depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.scene.base import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Image(Scene):
+    """What a camera sees.
+
+    colour  (H, W, 3) float32: sRGB in 0..1, already over the background, or premultiplied by alpha where there is none
+    alpha   (H, W) float32: what the ray has lost to the scene, 0..1
+    depth   (H, W) float32: the expected distance at which it is lost, in world units; 0 where nothing is met
+    background  'colour' is over this sRGB colour; None: the picture is transparent
+    """
+
+    colour: npt.NDArray[np.float32]
+    alpha: npt.NDArray[np.float32]
+    depth: npt.NDArray[np.float32]
+    background: tuple[float, float, float] | None = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.colour.ndim != 3 or self.colour.shape[2] != 3 or self.alpha.shape != self.colour.shape[:2]:
+            found = f"has colours of shape {self.colour.shape}, alpha of {self.alpha.shape}"
+            raise InvalidScene(Problem("image", found, "(H, W, 3) and (H, W)"))
+
+    def __str__(self) -> str:
+        return f"image of {self.colour.shape[1]}x{self.colour.shape[0]}"
+
+    @property
+    def pixels(self) -> npt.NDArray[np.uint8]:
+        """(H, W, 3) uint8, or (H, W, 4) with straight alpha where there is no background."""
+        if self.background is not None:
+            return _bytes(self.colour)
+        straight = self.colour / np.maximum(self.alpha, 1e-6)[..., None]
+        return _bytes(np.concatenate([straight, self.alpha[..., None]], axis=2))
+
+
+def _bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    return np.asarray(np.rint(255 * np.clip(values, 0, 1)), np.uint8)

@@ -1,0 +1,212 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from nerfbake import Camera, Cameras, Image, build_octree, cut_octree, load, orbit, render
+from nerfbake.errors import InvalidScene
+from nerfbake.kernels.sh import sh_basis
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.n3tree import N3Tree
+from tests.conftest import DATA
+from tests.scenes import n3tree
+
+
+def solid(sigma: float, red: float = 0.0, **fields: Any) -> N3Tree:
+    """The unit cube filled evenly; colours are the sigmoid of (red, 0, 0)."""
+    data = np.zeros((1, 2, 2, 2, 4), np.float32)
+    data[..., 0], data[..., 3] = red, sigma
+    return n3tree(data=data, data_format="RGBA", **fields)
+
+
+def front(edge: int = 5, distance: float = 3.0) -> Camera:
+    """Looks along +y at the unit cube's middle, from so far away; its middle pixel meets the cube head on."""
+    return Camera(edge, edge, 4.0 * edge, look_at(np.full(3, 0.5), -np.pi / 2, 0, distance), "front")
+
+
+@pytest.mark.parametrize("sigma", [0.1, 1.0, 30.0])
+def test_a_homogeneous_box_lets_through_what_the_law_says(sigma: float) -> None:
+    image = render(solid(sigma, red=2), front(), transmittance_cut=0)
+    middle = image.alpha[2, 2], image.colour[2, 2], image.depth[2, 2]
+    alpha = 1 - np.exp(-sigma)
+    assert_allclose(middle[0], alpha, rtol=1e-4)
+    assert_allclose(middle[1][0], 1 / (1 + np.exp(-2)) * alpha + 1 - alpha, rtol=1e-4)
+    # E[d] of an exponential cut off after the box's width, which starts 2.5 away.
+    mean = (1 / sigma) - np.exp(-sigma) / alpha
+    assert_allclose(middle[2], 2.5 + mean, rtol=1e-4)
+
+
+def test_densities_are_per_world_unit_whatever_the_box() -> None:
+    # The same box, twice as wide, half as dense: the tree's scale must not show.
+    a = render(solid(3.0), front())
+    b = render(solid(1.5, invradius=np.full(3, 0.5)), Camera(5, 5, 20.0, look_at(np.ones(3), -np.pi / 2, 0, 6.0)))
+    assert_allclose(a.alpha, b.alpha, atol=1e-4)
+    assert_allclose(2 * a.depth, b.depth, atol=1e-3)
+
+
+def test_an_opaque_plane_stands_where_it_stands() -> None:
+    data = np.zeros((1, 2, 2, 2, 4), np.float32)
+    data[0, :, 1, :, 3] = 1e6  # the half y > 0.5
+    image = render(n3tree(data=data, data_format="RGBA"), front())
+    assert_allclose(image.depth[2, 2], 3.0, atol=1e-4)
+    assert_allclose(image.alpha[2, 2], 1)
+
+
+def test_colours_are_spherical_harmonics_in_the_rays_direction() -> None:
+    data = np.zeros((1, 2, 2, 2, 28), np.float32)
+    coefficients = np.random.default_rng(0).normal(0, 1, (3, 9))
+    data[..., :27], data[..., 27] = coefficients.ravel(), 1e6
+    camera = Camera(9, 7, 60.0, look_at(np.full(3, 0.5), 0.3, 0.4, 3))
+    image = render(n3tree(data=data, data_format="SH9"), camera)
+    _, directions = camera.rays()
+    expected = 1 / (1 + np.exp(-sh_basis(directions, 9) @ coefficients.T))
+    assert_allclose(image.colour.reshape(-1, 3), expected, atol=1e-5)
+
+
+def test_backgrounds() -> None:
+    tree = solid(1.0, red=1)
+    clear = render(tree, front(), background=None)
+    for colour in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.2, 0.4, 0.6)):
+        over = render(tree, front(), background=colour)
+        assert_allclose(over.colour, clear.colour + (1 - clear.alpha[..., None]) * np.array(colour), atol=1e-6)
+    assert clear.pixels.shape == (5, 5, 4)
+    assert over.pixels.shape == (5, 5, 3)
+    # Straight alpha: the colour is the leaf's own.
+    assert abs(int(clear.pixels[2, 2, 0]) - 255 / (1 + np.exp(-1))) < 1
+
+
+def test_a_cut_makes_an_opaque_cutout() -> None:
+    faint, dense = (render(solid(sigma), front(), transmittance_cut=0.5).alpha[2, 2] for sigma in (0.2, 5.0))
+    assert faint < 0.5 < dense
+
+
+def test_a_camera_inside_sees_only_what_is_ahead() -> None:
+    camera = Camera(3, 3, 30.0, look_at(np.full(3, 0.5), -np.pi / 2, 0, 1e-9))
+    assert_allclose(render(solid(1.0), camera, transmittance_cut=0).alpha[1, 1], 1 - np.exp(-0.5), rtol=1e-3)
+    away = Camera(3, 3, 30.0, look_at(np.array([0.5, 3.0, 0.5]), -np.pi / 2, 0, 1.0))
+    assert_array_equal(render(solid(1.0), away).alpha, 0)
+
+
+@pytest.mark.parametrize("N", [2, 3])
+def test_an_octree_looks_like_the_tree_it_was_made_from(N: int) -> None:
+    tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], N=N, data_format="SH4", dtype=np.float32)
+    octree = build_octree(tree, resample="nearest")
+    camera = orbit(tree, width=24, height=20).cameras[0]
+    a, b = render(tree, camera), render(octree, camera)
+    assert a.alpha.max() > 0.1
+    assert_allclose(a.colour, b.colour, atol=2e-4)
+    assert_allclose(a.alpha, b.alpha, atol=2e-4)
+
+
+def test_pictures_are_the_same_every_time() -> None:
+    tree = n3tree(splits=[(0, (1, 0, 1))])
+    camera = orbit(tree, width=33, height=31).cameras[0]
+    assert render(tree, camera).colour.tobytes() == render(tree, camera).colour.tobytes()
+
+
+def test_an_orbit_frames_everything() -> None:
+    data = np.zeros((1, 2, 2, 2, 4), np.float32)
+    data[0, 1, 1, 1, 3] = 1e6
+    tree = n3tree(data=data, data_format="RGBA", offset=np.full(3, 0.25), invradius=np.full(3, 0.1))
+    for camera in orbit(tree, frames=7, width=60, height=40).cameras:
+        alpha = render(tree, camera).alpha
+        assert alpha.max() > 0.99
+        assert not alpha[[0, -1]].any()
+        assert not alpha[:, [0, -1]].any()
+
+
+def test_what_cannot_be_rendered_is_refused() -> None:
+    octree = build_octree(n3tree())
+    with pytest.raises(InvalidScene, match="data_format is SG1; allowed: SHk or RGBA"):
+        render(n3tree(data_format="SG1"), front())
+    with pytest.raises(InvalidScene, match="transmittance_cut is 1; allowed: 0 to 1"):
+        render(octree, front(), transmittance_cut=1)
+    broken = n3tree()
+    broken.data[0, 0, 0, 0, 0] = np.nan
+    with pytest.raises(InvalidScene, match="is nan"):
+        render(broken, front())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"focal": 0.0}, "focal length 0"),
+        ({"focal": np.nan}, "focal length nan"),
+        ({"width": 0}, "0x4 pixels"),
+        ({"pose": np.zeros((4, 4))}, "singular"),
+        ({"pose": np.full((4, 4), np.nan)}, "NaN"),
+        ({"pose": np.eye(3)}, "shape"),
+    ],
+)
+def test_cameras_that_see_nothing_are_refused(wrong: dict[str, object], message: str) -> None:
+    fields: dict[str, object] = {"width": 4, "height": 4, "focal": 3.0, "pose": np.eye(4)}
+    with pytest.raises(InvalidScene, match=message):
+        Camera(**(fields | wrong))  # type: ignore[arg-type]
+
+
+# -- the real chair --------------------------------------------------------------------------------------------
+CHAIR = DATA / "plenoctree" / "chair"
+
+
+def psnr(a: npt.NDArray[np.uint8], b: npt.NDArray[np.uint8]) -> float:
+    return float(-10 * np.log10(((a.astype(float) - b) ** 2).mean() / 255**2))
+
+
+def over_white(path: Path) -> npt.NDArray[np.uint8]:
+    image = load(path, Image)
+    colour = image.colour + (1 - image.alpha[..., None])
+    return np.asarray(np.rint(255 * np.clip(colour, 0, 1)), np.uint8)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "expected", "reference"),
+    [
+        ("chair_sh9", 34.58, "chair_sh9"),
+        ("chair_sh9_128", 30.23, "chair_sh9_128"),
+        ("chair_sh9_128_legacy", 30.23, "chair_sh9_128"),
+        ("chair_sh9_128_fragmented", 30.23, None),
+        ("chair_sh9_128_quant", 30.27, None),
+        ("chair_sh9_128_quant_retain1", 30.28, None),
+    ],
+)
+def test_the_chair_looks_as_its_description_says(name: str, expected: float, reference: str | None) -> None:
+    tree = load(CHAIR / f"{name}.npz", N3Tree)
+    against_truth = []
+    for camera in load(CHAIR / "views" / "transforms.json", Cameras).cameras:
+        pixels = render(tree, camera).pixels
+        against_truth.append(psnr(pixels, over_white(CHAIR / "views" / f"{camera.name}.png")))
+        if reference:
+            assert psnr(pixels, over_white(CHAIR / f"render_{reference}" / f"{camera.name}.png")) > 70
+    assert np.mean(against_truth) == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "expected"), [("chair_sh9", 34.938), ("chair_sh9_128", 30.48)])
+def test_held_out_views(name: str, expected: float) -> None:
+    tree, folder = load(CHAIR / f"{name}.npz", N3Tree), DATA / "nerf_synthetic" / "chair"
+    found = []
+    for camera in load(folder / "transforms_test.json", Cameras).cameras:
+        truth = load(folder / "test" / f"{camera.name}.png", Image)
+        seen = render(tree, camera.resized(400, 400))
+        white = truth.colour + (1 - truth.alpha[..., None])
+        found.append(-10 * np.log10(((seen.colour.astype(float) - white) ** 2).mean()))
+    assert len(found) == 25
+    assert np.mean(found) == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.data
+def test_the_octree_at_the_trees_resolution_gives_the_same_picture() -> None:
+    tree = load(CHAIR / "chair_sh9_128.npz", N3Tree)
+    camera = load(CHAIR / "views" / "transforms.json", Cameras).cameras[0]
+    octree = build_octree(tree)
+    assert_allclose(render(tree, camera).colour, render(octree, camera).colour, atol=1e-4)
+    coarse = render(cut_octree(octree, level=6), camera)
+    assert 20 < psnr(render(tree, camera).pixels, coarse.pixels) < 40

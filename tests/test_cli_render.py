@@ -1,0 +1,73 @@
+"""`nerfbake render` as a shell sees it."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+
+from nerfbake import build_octree, orbit, save
+from tests.conftest import Shell
+from tests.scenes import n3tree
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
+    save(tmp_path / "a.npz", tree)
+    save(tmp_path / "a.svo.pb", build_octree(tree))
+    save(tmp_path / "transforms.json", orbit(tree, frames=3, width=20, height=16))
+    return tmp_path
+
+
+def test_pictures(shell: Shell, scene: Path) -> None:
+    assert shell("render", "a.npz", "--out", "a.png", "--size", "30x20").returncode == 0
+    with Pillow.open(scene / "a.png") as picture:
+        assert (picture.size, picture.mode) == ((30, 20), "RGB")
+        assert np.asarray(picture).std() > 5
+    done = shell("render", "a.svo.pb", "--cameras", "transforms.json", "--all", "--out", "views")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (scene / "views").iterdir()) == ["0000.png", "0001.png", "0002.png"]
+    # An octree at the tree's own resolution is the tree; and stdout takes a picture, too.
+    one = shell("render", "a.npz", "--cameras", "transforms.json", "--frame", "1", "--out", "-", "-q").stdout
+    with Pillow.open(io.BytesIO(one)) as a, Pillow.open(scene / "views" / "0001.png") as b:
+        assert np.abs(np.asarray(a).astype(int) - np.asarray(b)).max() <= 1
+    assert shell("render", "a.npz", "--turntable", "4", "--size", "8x8", "--out", "turn").returncode == 0
+    assert len(list((scene / "turn").iterdir())) == 4
+    clear = shell(
+        "render", "a.svo.pb", "--lod", "1", "--background", "transparent", "--size", "9x9", "--out", "-"
+    ).stdout
+    with Pillow.open(io.BytesIO(clear)) as picture:
+        assert picture.mode == "RGBA"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["a.npz"], 2, "Missing option '--out'"),
+        (["a.npz", "--out", "a.bmp"], 2, "names no format of Image; allowed: .png"),
+        (["a.npz", "--out", "a.png", "--background", "blue"], 2, "'blue' is no colour; allowed: white"),
+        (["a.npz", "--out", "a.png", "--size", "0x9"], 2, "'0x9' is no size"),
+        (["a.npz", "--out", "a.png", "--lod", "2"], 1, "a.npz: holds an N3Tree; allowed: a SparseVoxelOctree"),
+        (["a.svo.pb", "--out", "a.png", "--lod", "9"], 1, "a.svo.pb: level is 9; allowed: 0 to 2"),
+        (["transforms.json", "--out", "a.png"], 1, "transforms.json: holds a Cameras; allowed: an N3Tree or a Sparse"),
+        (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "a.npz: holds an N3Tree; allowed: a Cameras"),
+        (
+            ["a.npz", "--out", "a.png", "--cameras", "transforms.json", "--frame", "7"],
+            2,
+            "--frame is 7; allowed: 0 to 2",
+        ),
+        (["a.npz", "--out", "a.png", "--cameras", "bad.json"], 1, "bad.json: camera_angle_x is missing"),
+    ],
+)
+def test_what_goes_wrong_is_one_line(shell: Shell, scene: Path, arguments: list[str], code: int, said: str) -> None:
+    (scene / "bad.json").write_text(json.dumps({"frames": [{}]}))
+    done = shell("render", *arguments)
+    (line,) = done.stderr.decode().splitlines()
+    assert said in line
+    assert done.returncode == code
+    assert not (scene / "a.png").exists()
