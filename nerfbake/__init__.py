@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.scene_to_cameras import orbit as orbit
     from nerfbake.stages.scene_to_image import render as render
     from nerfbake.stages.scene_to_summary import summarise as summarise
+    from nerfbake.stages.scenes_to_comparison import compare as compare
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
 
 __version__ = "0.1.0"

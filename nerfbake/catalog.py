@@ -47,6 +47,7 @@ STAGES = {
     "orbit": "nerfbake.stages.scene_to_cameras",
     "render": "nerfbake.stages.scene_to_image",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
+    "compare": "nerfbake.stages.scenes_to_comparison",
     "cut_octree": "nerfbake.stages.octree_to_octree",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "summarise": "nerfbake.stages.scene_to_summary",

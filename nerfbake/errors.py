@@ -5,6 +5,7 @@
 | 0 | done |
 | 1 | bad input: a file or scene that cannot be right (`NerfbakeError`) |
 | 2 | wrong usage: an option, a format or an ending that there is not (`UsageError`, click's own) |
+| 3 | a quality budget is missed (`BudgetMissed`) |
 | 4 | the output cannot be written (`OutputError`); what stood there before is untouched |
 | 130, 141, 143 | stopped by Ctrl-C, by a reader that closed the pipe, by SIGTERM |
 """
@@ -82,6 +83,12 @@ class MemoryLimit(NerfbakeError):
 
     def __init__(self, what: str, need: int, limit: int) -> None:
         super().__init__(Problem(what, f"needs {format_size(need)}", f"{format_size(limit)} (--max-memory)"))
+
+
+class BudgetMissed(NerfbakeError):
+    """A result that costs more quality than the caller allowed."""
+
+    exit_code = 3
 
 
 class OutputError(NerfbakeError):

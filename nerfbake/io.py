@@ -16,7 +16,16 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 from nerfbake.catalog import Format, format_named, format_of_content, format_of_path, formats_of
-from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, PipeClosed, Problem, UsageError
+from nerfbake.errors import (
+    BudgetMissed,
+    InvalidFile,
+    MemoryLimit,
+    NerfbakeError,
+    OutputError,
+    PipeClosed,
+    Problem,
+    UsageError,
+)
 
 MAX_MEMORY = 4 << 30
 STREAM = "-"
@@ -125,6 +134,16 @@ def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def rejected_unless_good(path: str | Path) -> Iterator[None]:
+    """Moves a file to PATH.rejected if the block finds that it costs too much."""
+    try:
+        yield
+    except BudgetMissed:
+        Path(path).replace(f"{path}.rejected")
+        raise
 
 
 def _is_regular(path: Path) -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake import catalog
-from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, PipeClosed, UsageError
+from nerfbake.errors import BudgetMissed, InvalidFile, NerfbakeError, OutputError, PipeClosed, UsageError
 from tests.conftest import REPOSITORY
 
 README = (REPOSITORY / "README.md").read_text()
@@ -66,7 +66,7 @@ def test_ci_calls_the_test_command() -> None:
 def test_every_ending_and_exit_code_is_told() -> None:
     for form in catalog.FORMATS:
         assert f"| `{form.suffix}` |" in README
-    for error in (NerfbakeError, InvalidFile, UsageError, OutputError):
+    for error in (NerfbakeError, InvalidFile, UsageError, BudgetMissed, OutputError):
         assert f"| {error.exit_code} |" in README
     assert f" {PipeClosed.exit_code}," in README
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 import nerfbake
-from nerfbake.cli.params import Input, Output, no_child, reads, speaks, writes
+from nerfbake.cli.params import Budget, Input, Output, judges, no_child, reads, speaks, writes
 from nerfbake.cli.words import Words
 
 
@@ -13,16 +13,19 @@ from nerfbake.cli.words import Words
 @reads
 @writes
 @click.option("--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep; 0 is the root alone.")
+@judges
 @no_child
 @speaks
-def lod(source: Input, target: Output, level: int, no_child: int, words: Words) -> None:
+def lod(source: Input, target: Output, level: int, no_child: int, budget: Budget, words: Words) -> None:
     """Write the octree IN down to a level as OUT; what is cut off shows as its mean.
 
     \b
       nerfbake lod chair.svo.pb chair_lod.svo.pb --level 6
     """
     target.require("SparseVoxelOctree")
+    budget.require(target)
     octree = source.read(words, nerfbake.SparseVoxelOctree)
     with source.blamed(words, f"cutting at level {level}"):
-        octree = nerfbake.cut_octree(octree, level=level)
-    target.write(words, octree, no_child=no_child)
+        cut = nerfbake.cut_octree(octree, level=level)
+    target.write(words, cut, no_child=no_child)
+    budget.judge(words, source, octree, target)

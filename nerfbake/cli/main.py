@@ -12,6 +12,7 @@ import click
 
 import nerfbake
 from nerfbake.cli.check import check
+from nerfbake.cli.compare import compare
 from nerfbake.cli.convert import convert
 from nerfbake.cli.info import info
 from nerfbake.cli.lod import lod
@@ -39,11 +40,11 @@ def cli() -> None:
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake svo chair.npz - --to svo.pb | nerfbake info - --json
 
-    Exit codes: 0 done, 1 bad input, 2 wrong usage, 4 the output cannot be written.
+    Exit codes: 0 done, 1 bad input, 2 wrong usage, 3 quality budget missed, 4 the output cannot be written.
     """
 
 
-for command in (svo, convert, lod, render, info, check, sample):
+for command in (svo, convert, lod, render, compare, info, check, sample):
     cli.add_command(command)
 
 

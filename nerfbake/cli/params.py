@@ -10,9 +10,11 @@ from typing import Any
 
 import click
 
+import nerfbake
 from nerfbake import catalog, io
 from nerfbake.cli.words import Words
 
+BUDGET_FRAMES, BUDGET_EDGE = 8, 400  # the views around a scene that a budget is judged from
 FORMATS = ", ".join(form.name for form in catalog.FORMATS)
 
 
@@ -48,6 +50,18 @@ class Resolution(click.ParamType[tuple[int, int, int]]):
         return w, h, d
 
 
+class PixelSize(click.ParamType[tuple[int, int]]):
+    """WxH pixels."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        edges = value.lower().split("x") if isinstance(value, str) else ()
+        if len(edges) != 2 or not all(edge.isdecimal() and 1 <= int(edge) <= 16384 for edge in edges):
+            self.fail(f"{value!r} is no size; allowed: WxH, each 1 to 16384", param, ctx)
+        return int(edges[0]), int(edges[1])
+
+
 @dataclass(frozen=True)
 class Input:
     """A file to read, or stdin."""
@@ -58,6 +72,17 @@ class Input:
     def read(self, words: Words, *kinds: type) -> Any:
         with words.phase(f"reading {io.reading_name(self.path)}"):
             return io.load(self.path, *kinds, max_memory=self.max_memory)
+
+    def views(
+        self, words: Words, scene: Any, cameras: str | None, size: tuple[int, int] | None, *, frames: int, edge: int
+    ) -> Any:
+        """The cameras of a file, or of an orbit of this scene with so many frames; in another size, if one is given."""
+        if cameras is None:
+            width, height = size or (edge, edge)
+            with self.blamed(words, "framing"):
+                return nerfbake.orbit(scene, frames=frames, width=width, height=height)
+        read = io.load(cameras, nerfbake.Cameras)
+        return nerfbake.Cameras(tuple(camera.resized(*size) for camera in read.cameras)) if size else read
 
     @contextmanager
     def blamed(self, words: Words, phase: str) -> Iterator[None]:
@@ -83,6 +108,30 @@ class Output:
         with words.phase(f"writing {self.path}"):
             size = io.save(self.path, scene, to=self.to, force=self.force, **options)
         words.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What an output may cost, judged from the file as it was written."""
+
+    min_psnr: float | None
+    cameras: str | None
+
+    def require(self, target: Output) -> None:
+        """Raises, before any work is done, if there would be no file to judge."""
+        if self.min_psnr is not None and target.path == io.STREAM:
+            raise click.UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
+
+    def judge(self, words: Words, source: Input, scene: Any, target: Output) -> None:
+        """Renders the written file beside the scene it was made from; moves it to OUT.rejected if it costs too much."""
+        if self.min_psnr is None:
+            return
+        views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
+        written = Input(target.path, source.max_memory)
+        with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
+            found = nerfbake.compare(scene, written.read(words, nerfbake.SparseVoxelOctree), views)
+            found.require(min_psnr=self.min_psnr)
+        words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 
 
 Command = Callable[..., Any]
@@ -115,6 +164,20 @@ def writes(function: Command) -> Command:
     @functools.wraps(function)
     def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
         return function(*args, target=Output(target, to, force), **others)
+
+    return command
+
+
+def judges(function: Command) -> Command:
+    """Adds --min-psnr and --cameras; the command gets `budget`."""
+
+    @click.option("--min-psnr", type=float, help="Exit 3 and call OUT OUT.rejected if its pictures have less, in dB.")
+    @click.option(
+        "--cameras", metavar="TRANSFORMS", help="transforms.json to judge with.  [default: 8 views around IN]"
+    )
+    @functools.wraps(function)
+    def command(*args: Any, min_psnr: float | None, cameras: str | None, **others: Any) -> Any:
+        return function(*args, budget=Budget(min_psnr, cameras), **others)
 
     return command
 

@@ -9,7 +9,7 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Input, reads, speaks
+from nerfbake.cli.params import Input, PixelSize, reads, speaks
 from nerfbake.cli.words import Words
 
 
@@ -26,18 +26,6 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
         if len(parts) != 3 or not all(part.isdecimal() and int(part) < 256 for part in parts):
             self.fail(f"{value!r} is no colour; allowed: white, black, transparent, or R,G,B in 0..255", param, ctx)
         return tuple(int(part) / 255 for part in parts)
-
-
-class PixelSize(click.ParamType[tuple[int, int]]):
-    """WxH pixels."""
-
-    name = "WxH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        edges = value.lower().split("x") if isinstance(value, str) else ()
-        if len(edges) != 2 or not all(edge.isdecimal() and 1 <= int(edge) <= 16384 for edge in edges):
-            self.fail(f"{value!r} is no size; allowed: WxH, each 1 to 16384", param, ctx)
-        return int(edges[0]), int(edges[1])
 
 
 @click.command()
@@ -86,15 +74,10 @@ def render(
         io.require_absent(out, force=force)
     trees = () if lod is not None else (nerfbake.N3Tree,)
     scene = source.read(words, *trees, nerfbake.SparseVoxelOctree)
-    with source.blamed(words, "preparing"):
-        if lod is not None:
+    if lod is not None:
+        with source.blamed(words, f"cutting at level {lod}"):
             scene = nerfbake.cut_octree(scene, level=lod)
-        if cameras is None:
-            width, height = size or (800, 800)
-            views = nerfbake.orbit(scene, frames=turntable or 1, width=width, height=height).cameras
-        else:
-            views = io.load(cameras, nerfbake.Cameras).cameras
-            views = tuple(view.resized(*size) if size else view for view in views)
+    views = source.views(words, scene, cameras, size, frames=turntable or 1, edge=800).cameras
     chosen = views if several else views[frame : frame + 1]
     if not chosen:
         raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 import nerfbake
-from nerfbake.cli.params import Input, Output, Resolution, no_child, reads, speaks, writes
+from nerfbake.cli.params import Budget, Input, Output, Resolution, judges, no_child, reads, speaks, writes
 from nerfbake.cli.words import Words
 
 RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its centre (as TR-24-01 has it)."
@@ -29,9 +29,10 @@ RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its c
     "--dtype", type=click.Choice(["float32", "float16"]), default="float32", show_default=True, help="Of the values."
 )
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
+@judges
 @no_child
 @speaks
-def svo(source: Input, target: Output, no_child: int, words: Words, **options: Any) -> None:
+def svo(source: Input, target: Output, no_child: int, budget: Budget, words: Words, **options: Any) -> None:
     """Resample the PlenOctree IN to a sparse voxel octree OUT.
 
     \b
@@ -39,8 +40,9 @@ def svo(source: Input, target: Output, no_child: int, words: Words, **options: A
       nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
     """
     target.require("SparseVoxelOctree")
+    budget.require(target)
     tree = source.read(words, nerfbake.N3Tree)
     with source.blamed(words, "building the octree"):
         octree = nerfbake.build_octree(tree, max_memory=source.max_memory, **options)
-    del tree  # the octree needs none of it, and writing needs memory
     target.write(words, octree, no_child=no_child)
+    budget.judge(words, source, tree, target)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,19 @@ class Image(Scene):
             raise InvalidScene(Problem("image", found, "(H, W, 3) and (H, W)"))
 
     def __str__(self) -> str:
-        return f"image of {self.colour.shape[1]}x{self.colour.shape[0]}"
+        return f"image of {self.size[0]}x{self.size[1]}"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return int(self.alpha.shape[1]), int(self.alpha.shape[0])
+
+    def over(self, background: tuple[float, float, float]) -> Image:
+        """The same picture over a background; itself where it has one."""
+        if self.background is not None:
+            return self
+        colour = self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32)
+        return replace(self, colour=colour, background=background)
 
     @property
     def pixels(self) -> npt.NDArray[np.uint8]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,6 +29,22 @@ class Field(NamedTuple):
     def occupied_box(self) -> npt.NDArray[np.float64]:
         """(2, 3) world corners of the box around all leaves; of the whole cube where there are none."""
         low, high = np.ones(3), np.zeros(3)
+        for corners, width in self._leaves():
+            low = np.minimum(low, corners.min(axis=0))
+            high = np.maximum(high, corners.max(axis=0) + width)
+        if (low > high).any():
+            low, high = np.zeros(3), np.ones(3)
+        return (np.stack([low, high]) - self.offset) / self.scale
+
+    def leaf_centres(self, most: int) -> npt.NDArray[np.float64]:
+        """(m, 3) world centres of the leaves, evenly thinned out to `most`."""
+        centres = [corners + width / 2 for corners, width in self._leaves()] or [np.empty((0, 3))]
+        found = np.concatenate(centres)
+        thinned = found[np.linspace(0, len(found) - 1, most).astype(int)] if len(found) > most else found
+        return (thinned - self.offset) / self.scale
+
+    def _leaves(self) -> Iterator[tuple[npt.NDArray[np.float64], float]]:
+        """The low corners of each level's leaves (m, 3), in the cube [0, 1]^3, and their width."""
         nodes, place, width = np.zeros(1, np.int64), np.zeros((1, 3)), 1.0
         steps = np.stack(np.unravel_index(np.arange(self.N**3), (self.N,) * 3), axis=1)
         while len(nodes):
@@ -35,12 +52,8 @@ class Field(NamedTuple):
             cells = self.slots[nodes].reshape(-1)
             corner = (place[:, None] + steps * width).reshape(-1, 3)
             if (leaf := cells < EMPTY).any():
-                low = np.minimum(low, corner[leaf].min(axis=0))
-                high = np.maximum(high, corner[leaf].max(axis=0) + width)
+                yield corner[leaf], width
             nodes, place = cells[cells >= 0].astype(np.int64), corner[cells >= 0]
-        if (low > high).any():
-            low, high = np.zeros(3), np.ones(3)
-        return (np.stack([low, high]) - self.offset) / self.scale
 
 
 @lru_cache(maxsize=2)

@@ -1,0 +1,83 @@
+"""`nerfbake compare`: what one scene lost against another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+import nerfbake
+from nerfbake import io
+from nerfbake.cli.params import BUDGET_EDGE, BUDGET_FRAMES, Input, PixelSize, as_json, reads, speaks
+from nerfbake.cli.words import Words
+
+
+@click.command()
+@reads
+@click.argument("other", metavar="IN2", type=click.Path())
+@click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: 8 views around IN]")
+@click.option("--truth", type=click.Path(), help="Folder with a photograph, NAME.png, for each of the cameras.")
+@click.option("--size", type=PixelSize(), help="Pixels.  [default: the truth's or the cameras', 400x400 for an orbit]")
+@click.option("--min-psnr", type=float, help="Exit 3 if IN2's mean PSNR against IN, in dB, is lower.")
+@click.option("--max-error", type=float, help="Exit 3 if a pixel's channel differs by more (0..1).")
+@click.option("--sheet", type=click.Path(), help="Write the pictures as a PNG: truth, IN, IN2, 8 times the difference.")
+@click.option("--force", is_flag=True, help="Replace the sheet if it exists.")
+@as_json
+@speaks
+def compare(
+    source: Input,
+    other: str,
+    cameras: str | None,
+    truth: str | None,
+    size: tuple[int, int] | None,
+    min_psnr: float | None,
+    max_error: float | None,
+    sheet: str | None,
+    force: bool,
+    as_json: bool,
+    words: Words,
+) -> None:
+    """Render the scenes IN and IN2 with the same cameras and print how far they are apart.
+
+    \b
+      nerfbake compare chair.npz chair.svo.pb
+      nerfbake compare chair.npz small.svo.pb --min-psnr 30 --sheet small.png
+    """
+    if sheet:
+        io.format_for(sheet, "Image")
+        io.require_absent(sheet, force=force)
+    second = Input(other, source.max_memory)
+    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    a, b = source.read(words, *kinds), second.read(words, *kinds)
+    views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
+    photographs = None
+    if truth:
+        photographs = [io.load(Path(truth) / f"{view.name}.png", nerfbake.Image) for view in views.cameras]
+        if not size:
+            views = nerfbake.Cameras(tuple(v.resized(*p.size) for v, p in zip(views.cameras, photographs, strict=True)))
+    with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
+        found = nerfbake.compare(a, b, views, truth=photographs)
+    if sheet:
+        io.save(sheet, found.sheet, force=force)
+    if as_json:
+        facts = {"a": source.path, "b": other, "mean": found.means, "values": found.values, "views": found.views}
+        click.echo(json.dumps(facts))
+    else:
+        _print(found)
+    with second.blamed(words, "judging"):
+        found.require(min_psnr=min_psnr, max_error=max_error)
+
+
+def _print(found: Any) -> None:
+    names = {"a_b": "IN - IN2", "a_truth": "IN - truth", "b_truth": "IN2 - truth"}
+    click.echo(f"{'view':<12}{'':<14}{'PSNR dB':>9}{'SSIM':>9}{'max error':>11}")
+    rows: list[dict[str, Any]] = [*found.views, {"name": "mean", **found.means}]
+    for view in rows:
+        for pair, errors in view.items():
+            if pair != "name":
+                figures = f"{errors['psnr']:>9.2f}{errors['ssim']:>9.4f}{errors['max_error']:>11.4f}"
+                click.echo(f"{view['name']:<12}{names[pair]:<14}{figures}")
+    for name, errors in found.values.items():
+        click.echo(f"{'values':<12}{name:<14}mean {errors['mean']:.4g}, max {errors['max']:.4g}")

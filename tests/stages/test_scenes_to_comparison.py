@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from nerfbake import Image, build_octree, compare, orbit
+from nerfbake.errors import BudgetMissed, InvalidScene
+from nerfbake.scene.n3tree import N3Tree
+from tests.scenes import n3tree
+
+
+def scenes() -> tuple[N3Tree, N3Tree]:
+    a = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=np.float32)
+    b = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=np.float32)
+    b.data[..., -1] += 0.5
+    b.data[..., [0, 4, 8]] -= 0.25
+    return a, b
+
+
+def test_a_scene_against_itself_costs_nothing() -> None:
+    a, _ = scenes()
+    found = compare(a, build_octree(a), orbit(a, frames=3, width=20, height=16))
+    assert found.means["a_b"]["psnr"] > 60
+    assert found.means["a_b"]["ssim"] == pytest.approx(1, abs=1e-4)
+    assert found.values == {name: {"mean": 0.0, "max": 0.0} for name in ("sigma", "dc", "higher")}
+    found.require(min_psnr=60, max_error=0.01)
+
+
+def test_what_was_changed_is_what_is_found() -> None:
+    a, b = scenes()
+    found = compare(a, b, orbit(a, frames=2, width=20, height=16))
+    assert found.values["sigma"] == {"mean": 0.5, "max": 0.5}
+    assert found.values["dc"] == {"mean": 0.25, "max": 0.25}
+    assert found.values["higher"] == {"mean": 0.0, "max": 0.0}
+    views = [view["a_b"] for view in found.views]
+    assert found.means["a_b"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in views]))
+    assert found.means["a_b"]["max_error"] == max(view["max_error"] for view in views)
+    json.dumps([found.views, found.means, found.values], allow_nan=False)
+
+
+def test_budgets() -> None:
+    a, b = scenes()
+    found = compare(a, b, orbit(a, width=20, height=16))
+    psnr, error = found.means["a_b"]["psnr"], found.means["a_b"]["max_error"]
+    found.require(min_psnr=psnr, max_error=error)
+    with pytest.raises(BudgetMissed, match=r"mean PSNR of .* dB; allowed: --min-psnr"):
+        found.require(min_psnr=psnr + 0.01)
+    with pytest.raises(BudgetMissed, match=r"is off by .*; allowed: --max-error"):
+        found.require(max_error=error - 0.001)
+
+
+def test_a_truth_and_the_sheet() -> None:
+    a, b = scenes()
+    cameras = orbit(a, frames=2, width=20, height=16)
+    clear = np.zeros((16, 20), np.float32)
+    truth = [Image(np.zeros((16, 20, 3), np.float32), clear, clear, None)] * 2
+    found = compare(a, b, cameras, truth=truth)
+    assert set(found.views[0]) == {"name", "a_b", "a_truth", "b_truth"}
+    # The truth, transparent everywhere, counts as white.
+    assert found.sheet.colour[0, 0].tolist() == [1, 1, 1]
+    assert found.sheet.size == (4 * 24, 2 * 20)
+    with pytest.raises(InvalidScene, match="truth has 1 pictures; allowed: 2"):
+        compare(a, b, cameras, truth=truth[:1])
+    with pytest.raises(InvalidScene, match="truth of 0000 has 20x16 pixels; allowed: 30x30"):
+        compare(a, b, orbit(a, frames=2, width=30, height=30), truth=truth)
