@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,6 +144,7 @@ def _single(octree: SparseVoxelOctree) -> npt.NDArray[np.float32]:
     return octree.node_data.astype(np.float32, copy=False)
 
 
+@cache  # pycapnp aborts the process when it meets a schema again under another path
 def _capnp_class() -> Any:
     import capnp
 

@@ -30,8 +30,10 @@ _PER_CONTAINER = 128
 
 
 def recognise(head: bytes) -> bool:
-    """True for the first bytes of a JSON object."""
-    return head.lstrip()[:1] == b"{"
+    """True for the first bytes of a JSON object with the octree's fields."""
+    return head.lstrip()[:1] == b"{" and any(
+        name in head for name in (b'"type_url"', b'"node_children"', b'"node_data"')
+    )
 
 
 def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:

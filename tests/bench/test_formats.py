@@ -11,8 +11,9 @@ import pytest
 from nerfbake import save
 from nerfbake.bench import formats
 from nerfbake.bench.libraries import LIBRARIES
-from nerfbake.bench.measure import measure
+from nerfbake.bench.measure import Result, measure
 from nerfbake.cli.main import run
+from nerfbake.cli.words import Words
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
 from tests.formats.octrees import SPELLINGS, small_octree
@@ -67,7 +68,7 @@ def test_the_report_has_a_row_for_everything_and_its_ratios_add_up() -> None:
 def test_a_missing_library_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def without_pycapnp(function: Any, **arguments: Any) -> Any:
         if arguments["contender"].name.startswith("pycapnp"):
-            return formats.Result(error="not installed: capnp")
+            return Result(error="not installed: capnp")
         return measure(function, **arguments)
 
     monkeypatch.setattr(formats, "measure", without_pycapnp)
@@ -126,7 +127,12 @@ def test_wrong_usage_is_said_before_anything_is_measured(
 def test_a_terminal_sees_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save(tmp_path / "a.svo.pb", small_octree())
     steps: list[str] = []
-    monkeypatch.setattr("nerfbake.cli.words.Words.phase", lambda self, text: steps.append(text) or nullcontext())
+
+    def phase(_: Words, text: str) -> Any:
+        steps.append(text)
+        return nullcontext()
+
+    monkeypatch.setattr(Words, "phase", phase)
     arguments = ["bench", "formats", str(tmp_path / "a.svo.pb"), "--formats", "raw", "--rounds", "1"]
     assert run([*arguments, "-o", str(tmp_path / "a.md")]) == 0
     assert steps[-2:] == ["raw: warming up", "raw: round 1 of 1"]

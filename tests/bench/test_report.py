@@ -11,8 +11,12 @@ from nerfbake.bench.report import Report, Table, as_csv, as_json, markdown
 TABLE = Table(
     "Formats",
     ["format", "MB", "ms", "exact"],
-    [["raw", 96.04, Spread.of([3.0, 1.0, 2.0]), True], ["a|b", 1234.5, Spread.of([0.5]), False], ["c: gone", None, None, None]],
-)  # fmt: skip
+    [
+        ["raw", 96.04, Spread.of([3.0, 1.0, 2.0]), True],
+        ["a|b", 1234.5, Spread.of([0.5]), False],
+        ["c: gone", None, None, None],
+    ],
+)
 REPORT = Report("Title", {"scene": "chair", "Python": "3.11"}, [TABLE], ["One note.", "Two."])
 
 
