@@ -47,6 +47,7 @@ def test_a_wrong_value_would_be_seen(tmp_path: Path) -> None:
     assert read.check(read.run()) == {"exact": False}
 
 
+@pytest.mark.slow
 def test_the_report_has_a_row_for_everything_and_its_ratios_add_up() -> None:
     report = formats.compare(small_octree(), "small", rounds=2, formats=["svo.pb", "json.dumps"], progress=quiet)
     figures = report.tables[0]
@@ -88,6 +89,7 @@ def test_every_format_and_library_is_a_row() -> None:
     assert rows == [("raw", None), *SPELLINGS, *((library.name, None) for library in LIBRARIES)]
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, shell: Shell) -> None:
     save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))]))
     save(tmp_path / "b.svo.pb", small_octree())
