@@ -5,16 +5,15 @@ from __future__ import annotations
 import click
 
 import nerfbake
-from nerfbake.cli.params import Budget, Input, Output, judges, no_child, reads, speaks, writes
+from nerfbake.cli.params import Budget, Input, Output, judges, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
 
 
 @click.command()
 @reads
-@writes
+@writes_octree
 @click.option("--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep; 0 is the root alone.")
 @judges
-@no_child
 @speaks
 def lod(source: Input, target: Output, level: int, no_child: int, budget: Budget, words: Words) -> None:
     """Write the octree IN down to a level as OUT; what is cut off shows as its mean.

@@ -11,6 +11,7 @@ from typing import NoReturn
 import click
 
 import nerfbake
+from nerfbake.cli.bench import bench
 from nerfbake.cli.check import check
 from nerfbake.cli.compare import compare
 from nerfbake.cli.convert import convert
@@ -44,7 +45,7 @@ def cli() -> None:
     """
 
 
-for command in (svo, convert, lod, render, compare, info, check, sample):
+for command in (svo, convert, lod, render, compare, info, check, sample, bench):
     cli.add_command(command)
 
 

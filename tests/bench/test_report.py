@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+from nerfbake.bench.measure import Spread
+from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.report import Report, Table, as_csv, as_json, markdown
+
+TABLE = Table(
+    "Formats",
+    ["format", "MB", "ms", "exact"],
+    [
+        ["raw", 96.04, Spread.of([3.0, 1.0, 2.0]), True],
+        ["a|b", 1234.5, Spread.of([0.5]), False],
+        ["c: gone", None, None, None],
+    ],
+)
+REPORT = Report("Title", {"scene": "chair", "Python": "3.11"}, [TABLE], ["One note.", "Two."])
+
+
+def test_markdown_shows_median_and_spread() -> None:
+    assert markdown(REPORT) == (
+        "# Title\n\n"
+        "scene chair; Python 3.11\n\n"
+        "**Formats**\n\n"
+        "| format | MB | ms | exact |\n"
+        "| --- | ---: | ---: | --- |\n"
+        "| raw | 96.0 | 2.00 [1.00..3.00] | yes |\n"
+        "| a\\|b | 1,234 | 0.50 | no |\n"
+        "| c: gone | - | - | - |\n\n"
+        "- One note.\n- Two.\n"
+    )
+
+
+def test_csv_has_a_column_for_each_end_of_a_spread() -> None:
+    rows = list(csv.DictReader(io.StringIO(as_csv(REPORT))))
+    assert (rows[0]["ms"], rows[0]["ms min"], rows[0]["ms max"], rows[0]["rounds"]) == ("2.0", "1.0", "3.0", "3")
+    assert [row["format"] for row in rows] == ["raw", "a|b", "c: gone"]
+    assert rows[2]["MB"] == ""
+
+
+def test_json_has_everything() -> None:
+    whole = json.loads(as_json(REPORT))
+    assert whole["head"] == REPORT.head
+    assert whole["notes"] == REPORT.notes
+    assert whole["tables"][0]["rows"][0]["ms max"] == 3.0
+    assert whole["tables"][0]["rows"][2]["ms"] is None
+
+
+def test_a_chart_names_every_point_and_is_the_same_each_time() -> None:
+    # Points so close together that their labels have to make way.
+    points = [Point(f"row {k}", 10 + k / 10, 5, "ours" if k % 2 else "theirs") for k in range(8)]
+    images = [scatter(points, title="t", x="ms", y="MB", suffix=".svg") for _ in range(2)]
+    assert images[0] == images[1]
+    assert all(f"row {k}" in images[0].decode() for k in range(8))
+    assert scatter(points, title="t", x="ms", y="MB", suffix=".png")[:4] == b"\x89PNG"
