@@ -33,14 +33,32 @@ FORMATS = (
     Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
 )
 
+# Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
+FOLDERS = (
+    Format("stage1", "Stage1", "", "nerfbake.formats.stage1_folder", "nerf2mesh's stage 1"),
+    Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas with its mesh"),
+    Format("thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "atlas of the K-means thesis' own code"),
+)
+
 SCENES = {
+    "BakedAtlas": "nerfbake.scene.atlas",
     "N3Tree": "nerfbake.scene.n3tree",
+    "OctahedralAtlas": "nerfbake.scene.atlas",
     "SparseVoxelOctree": "nerfbake.scene.octree",
+    "SpecularField": "nerfbake.scene.specular",
+    "Stage1": "nerfbake.scene.stage1",
 }
 
 STAGES = {
+    "bake_atlas": "nerfbake.stages.specular_to_atlas",
+    "bake_stage1": "nerfbake.stages.stage1_to_atlas",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
     "cut_octree": "nerfbake.stages.octree_to_octree",
+    "identify": "nerfbake.stages.specular_to_identifiers",
+    "measure_error": "nerfbake.stages.atlas_to_error",
+    "measure_stage1": "nerfbake.stages.stage1_to_atlas",
+    "cluster": "nerfbake.stages.identifiers_to_clusters",
+    "snapped_maps": "nerfbake.stages.clusters_to_maps",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "summarise": "nerfbake.stages.scene_to_summary",
 }
@@ -67,6 +85,11 @@ def format_of_path(path: str, scene: str) -> Format:
 
 def formats_of(scene: str) -> list[Format]:
     return [form for form in FORMATS if form.scene == scene]
+
+
+def folders_of(scene: str) -> list[Format]:
+    """The kinds of folders that hold this scene type, the one to write first."""
+    return [form for form in FOLDERS if form.scene == scene]
 
 
 def format_of_content(path: str, head: bytes) -> Format:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import mmap
 import os
+import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from nerfbake.catalog import Format, format_named, format_of_content, format_of_path, formats_of
+from nerfbake.catalog import Format, folders_of, format_named, format_of_content, format_of_path, formats_of
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, PipeClosed, Problem, UsageError
 
 MAX_MEMORY = 4 << 30
@@ -85,6 +86,91 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
             raise PipeClosed from None
     with blame(str(target), OutputError), replacing(Path(target), force=force) as file:
         return _write_all(file, pieces)
+
+
+def load_folder(source: str | Path, kind: type[Scene], *, max_memory: int = MAX_MEMORY) -> Scene:
+    """The scene of this type in a folder. Raises NerfbakeError naming the folder and the file in it."""
+    with blame(str(source)):
+        path = Path(source)
+        if not path.is_dir():
+            found = "is no folder" if path.exists() else "is not there"
+            raise InvalidFile(f"{found}; allowed: a folder, {folders_of(kind.__name__)[0].title}")
+        return decode_files(_Folder(path, max_memory), kind, max_memory=max_memory)
+
+
+def decode_files(
+    files: Mapping[str, memoryview], kind: type[Scene], *, max_memory: int = MAX_MEMORY
+) -> Scene:
+    """The scene of this type in files of these names, wherever they come from."""
+    modules = [form.load_module() for form in folders_of(kind.__name__)]
+    module = next((module for module in modules if module.recognise(files)), modules[0])
+    scene: Scene = module.decode(files, max_memory=max_memory)
+    return scene
+
+
+def load_files(paths: Mapping[str, str | Path], *, max_memory: int = MAX_MEMORY) -> dict[str, memoryview]:
+    """Files from anywhere under the names that a folder would have for them."""
+    files = {}
+    for name, path in paths.items():
+        with blame(str(path)):
+            files[name] = _map(Path(path), max_memory)
+    return files
+
+
+def save_folder(target: str | Path, scene: Any, *, force: bool = False) -> dict[str, int]:
+    """Writes a scene as a folder; gives the size in bytes of each file.
+
+    The folder appears whole or not at all: its files are written to a temporary one beside it, which is renamed. With
+    `force` a folder that stands there is moved aside first and removed at the end, whatever is in it.
+    """
+    require_no_folder(target, force=force)
+    path = Path(os.path.realpath(target))
+    temporary, aside = (path.with_name(f".{path.name[:200]}.{os.getpid()}.{what}") for what in ("tmp", "old"))
+    sizes = {}
+    with blame(str(target), OutputError):
+        try:
+            temporary.mkdir()
+            for name, pieces in folders_of(type(scene).__name__)[0].load_module().encode(scene):
+                with open(temporary / name, "xb") as file:
+                    sizes[name] = _write_all(file, pieces)
+            if path.exists():
+                path.replace(aside)
+            temporary.replace(path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+            if aside.exists() and not path.exists():
+                aside.replace(path)
+            shutil.rmtree(aside, ignore_errors=True)
+    return sizes
+
+
+def require_no_folder(target: str | Path, *, force: bool) -> None:
+    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+    path = Path(target)
+    if os.path.lexists(path) and not path.is_dir():
+        raise OutputError("is no folder; allowed: a new folder", source=str(target))
+    if path.is_dir() and any(path.iterdir()) and not force:
+        raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
+
+
+class _Folder(Mapping[str, memoryview]):
+    """A folder's files by name, each mapped when it is asked for."""
+
+    def __init__(self, path: Path, max_memory: int) -> None:
+        self._path, self._max_memory = path, max_memory
+
+    def __getitem__(self, name: str) -> memoryview:
+        path = self._path / name
+        if not path.is_file():
+            raise KeyError(name)
+        with blame(str(path)):
+            return _map(path, self._max_memory)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(path.name for path in self._path.iterdir()))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self._path.iterdir())
 
 
 def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:
@@ -164,7 +250,7 @@ def reading_name(source: str | Path) -> str:
     return "stdin" if str(source) == STREAM else str(source)
 
 
-def _write_all(file: IO[bytes], pieces: Iterator[bytes | memoryview]) -> int:
+def _write_all(file: IO[bytes], pieces: Iterable[bytes | memoryview]) -> int:
     size = 0
     for piece in pieces:
         file.write(piece)

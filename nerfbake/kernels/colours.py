@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.morton import dilate
+
 CODES = 1 << 24
-_BYTES = np.arange(256, dtype=np.uint32)
-_SPREAD = np.bitwise_or.reduce([(_BYTES >> i & 1) << 3 * i for i in range(8)]).astype(np.uint32)
+_SPREAD = dilate(np.arange(256)).astype(np.uint32)
 
 
 def encode(colours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:

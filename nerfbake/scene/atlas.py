@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels import octahedron
 from nerfbake.kernels.octahedron import Lookup
+from nerfbake.scene.mesh import TexturedMesh
 
 Method = Literal["kmeans", "affine", "grid"]
 METHODS: tuple[Method, ...] = ("kmeans", "affine", "grid")
@@ -145,3 +147,21 @@ def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int3
     nodes = np.concatenate([low @ np.array([[n * n], [n], [1]], np.int32), step], axis=1).cumsum(axis=1, dtype=np.int32)
     edges = np.pad(np.take_along_axis(fraction, order, axis=1), ((0, 0), (1, 1)), constant_values=((0, 0), (1, 0)))
     return nodes, edges[:, :-1] - edges[:, 1:]
+
+
+@dataclass(frozen=True, eq=False)
+class BakedAtlas:
+    """Atlases of all cascades of a scene with what an engine needs beside them; cascade c is entry c.
+
+    meshes  None where there is none
+    files   meshes and diffuse textures, by name, as they were given
+    facts   how it was baked and how well, for atlas.json
+    """
+
+    atlases: tuple[OctahedralAtlas, ...]
+    meshes: tuple[TexturedMesh | None, ...]
+    files: Mapping[str, bytes | memoryview]
+    facts: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        return "; ".join(map(str, self.atlases))
