@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.scene_to_summary import summarise as summarise
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
+    from nerfbake.stages.shapes_to_stage1 import sample_stage1 as sample_stage1
     from nerfbake.stages.specular_to_atlas import bake_atlas as bake_atlas
     from nerfbake.stages.specular_to_identifiers import identify as identify
     from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1

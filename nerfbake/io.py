@@ -98,9 +98,7 @@ def load_folder(source: str | Path, kind: type[Scene], *, max_memory: int = MAX_
         return decode_files(_Folder(path, max_memory), kind, max_memory=max_memory)
 
 
-def decode_files(
-    files: Mapping[str, memoryview], kind: type[Scene], *, max_memory: int = MAX_MEMORY
-) -> Scene:
+def decode_files(files: Mapping[str, memoryview], kind: type[Scene], *, max_memory: int = MAX_MEMORY) -> Scene:
     """The scene of this type in files of these names, wherever they come from."""
     modules = [form.load_module() for form in folders_of(kind.__name__)]
     module = next((module for module in modules if module.recognise(files)), modules[0])

@@ -35,13 +35,13 @@ from nerfbake.cli.words import Words
     show_default=True,
     help="Of kmeans: a map shows one colour of its cluster, or the mean of all.",
 )
-@click.option("--border", type=click.IntRange(min=0), default=1, show_default=True, help="Gutter around a map, in texels.")
+@click.option(
+    "--border", type=click.IntRange(min=0), default=1, show_default=True, help="Gutter around a map, in texels."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
 @as_json
 @speaks
-def atlas(
-    source: Stage1Input, target: str, force: bool, as_json: bool, words: Words, **options: Any
-) -> None:
+def atlas(source: Stage1Input, target: str, force: bool, as_json: bool, words: Words, **options: Any) -> None:
     """Bake the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, as OUT_DIR.
 
     \b
@@ -57,4 +57,6 @@ def atlas(
     if as_json:
         click.echo(json.dumps({**baked.facts, "files": sizes}))
     for error in baked.facts["errors"]:
-        words.say(f"{target}: {baked}, MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255, {sum(sizes.values()):,} bytes")
+        words.say(
+            f"{target}: {baked}, MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255, {sum(sizes.values()):,} bytes"
+        )

@@ -137,7 +137,11 @@ def reads(function: Command) -> Command:
 
 
 max_memory = click.option(
-    "--max-memory", type=Size(), default="4GiB", show_default=True, help="Most that a file may declare, or a result take."
+    "--max-memory",
+    type=Size(),
+    default="4GiB",
+    show_default=True,
+    help="Most that a file may declare, or a result take.",
 )
 
 
@@ -145,7 +149,9 @@ def bakes_stage1(function: Command) -> Command:
     """Adds the arguments [STAGE1_DIR] OUT_DIR, --feature, --mlp and --force; the command gets `source` and `target`."""
 
     @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=click.Path())
-    @click.option("--feature", "features", multiple=True, type=click.Path(), help="Feature texture, one for each cascade.")
+    @click.option(
+        "--feature", "features", multiple=True, type=click.Path(), help="Feature texture, one for each cascade."
+    )
     @click.option("--mlp", type=click.Path(), help="Its mlp.json; both stand in for STAGE1_DIR.")
     @click.option("--force", is_flag=True, help="Replace OUT_DIR and all that is in it.")
     @max_memory

@@ -21,7 +21,7 @@ CONVENTION = {
     "direction": "unit, from the camera to the surface point",
     "octahedron": "p = d / (|d.x| + |d.y| + |d.z|); d.y >= 0: q = p.xz; else q = (1 - |p.zx|) * (p.xz < 0 ? -1 : 1); "
     "uv = q / 2 + 1/2",
-    "map_texel": "texel (i, j) of a map holds the colour at its centre, uv = ((i + 1/2) / map_size, (j + 1/2) / map_size)",
+    "map_texel": "texel (i, j) of a map holds the colour at its centre, uv = ((i + 1/2), (j + 1/2)) / map_size",
     "origin": "texel (0, 0) of every texture is the first of its PNG, the upper left one; v points down, as in glTF",
     "tile": "tile t starts at texel ((t % tiles_per_row), (t / tiles_per_row)) * (map_size + 2 border) + border",
     "gutter": "border texels around each tile, by octahedral wrap: (-1, j) = (0, map_size - 1 - j), "

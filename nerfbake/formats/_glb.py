@@ -2,8 +2,8 @@
 
     12 B header: "glTF", 2, total size | JSON chunk: size, "JSON", text, spaces | BIN chunk: size, "BIN\\0", data
 
-Any viewer shows the diffuse texture. Atlas, labels and features are textures that no standard material slot names; their
-indices stand with the atlas's conventions in the material's extras, under "nerfbake_atlas".
+Any viewer shows the diffuse texture. Atlas, labels and features are textures that no standard material slot names;
+their indices stand with the atlas's conventions in the material's extras, under "nerfbake_atlas".
 """
 
 from __future__ import annotations

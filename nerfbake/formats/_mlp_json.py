@@ -39,13 +39,20 @@ def decode_mlp(view: memoryview, *, max_memory: int) -> Mlp:
     bound = content.get("bound", 1.0)
     if type(bound) not in (int, float) or not 0 < bound < 1e9:
         raise InvalidFile(Problem(f"{_NAME}: bound", f"is {str(bound)[:40]}", "a length above 0"))
-    if extra := sorted(key for key in content if key.startswith("net.") and key not in ("net.0.weight", "net.1.weight")):
+    if extra := sorted(
+        key for key in content if key.startswith("net.") and key not in ("net.0.weight", "net.1.weight")
+    ):
         raise InvalidFile(Problem(_NAME, f"has {extra[0]}", "two layers without bias: net.0.weight and net.1.weight"))
     return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), float(bound), cascades)
 
 
 def encode_mlp(mlp: Mlp) -> bytes:
-    content = {"net.0.weight": mlp.w0.tolist(), "net.1.weight": mlp.w1.tolist(), "bound": mlp.bound, "cascade": mlp.cascades}
+    content = {
+        "net.0.weight": mlp.w0.tolist(),
+        "net.1.weight": mlp.w1.tolist(),
+        "bound": mlp.bound,
+        "cascade": mlp.cascades,
+    }
     return json.dumps(content).encode()
 
 

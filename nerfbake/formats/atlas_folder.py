@@ -18,7 +18,6 @@ import json
 import platform
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -97,7 +96,7 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
             OctahedralAtlas(
                 entry.method,
                 octahedron.unpack(image, count, size, border),
-                labels[..., 0] | labels[..., 1] << 8,
+                (labels[..., 0] | labels[..., 1] << 8).astype(np.uint16),
                 None if entry.method == "kmeans" else texture("features"),
                 border,
                 entry.slope,

@@ -6,13 +6,13 @@ MLP must be there; without meshes every texel counts as used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._mlp_json import Mlp, decode_mlp, encode_mlp
-from nerfbake.formats._obj import decode_obj
+from nerfbake.formats._obj import decode_obj, encode_obj
 from nerfbake.formats._texture import decode_texture, encode_texture
 from nerfbake.kernels.raster import cover
 from nerfbake.scene.mesh import TexturedMesh
@@ -46,19 +46,20 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> Stage1:
     return Stage1(tuple(fields), tuple(meshes), handed_on)
 
 
-def encode(stage1: Stage1) -> Iterator[tuple[str, list[bytes | memoryview]]]:
-    """The files by name: PNGs, so that features are what they are; meshes and diffuse textures as they were given."""
+def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:
+    """The files by name. Textures are PNGs, so that features stay exact; what came from files stays as it was."""
     first = stage1.fields[0]
     yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, 1.0, len(stage1.fields)))]
     for cascade, field in enumerate(stage1.fields):
         yield f"feat1_{cascade}.png", [encode_texture(field.features)]
+        mesh = stage1.meshes[cascade]
+        if mesh is not None and f"mesh_{cascade}.obj" not in stage1.files:
+            yield f"mesh_{cascade}.obj", encode_obj(mesh, f"mesh_{cascade}.mtl")
+            yield f"mesh_{cascade}.mtl", [_MTL.format(f"feat0_{cascade}.png").encode()]
+    for cascade, texels in enumerate(stage1.diffuse):
+        yield f"feat0_{cascade}.png", [encode_texture(texels)]
     for name, content in stage1.files.items():
         yield name, [content]
-
-
-def encode_material(diffuse: str) -> bytes:
-    """mesh_{c}.mtl, as nerf2mesh writes it."""
-    return _MTL.format(diffuse).encode()
 
 
 def _require(files: Mapping[str, memoryview], name: str) -> memoryview:

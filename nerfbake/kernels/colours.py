@@ -1,7 +1,7 @@
 """8-bit colours as numbers whose order keeps neighbours together.
 
 A code is the colour's 24 bits interleaved, the highest first: r7 g7 b7 r6 g6 b6 ... r0 g0 b0 (Morton order), so that
-code >> 3 (8 - b) numbers the cells of a grid of 2^b cells along each axis, and sorting by code sorts by every such cell.
+code >> 3 (8 - b) numbers the cells of a grid of 2^b cells along each axis, and sorting by code sorts by such cells.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ _SPREAD = dilate(np.arange(256)).astype(np.uint32)
 
 def encode(colours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
     """(..., 3) uint8 -> (...) codes."""
-    return _SPREAD[colours[..., 0]] << 2 | _SPREAD[colours[..., 1]] << 1 | _SPREAD[colours[..., 2]]
+    r, g, b = (_SPREAD[colours[..., channel]] for channel in range(3))
+    return (r << 2 | g << 1 | b).astype(np.uint32, copy=False)
 
 
 def decode(codes: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint8]:

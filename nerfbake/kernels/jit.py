@@ -6,21 +6,19 @@ Compiled code is kept beside the module (or in the user's cache), so that only t
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(
-    *, parallel: bool = False, fastmath: bool = False, inline: bool = False
-) -> Callable[[Function], Function]:
+def compiled(*, parallel: bool = False, fastmath: bool = False, inline: bool = False) -> Callable[[Function], Function]:
     """Compiles a function. fastmath lets sums be reordered, hence vectorised: their inputs must be finite."""
 
     def compile_(function: Function) -> Function:
-        how = "always" if inline else "never"
-        result: Function = numba.njit(cache=True, parallel=parallel, fastmath=fastmath, inline=how)(function)
-        return result
+        how: Literal["always", "never"] = "always" if inline else "never"
+        result: Any = numba.njit(function, cache=True, parallel=parallel, fastmath=fastmath, inline=how)
+        return cast(Function, result)
 
     return compile_

@@ -2,7 +2,8 @@
 
 A centre can be the nearest of a point only if it is within nearest + 2 radii of the cell's mean, where nearest is the
 mean's own distance to its closest centre (the triangle inequality, twice). With cells of 5-bit colour and 2048 centres
-that leaves 34 of them on average. Sums are kept in a fixed number of parts, added in order: no thread count changes them.
+that leaves 34 of them on average. Sums are kept in a fixed number of parts, added in order, so that no number of
+threads changes them.
 """
 
 from __future__ import annotations

@@ -10,9 +10,7 @@ from nerfbake.kernels.jit import compiled
 REACH = 1.0  # texels around a triangle that a bilinear lookup inside it can see
 
 
-def cover(
-    uvs: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], H: int, W: int
-) -> npt.NDArray[np.bool_]:
+def cover(uvs: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], H: int, W: int) -> npt.NDArray[np.bool_]:
     """(H, W) bool: texels whose centre is in a triangle or within a texel of it; uvs (v, 2) in 0..1, v down."""
     covered = np.zeros((H, W), np.bool_)
     # In texels, so that a texel's centre has whole coordinates.

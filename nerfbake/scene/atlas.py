@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import cbrt
 from typing import Any, Literal
 
 import numpy as np
@@ -27,8 +28,8 @@ class OctahedralAtlas:
     """Specular colour = sum over a few maps of weight x map(direction); the method says which maps and weights.
 
     kmeans  one map, tile `label`, weight 1
-    affine  tiles 4 label + i: M0 + sum over i = 1, 2, 3 of J_i o_i; o = (feature byte - 127) / 255 is the texel's feature
-            less its cluster's centre, J_i = (byte - 128) / 127 slope slopes[label] / 255
+    affine  tiles 4 label + i: M0 + sum over i = 1, 2, 3 of J_i o_i; o = (feature byte - 127) / 255 is the texel's
+            feature less its cluster's centre, J_i = (byte - 128) / 127 slope slopes[label] / 255
     grid    n^3 nodes in feature space, tile (r n + g) n + b; the tetrahedron's four corners around the texel's feature
 
     tiles     (T, R, R, 3) uint8, without gutter; kernels.octahedron says what a texel is; linear values
@@ -51,7 +52,12 @@ class OctahedralAtlas:
     def __post_init__(self) -> None:
         shape = self.tiles.shape
         square = self.tiles.ndim == 4 and shape[1] == shape[2] and shape[3] == 3
-        if not square or self.tiles.dtype != np.uint8 or not 1 <= shape[0] <= MAX_TILES or not 2 <= shape[1] <= MAX_MAP_SIZE:
+        if (
+            not square
+            or self.tiles.dtype != np.uint8
+            or not 1 <= shape[0] <= MAX_TILES
+            or not 2 <= shape[1] <= MAX_MAP_SIZE
+        ):
             found = f"have shape {shape}, dtype {self.tiles.dtype}"
             allowed = f"(T, R, R, 3) uint8, T to {MAX_TILES:,}, R 2 to {MAX_MAP_SIZE:,}"
             raise InvalidScene(Problem("tiles", found, allowed))
@@ -68,7 +74,9 @@ class OctahedralAtlas:
             raise InvalidScene(Problem("features", found, f"{(*self.labels.shape, 3)} uint8"))
         if not 0 <= self.border <= self.R // 2:
             raise InvalidScene(Problem("border", f"is {self.border}", f"0 to {self.R // 2} texels, half a map"))
-        if self.K * self.maps_per_cluster != len(self.tiles) or (self.method == "grid" and self.n**3 != len(self.tiles)):
+        if self.K * self.maps_per_cluster != len(self.tiles) or (
+            self.method == "grid" and self.n**3 != len(self.tiles)
+        ):
             allowed = {"kmeans": "any number", "affine": "4 a cluster", "grid": "n^3, n from 2"}[self.method]
             raise InvalidScene(Problem("tiles", f"are {len(self.tiles):,}", allowed))
         if not np.isfinite(self.slope):
@@ -76,7 +84,9 @@ class OctahedralAtlas:
         if (self.slopes is None) != (self.method != "affine") or (
             self.slopes is not None and (self.slopes.shape != (self.K,) or self.slopes.dtype != np.uint8)
         ):
-            found = "are missing" if self.slopes is None else f"have shape {self.slopes.shape}, dtype {self.slopes.dtype}"
+            found = (
+                "are missing" if self.slopes is None else f"have shape {self.slopes.shape}, dtype {self.slopes.dtype}"
+            )
             raise InvalidScene(Problem("slopes", found, f"({self.K},) uint8 for affine, none for others"))
         if int(self.labels.max()) >= self.K:
             at = np.unravel_index(int(np.argmax(self.labels)), self.labels.shape)
@@ -103,7 +113,7 @@ class OctahedralAtlas:
     @property
     def n(self) -> int:
         """Nodes of `grid` along each axis of feature space."""
-        return max(2, round(len(self.tiles) ** (1 / 3)))
+        return max(2, round(cbrt(len(self.tiles))))
 
     @property
     def image(self) -> npt.NDArray[np.uint8]:
@@ -129,7 +139,8 @@ class OctahedralAtlas:
         if self.slopes is not None:
             offset = (features.astype(np.float32) - ZERO_OFFSET) / np.float32(255)
             offset *= self.slopes[label] * np.float32(self.slope / 255)
-            return label * 4 + np.arange(4, dtype=np.int32), np.insert(offset, 0, 1, axis=1)
+            tiles = (label * 4 + np.arange(4)).astype(np.int32)
+            return tiles, np.insert(offset, 0, 1, axis=1).astype(np.float32)
         return tetrahedron(features, self.n)
 
 
@@ -141,7 +152,7 @@ def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int3
     """
     place = features.astype(np.float32) * np.float32((n - 1) / 255)
     low = np.minimum(place.astype(np.int32), n - 2)
-    fraction = place - low
+    fraction = place - low.astype(np.float32)
     order = np.argsort(-fraction, axis=1, kind="stable")
     step = np.array([n * n, n, 1], np.int32)[order]
     nodes = np.concatenate([low @ np.array([[n * n], [n], [1]], np.int32), step], axis=1).cumsum(axis=1, dtype=np.int32)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from nerfbake.scene.mesh import TexturedMesh
 from nerfbake.scene.specular import SpecularField
 
@@ -16,12 +19,14 @@ class Stage1:
     fields   their feature textures, with the MLP that they share
     meshes   None where the mesh is not there
     files    the meshes and diffuse textures as they stand in the folder, by name, to be handed on untouched
+    diffuse  (H, W, 3) uint8 each, in place of files, for a scene that was made and not read
     Source: nerf2mesh (arXiv 2303.02091) and its forks; spec/atlas.md, 1.
     """
 
     fields: tuple[SpecularField, ...]
     meshes: tuple[TexturedMesh | None, ...]
     files: Mapping[str, bytes | memoryview] = field(default_factory=dict)
+    diffuse: tuple[npt.NDArray[np.uint8], ...] = ()
 
     def __str__(self) -> str:
         return "; ".join(map(str, self.fields))

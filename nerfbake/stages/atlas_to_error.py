@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels import colours, mlp
+from nerfbake.kernels.mlp import Shown
 from nerfbake.kernels.octahedron import Lookup
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
-
-_CHUNK = 1024  # colours at a time: 1.2 MB of outputs in 100 directions stay in the second-level cache
 
 
 class AtlasError(NamedTuple):
@@ -38,24 +37,28 @@ def measure_error(
     """The error of an atlas over every used texel and N unit directions (N, 3). Source: the thesis' metric.
 
     lookup: kernels.octahedron.sample says which there are; `thesis` also truncates colours where the others round, and
-    evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1 norm
-    in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the texture is
-    read by columns from the bottom left). Raises InvalidScene if the textures differ in size.
+    evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1
+    norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the
+    texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size.
     """
     if atlas.labels.shape != field.features.shape[:2]:
         found, allowed = (f"{shape[1]}x{shape[0]}" for shape in (atlas.labels.shape, field.features.shape))
         raise InvalidScene(Problem("labels", f"have {found} texels", f"{allowed} as the feature texture has"))
     keys, counts = np.unique(_keys(atlas, field), return_counts=True)
     codes = (keys >> 40).astype(np.uint32)
-    index, weight = atlas.terms((keys >> 24 & 0xFFFF).astype(np.uint16), colours.decode(keys & 0xFFFFFF))
+    features = colours.decode((keys & 0xFFFFFF).astype(np.uint32))
+    index, weight = atlas.terms((keys >> 24 & 0xFFFF).astype(np.uint16), features)
     table = atlas.show(directions, lookup).transpose(0, 2, 1).reshape(len(atlas.tiles), -1)
+    shown = Shown(table, index, weight)
     asked = directions / np.abs(directions).sum(axis=1, keepdims=True) if thesis_fault else directions
-    sums = _sums(field, codes, index, weight, table, asked, lookup)
+    sums = _sums(field, codes, shown, asked, lookup)
     if thesis_fault:
         first = codes == colours.encode(_first_met(field))
-        sums[first] = _sums(field, codes[first], index[first], weight[first], table, directions, lookup)
+        met = Shown(table, index[first], weight[first])
+        sums[first] = _sums(field, codes[first], met, directions, lookup)
     means = counts @ sums / (counts.sum() * table.shape[1])
-    return AtlasError(*(float(mean) for mean in means), texels=int(counts.sum()), colours=len(keys))
+    mae, mse, mae_float, mse_float = means.tolist()
+    return AtlasError(mae, mse, mae_float, mse_float, int(counts.sum()), len(keys))
 
 
 def _keys(atlas: OctahedralAtlas, field: SpecularField) -> npt.NDArray[np.uint64]:
@@ -70,25 +73,19 @@ def _keys(atlas: OctahedralAtlas, field: SpecularField) -> npt.NDArray[np.uint64
 def _first_met(field: SpecularField) -> npt.NDArray[np.uint8]:
     column = int(np.argmax(field.used.any(axis=0)))
     row = int(np.flatnonzero(field.used[:, column])[-1])
-    return field.features[row, column]
+    first: npt.NDArray[np.uint8] = field.features[row, column]
+    return first
 
 
 def _sums(
     field: SpecularField,
     codes: npt.NDArray[np.uint32],
-    index: npt.NDArray[np.int32],
-    weight: npt.NDArray[np.float32],
-    table: npt.NDArray[np.float32],
+    shown: Shown,
     directions: npt.NDArray[np.float64],
     lookup: Lookup,
 ) -> npt.NDArray[np.float64]:
-    """(m, 4) what mlp.compare() says of m texels."""
-    evaluate = mlp.evaluate_exactly if lookup == "thesis" else mlp.evaluate
-    half = np.float32(0 if lookup == "thesis" else 0.5)
-    out = np.empty((len(codes), 4))
-    features = colours.decode(codes)
-    for start in range(0, len(codes), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        truth = evaluate(features[part] / 255, directions, field.w0, field.w1).reshape(-1, table.shape[1])
-        mlp.compare(truth, table, index[part], weight[part], half, out[part])
-    return out
+    """(m, 4) the differences of m texels, kernels.mlp.compare."""
+    features = colours.decode(codes) / 255
+    if lookup == "thesis":
+        return mlp.compare_exactly(features, directions, field.w0, field.w1, shown)
+    return mlp.compare(features, mlp.split(directions, field.w0, field.w1), shown)

@@ -38,6 +38,8 @@ def mean_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters
 
 
 class AffineMaps(NamedTuple):
+    """A colour that follows the feature, for each cluster."""
+
     maps: Floats  # (4 K, R, R, 3): the colour at the centre 0..1, then its slopes along red, green and blue
     centres: npt.NDArray[np.int64]  # (K, 3) 0..255
 

@@ -37,9 +37,9 @@ class Clusters:
 def cluster(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> Clusters:
     """Weighted k-means of the identifiers, each centre then snapped to the member with the closest identifier.
 
-    Labels go by the snapped colours. Centres that nobody is near, or that snap to one colour, are dropped, so that there
-    may be fewer clusters than asked for. The same seed gives the same clusters, whatever the number of threads. Raises
-    InvalidScene for more clusters than colours. Source: the thesis, with Lloyd's iteration made exact and fast.
+    Labels go by the snapped colours. Centres that nobody is near, or that snap to one colour, are dropped, so that
+    there may be fewer clusters than asked for. The same seed gives the same clusters, whatever the number of threads.
+    Raises InvalidScene for more clusters than colours. Source: the thesis, with Lloyd's iteration made exact and fast.
 
     Greedy k-means++ on the means of cells of 5-bit colour starts the rounds. benchmarks/atlas.py compares with
     scikit-learn's KMeans.
@@ -60,9 +60,7 @@ def cluster(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> C
     return Clusters(np.searchsorted(held, labels).astype(np.int32), members[held])
 
 
-def _coarse_centres(
-    identifiers: Identifiers, clusters: int, random: np.random.Generator
-) -> npt.NDArray[np.float32]:
+def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.Generator) -> npt.NDArray[np.float32]:
     """k-means of the means of cells of colours, the largest cells that are several times as many as the clusters."""
     for bits in range(_CELL_BITS, 9):
         start = _cells(identifiers.codes, bits)

@@ -47,7 +47,9 @@ def measure_stage1(
     """
     if len(baked.atlases) != len(stage1.fields):
         raise InvalidScene(
-            Problem("the atlas", f"has {len(baked.atlases)} cascades", f"{len(stage1.fields)} as the stage-1 folder has")
+            Problem(
+                "the atlas", f"has {len(baked.atlases)} cascades", f"{len(stage1.fields)} as the stage-1 folder has"
+            )
         )
     asked = fibonacci(HELD_OUT if held_out else directions)
     return [
