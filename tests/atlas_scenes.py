@@ -39,9 +39,7 @@ def texture(H: int = 24, W: int = 32, seed: int = 0) -> npt.NDArray[np.uint8]:
 def field(H: int = 24, W: int = 32, hidden: int = 8, seed: int = 0) -> SpecularField:
     random = np.random.default_rng(seed)
     w0, w1 = random.normal(size=(6, hidden)), random.normal(size=(hidden, 3))
-    return SpecularField(
-        texture(H, W, seed), w0.astype(np.float32), w1.astype(np.float32), np.ones((H, W), bool)
-    )
+    return SpecularField(texture(H, W, seed), w0.astype(np.float32), w1.astype(np.float32), np.ones((H, W), bool))
 
 
 def stage1_folder(path: Path, **files: bytes | None) -> Path:

@@ -61,7 +61,9 @@ class Twin:
 
     def tile(self, index: Floats, octahedral: Floats) -> Floats:
         row = np.floor((index + 0.5) / self.tilesPerRow)
-        corner = np.stack([index - row * self.tilesPerRow, row], axis=1) * (self.mapSize + 2 * self.border) + self.border
+        corner = (
+            np.stack([index - row * self.tilesPerRow, row], axis=1) * (self.mapSize + 2 * self.border) + self.border
+        )
         return self.linear(corner + octahedral * self.mapSize)
 
     def linear(self, at: Floats) -> Floats:

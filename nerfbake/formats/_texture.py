@@ -35,7 +35,7 @@ def decode_texture(view: memoryview, name: str, *, max_memory: int) -> npt.NDArr
                     raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
                 return np.asarray(image)
     except Image.DecompressionBombError:
-        raise InvalidFile(Problem(name, "declares more texels than an image has", f"{MAX_EDGE:,} an edge")) from None
+        raise InvalidFile(Problem(name, "declares more than 178 million texels", f"{MAX_EDGE:,} an edge")) from None
     except _BROKEN as error:
         raise InvalidFile(Problem(name, f"cannot be read ({error})", "a whole PNG or JPEG")) from None
 

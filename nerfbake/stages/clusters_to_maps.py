@@ -9,18 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels import colours, mlp, octahedron
-from nerfbake.scene.atlas import tetrahedron
+from nerfbake.scene.atlas import ZERO_OFFSET, tetrahedron
 from nerfbake.scene.specular import SpecularField
-from nerfbake.stages.identifiers_to_clusters import Clusters
+from nerfbake.stages.identifiers_to_clusters import FLATNESS, Clusters
 from nerfbake.stages.specular_to_identifiers import Identifiers
 
 Floats = npt.NDArray[np.float64]
 
 _OUTPUTS = 1 << 22  # of the MLP at a time: 16 MB
 _CELL_BITS = 5  # colours of a cell of 5-bit colour stand together in a fit
-# Pull towards a flat map (affine) or the MLP at the node (grid), for what the data do not settle.
-_FLATNESS = 1 / 255**2
-_NODE_WEIGHT = 1e-4
+_NODE_WEIGHT = 1e-4  # pull of a grid's node towards the MLP's own outputs there, for what no colour settles
 
 
 def snapped_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> Floats:
@@ -47,19 +45,26 @@ class AffineMaps(NamedTuple):
 def affine_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> AffineMaps:
     """Per cluster the least-squares fit of M0 + sum J_i (f - c)_i to what the MLP shows, f in 0..1.
 
-    The centre c is the middle of the cluster's box of colours: every offset then fits a byte without loss.
+    The centre c is the cluster's mean, moved as far as it takes for every offset to fit a byte without loss.
     """
     box = np.array([[255] * 3, [0] * 3])[:, None].repeat(clusters.K, axis=1)
     bytes_ = colours.decode(identifiers.codes)
     np.minimum.at(box[0], clusters.labels, bytes_)
     np.maximum.at(box[1], clusters.labels, bytes_)
-    centres = box.sum(axis=0) // 2
+    centres = np.clip(_means(identifiers, clusters), box[1] - (255 - ZERO_OFFSET), box[0] + ZERO_OFFSET)
     maps = np.empty((clusters.K, 4, 3 * map_size**2))
     for k, (features, weight) in enumerate(_group(identifiers, clusters.labels)):
         design = np.insert(features - centres[k] / 255, 0, 1, axis=1)
         left, right = _moments(field, features, weight, design, map_size)
-        maps[k] = np.linalg.solve(left + weight.sum() * _FLATNESS * np.diag([0, 1, 1, 1]), right)
+        maps[k] = np.linalg.solve(left + weight.sum() * FLATNESS * np.diag([0, 1, 1, 1]), right)
     return AffineMaps(_as_maps(maps.reshape(4 * clusters.K, -1), map_size), centres)
+
+
+def _means(identifiers: Identifiers, clusters: Clusters) -> npt.NDArray[np.int64]:
+    """(K, 3) the mean colour of each cluster's texels, rounded to 0..255."""
+    weight = np.bincount(clusters.labels, identifiers.counts)
+    sums = [np.bincount(clusters.labels, identifiers.counts * channel) for channel in identifiers.features.T]
+    return np.rint(255 * np.stack(sums, axis=1) / weight[:, None]).astype(np.int64)
 
 
 def grid_maps(field: SpecularField, identifiers: Identifiers, *, nodes: int, map_size: int) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels import colours, lloyd
+from nerfbake.kernels import colours, lloyd, planes
 from nerfbake.stages.specular_to_identifiers import Identifiers
 
 MAX_CLUSTERS = 1 << 16
@@ -16,6 +16,9 @@ COARSE_ROUNDS = 30  # of Lloyd's iteration on the means of small cells of colour
 ROUNDS = 12  # on the colours themselves; 20 lower the inertia by another 0.3 %
 _CELL_BITS = 5  # of colour: the cells that prune the assignment
 _GROUPS_PER_CLUSTER = 8
+PLANE_ROUNDS = 6
+FLATNESS = 1 / 255**2  # pull on a plane's slopes, for what the members do not settle: one step of a byte
+_CANDIDATES = 16  # planes that a cell's colours may go to
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,24 @@ def cluster(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> C
     # Every member is its own nearest, so that no label is without colours; equal points share the first's.
     held = np.unique(labels)
     return Clusters(np.searchsorted(held, labels).astype(np.int32), members[held])
+
+
+def cluster_planes(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> Clusters:
+    """Clusters of colours whose identifiers follow the feature in a plane; `members` are those of cluster().
+
+    From cluster()'s on, each round fits a plane to every cluster and gives each colour to the plane that comes
+    closest: after 6 rounds affine maps have half the squared error of those of plain clusters.
+    """
+    found = cluster(identifiers, clusters=clusters, seed=seed)
+    points, features = identifiers.points, identifiers.features.astype(np.float32)
+    cells = lloyd.bound_cells(points, _cells(identifiers.codes, _CELL_BITS))
+    candidates = planes.nearest_clusters(cells, points[found.members], _CANDIDATES)
+    labels = found.labels
+    for _ in range(PLANE_ROUNDS):
+        fitted = planes.fit(points, features, identifiers.counts, labels, found.K, FLATNESS)
+        labels = planes.assign(points, features, cells, candidates, fitted)
+    held, compact = np.unique(labels, return_inverse=True)
+    return Clusters(compact.astype(np.int32), found.members[held])
 
 
 def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.Generator) -> npt.NDArray[np.float32]:

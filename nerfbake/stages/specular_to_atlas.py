@@ -14,7 +14,7 @@ from nerfbake.kernels.sphere import fibonacci
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, ZERO_OFFSET, ZERO_SLOPE, Method, OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
 from nerfbake.stages.clusters_to_maps import affine_maps, grid_maps, mean_maps, snapped_maps
-from nerfbake.stages.identifiers_to_clusters import Clusters, cluster
+from nerfbake.stages.identifiers_to_clusters import Clusters, cluster, cluster_planes
 from nerfbake.stages.specular_to_identifiers import Identifiers, identify
 
 MAX_NODES = 16
@@ -56,7 +56,8 @@ def bake_atlas(
             maps = grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
             labels = np.zeros(field.used.shape, np.uint16)
             return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
-        found = cluster(identifiers, clusters=clusters, seed=seed)
+        find = cluster_planes if method == "affine" else cluster
+        found = find(identifiers, clusters=clusters, seed=seed)
         labels = label_texels(field, identifiers, found)
         if method == "affine":
             affine = affine_maps(field, identifiers, found, map_size=map_size)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,7 @@ def test_a_round_never_raises_the_inertia() -> None:
         label, distance = lloyd.assign(points, cells, centres)
         inertia.append(float(distance.astype(float) @ weight))
         centres = lloyd.move(points, weight, label, centres)
-    assert all(later <= earlier * (1 + 1e-6) for earlier, later in zip(inertia, inertia[1:], strict=False))
+    assert all(later <= earlier * (1 + 1e-6) for earlier, later in pairwise(inertia))
     assert inertia[-1] < inertia[0]
 
 

@@ -16,7 +16,7 @@ def by_formula(features: np.ndarray, directions: np.ndarray, w0: np.ndarray, w1:
     m, n = len(features), len(directions)
     inputs = np.concatenate([np.tile(directions, (m, 1)), np.repeat(features, n, axis=0)], axis=1)
     outputs = 1 / (1 + np.exp(-np.maximum(inputs @ w0.astype(float), 0) @ w1.astype(float)))
-    return outputs.reshape(m, n, 3).transpose(0, 2, 1)
+    return np.asarray(outputs.reshape(m, n, 3).transpose(0, 2, 1))
 
 
 @pytest.mark.parametrize("hidden", [1, 7, 32])
@@ -44,10 +44,8 @@ def test_projection_is_a_product() -> None:
 def test_comparison_by_hand() -> None:
     # Weights of zero show 1/2 everywhere: 127.5, which rounds to 128 and is cut to 127.
     w0, w1 = np.zeros((6, 4), np.float32), np.zeros((4, 3), np.float32)
-    table = np.array([[125, 125, 125]], np.float32) / 255
+    table = np.array([[125, 125, 125]], np.float32) / np.float32(255)
     shown = mlp.Shown(table, np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32))
     one, direction = np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])
     np.testing.assert_allclose(mlp.compare(one, mlp.split(direction, w0, w1), shown), [[9, 27, 7.5, 18.75]], rtol=1e-4)
-    np.testing.assert_allclose(
-        mlp.compare_exactly(one, direction, w0, w1, shown), [[6, 12, 7.5, 18.75]], rtol=1e-4
-    )
+    np.testing.assert_allclose(mlp.compare_exactly(one, direction, w0, w1, shown), [[6, 12, 7.5, 18.75]], rtol=1e-4)
