@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.specular import SpecularField as SpecularField
     from nerfbake.scene.stage1 import Stage1 as Stage1
     from nerfbake.stages.atlas_to_error import measure_error as measure_error
+    from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
     from nerfbake.stages.clusters_to_maps import snapped_maps as snapped_maps
     from nerfbake.stages.identifiers_to_clusters import cluster as cluster
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree

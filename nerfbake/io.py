@@ -88,14 +88,23 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
         return _write_all(file, pieces)
 
 
-def load_folder(source: str | Path, kind: type[Scene], *, max_memory: int = MAX_MEMORY) -> Scene:
-    """The scene of this type in a folder. Raises NerfbakeError naming the folder and the file in it."""
+def load_folder(
+    source: str | Path,
+    kind: type[Scene],
+    *,
+    more: Mapping[str, memoryview] | None = None,
+    max_memory: int = MAX_MEMORY,
+) -> Scene:
+    """The scene of this type in a folder, and in `more` files as if they stood there.
+
+    Raises NerfbakeError naming the folder and the file in it.
+    """
     with blame(str(source)):
         path = Path(source)
         if not path.is_dir():
             found = "is no folder" if path.exists() else "is not there"
             raise InvalidFile(f"{found}; allowed: a folder, {folders_of(kind.__name__)[0].title}")
-        return decode_files(_Folder(path, max_memory), kind, max_memory=max_memory)
+        return decode_files(_Folder(path, max_memory, more or {}), kind, max_memory=max_memory)
 
 
 def decode_files(files: Mapping[str, memoryview], kind: type[Scene], *, max_memory: int = MAX_MEMORY) -> Scene:
@@ -152,12 +161,14 @@ def require_no_folder(target: str | Path, *, force: bool) -> None:
 
 
 class _Folder(Mapping[str, memoryview]):
-    """A folder's files by name, each mapped when it is asked for."""
+    """A folder's files by name, each mapped when it is asked for, and more that are in its place."""
 
-    def __init__(self, path: Path, max_memory: int) -> None:
-        self._path, self._max_memory = path, max_memory
+    def __init__(self, path: Path, max_memory: int, more: Mapping[str, memoryview]) -> None:
+        self._path, self._max_memory, self._more = path, max_memory, more
 
     def __getitem__(self, name: str) -> memoryview:
+        if name in self._more:
+            return self._more[name]
         path = self._path / name
         if not path.is_file():
             raise KeyError(name)
@@ -165,10 +176,10 @@ class _Folder(Mapping[str, memoryview]):
             return _map(path, self._max_memory)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(sorted(path.name for path in self._path.iterdir()))
+        return iter(sorted({path.name for path in self._path.iterdir()} | set(self._more)))
 
     def __len__(self) -> int:
-        return sum(1 for _ in self._path.iterdir())
+        return sum(1 for _ in self)
 
 
 def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:

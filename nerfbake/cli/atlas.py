@@ -29,6 +29,13 @@ from nerfbake.cli.words import Words
     "--directions", type=click.IntRange(1, 4096), default=100, show_default=True, help="In which colours are compared."
 )
 @click.option(
+    "--direction-set",
+    type=click.Choice(["fibonacci", "cameras"]),
+    default="fibonacci",
+    show_default=True,
+    help="All count the same, or as often as the cameras of --transforms look along them at the mesh.",
+)
+@click.option(
     "--centres",
     type=click.Choice(["snapped", "mean"]),
     default="snapped",

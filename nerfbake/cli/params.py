@@ -94,6 +94,7 @@ class Stage1Input:
     folder: str
     features: tuple[str, ...]
     mlp: str | None
+    transforms: str | None
     max_memory: int
 
     @property
@@ -102,10 +103,12 @@ class Stage1Input:
 
     def read(self, words: Words) -> Any:
         with self.blamed(words, f"reading {self.name}"):
+            named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
+            named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
+            given = {name: path for name, path in named.items() if path is not None}
+            files = io.load_files(given, max_memory=self.max_memory)
             if self.folder:
-                return io.load_folder(self.folder, nerfbake.Stage1, max_memory=self.max_memory)
-            named = {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
-            files = io.load_files({"mlp.json": str(self.mlp), **named}, max_memory=self.max_memory)
+                return io.load_folder(self.folder, nerfbake.Stage1, more=files, max_memory=self.max_memory)
             return io.decode_files(files, nerfbake.Stage1, max_memory=self.max_memory)
 
     @contextmanager
@@ -153,15 +156,22 @@ def bakes_stage1(function: Command) -> Command:
         "--feature", "features", multiple=True, type=click.Path(), help="Feature texture, one for each cascade."
     )
     @click.option("--mlp", type=click.Path(), help="Its mlp.json; both stand in for STAGE1_DIR.")
+    @click.option("--transforms", type=click.Path(), help="Where the training cameras stood, in the mesh's own world.")
     @click.option("--force", is_flag=True, help="Replace OUT_DIR and all that is in it.")
     @max_memory
     @functools.wraps(function)
     def command(
-        *args: Any, folders: tuple[str, ...], features: tuple[str, ...], mlp: str | None, max_memory: int, **others: Any
+        *args: Any,
+        folders: tuple[str, ...],
+        features: tuple[str, ...],
+        mlp: str | None,
+        transforms: str | None,
+        max_memory: int,
+        **others: Any,
     ) -> Any:
         if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
             raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
-        source = Stage1Input("" if mlp else folders[0], features, mlp, max_memory)
+        source = Stage1Input("" if mlp else folders[0], features, mlp, transforms, max_memory)
         return function(*args, source=source, target=folders[-1], **others)
 
     return command

@@ -1,7 +1,7 @@
 """nerf2mesh's stage-1 folder: mesh_{c}.obj and .mtl, feat0_{c} (diffuse), feat1_{c} (specular feature), mlp.json.
 
 Textures are .jpg, or .png as older forks write them. mlp.json says how many cascades c there are. Feature textures and
-MLP must be there; without meshes every texel counts as used.
+MLP must be there; without meshes every texel counts as used. A transforms.json says where cameras stood.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._mlp_json import Mlp, decode_mlp, encode_mlp
 from nerfbake.formats._obj import decode_obj, encode_obj
 from nerfbake.formats._texture import decode_texture, encode_texture
+from nerfbake.formats._transforms import decode_positions
 from nerfbake.kernels.raster import cover
 from nerfbake.scene.mesh import TexturedMesh
 from nerfbake.scene.specular import SpecularField
@@ -43,7 +44,10 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> Stage1:
         meshes.append(mesh)
         others = (f"mesh_{cascade}.obj", f"mesh_{cascade}.mtl", f"feat0_{cascade}.jpg", f"feat0_{cascade}.png")
         handed_on |= {other: files[other] for other in others if other in files}
-    return Stage1(tuple(fields), tuple(meshes), handed_on)
+    cameras = None
+    if "transforms.json" in files:
+        cameras = decode_positions(files["transforms.json"], max_memory=max_memory)
+    return Stage1(tuple(fields), tuple(meshes), handed_on, cameras)
 
 
 def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:

@@ -19,6 +19,7 @@ class Stage1:
     fields   their feature textures, with the MLP that they share
     meshes   None where the mesh is not there
     files    the meshes and diffuse textures as they stand in the folder, by name, to be handed on untouched
+    cameras  (c, 3) float64 where the training cameras stand, in the meshes' own world; None if nobody knows
     diffuse  (H, W, 3) uint8 each, in place of files, for a scene that was made and not read
     Source: nerf2mesh (arXiv 2303.02091) and its forks; spec/atlas.md, 1.
     """
@@ -26,6 +27,7 @@ class Stage1:
     fields: tuple[SpecularField, ...]
     meshes: tuple[TexturedMesh | None, ...]
     files: Mapping[str, bytes | memoryview] = field(default_factory=dict)
+    cameras: npt.NDArray[np.float64] | None = None
     diffuse: tuple[npt.NDArray[np.uint8], ...] = ()
 
     def __str__(self) -> str:
