@@ -28,8 +28,26 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "cli": ({"errors", "catalog", "io", "cli", "nerfbake"}, {"click", "rich"}),
 }
 # The one library that a file is about.
-OWN_LIBRARY = {"_npz_reader": {"zlib_ng"}, "_npz_writer": {"zlib_ng"}}
-HEAVY = {"numpy", "rich", "google", "zipfile", "hashlib", "concurrent", "asyncio"}
+OWN_LIBRARY = {
+    "_npz_reader": {"zlib_ng"},
+    "_npz_writer": {"zlib_ng"},
+    "_zstd": {"zstandard"},
+    "octree_bson": {"bson"},
+    "octree_json": {"orjson"},
+}
+HEAVY = {
+    "bson",
+    "orjson",
+    "zstandard",
+    "matplotlib",
+    "numpy",
+    "rich",
+    "google",
+    "zipfile",
+    "hashlib",
+    "concurrent",
+    "asyncio",
+}
 
 
 def modules() -> list[Path]:
