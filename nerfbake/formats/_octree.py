@@ -184,7 +184,7 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
         narrow = flat.astype(dtype)
     lost = narrow != flat if dtype.kind == "i" else np.isinf(narrow) & np.isfinite(flat)
     if lost.any():
-        raise InvalidFile(Problem(name, f"holds {flat[lost.argmax()]:g}", f"numbers that {dtype.name} can hold"))
+        raise InvalidFile(Problem(name, f"holds {flat[lost.argmax()].item()}", f"numbers that {dtype.name} can hold"))
     return narrow
 
 

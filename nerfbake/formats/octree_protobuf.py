@@ -71,7 +71,7 @@ def encode(
     yield _bytes(11, octree.voxel_size.astype("<f8").tobytes())
     if octree.extra_data is not None:
         yield _bytes(12, octree.extra_data.astype("<f4").tobytes())
-    if profile == "bulk":
+    if children_size and profile == "bulk":
         yield _varint(13 << 3 | _BYTES) + _varint(children_size)
         yield blob_of(children_with(octree.node_children, no_child)).data
 

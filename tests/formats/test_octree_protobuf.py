@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import importlib
 import sys
 from dataclasses import replace
@@ -20,7 +21,9 @@ from nerfbake.formats._octree import TYPE_URLS
 from nerfbake.kernels.varint import encode_varints
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import REPOSITORY
+from tests.formats.octrees import small_octree
 from tests.scenes import assert_same_octree, n3tree, octrees
+from tests.tools import SCHEMAS, protoc
 
 # TR-24-01's own schema: what a reader that has never heard of nerfbake knows.
 LISTING_3 = """
@@ -91,6 +94,41 @@ def test_the_bytes_are_the_ones_that_protobuf_writes(
         extra_data=[] if octree.extra_data is None else octree.extra_data.ravel(),
     )
     assert written(octree, no_child=no_child) == message.SerializeToString(deterministic=True)
+
+
+@given(octree=octrees(), no_child=st.sampled_from([0, -1]))
+def test_the_bulk_profile_is_what_protobuf_writes(
+    schemas: dict[str, Any], octree: SparseVoxelOctree, no_child: int
+) -> None:
+    data = written(octree, no_child=no_child, profile="bulk")
+    message = schemas["svo_ours"].FromString(data)
+    assert not message.node_children
+    children = np.frombuffer(message.node_children_bulk, "<i4").reshape(-1, 8)
+    assert_array_equal(np.where(children == -1, 0, children), octree.node_children)
+    assert message.node_data == octree.node_data.tobytes()
+    assert message.SerializeToString(deterministic=True) == data
+
+
+@pytest.mark.parametrize("profile", ["report", "bulk"])
+def test_protoc_decodes_both_profiles(profile: str) -> None:
+    octree = small_octree()
+    decode = ("--decode=svo.protobuf.SparseVoxelOctree", f"-I{SCHEMAS}", "svo.proto")
+    fields: dict[str, list[str]] = {}
+    for line in protoc(*decode, stdin=written(octree, profile=profile)).decode().splitlines():
+        key, _, value = line.partition(": ")
+        fields.setdefault(key, []).append(value)
+
+    def unescaped(text: str) -> bytes:
+        # Text format writes bytes as C does: octal escapes, and \\n, \\t, \\", \\'.
+        return bytes(ast.literal_eval(f"b{text}"))
+
+    assert [fields[key] for key in ("width", "height", "depth", "data_dim")] == [["4"], ["4"], ["4"], ["13"]]
+    assert unescaped(fields["node_data"][0]) == octree.node_data.tobytes()
+    if profile == "report":
+        assert list(map(int, fields["node_children"])) == octree.node_children.ravel().tolist()
+    else:
+        assert unescaped(fields["node_children_bulk"][0]) == octree.node_children.tobytes()
+    assert list(map(float, fields["voxel_size"])) == octree.voxel_size.tolist()
 
 
 @given(octree=octrees(dtypes=[np.float32]))
