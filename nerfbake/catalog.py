@@ -61,6 +61,10 @@ STAGES = {
 }
 
 
+def load_compression() -> Any:
+    return import_module(COMPRESSION)
+
+
 def format_named(name: str, scene: str) -> Format:
     """The format of this name that holds this scene type. Raises UsageError."""
     known = formats_of(scene)

@@ -13,19 +13,18 @@ import stat
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
 from nerfbake.catalog import (
     COMPRESSED,
-    COMPRESSION,
     COMPRESSION_MAGIC,
     Format,
     format_named,
     format_of_content,
     format_of_path,
     formats_of,
+    load_compression,
 )
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, PipeClosed, Problem, UsageError
 
@@ -60,7 +59,7 @@ def load_with_format(
         path, size = "" if name == "stdin" else name, len(view)
         packed = view[:4] == COMPRESSION_MAGIC
         if packed:
-            view = import_module(COMPRESSION).decompress(view, max_memory=max_memory)
+            view = load_compression().decompress(view, max_memory=max_memory)
             path = _uncompressed(path)
         form = format_of_content(path, bytes(view[:512]))
         extra: dict[str, Any] = {}
@@ -93,7 +92,7 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
     form = format_for(target, type(scene).__name__, to=to)
     pieces = form.load_module().encode(scene, **options)
     if form.suffix.endswith(COMPRESSED):
-        pieces = import_module(COMPRESSION).compress(pieces)
+        pieces = load_compression().compress(pieces)
     if str(target) == STREAM:
         if sys.stdout.isatty():
             raise UsageError("stdout is a terminal; allowed: a pipe or a file")

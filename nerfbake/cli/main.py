@@ -11,6 +11,7 @@ from typing import NoReturn
 import click
 
 import nerfbake
+from nerfbake.cli.bench import bench
 from nerfbake.cli.check import check
 from nerfbake.cli.convert import convert
 from nerfbake.cli.info import info
@@ -42,7 +43,7 @@ def cli() -> None:
     """
 
 
-for command in (svo, convert, lod, info, check, sample):
+for command in (svo, convert, lod, info, check, sample, bench):
     cli.add_command(command)
 
 
