@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench clean
+.PHONY: help setup tools demo test lint schemas golden bench clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,10 +10,16 @@ help:  ## what there is to make
 
 $(VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench,test]'
 	touch $@
 
 setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
+
+tools:  ## flatc and capnp, against which the tests hold our files: from Debian, where they are missing and we are root
+	@if command -v flatc >/dev/null && command -v capnp >/dev/null; then :; \
+	elif [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then \
+		echo "no flatc or no capnp: the tests that need them are skipped (Debian: flatbuffers-compiler capnproto)"; \
+	else apt-get update -qq && apt-get install -y -qq flatbuffers-compiler capnproto >/dev/null; fi
 
 demo: setup  ## a synthetic PlenOctree, converted, inspected and checked: build/demo
 	mkdir -p build/demo
@@ -33,8 +39,17 @@ lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint  ## everything that CI holds us to
+test: lint tools  ## everything that CI holds us to
 	$(BIN)/pytest
+
+schemas: setup tools  ## each schema through its own compiler; we generate no code
+	mkdir -p build/schemas
+	$(BIN)/python -m grpc_tools.protoc -Ischemas --python_out=build/schemas svo.proto
+	flatc --python -o build/schemas schemas/svo.fbs
+	capnp compile -ocapnp schemas/svo.capnp > build/schemas/svo.capnp.txt
+
+golden: setup  ## tests/golden anew: the frozen bytes of every format; say why in the commit
+	$(BIN)/python -m tests.test_golden
 
 bench: setup  ## the figures of the README, anew: benchmarks/results
 	$(BIN)/python benchmarks/svo.py

@@ -21,15 +21,25 @@ class Format(NamedTuple):
     module: str  # has encode(scene, **options) and decode(view, *, max_memory, ...)
     title: str
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
+    profiles: tuple[str, ...] = ()  # what encode's `profile` takes, the one it writes unless told otherwise first
 
     def load_module(self) -> Any:
         return import_module(self.module)
 
 
+_OCTREE = "SparseVoxelOctree"
+_BULK, _REPORT = ("bulk", "report"), ("report", "bulk")
+
 # Longer endings stand before the endings they contain.
 FORMATS = (
-    Format("svo.npz", "SparseVoxelOctree", ".svo.npz", "nerfbake.formats.octree_npz", "octree, plain NumPy arrays"),
-    Format("svo.pb", "SparseVoxelOctree", ".svo.pb", "nerfbake.formats.octree_protobuf", "octree, Protocol Buffers"),
+    Format("svo.npz", _OCTREE, ".svo.npz", "nerfbake.formats.octree_npz", "octree, plain NumPy arrays"),
+    Format(
+        "svo.pb", _OCTREE, ".svo.pb", "nerfbake.formats.octree_protobuf", "octree, Protocol Buffers", profiles=_REPORT
+    ),
+    Format("svo.json", _OCTREE, ".svo.json", "nerfbake.formats.octree_json", "octree, JSON", profiles=_BULK),
+    Format("svo.bson", _OCTREE, ".svo.bson", "nerfbake.formats.octree_bson", "octree, BSON", profiles=_BULK),
+    Format("svo.fb", _OCTREE, ".svo.fb", "nerfbake.formats.octree_flatbuffers", "octree, FlatBuffers", profiles=_BULK),
+    Format("svo.capnp", _OCTREE, ".svo.capnp", "nerfbake.formats.octree_capnp", "octree, Cap'n Proto", profiles=_BULK),
     Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
 )
 
@@ -39,6 +49,11 @@ FOLDERS = (
     Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas with its mesh"),
     Format("thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "atlas of the K-means thesis' own code"),
 )
+
+# A further ending of any format: zstd's frames, whose module has compress and decompress.
+COMPRESSED = ".zst"
+COMPRESSION = "nerfbake.formats._zstd"
+COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 SCENES = {
     "BakedAtlas": "nerfbake.scene.atlas",
@@ -64,6 +79,10 @@ STAGES = {
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "summarise": "nerfbake.stages.scene_to_summary",
 }
+
+
+def load_compression() -> Any:
+    return import_module(COMPRESSION)
 
 
 def format_named(name: str, scene: str) -> Format:

@@ -1,7 +1,8 @@
 """load and save: the only place that opens files.
 
 A file is mapped, not read; '-' is stdin or stdout. What is written appears whole or not at all: a temporary file in
-the same folder is renamed over the target once everything is in it, with the permissions any new file gets.
+the same folder is renamed over the target once everything is in it, with the permissions any new file gets. Any format
+may be compressed, said by a further ending (.zst), or seen by the first bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from nerfbake.catalog import Format, folders_of, format_named, format_of_content, format_of_path, formats_of
+from nerfbake.catalog import (
+    COMPRESSED,
+    COMPRESSION_MAGIC,
+    Format,
+    folders_of,
+    format_named,
+    format_of_content,
+    format_of_path,
+    formats_of,
+    load_compression,
+)
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, OutputError, PipeClosed, Problem, UsageError
 
 MAX_MEMORY = 4 << 30
@@ -47,16 +58,21 @@ def load_with_format(
         view = _read_all(sys.stdin.buffer, max_memory) if name == "stdin" else _map(Path(source), max_memory)
         if not len(view):
             raise InvalidFile("is empty; allowed: a file that nerfbake reads")
-        form = format_of_content("" if name == "stdin" else name, bytes(view[:512]))
+        path, size = "" if name == "stdin" else name, len(view)
+        packed = view[:4] == COMPRESSION_MAGIC
+        if packed:
+            view = load_compression().decompress(view, max_memory=max_memory)
+            path = _uncompressed(path)
+        form = format_of_content(path, bytes(view[:512]))
         extra: dict[str, Any] = {}
-        if form.companion and name != "stdin":
-            extra["companion"] = Path(name[: -len(form.suffix)] + form.companion).exists()
+        if form.companion and path:
+            extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
         scene = form.load_module().decode(view, max_memory=max_memory, **extra)
         if kind is not None and not isinstance(scene, kind):
             raise InvalidFile(f"holds {_article(form.scene)}; allowed: {_article(kind.__name__)}")
         if sound:
             scene.require_sound()
-        return scene, form, len(view)
+        return scene, _compressed(form) if packed else form, size
 
 
 def check(source: str | Path, *, max_memory: int = MAX_MEMORY) -> list[Problem]:
@@ -77,6 +93,8 @@ def save(target: str | Path, scene: Any, *, to: str | None = None, force: bool =
     """
     form = format_for(target, type(scene).__name__, to=to)
     pieces = form.load_module().encode(scene, **options)
+    if form.suffix.endswith(COMPRESSED):
+        pieces = load_compression().compress(pieces)
     if str(target) == STREAM:
         if sys.stdout.isatty():
             raise UsageError("stdout is a terminal; allowed: a pipe or a file")
@@ -183,14 +201,32 @@ class _Folder(Mapping[str, memoryview]):
 
 
 def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:
-    """The format to write. Raises UsageError where neither `to` nor the ending names one for this scene type."""
+    """The format to write; its suffix ends with .zst where it is to be compressed.
+
+    Raises UsageError where neither `to` nor the target's ending names one for this scene type.
+    """
+    wanted = str(target) if to is None else to
+    form = _format_for(_uncompressed(str(target)), scene, None if to is None else _uncompressed(to))
+    return _compressed(form) if wanted.lower().endswith(COMPRESSED) else form
+
+
+def _format_for(target: str, scene: str, to: str | None) -> Format:
     if to is not None:
         return format_named(to, scene)
-    if str(target) == STREAM and len(only := formats_of(scene)) == 1:
+    if target == STREAM and len(only := formats_of(scene)) == 1:
         return only[0]
-    if str(target) == STREAM:
+    if target == STREAM:
         raise UsageError("stdout has no ending that names a format; allowed: --to FORMAT")
-    return format_of_path(str(target), scene)
+    return format_of_path(target, scene)
+
+
+def _uncompressed(name: str) -> str:
+    """A path, or a format's name, without the ending of a compressed file."""
+    return name[: -len(COMPRESSED)] if name.lower().endswith(COMPRESSED) else name
+
+
+def _compressed(form: Format) -> Format:
+    return form._replace(name=form.name + COMPRESSED, suffix=form.suffix + COMPRESSED)
 
 
 def require_absent(target: str | Path, *, force: bool) -> None:

@@ -18,6 +18,7 @@ import pytest
 from nerfbake import build_octree, save
 from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
+from tests.formats.octrees import SPELLINGS
 from tests.formats.test_n3tree_npz import archive, svox
 from tests.hostile import complaint
 from tests.scenes import n3tree
@@ -238,18 +239,22 @@ def test_a_chain_of_nodes_ends_soon(tmp_path: Path, capfd: pytest.CaptureFixture
     assert "leads to level 20; allowed: levels 0 to 19" in refused(tmp_path, archive(arrays), capfd)
 
 
+DAMAGED: list[tuple[str, str, str | None]] = [("svo", "npz", None), ("svo", "stored.npz", None)]
+DAMAGED += [("convert", name, profile) for name, profile in SPELLINGS]
+DAMAGED += [("convert", "svo.pb.zst", "report"), ("convert", "svo.npz.zst", None)]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "suffix"), [("svo", "npz"), ("svo", "stored.npz"), ("convert", "svo.pb"), ("convert", "svo.npz")]
-)
-def test_damaged_files(command: str, suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("command", "suffix", "profile"), DAMAGED)
+def test_damaged_files(command: str, suffix: str, profile: str | None, tmp_path: Path) -> None:
     """Cut at every 1 %, and 2,000 bit flips: exit 0 or 1, one line, under 5 s, under 3 GiB, nothing left behind."""
     tree = n3tree(splits=[(0, (0, 0, 0)), (0, (1, 0, 1)), (1, (1, 1, 1))], data_format="SH4")
     source = tmp_path / f"good.{suffix}"
     if command == "svo":
         source.write_bytes(archive(svox(tree), deflated=suffix == "npz"))
     else:
-        save(source, build_octree(tree))
+        options: Any = {"profile": profile} if profile else {}
+        save(source, build_octree(tree), **options)
     arguments = [sys.executable, "-m", "tests.hostile", command, str(source), "2000"]
     done = subprocess.run(arguments, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr

@@ -7,19 +7,18 @@ from typing import Literal
 import click
 
 import nerfbake
-from nerfbake.cli.params import Input, Output, no_child, reads, speaks, writes
+from nerfbake.cli.params import Input, Output, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
 
 
 @click.command()
 @reads
-@writes
+@writes_octree
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),
     help="Child slots for every node, or only above the last level.  [default: as in IN]",
 )
-@no_child
 @speaks
 def convert(
     source: Input, target: Output, layout: Literal["full", "compact"] | None, no_child: int, words: Words

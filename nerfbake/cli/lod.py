@@ -5,15 +5,14 @@ from __future__ import annotations
 import click
 
 import nerfbake
-from nerfbake.cli.params import Input, Output, no_child, reads, speaks, writes
+from nerfbake.cli.params import Input, Output, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
 
 
 @click.command()
 @reads
-@writes
+@writes_octree
 @click.option("--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep; 0 is the root alone.")
-@no_child
 @speaks
 def lod(source: Input, target: Output, level: int, no_child: int, words: Words) -> None:
     """Write the octree IN down to a level as OUT; what is cut off shows as its mean.

@@ -13,6 +13,7 @@ import click
 import nerfbake
 from nerfbake.cli.atlas import atlas
 from nerfbake.cli.atlas_error import atlas_error
+from nerfbake.cli.bench import bench
 from nerfbake.cli.check import check
 from nerfbake.cli.convert import convert
 from nerfbake.cli.info import info
@@ -45,7 +46,7 @@ def cli() -> None:
     """
 
 
-for command in (svo, convert, lod, atlas, atlas_error, info, check, sample):
+for command in (svo, convert, lod, atlas, atlas_error, info, check, sample, bench):
     cli.add_command(command)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import click
 import nerfbake
 from nerfbake import catalog, io
 from nerfbake.cli.words import Words
+from nerfbake.errors import UsageError
 
 FORMATS = ", ".join(form.name for form in catalog.FORMATS)
 
@@ -75,13 +76,18 @@ class Output:
     path: str
     to: str | None
     force: bool
+    profile: str | None = None
 
     def require(self, scene: str) -> None:
         """Raises, before any work is done, if a scene of this type could not be written here."""
-        io.format_for(self.path, scene, to=self.to)
+        form = io.format_for(self.path, scene, to=self.to)
+        if self.profile and not form.profiles:
+            raise UsageError(f"{form.name} is written in one way only; allowed: no --profile")
         io.require_absent(self.path, force=self.force)
 
     def write(self, words: Words, scene: Any, **options: Any) -> None:
+        if self.profile:
+            options["profile"] = self.profile
         with words.phase(f"writing {self.path}"):
             size = io.save(self.path, scene, to=self.to, force=self.force, **options)
         words.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
@@ -181,7 +187,11 @@ def writes(function: Command) -> Command:
     """Adds the argument OUT, --to and --force; the command gets `target`, an Output."""
 
     @click.argument("target", metavar="OUT", type=click.Path(allow_dash=True))
-    @click.option("--to", metavar="FORMAT", help=f"Format of OUT, where its ending does not name it: {FORMATS}.")
+    @click.option(
+        "--to",
+        metavar="FORMAT",
+        help=f"Format of OUT, where its ending does not name it: {FORMATS}; .zst behind it compresses.",
+    )
     @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
     @functools.wraps(function)
     def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
@@ -203,11 +213,27 @@ def speaks(function: Command) -> Command:
 
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-no_child = click.option(
-    "--no-child",
-    type=click.Choice(["0", "-1"]),
-    default="0",
-    show_default=True,
-    callback=lambda ctx, param, value: int(value),
-    help="How OUT spells 'no child'.",
-)
+
+
+def writes_octree(function: Command) -> Command:
+    """Adds what `writes` adds, and how the octree is spelled: --profile, in `target`, and --no-child."""
+
+    @writes
+    @click.option(
+        "--profile",
+        type=click.Choice(["report", "bulk"]),
+        help="Lists of numbers, as TR-24-01 has them, or arrays as blobs.  [default: bulk, but report for svo.pb]",
+    )
+    @click.option(
+        "--no-child",
+        type=click.Choice(["0", "-1"]),
+        default="0",
+        show_default=True,
+        callback=lambda ctx, param, value: int(value),
+        help="How OUT spells 'no child'.",
+    )
+    @functools.wraps(function)
+    def command(*args: Any, target: Output, profile: str | None, **others: Any) -> Any:
+        return function(*args, target=replace(target, profile=profile), **others)
+
+    return command

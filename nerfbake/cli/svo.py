@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 import nerfbake
-from nerfbake.cli.params import Input, Output, Resolution, no_child, reads, speaks, writes
+from nerfbake.cli.params import Input, Output, Resolution, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
 
 RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its centre (as TR-24-01 has it)."
@@ -15,7 +15,7 @@ RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its c
 
 @click.command()
 @reads
-@writes
+@writes_octree
 @click.option("--resolution", type=Resolution(), help="Voxels an axis, 1 to 4096.  [default: the tree's finest]")
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
@@ -29,7 +29,6 @@ RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its c
     "--dtype", type=click.Choice(["float32", "float16"]), default="float32", show_default=True, help="Of the values."
 )
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
-@no_child
 @speaks
 def svo(source: Input, target: Output, no_child: int, words: Words, **options: Any) -> None:
     """Resample the PlenOctree IN to a sparse voxel octree OUT.

@@ -16,17 +16,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, Problem
-from nerfbake.formats._octree import assemble, children_with
+from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.formats._octree import (
+    MAX_2GIB,
+    SMALL_SIZE,
+    TYPE_URLS,
+    Blob,
+    Profile,
+    blob_of,
+    children_with,
+    octree_of,
+    require_size,
+)
 from nerfbake.kernels.varint import decode_varints, encode_varints, varint_sizes
-from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 
-TYPE_URLS = {
-    "float32": "type.googleapis.com/google.protobuf.FloatValue",
-    "float16": "type.googleapis.com/svo.protobuf.Float16Value",
-}
-MAX_MESSAGE = 2**31 - 1
 MAX_FIELDS = 10_000
 _CHUNK = 1 << 18
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
@@ -37,24 +41,28 @@ def recognise(head: bytes) -> bool:
     return head[:1] == b"\x0a" and b"type.googleapis.com/" in head[:64]
 
 
-def encode(octree: SparseVoxelOctree, *, no_child: int = 0) -> Iterator[bytes | memoryview]:
-    """The message in pieces, fields in the order of their numbers. Raises InvalidScene above protobuf's 2 GiB."""
+def encode(
+    octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "report"
+) -> Iterator[bytes | memoryview]:
+    """The message in pieces, fields in the order of their numbers. Raises InvalidScene above protobuf's 2 GiB.
+
+    report: listing 3 field for field, children as varints. bulk: the children as they stand in memory, in a field of
+    their own, which a reader of listing 3 alone does not know.
+    """
     flat = octree.node_children.reshape(-1)
     chunks = [flat[start : start + _CHUNK] for start in range(0, len(flat), _CHUNK)]
-    children_size = sum(varint_sizes(children_with(chunk, no_child)) for chunk in chunks)
-    if (size := children_size + octree.node_data.nbytes + 4096) > MAX_MESSAGE:
-        raise InvalidScene(Problem("svo.pb", f"would take {size:,} bytes", f"{MAX_MESSAGE:,}, protobuf's limit"))
-    dtype = octree.node_data.dtype
-    yield _bytes(1, TYPE_URLS[dtype.name].encode())
+    sizes = (varint_sizes(children_with(chunk, no_child)) for chunk in chunks)
+    children_size = sum(sizes) if profile == "report" else flat.nbytes
+    require_size("svo.pb", children_size + octree.node_data.nbytes + SMALL_SIZE, MAX_2GIB, "protobuf's limit")
+    yield _bytes(1, TYPE_URLS[octree.node_data.dtype.name].encode())
     for number, edge in enumerate(octree.size, start=2):
         yield _varint(number << 3 | _VARINT) + _varint(edge)
-    if children_size:
+    if children_size and profile == "report":
         yield _varint(5 << 3 | _BYTES) + _varint(children_size)
         for chunk in chunks:
             yield encode_varints(children_with(chunk, no_child))
     yield _varint(6 << 3 | _BYTES) + _varint(octree.node_data.nbytes)
-    little = np.ascontiguousarray(octree.node_data, dtype.newbyteorder("<"))
-    yield little.reshape(-1).view(np.uint8).data
+    yield blob_of(octree.node_data).data
     if octree.data_format:
         yield _bytes(7, octree.data_format.encode())
     yield _varint(8 << 3 | _VARINT) + _varint(octree.data_dim)
@@ -63,56 +71,40 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0) -> Iterator[bytes | 
     yield _bytes(11, octree.voxel_size.astype("<f8").tobytes())
     if octree.extra_data is not None:
         yield _bytes(12, octree.extra_data.astype("<f4").tobytes())
+    if children_size and profile == "bulk":
+        yield _varint(13 << 3 | _BYTES) + _varint(children_size)
+        yield blob_of(children_with(octree.node_children, no_child)).data
 
 
 def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
     """The octree of a message. Fields 7 and up may be absent: the report's own files have none of them."""
     message = _Message(view)
-    type_url = message.text(1) or TYPE_URLS["float32"]
-    if type_url not in TYPE_URLS.values():
-        raise InvalidFile(Problem("type_url", f"is {type_url[:80]!r}", " or ".join(TYPE_URLS.values())))
-    dtype = np.dtype("<f4" if type_url == TYPE_URLS["float32"] else "<f2")
     packed_children = message.packed(5)
     # Most varints here are one byte long and become four.
     if (need := 4 * len(packed_children)) > max_memory:
         raise MemoryLimit("node_children", need, max_memory)
-    children = decode_varints(packed_children)
-    if len(children) % 8:
-        raise InvalidFile(Problem("node_children", f"has {len(children):,} numbers", "a multiple of 8"))
-    level_sizes = decode_varints(message.packed(9)).astype(np.int64)
-    data = message.last(6)
-    n = int(level_sizes.sum()) if len(level_sizes) else len(children) // 8
-    if n < 1 or (level_sizes < 0).any():
-        raise InvalidFile(Problem("level_sizes", f"adds up to {n:,} nodes", "at least 1"))
-    data_dim, rest = divmod(len(data), n * dtype.itemsize)
-    if rest or not data_dim:
-        found = f"has {len(data):,} bytes for {n:,} nodes"
-        raise InvalidFile(Problem("node_data", found, f"a multiple of {n * dtype.itemsize:,}, not 0"))
-    if message.number(8) not in (0, data_dim):
-        raise InvalidFile(Problem("data_dim", f"is {message.number(8)}", f"{data_dim}, as many values as a node has"))
-    octree = assemble(
-        size=(message.number(2), message.number(3), message.number(4)),
-        children=children.reshape(-1, 8),
-        data=np.frombuffer(data, dtype).reshape(n, data_dim),
-        data_format=message.text(7) or guess_data_format(data_dim),
-        origin=message.doubles(10, 0.0),
-        voxel_size=message.doubles(11, 1.0),
-        extra_data=_lobes(message),
+    children: Any = decode_varints(packed_children)
+    if len(bulk := message.last(13)):
+        if len(packed_children):
+            raise InvalidFile(Problem("message", "has fields 5 and 13", "the children once"))
+        children = Blob("<i4", (len(bulk) // 32, 8), bulk)
+    dtype = "<f2" if message.text(1) == TYPE_URLS["float16"] else "<f4"
+    return octree_of(
+        {
+            "type_url": message.text(1),
+            "width": message.number(2),
+            "height": message.number(3),
+            "depth": message.number(4),
+            "node_children": children,
+            "node_data": _floats(message.last(6), "node_data", dtype),
+            "data_format": message.text(7),
+            "data_dim": message.number(8),
+            "level_sizes": decode_varints(message.packed(9)),
+            "origin": _floats(message.packed(10), "origin", "<f8"),
+            "voxel_size": _floats(message.packed(11), "voxel_size", "<f8"),
+            "extra_data": _floats(message.packed(12), "extra_data", "<f4"),
+        }
     )
-    if len(level_sizes) and not octree.structure_problems() and octree.level_sizes != level_sizes.tolist():
-        found = f"are {level_sizes.tolist()[:14]}"
-        raise InvalidFile(Problem("level_sizes", found, f"{octree.level_sizes} as node_children says"))
-    return octree
-
-
-def _lobes(message: _Message) -> npt.NDArray[np.float32] | None:
-    floats = message.packed(12)
-    if not len(floats):
-        return None
-    size = parse_basis(message.text(7)).size
-    if len(floats) % (4 * size):
-        raise InvalidFile(Problem("extra_data", f"has {len(floats):,} bytes", f"a multiple of {4 * size}"))
-    return np.frombuffer(floats.tobytes(), "<f4").reshape(size, -1).astype(np.float32)
 
 
 def _varint(value: int) -> bytes:
@@ -182,14 +174,11 @@ class _Message:
         runs = [np.frombuffer(run, np.uint8) for run in self._of(number, _BYTES)]
         return runs[0] if len(runs) == 1 else np.concatenate(runs or [np.empty(0, np.uint8)])
 
-    def doubles(self, number: int, default: float) -> npt.NDArray[np.float64]:
-        """Three doubles, or three times the default where absent."""
-        raw = self.packed(number)
-        if not len(raw):
-            return np.full(3, default)
-        if len(raw) != 24:
-            raise InvalidFile(Problem(f"field {number}", f"has {len(raw)} bytes", "24, three doubles"))
-        return np.frombuffer(raw.tobytes(), "<f8").astype(np.float64)
+
+def _floats(raw: memoryview | npt.NDArray[np.uint8], name: str, dtype: str) -> npt.NDArray[Any]:
+    if len(raw) % np.dtype(dtype).itemsize:
+        raise InvalidFile(Problem(name, f"has {len(raw):,} bytes", f"a multiple of {np.dtype(dtype).itemsize}"))
+    return np.frombuffer(raw, dtype)
 
 
 def _read_varint(view: memoryview, at: int) -> tuple[int, int]:

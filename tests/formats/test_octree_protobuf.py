@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import importlib
 import sys
 from dataclasses import replace
@@ -16,10 +17,13 @@ from numpy.testing import assert_array_equal
 from nerfbake import build_octree
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats import octree_protobuf
+from nerfbake.formats._octree import TYPE_URLS
 from nerfbake.kernels.varint import encode_varints
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import REPOSITORY
+from tests.formats.octrees import small_octree
 from tests.scenes import assert_same_octree, n3tree, octrees
+from tests.tools import SCHEMAS, protoc
 
 # TR-24-01's own schema: what a reader that has never heard of nerfbake knows.
 LISTING_3 = """
@@ -55,7 +59,7 @@ def _import(folder: Path, name: str) -> ModuleType:
         sys.path.remove(str(folder))
 
 
-def written(octree: SparseVoxelOctree, **options: int) -> bytes:
+def written(octree: SparseVoxelOctree, **options: Any) -> bytes:
     return b"".join(octree_protobuf.encode(octree, **options))
 
 
@@ -76,7 +80,7 @@ def test_the_bytes_are_the_ones_that_protobuf_writes(
     schemas: dict[str, Any], octree: SparseVoxelOctree, no_child: int
 ) -> None:
     message = schemas["svo_ours"](
-        type_url=octree_protobuf.TYPE_URLS[octree.node_data.dtype.name],
+        type_url=TYPE_URLS[octree.node_data.dtype.name],
         width=octree.size[0],
         height=octree.size[1],
         depth=octree.size[2],
@@ -90,6 +94,41 @@ def test_the_bytes_are_the_ones_that_protobuf_writes(
         extra_data=[] if octree.extra_data is None else octree.extra_data.ravel(),
     )
     assert written(octree, no_child=no_child) == message.SerializeToString(deterministic=True)
+
+
+@given(octree=octrees(), no_child=st.sampled_from([0, -1]))
+def test_the_bulk_profile_is_what_protobuf_writes(
+    schemas: dict[str, Any], octree: SparseVoxelOctree, no_child: int
+) -> None:
+    data = written(octree, no_child=no_child, profile="bulk")
+    message = schemas["svo_ours"].FromString(data)
+    assert not message.node_children
+    children = np.frombuffer(message.node_children_bulk, "<i4").reshape(-1, 8)
+    assert_array_equal(np.where(children == -1, 0, children), octree.node_children)
+    assert message.node_data == octree.node_data.tobytes()
+    assert message.SerializeToString(deterministic=True) == data
+
+
+@pytest.mark.parametrize("profile", ["report", "bulk"])
+def test_protoc_decodes_both_profiles(profile: str) -> None:
+    octree = small_octree()
+    decode = ("--decode=svo.protobuf.SparseVoxelOctree", f"-I{SCHEMAS}", "svo.proto")
+    fields: dict[str, list[str]] = {}
+    for line in protoc(*decode, stdin=written(octree, profile=profile)).decode().splitlines():
+        key, _, value = line.partition(": ")
+        fields.setdefault(key, []).append(value)
+
+    def unescaped(text: str) -> bytes:
+        # Text format writes bytes as C does: octal escapes, and \\n, \\t, \\", \\'.
+        return bytes(ast.literal_eval(f"b{text}"))
+
+    assert [fields[key] for key in ("width", "height", "depth", "data_dim")] == [["4"], ["4"], ["4"], ["13"]]
+    assert unescaped(fields["node_data"][0]) == octree.node_data.tobytes()
+    if profile == "report":
+        assert list(map(int, fields["node_children"])) == octree.node_children.ravel().tolist()
+    else:
+        assert unescaped(fields["node_children_bulk"][0]) == octree.node_children.tobytes()
+    assert list(map(float, fields["voxel_size"])) == octree.voxel_size.tolist()
 
 
 @given(octree=octrees(dtypes=[np.float32]))
@@ -142,7 +181,7 @@ def test_more_than_two_gibibytes_are_refused_before_anything_is_written() -> Non
     octree = build_octree(n3tree())
     rows = 2**31 // octree.node_data[0].nbytes
     huge = replace(octree, node_data=np.broadcast_to(octree.node_data[:1], (rows, octree.data_dim)))
-    with pytest.raises(InvalidScene, match=r"would take 2,147,\d+,\d+ bytes; allowed: 2,147,483,647"):
+    with pytest.raises(InvalidScene, match=r"would take 2,148,\d+,\d+ bytes; allowed: 2,147,483,647"):
         next(octree_protobuf.encode(huge))
 
 
@@ -167,10 +206,17 @@ def field(number: int, wire: int, payload: bytes) -> bytes:
         (field(1, 2, b"\x01x"), "type_url is 'x'"),
         (field(1, 2, b"\x01\xff"), "field 1 is no UTF-8"),
         (field(1, 2, b"\x00"), "adds up to 0 nodes"),
-        (field(9, 2, b"\x01\x05") + field(6, 2, b"\x03abc"), "node_data has 3 bytes for 5 nodes"),
+        (field(9, 2, b"\x01\x05") + field(6, 2, b"\x03abc"), "node_data has 3 bytes; allowed: a multiple of 4"),
         (field(9, 2, b"\x01\x01") + field(6, 2, b"\x04abcd"), "size is 0x0x0"),
         (field(2, 0, b"\x01") * 10_001, "more than 10,000 fields"),
-        (field(10, 2, b"\x01x") + field(9, 2, b"\x01\x01") + field(6, 2, b"\x04abcd"), "field 10 has 1 bytes"),
+        (field(9, 2, b"\x01\x05") + field(6, 2, b"\x04abcd"), "level_sizes adds up to 5 nodes; allowed: 1 to 1"),
+        (field(9, 2, b"\x01\x02") + field(6, 2, bytes([12, *bytes(12)])), "node_data has 3 values"),
+        (field(5, 2, b"\x01\x00") + field(13, 2, b"\x01\x00"), "has fields 5 and 13"),
+        (field(13, 2, b"\x01\x00"), "node_children declares shape"),
+        (
+            field(10, 2, b"\x01x") + field(9, 2, b"\x01\x01") + field(6, 2, b"\x04abcd"),
+            "origin has 1 bytes; allowed: a multiple of 8",
+        ),
     ],
 )
 def test_lies_are_refused(data: bytes, message: str) -> None:

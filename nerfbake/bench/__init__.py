@@ -1,0 +1,1 @@
+"""Measuring, and saying what was measured."""

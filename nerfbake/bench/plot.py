@@ -1,0 +1,91 @@
+"""Charts that need no legend: every point says what it is."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import NamedTuple
+
+COLOURS = ("#0b6e99", "#b5532a", "#7a7a7a", "#5b8c3a")
+
+
+class Point(NamedTuple):
+    """x and y with what stands beside it; points of a group share a colour."""
+
+    label: str
+    x: float
+    y: float
+    group: str
+
+
+def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str) -> bytes:
+    """The points on logarithmic axes, labelled, as an image of the format that the suffix names (.png, .svg)."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    from matplotlib import pyplot
+
+    with mpl.rc_context({"svg.hashsalt": "nerfbake", "svg.fonttype": "none", "font.size": 9}):
+        figure, axes = pyplot.subplots(figsize=(9, 6), layout="constrained")
+        for colour, group in zip(COLOURS, dict.fromkeys(point.group for point in points), strict=False):
+            mine = [point for point in points if point.group == group]
+            axes.scatter([p.x for p in mine], [p.y for p in mine], s=28, color=colour, label=group, zorder=3)
+        axes.set(xscale="log", yscale="log", title=title, xlabel=x, ylabel=y)
+        axes.grid(which="both", color="#e6e6e6", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.margins(0.12)
+        axes.legend(frameon=False)
+        figure.canvas.draw()
+        _label(axes, points)
+        image = io.BytesIO()
+        metadata = {"Date": None} if suffix == ".svg" else {}
+        figure.savefig(image, format=suffix.removeprefix("."), dpi=140, metadata=metadata)
+        pyplot.close(figure)
+    return image.getvalue()
+
+
+def _label(axes: object, points: Sequence[Point]) -> None:
+    """Puts each label beside its point, where it covers no other one and no point, as near as there is room."""
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    transform = axes.transData.transform  # type: ignore[attr-defined]
+    renderer = axes.figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    spots = [transform((point.x, point.y)) for point in points]
+    taken = [Bbox.from_bounds(px - 5, py - 5, 10, 10) for px, py in spots]
+    for point in sorted(points, key=lambda point: (point.y, point.x)):
+        best = None
+        for reach in (7, 16, 27, 40, 55):
+            for dx, dy, ha, va in _PLACES:
+                text = axes.annotate(  # type: ignore[attr-defined]
+                    point.label,
+                    (point.x, point.y),
+                    (dx * reach, dy * reach),
+                    textcoords="offset points",
+                    ha=ha,
+                    va=va,
+                    fontsize=7.5,
+                    arrowprops={"arrowstyle": "-", "color": "#aaaaaa", "linewidth": 0.5} if reach > 7 else None,
+                )
+                box = Text.get_window_extent(text, renderer)  # without its arrow
+                if not any(box.overlaps(other) for other in taken):
+                    best = box
+                    break
+                text.remove()
+            if best is not None:
+                taken.append(best)
+                break
+
+
+_PLACES = (
+    (1, 0, "left", "center"),
+    (-1, 0, "right", "center"),
+    (0, 1, "center", "bottom"),
+    (0, -1, "center", "top"),
+    (0.8, 0.8, "left", "bottom"),
+    (0.8, -0.8, "left", "top"),
+    (-0.8, 0.8, "right", "bottom"),
+    (-0.8, -0.8, "right", "top"),
+)

@@ -1,0 +1,101 @@
+"""A benchmark's findings as Markdown, CSV or JSON: the same figures, for three kinds of reader."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from nerfbake.bench.measure import Spread
+
+
+class Table(NamedTuple):
+    """columns: names with units. A cell is text, a number, a Spread, a bool, or None where nothing was measured."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[Any]]
+
+
+class Report(NamedTuple):
+    """head: what was measured and where, name by name. notes: what a reader has to know, a sentence each."""
+
+    title: str
+    head: dict[str, str]
+    tables: list[Table]
+    notes: list[str]
+
+
+def markdown(report: Report) -> str:
+    """For people, and for a README."""
+    head = "; ".join(f"{name} {value}" for name, value in report.head.items())
+    parts = [f"# {report.title}", head, *map(_markdown_table, report.tables), *(f"- {note}" for note in report.notes)]
+    return "\n\n".join(parts[: 2 + len(report.tables)]) + "\n\n" + "\n".join(parts[2 + len(report.tables) :]) + "\n"
+
+
+def as_csv(report: Report) -> str:
+    """For spreadsheets: one row a measured row of any table, spreads as three columns."""
+    rows = [row for table in report.tables for row in _records(table)]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def as_json(report: Report) -> str:
+    """For scripts: everything."""
+    tables = [{"title": table.title, "rows": _records(table)} for table in report.tables]
+    whole = {"title": report.title, "head": report.head, "tables": tables, "notes": report.notes}
+    return json.dumps(whole, indent=1) + "\n"
+
+
+WRITERS: dict[str, Callable[[Report], str]] = {"md": markdown, "csv": as_csv, "json": as_json}
+
+
+def _records(table: Table) -> list[dict[str, Any]]:
+    records = []
+    for row in table.rows:
+        record: dict[str, Any] = {"table": table.title}
+        for column, cell in zip(table.columns, row, strict=True):
+            if isinstance(cell, Spread):
+                record |= {column: cell.median, f"{column} min": cell.low, f"{column} max": cell.high}
+                record["rounds"] = cell.rounds
+            else:
+                record[column] = cell
+        records.append(record)
+    return records
+
+
+def _markdown_table(table: Table) -> str:
+    right = [
+        any(isinstance(row[k], int | float | Spread) and not isinstance(row[k], bool) for row in table.rows)
+        for k in range(len(table.columns))
+    ]
+    lines = [table.columns, ["---:" if numeric else "---" for numeric in right]]
+    lines += [[_cell(cell) for cell in row] for row in table.rows]
+    return f"**{table.title}**\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _cell(cell: Any) -> str:
+    match cell:
+        case None:
+            return "-"
+        case bool():
+            return "yes" if cell else "no"
+        case Spread():
+            single = cell.rounds == 1
+            return _number(cell.median) + ("" if single else f" [{_number(cell.low)}..{_number(cell.high)}]")
+        case int() | float():
+            return _number(cell)
+        case _:
+            return str(cell).replace("|", "\\|")
+
+
+def _number(value: float) -> str:
+    """Three digits, or as many as stand before the point."""
+    digits = max(0, 2 - len(str(int(abs(value)))) + 1) if value else 0
+    return f"{value:,.{digits}f}"

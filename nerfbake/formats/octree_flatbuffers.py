@@ -1,0 +1,94 @@
+"""The octree as a FlatBuffers table (.svo.fb); schema: schemas/svo.fbs.
+
+    report   node_children [int], node_data [float]: float16 values are widened, FlatBuffers has no half
+    bulk     children_blob, data_blob: dtype, shape and bytes; float16 stays float16
+
+Arrays are handed over as they stand in memory, and a file's arrays are views of it, in both profiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.formats._flatbuffers import Field, Table, write_table
+from nerfbake.formats._octree import (
+    MAX_2GIB,
+    SMALL_SIZE,
+    Blob,
+    Profile,
+    blob_of,
+    children_with,
+    octree_of,
+    require_size,
+    small_fields,
+)
+from nerfbake.scene.octree import SparseVoxelOctree
+
+IDENTIFIER = b"SVO1"
+
+
+def recognise(head: bytes) -> bool:
+    """True for the first bytes of a file with the schema's identifier."""
+    return head[4:8] == IDENTIFIER
+
+
+def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:
+    """The file in pieces. Raises InvalidScene above FlatBuffers' 2 GiB."""
+    widened = 4 if profile == "report" else octree.node_data.itemsize
+    size = octree.node_children.nbytes + octree.node_data.size * widened + SMALL_SIZE
+    require_size("svo.fb", size, MAX_2GIB, "FlatBuffers' limit")
+    small = small_fields(octree)
+    children, data = children_with(octree.node_children, no_child), octree.node_data
+    report = profile == "report"
+    fields: list[Field] = [
+        small["type_url"],
+        *octree.size,
+        children if report else None,
+        data.astype(np.float32, copy=False) if report else None,
+        octree.data_format or None,
+        octree.data_dim,
+        np.array(octree.level_sizes, np.int32),
+        octree.origin,
+        octree.voxel_size,
+        octree.extra_data,
+        None if report else _array(children),
+        None if report else _array(data),
+    ]
+    yield from write_table(fields, IDENTIFIER)
+
+
+def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+    """The octree of either profile, its arrays views of the file."""
+    root = Table.root(view)
+    return octree_of(
+        {
+            "type_url": root.text(0),
+            "width": root.number(1),
+            "height": root.number(2),
+            "depth": root.number(3),
+            "node_children": _blob(root.table(12)) or root.array(4, "<i4"),
+            "node_data": _blob(root.table(13)) or root.array(5, "<f4"),
+            "data_format": root.text(6),
+            "data_dim": root.number(7),
+            "level_sizes": root.array(8, "<i4"),
+            "origin": root.array(9, "<f8"),
+            "voxel_size": root.array(10, "<f8"),
+            "extra_data": root.array(11, "<f4"),
+        }
+    )
+
+
+def _array(values: npt.NDArray[Any]) -> list[Field]:
+    """The schema's table Array."""
+    blob = blob_of(values)
+    return [blob.dtype, np.array(blob.shape, np.uint64), np.frombuffer(blob.data, np.uint8)]
+
+
+def _blob(table: Table | None) -> Blob | None:
+    if table is None:
+        return None
+    return Blob(table.text(0), tuple(table.array(1, "<u8").tolist()), table.array(2, "u1").data)

@@ -1,0 +1,105 @@
+"""The octree as JSON (.svo.json): one object, the same names as in schemas/svo.proto.
+
+    report   {..., "node_children": [1, 2, 0, ...], "node_data": [0.25, ...]}
+    bulk     {..., "node_children": {"dtype": "<i4", "shape": [c, 8], "data": "<base64>"}, "node_data": {...}}
+
+A number is written with the fewest digits that give the same float back; JSON has none for NaN and infinity.
+"""
+
+from __future__ import annotations
+
+from binascii import Error as Base64Error
+from binascii import a2b_base64, b2a_base64
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.formats._octree import Blob, Profile, blob_of, children_with, octree_of, require_finite, small_fields
+from nerfbake.scene.octree import SparseVoxelOctree
+
+_CHUNK = 3 << 17  # numbers, or bytes: base64 needs a multiple of 3
+# A reader that goes through a double rounds this one float32 twice, and wrongly, when it is written with fewest digits.
+# It is the only one: all 2^31 finite and positive ones were tried.
+_ROUNDED_TWICE = np.float32(7.038531e-26)
+_PER_VALUE = 32  # bytes of a parsed float and its slot in a list
+_PER_CONTAINER = 128
+
+
+def recognise(head: bytes) -> bool:
+    """True for the first bytes of a JSON object."""
+    return head.lstrip()[:1] == b"{"
+
+
+def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:
+    """The object in pieces. Raises InvalidScene for a NaN or an infinity that JSON cannot say."""
+    require_finite(octree, "svo.json", node_data=profile == "report")
+    pieces = _list if profile == "report" else _blob
+    yield orjson.dumps(small_fields(octree))[:-1]
+    yield b',"node_children":'
+    yield from pieces(children_with(octree.node_children, no_child))
+    yield b',"node_data":'
+    yield from pieces(octree.node_data)
+    yield b"}\n"
+
+
+def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+    """The octree of either profile. Raises MemoryLimit if the parsed text would take more than max_memory."""
+    if (need := _parsed_size(view)) > max_memory:
+        raise MemoryLimit("the parsed JSON", need, max_memory)
+    try:
+        fields = orjson.loads(view)
+    except orjson.JSONDecodeError as error:
+        raise InvalidFile(Problem("JSON", f"cannot be parsed ({error})", "one whole object")) from None
+    if not isinstance(fields, dict):
+        raise InvalidFile(Problem("JSON", f"holds {type(fields).__name__}", "one object"))
+    for name in ("node_children", "node_data"):
+        if isinstance(fields.get(name), dict):
+            fields[name] = _read_blob(name, fields[name])
+    return octree_of(fields)
+
+
+def _list(values: npt.NDArray[Any]) -> Iterator[bytes | memoryview]:
+    flat = np.ascontiguousarray(values).reshape(-1)
+    yield b"["
+    for start in range(0, len(flat), _CHUNK):
+        part = flat[start : start + _CHUNK]
+        if (np.abs(part) == _ROUNDED_TWICE).any():
+            part = part.astype(np.float64)
+        text = orjson.dumps(part, option=orjson.OPT_SERIALIZE_NUMPY)
+        yield b"," if start else b""
+        yield memoryview(text)[1:-1]
+    yield b"]"
+
+
+def _blob(values: npt.NDArray[Any]) -> Iterator[bytes | memoryview]:
+    blob = blob_of(values)
+    yield orjson.dumps({"dtype": blob.dtype, "shape": blob.shape})[:-1] + b',"data":"'
+    for start in range(0, len(blob.data), _CHUNK):
+        yield b2a_base64(blob.data[start : start + _CHUNK], newline=False)
+    yield b'"}'
+
+
+def _read_blob(name: str, blob: dict[str, Any]) -> Blob:
+    dtype, shape, text = blob.get("dtype"), blob.get("shape"), blob.get("data")
+    whole = isinstance(shape, list) and all(type(edge) is int for edge in shape)
+    if not (isinstance(dtype, str) and whole and isinstance(text, str)):
+        raise InvalidFile(Problem(name, "is no blob", "dtype as text, shape as whole numbers, data as base64"))
+    try:
+        return Blob(dtype, tuple(shape or ()), memoryview(a2b_base64(text, strict_mode=True)))
+    except (Base64Error, ValueError) as error:
+        raise InvalidFile(Problem(name, f"has data that are no base64 ({error})", "RFC 4648, no breaks")) from None
+
+
+def _parsed_size(view: memoryview) -> int:
+    """Most bytes that Python's objects for this text can take: text itself, and what its punctuation announces."""
+    text = np.frombuffer(view, np.uint8)
+    values = containers = 0
+    for start in range(0, len(text), _CHUNK):
+        counts = np.bincount(text[start : start + _CHUNK], minlength=256)
+        values += int(counts[ord(",")] + counts[ord(":")])
+        containers += int(counts[ord("[")] + counts[ord("{")] + counts[ord('"')])
+    return len(text) + _PER_VALUE * values + _PER_CONTAINER * containers

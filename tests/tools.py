@@ -1,0 +1,33 @@
+"""The formats' own command-line tools, as oracles."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+SCHEMAS = REPOSITORY / "schemas"
+NEEDED = {"flatc": "flatbuffers-compiler", "capnp": "capnproto"}
+
+
+def tool(name: str, *arguments: str | Path, stdin: bytes = b"") -> bytes:
+    """What the tool prints. Skips the test where it is not installed."""
+    if shutil.which(name) is None:
+        pytest.skip(f"no {name} here: Debian's {NEEDED[name]} has it ('make tools' as root installs it)")
+    return _run([name, *map(str, arguments)], stdin)
+
+
+def protoc(*arguments: str | Path, stdin: bytes = b"") -> bytes:
+    """The same for protoc, which comes with a Python package."""
+    return _run([sys.executable, "-W", "ignore", "-m", "grpc_tools.protoc", *map(str, arguments)], stdin)
+
+
+def _run(command: list[str], stdin: bytes) -> bytes:
+    done = subprocess.run(command, input=stdin, capture_output=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
