@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
     from nerfbake.stages.clusters_to_maps import snapped_maps as snapped_maps
     from nerfbake.stages.identifiers_to_clusters import cluster as cluster
+    from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.scene_to_summary import summarise as summarise

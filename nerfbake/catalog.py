@@ -73,6 +73,7 @@ STAGES = {
     "measure_error": "nerfbake.stages.atlas_to_error",
     "measure_stage1": "nerfbake.stages.stage1_to_atlas",
     "cluster": "nerfbake.stages.identifiers_to_clusters",
+    "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
     "weigh_directions": "nerfbake.stages.cameras_to_directions",
     "sample_stage1": "nerfbake.stages.shapes_to_stage1",
     "snapped_maps": "nerfbake.stages.clusters_to_maps",
