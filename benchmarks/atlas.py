@@ -2,8 +2,8 @@
 
     python benchmarks/atlas.py          rewrites benchmarks/results/atlas.md and atlas.png
 
-Cold: the first run after installing, which compiles the kernels; warm: every later one. Needs the real texture beside the
-project.
+Cold: the first run after installing, which compiles the kernels; warm: every later one. Needs the real texture beside
+the project.
 """
 
 from __future__ import annotations
