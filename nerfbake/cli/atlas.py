@@ -58,7 +58,7 @@ def atlas(source: Stage1Input, target: str, force: bool, as_json: bool, words: W
     io.require_no_folder(target, force=force)
     stage1 = source.read(words)
     with source.blamed(words, "baking"):
-        baked = nerfbake.bake_stage1(stage1, **options)
+        baked = nerfbake.bake_stage1(stage1, max_memory=source.max_memory, **options)
     with words.phase(f"writing {target}"):
         sizes = io.save_folder(target, baked, force=force)
     if as_json:

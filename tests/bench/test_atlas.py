@@ -25,7 +25,7 @@ def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     atlas = nerfbake.bake_atlas(scene.fields[0], clusters=16)
     error = nerfbake.measure_error(atlas, scene.fields[0], directions=fibonacci(100))
     assert (good["MAE"], good["MSE"], good["thesis MAE"]) == (error.mae, error.mse, 11.151)
-    assert "allowed: 1 to" in bad["atlas"]
+    assert "needs" in bad["atlas"]
     assert bad["MAE"] is None
     ours, theirs = (row[-1] for row in report.tables[1].rows)
     assert ours == pytest.approx(theirs, rel=0.15)

@@ -115,7 +115,13 @@ def test_a_picture_cut_anywhere_is_one_line(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.parametrize(
     ("options", "code"),
-    [(["--clusters", "0"], 2), (["--clusters", "100000"], 1), (["--map-size", "1"], 1), (["--border", "40"], 1)],
+    [
+        (["--clusters", "0"], 2),
+        (["--clusters", "100000"], 1),
+        (["--map-size", "1"], 1),
+        (["--border", "40"], 1),
+        (["--map-size", "1024", "--max-memory", "1GB"], 1),
+    ],
 )
 def test_clusters_and_sizes_out_of_range(
     options: list[str], code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
