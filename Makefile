@@ -31,6 +31,9 @@ demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and check
 	$(BIN)/nerfbake check build/demo/sample.npz
 	$(BIN)/nerfbake check build/demo/sample.svo.pb
 	$(BIN)/nerfbake check build/demo/sample_64.svo.npz
+	$(BIN)/nerfbake sample nerf2mesh build/demo/mesh_stage1 --force
+	$(BIN)/nerfbake atlas build/demo/mesh_stage1 build/demo/atlas --clusters 256 --force
+	$(BIN)/nerfbake atlas-error build/demo/atlas build/demo/mesh_stage1 --held-out
 
 lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff check .

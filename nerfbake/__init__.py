@@ -18,11 +18,20 @@ from nerfbake.catalog import SCENES, STAGES
 if TYPE_CHECKING:
     from nerfbake.io import load as load
     from nerfbake.io import save as save
+    from nerfbake.scene.atlas import BakedAtlas as BakedAtlas
+    from nerfbake.scene.atlas import OctahedralAtlas as OctahedralAtlas
     from nerfbake.scene.camera import Camera as Camera
     from nerfbake.scene.camera import Cameras as Cameras
     from nerfbake.scene.image import Image as Image
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
+    from nerfbake.scene.specular import SpecularField as SpecularField
+    from nerfbake.scene.stage1 import Stage1 as Stage1
+    from nerfbake.stages.atlas_to_error import measure_error as measure_error
+    from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
+    from nerfbake.stages.clusters_to_maps import snapped_maps as snapped_maps
+    from nerfbake.stages.identifiers_to_clusters import cluster as cluster
+    from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.scene_to_cameras import orbit as orbit
@@ -30,6 +39,11 @@ if TYPE_CHECKING:
     from nerfbake.stages.scene_to_summary import summarise as summarise
     from nerfbake.stages.scenes_to_comparison import compare as compare
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
+    from nerfbake.stages.shapes_to_stage1 import sample_stage1 as sample_stage1
+    from nerfbake.stages.specular_to_atlas import bake_atlas as bake_atlas
+    from nerfbake.stages.specular_to_identifiers import identify as identify
+    from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1
+    from nerfbake.stages.stage1_to_atlas import measure_stage1 as measure_stage1
 
 __version__ = "0.1.0"
 

@@ -45,6 +45,13 @@ FORMATS = (
     Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
 )
 
+# Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
+FOLDERS = (
+    Format("stage1", "Stage1", "", "nerfbake.formats.stage1_folder", "nerf2mesh's stage 1"),
+    Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas with its mesh"),
+    Format("thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "atlas of the K-means thesis' own code"),
+)
+
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
 COMPRESSED = ".zst"
 COMPRESSION = "nerfbake.formats._zstd"
@@ -54,16 +61,30 @@ SCENES = {
     "Camera": "nerfbake.scene.camera",
     "Cameras": "nerfbake.scene.camera",
     "Image": "nerfbake.scene.image",
+    "BakedAtlas": "nerfbake.scene.atlas",
     "N3Tree": "nerfbake.scene.n3tree",
+    "OctahedralAtlas": "nerfbake.scene.atlas",
     "SparseVoxelOctree": "nerfbake.scene.octree",
+    "SpecularField": "nerfbake.scene.specular",
+    "Stage1": "nerfbake.scene.stage1",
 }
 
 STAGES = {
     "orbit": "nerfbake.stages.scene_to_cameras",
     "render": "nerfbake.stages.scene_to_image",
+    "bake_atlas": "nerfbake.stages.specular_to_atlas",
+    "bake_stage1": "nerfbake.stages.stage1_to_atlas",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
     "compare": "nerfbake.stages.scenes_to_comparison",
     "cut_octree": "nerfbake.stages.octree_to_octree",
+    "identify": "nerfbake.stages.specular_to_identifiers",
+    "measure_error": "nerfbake.stages.atlas_to_error",
+    "measure_stage1": "nerfbake.stages.stage1_to_atlas",
+    "cluster": "nerfbake.stages.identifiers_to_clusters",
+    "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
+    "weigh_directions": "nerfbake.stages.cameras_to_directions",
+    "sample_stage1": "nerfbake.stages.shapes_to_stage1",
+    "snapped_maps": "nerfbake.stages.clusters_to_maps",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "summarise": "nerfbake.stages.scene_to_summary",
 }
@@ -94,6 +115,11 @@ def format_of_path(path: str, scene: str) -> Format:
 
 def formats_of(scene: str) -> list[Format]:
     return [form for form in FORMATS if form.scene == scene]
+
+
+def folders_of(scene: str) -> list[Format]:
+    """The kinds of folders that hold this scene type, the one to write first."""
+    return [form for form in FOLDERS if form.scene == scene]
 
 
 def format_of_content(path: str, head: bytes) -> Format:

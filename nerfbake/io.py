@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import mmap
 import os
+import shutil
 import stat
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -20,6 +21,7 @@ from nerfbake.catalog import (
     COMPRESSED,
     COMPRESSION_MAGIC,
     Format,
+    folders_of,
     format_named,
     format_of_content,
     format_of_path,
@@ -115,6 +117,100 @@ def save(
             Path(target).parent.mkdir(parents=True, exist_ok=True)
     with blame(str(target), OutputError), replacing(Path(target), force=force) as file:
         return _write_all(file, pieces)
+
+
+def load_folder(
+    source: str | Path,
+    kind: type[Scene],
+    *,
+    more: Mapping[str, memoryview] | None = None,
+    max_memory: int = MAX_MEMORY,
+) -> Scene:
+    """The scene of this type in a folder, and in `more` files as if they stood there.
+
+    Raises NerfbakeError naming the folder and the file in it.
+    """
+    with blame(str(source)):
+        path = Path(source)
+        if not path.is_dir():
+            found = "is no folder" if path.exists() else "is not there"
+            raise InvalidFile(f"{found}; allowed: a folder, {folders_of(kind.__name__)[0].title}")
+        return decode_files(_Folder(path, max_memory, more or {}), kind, max_memory=max_memory)
+
+
+def decode_files(files: Mapping[str, memoryview], kind: type[Scene], *, max_memory: int = MAX_MEMORY) -> Scene:
+    """The scene of this type in files of these names, wherever they come from."""
+    modules = [form.load_module() for form in folders_of(kind.__name__)]
+    module = next((module for module in modules if module.recognise(files)), modules[0])
+    scene: Scene = module.decode(files, max_memory=max_memory)
+    return scene
+
+
+def load_files(paths: Mapping[str, str | Path], *, max_memory: int = MAX_MEMORY) -> dict[str, memoryview]:
+    """Files from anywhere under the names that a folder would have for them."""
+    files = {}
+    for name, path in paths.items():
+        with blame(str(path)):
+            files[name] = _map(Path(path), max_memory)
+    return files
+
+
+def save_folder(target: str | Path, scene: Any, *, force: bool = False) -> dict[str, int]:
+    """Writes a scene as a folder; gives the size in bytes of each file.
+
+    The folder appears whole or not at all: its files are written to a temporary one beside it, which is renamed. With
+    `force` a folder that stands there is moved aside first and removed at the end, whatever is in it.
+    """
+    require_no_folder(target, force=force)
+    path = Path(os.path.realpath(target))
+    temporary, aside = (path.with_name(f".{path.name[:200]}.{os.getpid()}.{what}") for what in ("tmp", "old"))
+    sizes = {}
+    with blame(str(target), OutputError):
+        try:
+            temporary.mkdir()
+            for name, pieces in folders_of(type(scene).__name__)[0].load_module().encode(scene):
+                with open(temporary / name, "xb") as file:
+                    sizes[name] = _write_all(file, pieces)
+            if path.exists():
+                path.replace(aside)
+            temporary.replace(path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+            if aside.exists() and not path.exists():
+                aside.replace(path)
+            shutil.rmtree(aside, ignore_errors=True)
+    return sizes
+
+
+def require_no_folder(target: str | Path, *, force: bool) -> None:
+    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+    path = Path(target)
+    if os.path.lexists(path) and not path.is_dir():
+        raise OutputError("is no folder; allowed: a new folder", source=str(target))
+    if path.is_dir() and any(path.iterdir()) and not force:
+        raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
+
+
+class _Folder(Mapping[str, memoryview]):
+    """A folder's files by name, each mapped when it is asked for, and more that are in its place."""
+
+    def __init__(self, path: Path, max_memory: int, more: Mapping[str, memoryview]) -> None:
+        self._path, self._max_memory, self._more = path, max_memory, more
+
+    def __getitem__(self, name: str) -> memoryview:
+        if name in self._more:
+            return self._more[name]
+        path = self._path / name
+        if not path.is_file():
+            raise KeyError(name)
+        with blame(str(path)):
+            return _map(path, self._max_memory)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted({path.name for path in self._path.iterdir()} | set(self._more)))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:

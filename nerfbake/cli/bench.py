@@ -63,6 +63,38 @@ def formats(scenes: tuple[str, ...], words: Words, kind: str, **options: Any) ->
         _write(plot, benchmark.chart(reports[0], Path(plot).suffix), force=force)
 
 
+@bench.command()
+@click.argument("folder", metavar="STAGE1_DIR", type=click.Path())
+@click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True, help="Runs of every atlas.")
+@click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
+@click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
+@click.option("--plot", type=click.Path(), help="A chart of error against bytes, .png or .svg.")
+@click.option("--force", is_flag=True, help="Replace files that exist.")
+@speaks
+def atlas(folder: str, rounds: int, kind: str, output: str | None, plot: str | None, force: bool, words: Words) -> None:
+    """Bake STAGE1_DIR in every method and many sizes, beside the K-means thesis' table 2 and scikit-learn.
+
+    \b
+      nerfbake bench atlas mesh_stage1 --plot error.svg
+    """
+    from nerfbake.bench import atlas as benchmark
+    from nerfbake.bench.report import WRITERS
+
+    if plot and Path(plot).suffix not in (".png", ".svg"):
+        raise UsageError(f"the ending of {plot!r} names no picture; allowed: .png, .svg")
+    for target in filter(None, (output, plot)):
+        io.require_absent(target, force=force)
+    io.load_folder(folder, nerfbake.Stage1)
+    report = benchmark.compare(folder, rounds=rounds, progress=words.phase)
+    text = WRITERS[kind](report)
+    if output:
+        _write(output, text.encode(), force=force)
+    else:
+        click.echo(text, nl=False)
+    if plot:
+        _write(plot, benchmark.chart(report, Path(plot).suffix), force=force)
+
+
 def _octree(source: Input, words: Words, resolution: Any) -> Any:
     scene = source.read(words)
     if isinstance(scene, nerfbake.SparseVoxelOctree):

@@ -11,6 +11,8 @@ from typing import NoReturn
 import click
 
 import nerfbake
+from nerfbake.cli.atlas import atlas
+from nerfbake.cli.atlas_error import atlas_error
 from nerfbake.cli.bench import bench
 from nerfbake.cli.check import check
 from nerfbake.cli.compare import compare
@@ -39,13 +41,14 @@ def cli() -> None:
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128
+      nerfbake atlas mesh_stage1 chair_atlas --clusters 256
       nerfbake svo chair.npz - --to svo.pb | nerfbake info - --json
 
     Exit codes: 0 done, 1 bad input, 2 wrong usage, 3 quality budget missed, 4 the output cannot be written.
     """
 
 
-for command in (svo, convert, lod, render, compare, info, check, sample, bench):
+for command in (svo, convert, lod, atlas, atlas_error, render, compare, info, check, sample, bench):
     cli.add_command(command)
 
 

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import click
@@ -140,6 +141,37 @@ class Budget:
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 
 
+@dataclass(frozen=True)
+class Stage1Input:
+    """A stage-1 folder, or feature textures and an MLP from anywhere."""
+
+    folder: str
+    features: tuple[str, ...]
+    mlp: str | None
+    transforms: str | None
+    max_memory: int
+
+    @property
+    def name(self) -> str:
+        return self.folder or ", ".join(self.features)
+
+    def read(self, words: Words) -> Any:
+        with self.blamed(words, f"reading {self.name}"):
+            named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
+            named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
+            given = {name: path for name, path in named.items() if path is not None}
+            files = io.load_files(given, max_memory=self.max_memory)
+            if self.folder:
+                return io.load_folder(self.folder, nerfbake.Stage1, more=files, max_memory=self.max_memory)
+            return io.decode_files(files, nerfbake.Stage1, max_memory=self.max_memory)
+
+    @contextmanager
+    def blamed(self, words: Words, phase: str) -> Iterator[None]:
+        """A step of the work whose errors are this input's."""
+        with words.phase(phase), io.blame(self.name):
+            yield
+
+
 Command = Callable[..., Any]
 
 
@@ -157,6 +189,44 @@ def reads(function: Command) -> Command:
     @functools.wraps(function)
     def command(*args: Any, source: str, max_memory: int, **others: Any) -> Any:
         return function(*args, source=Input(source, max_memory), **others)
+
+    return command
+
+
+max_memory = click.option(
+    "--max-memory",
+    type=Size(),
+    default="4GiB",
+    show_default=True,
+    help="Most that a file may declare, or a result take.",
+)
+
+
+def bakes_stage1(function: Command) -> Command:
+    """Adds the arguments [STAGE1_DIR] OUT_DIR, --feature, --mlp and --force; the command gets `source` and `target`."""
+
+    @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=click.Path())
+    @click.option(
+        "--feature", "features", multiple=True, type=click.Path(), help="Feature texture, one for each cascade."
+    )
+    @click.option("--mlp", type=click.Path(), help="Its mlp.json; both stand in for STAGE1_DIR.")
+    @click.option("--transforms", type=click.Path(), help="Where the training cameras stood, in the mesh's own world.")
+    @click.option("--force", is_flag=True, help="Replace OUT_DIR and all that is in it.")
+    @max_memory
+    @functools.wraps(function)
+    def command(
+        *args: Any,
+        folders: tuple[str, ...],
+        features: tuple[str, ...],
+        mlp: str | None,
+        transforms: str | None,
+        max_memory: int,
+        **others: Any,
+    ) -> Any:
+        if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
+            raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
+        source = Stage1Input("" if mlp else folders[0], features, mlp, transforms, max_memory)
+        return function(*args, source=source, target=folders[-1], **others)
 
     return command
 

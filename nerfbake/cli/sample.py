@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 import nerfbake
+from nerfbake import io
 from nerfbake.cli.params import Output, speaks, writes
 from nerfbake.cli.words import Words
 
@@ -38,3 +39,22 @@ def octree(target: Output, resolution: int, basis: str, seed: int, words: Words)
     with words.phase("growing the tree"):
         tree = nerfbake.sample_n3tree(resolution=resolution, basis=basis, seed=seed)
     target.write(words, tree)
+
+
+@sample.command()
+@click.argument("target", metavar="OUT_DIR", type=click.Path())
+@click.option("--resolution", type=int, default=512, show_default=True, help="Texels along the textures' edges.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
+@click.option("--force", is_flag=True, help="Replace OUT_DIR and all that is in it.")
+@speaks
+def nerf2mesh(target: str, resolution: int, seed: int, force: bool, words: Words) -> None:
+    """Write a nerf2mesh stage-1 folder of a glossy torus as OUT_DIR: mesh, textures, and an MLP fitted to its look.
+
+    \b
+      nerfbake sample nerf2mesh mesh_stage1 && nerfbake atlas mesh_stage1 atlas
+    """
+    io.require_no_folder(target, force=force)
+    with words.phase("fitting the MLP"):
+        scene = nerfbake.sample_stage1(resolution=resolution, seed=seed)
+    sizes = io.save_folder(target, scene, force=force)
+    words.say(f"{target}: {scene}, {sum(sizes.values()):,} bytes")

@@ -1,0 +1,69 @@
+"""`nerfbake atlas`: nerf2mesh's specular MLP to octahedral maps."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+import nerfbake
+from nerfbake import io
+from nerfbake.cli.params import Stage1Input, as_json, bakes_stage1, speaks
+from nerfbake.cli.words import Words
+
+
+@click.command()
+@bakes_stage1
+@click.option(
+    "--method",
+    type=click.Choice(["kmeans", "affine", "grid"]),
+    default="kmeans",
+    show_default=True,
+    help="One map for each cluster of colours; four, so that it follows the colour; or maps at the nodes of a grid.",
+)
+@click.option("--clusters", type=click.IntRange(min=1), default=64, show_default=True, help="Of kmeans and affine.")
+@click.option("--nodes", type=int, default=7, show_default=True, help="Of grid, along each axis: 2 to 16.")
+@click.option("--map-size", type=int, default=64, show_default=True, help="Texels along an edge of a map: 2 to 1024.")
+@click.option(
+    "--directions", type=click.IntRange(1, 4096), default=100, show_default=True, help="In which colours are compared."
+)
+@click.option(
+    "--direction-set",
+    type=click.Choice(["fibonacci", "cameras"]),
+    default="fibonacci",
+    show_default=True,
+    help="All count the same, or as often as the cameras of --transforms look along them at the mesh.",
+)
+@click.option(
+    "--centres",
+    type=click.Choice(["snapped", "mean"]),
+    default="snapped",
+    show_default=True,
+    help="Of kmeans: a map shows one colour of its cluster, or the mean of all.",
+)
+@click.option(
+    "--border", type=click.IntRange(min=0), default=1, show_default=True, help="Gutter around a map, in texels."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
+@as_json
+@speaks
+def atlas(source: Stage1Input, target: str, force: bool, as_json: bool, words: Words, **options: Any) -> None:
+    """Bake the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, as OUT_DIR.
+
+    \b
+      nerfbake atlas mesh_stage1 atlas --clusters 256
+      nerfbake atlas atlas --feature feat1_0.jpg --mlp mlp.json --method affine
+    """
+    io.require_no_folder(target, force=force)
+    stage1 = source.read(words)
+    with source.blamed(words, "baking"):
+        baked = nerfbake.bake_stage1(stage1, max_memory=source.max_memory, **options)
+    with words.phase(f"writing {target}"):
+        sizes = io.save_folder(target, baked, force=force)
+    if as_json:
+        click.echo(json.dumps({**baked.facts, "files": sizes}))
+    for error in baked.facts["errors"]:
+        words.say(
+            f"{target}: {baked}, MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255, {sum(sizes.values()):,} bytes"
+        )

@@ -1,0 +1,57 @@
+"""`nerfbake atlas-error`: how far an atlas is from the MLP that it stands for."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+import nerfbake
+from nerfbake import io
+from nerfbake.cli.params import as_json, max_memory, speaks
+from nerfbake.cli.words import Words
+
+
+@click.command("atlas-error")
+@click.argument("atlas", metavar="OUT_DIR", type=click.Path())
+@click.argument("stage1", metavar="STAGE1_DIR", type=click.Path())
+@click.option(
+    "--lookup",
+    type=click.Choice(["bilinear", "nearest", "thesis"]),
+    default="bilinear",
+    show_default=True,
+    help="How maps are read; thesis: texel int(uv (R - 1)), colours cut instead of rounded.",
+)
+@click.option("--directions", type=click.IntRange(1, 4096), default=100, show_default=True, help="Evenly spread.")
+@click.option("--held-out", is_flag=True, help="In 617 other directions, which no bake has seen.")
+@click.option(
+    "--reproduce-thesis-fault",
+    "thesis_fault",
+    is_flag=True,
+    help="Ask the MLP at directions that are not unit vectors, as the published evaluation does.",
+)
+@max_memory
+@as_json
+@speaks
+def atlas_error(atlas: str, stage1: str, max_memory: int, as_json: bool, words: Words, **options: Any) -> None:
+    """Print the mean absolute and squared error (0..255) of the atlas OUT_DIR against the MLP of STAGE1_DIR.
+
+    Over every used texel, direction and channel; OUT_DIR may also be what the K-means thesis' own code wrote.
+
+    \b
+      nerfbake atlas-error atlas mesh_stage1 --held-out
+      nerfbake atlas-error thesis_16x64 crop64 --lookup thesis --reproduce-thesis-fault
+    """
+    with words.phase(f"reading {atlas}"):
+        baked = io.load_folder(atlas, nerfbake.BakedAtlas, max_memory=max_memory)
+    with words.phase(f"reading {stage1}"):
+        truth = io.load_folder(stage1, nerfbake.Stage1, max_memory=max_memory)
+    with words.phase("measuring"), io.blame(atlas):
+        errors = nerfbake.measure_stage1(baked, truth, **options)
+    if as_json:
+        click.echo(json.dumps([error._asdict() for error in errors]))
+        return
+    for cascade, error in enumerate(errors):
+        click.echo(f"cascade {cascade}: MAE {error.mae:.9f}, MSE {error.mse:.9f} as 8-bit pictures hold them")
+        click.echo(f"cascade {cascade}: MAE {error.mae_float:.9f}, MSE {error.mse_float:.9f} before rounding")

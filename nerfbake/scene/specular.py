@@ -1,0 +1,55 @@
+"""nerf2mesh's specular appearance: a feature texture, and the small MLP that every pixel evaluates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.topology import count_problem
+
+MAX_WEIGHT = 1e6  # keeps every sum of the MLP finite in float32
+MAX_WIDTH = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class SpecularField:
+    """specular(f, d) = sigmoid(relu([d, f] W0) W1), added to the diffuse colour. Source: nerf2mesh; spec/atlas.md, 1.
+
+    features  (H, W, 3) uint8, f = features / 255; row 0 is the image's top
+    w0        (6, h) float32: the unit view direction's rows (from the camera to the surface), then the feature's
+    w1        (h, 3) float32
+    used      (H, W) bool: the texels that some triangle shows; the others do not weigh
+    """
+
+    features: npt.NDArray[np.uint8]
+    w0: npt.NDArray[np.float32]
+    w1: npt.NDArray[np.float32]
+    used: npt.NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        shape = self.features.shape
+        if self.features.ndim != 3 or shape[2] != 3 or not self.features.size or self.features.dtype != np.uint8:
+            found = f"have shape {shape}, dtype {self.features.dtype}"
+            raise InvalidScene(Problem("features", found, "(H, W, 3) uint8"))
+        if self.w0.ndim != 2 or self.w0.shape[0] != 6 or not 1 <= self.w0.shape[1] <= MAX_WIDTH:
+            found = f"has shape {self.w0.shape}"
+            raise InvalidScene(Problem("net.0.weight", found, f"(6, h): 3 of direction, 3 of colour, h to {MAX_WIDTH}"))
+        if self.w1.shape != (self.w0.shape[1], 3):
+            found = f"has shape {self.w1.shape}"
+            raise InvalidScene(Problem("net.1.weight", found, f"{(self.w0.shape[1], 3)} after net.0.weight"))
+        for name, weights in (("net.0.weight", self.w0), ("net.1.weight", self.w1)):
+            wrong = ~(np.abs(weights) <= MAX_WEIGHT)
+            if problems := count_problem(name, wrong, weights, f"a finite number within {MAX_WEIGHT:g}"):
+                raise InvalidScene(problems[0])
+        if self.used.shape != shape[:2] or self.used.dtype != np.bool_:
+            found = f"has shape {self.used.shape}, dtype {self.used.dtype}"
+            raise InvalidScene(Problem("used", found, f"{shape[:2]} bool"))
+        if not self.used.any():
+            raise InvalidScene(Problem("used", "marks no texel", "a mesh whose triangles cover at least one texel"))
+
+    def __str__(self) -> str:
+        H, W, _ = self.features.shape
+        return f"feature texture of {W}x{H}, {int(self.used.sum()):,} texels used, MLP 6-{self.w0.shape[1]}-3"

@@ -1,0 +1,39 @@
+"""What nerf2mesh's stage 1 leaves behind: meshes with textures, and one MLP."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.specular import SpecularField
+
+
+@dataclass(frozen=True, eq=False)
+class Stage1:
+    """Cascades (nested boxes, each twice as wide) of one scene; cascade c is entry c of each tuple.
+
+    fields   their feature textures, with the MLP that they share
+    meshes   None where the mesh is not there
+    files    the meshes and diffuse textures as they stand in the folder, by name, to be handed on untouched
+    cameras  (c, 3) float64 where the training cameras stand, in the meshes' own world; None if nobody knows
+    diffuse  (H, W, 3) uint8 each, in place of files, for a scene that was made and not read
+    Source: nerf2mesh (arXiv 2303.02091) and its forks; spec/atlas.md, 1.
+    """
+
+    fields: tuple[SpecularField, ...]
+    meshes: tuple[TexturedMesh | None, ...]
+    files: Mapping[str, bytes | memoryview] = field(default_factory=dict)
+    cameras: npt.NDArray[np.float64] | None = None
+    diffuse: tuple[npt.NDArray[np.uint8], ...] = ()
+
+    def __str__(self) -> str:
+        return "; ".join(map(str, self.fields))
+
+
+def diffuse_name(files: Mapping[str, bytes | memoryview], cascade: int) -> str | None:
+    """The name of a cascade's diffuse texture, a JPEG or PNG, if it is there."""
+    return next((name for name in (f"feat0_{cascade}.jpg", f"feat0_{cascade}.png") if name in files), None)

@@ -1,0 +1,91 @@
+"""Octahedral atlas and the MLP it replaces -> how far apart they are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels import colours, mlp
+from nerfbake.kernels.mlp import Shown
+from nerfbake.kernels.octahedron import Lookup
+from nerfbake.scene.atlas import OctahedralAtlas
+from nerfbake.scene.specular import SpecularField
+
+
+class AtlasError(NamedTuple):
+    """Differences in 0..255, mean over the used texels, the directions and the three channels."""
+
+    mae: float  # of whole numbers, as 8-bit pictures hold them
+    mse: float
+    mae_float: float  # before rounding
+    mse_float: float
+    texels: int
+    colours: int  # distinct combinations of colour, label and feature
+
+
+def measure_error(
+    atlas: OctahedralAtlas,
+    field: SpecularField,
+    *,
+    directions: npt.NDArray[np.float64],
+    lookup: Lookup = "bilinear",
+    thesis_fault: bool = False,
+) -> AtlasError:
+    """The error of an atlas over every used texel and N unit directions (N, 3). Source: the thesis' metric.
+
+    lookup: kernels.octahedron.sample says which there are; `thesis` also truncates colours where the others round, and
+    evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1
+    norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the
+    texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size.
+    """
+    if atlas.labels.shape != field.features.shape[:2]:
+        found, allowed = (f"{shape[1]}x{shape[0]}" for shape in (atlas.labels.shape, field.features.shape))
+        raise InvalidScene(Problem("labels", f"have {found} texels", f"{allowed} as the feature texture has"))
+    keys, counts = np.unique(_keys(atlas, field), return_counts=True)
+    codes = (keys >> 40).astype(np.uint32)
+    features = colours.decode((keys & 0xFFFFFF).astype(np.uint32))
+    index, weight = atlas.terms((keys >> 24 & 0xFFFF).astype(np.uint16), features)
+    table = atlas.show(directions, lookup).transpose(0, 2, 1).reshape(len(atlas.tiles), -1)
+    shown = Shown(table, index, weight)
+    asked = directions / np.abs(directions).sum(axis=1, keepdims=True) if thesis_fault else directions
+    sums = _sums(field, codes, shown, asked, lookup)
+    if thesis_fault:
+        first = codes == colours.encode(_first_met(field))
+        met = Shown(table, index[first], weight[first])
+        sums[first] = _sums(field, codes[first], met, directions, lookup)
+    means = counts @ sums / (counts.sum() * table.shape[1])
+    mae, mse, mae_float, mse_float = means.tolist()
+    return AtlasError(mae, mse, mae_float, mse_float, int(counts.sum()), len(keys))
+
+
+def _keys(atlas: OctahedralAtlas, field: SpecularField) -> npt.NDArray[np.uint64]:
+    """Everything that a used texel's error depends on, in 64 bits: colour code, label, feature code."""
+    keys = colours.encode(field.features[field.used]).astype(np.uint64) << np.uint64(40)
+    keys |= atlas.labels[field.used].astype(np.uint64) << np.uint64(24)
+    if atlas.features is not None:
+        keys |= colours.encode(atlas.features[field.used])
+    return keys
+
+
+def _first_met(field: SpecularField) -> npt.NDArray[np.uint8]:
+    column = int(np.argmax(field.used.any(axis=0)))
+    row = int(np.flatnonzero(field.used[:, column])[-1])
+    first: npt.NDArray[np.uint8] = field.features[row, column]
+    return first
+
+
+def _sums(
+    field: SpecularField,
+    codes: npt.NDArray[np.uint32],
+    shown: Shown,
+    directions: npt.NDArray[np.float64],
+    lookup: Lookup,
+) -> npt.NDArray[np.float64]:
+    """(m, 4) the differences of m texels, kernels.mlp.compare."""
+    features = colours.decode(codes) / 255
+    if lookup == "thesis":
+        return mlp.compare_exactly(features, directions, field.w0, field.w1, shown)
+    return mlp.compare(features, mlp.split(directions, field.w0, field.w1), shown)

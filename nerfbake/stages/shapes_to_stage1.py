@@ -1,0 +1,105 @@
+"""A glossy torus -> a nerf2mesh stage-1 scene: mesh, textures and a fitted MLP, for demos, tests and benchmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.raster import cover
+from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.specular import SpecularField
+from nerfbake.scene.stage1 import Stage1
+
+Floats = npt.NDArray[np.float64]
+
+HIDDEN = 32  # units, as nerf2mesh has them
+RADIUS, THICKNESS = 0.62, 0.27  # of the torus, in world units; its axis is y, which is up
+MARGIN = 0.04  # of the texture around the torus's patch, which no triangle uses
+_RINGS, _SIDES = 96, 48
+_LIGHT = np.array([0.42, 0.8, -0.43])  # unit, towards the light
+_STEPS, _BATCH, _RATE = 1000, 1024, 0.03
+
+
+def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
+    """A torus whose features are its normals and gloss, and an MLP that turns them into a highlight and a sheen.
+
+    resolution: texels along the textures' edges, 16 to 8192. The same arguments give the same bytes.
+    """
+    if not 16 <= resolution <= 8192:
+        raise InvalidScene(Problem("resolution", f"is {resolution}", "16 to 8192 texels"))
+    at = (np.arange(resolution) + 0.5) / resolution
+    v, u = np.meshgrid(at, at, indexing="ij")
+    _, normals = _torus(u, v)
+    gloss = 0.55 + 0.45 * np.sign(np.sin(14 * np.pi * u) * np.sin(7 * np.pi * v))
+    features = _features(normals, gloss)
+    mesh = _mesh()
+    used = cover(mesh.uvs, mesh.faces, resolution, resolution)
+    features[~used] = 0
+    base = np.array([0.55, 0.13, 0.1]) + np.array([0.12, 0.1, 0.08]) * gloss[..., None]
+    lit = base * (0.45 + 0.55 * np.maximum(normals @ _LIGHT, 0))[..., None]
+    diffuse = np.where(used[..., None], np.rint(255 * lit), 0).astype(np.uint8)
+    with threadpool_limits(1, user_api="blas"):
+        w0, w1 = _fit(np.random.default_rng(seed))
+    return Stage1((SpecularField(features, w0, w1, used),), (mesh,), diffuse=(diffuse,))
+
+
+def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """Points and unit normals (..., 3) at texture coordinates: u around the axis, v around the tube."""
+    around, across = ((2 * np.pi * (t - MARGIN) / (1 - 2 * MARGIN)) for t in (u, v))
+    normals = np.stack([np.cos(around) * np.cos(across), np.sin(across), np.sin(around) * np.cos(across)], axis=-1)
+    middle = np.stack([np.cos(around), np.zeros_like(around), np.sin(around)], axis=-1)
+    return RADIUS * middle + THICKNESS * normals, normals
+
+
+def _mesh() -> TexturedMesh:
+    u, v = (MARGIN + (1 - 2 * MARGIN) * np.linspace(0, 1, n + 1) for n in (_RINGS, _SIDES))
+    v, u = np.meshgrid(v, u, indexing="xy")
+    points, _ = _torus(u, v)
+    corner = np.arange(_RINGS)[:, None] * (_SIDES + 1) + np.arange(_SIDES)
+    near, far = corner, corner + _SIDES + 1
+    faces = np.stack([near, near + 1, far + 1, near, far + 1, far], axis=-1).reshape(-1, 3)
+    uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
+    return TexturedMesh(points.reshape(-1, 3).astype(np.float32), uvs.astype(np.float32), faces.astype(np.uint32))
+
+
+def _features(normals: Floats, gloss: Floats) -> npt.NDArray[np.uint8]:
+    """(..., 3) uint8: the normal, shorter where the surface is matt."""
+    return np.rint(255 * (0.5 + 0.5 * normals * gloss[..., None])).astype(np.uint8)
+
+
+def _look(features: Floats, directions: Floats) -> Floats:
+    """(m, 3) the highlight of the light and a bluish sheen at grazing angles, 0..1; f in 0..1, d unit."""
+    bent = 2 * features - 1
+    gloss = np.linalg.norm(bent, axis=1, keepdims=True)
+    normal = bent / np.maximum(gloss, 1e-6)
+    facing = -(directions * normal).sum(axis=1, keepdims=True)
+    mirrored = directions + 2 * facing * normal
+    spot = np.maximum(mirrored @ _LIGHT, 0)[:, None] ** 4
+    sheen = (1 - np.abs(facing)) ** 3
+    return np.asarray(0.02 + gloss * (0.6 * spot * [1, 0.93, 0.8] + 0.2 * sheen * [0.6, 0.8, 1]))
+
+
+def _fit(random: np.random.Generator) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """The MLP's weights, by Adam (Kingma and Ba, 2014) on random normals, glosses and directions."""
+    weights = [random.normal(0, 1, (6, HIDDEN)), random.normal(0, 0.3, (HIDDEN, 3))]
+    first, second = ([np.zeros(w.shape) for w in weights] for _ in range(2))
+    for step in range(1, _STEPS + 1):
+        normals, directions = (_unit(random.normal(size=(_BATCH, 3))) for _ in range(2))
+        directions *= -np.sign((directions * normals).sum(axis=1, keepdims=True))  # surfaces are seen from outside
+        features = 0.5 + 0.5 * normals * random.choice([0.1, 1.0], (_BATCH, 1))
+        inputs = np.concatenate([directions, features], axis=1)
+        hidden = np.maximum(inputs @ weights[0], 0)
+        shown = 1 / (1 + np.exp(-hidden @ weights[1]))
+        slope = (shown - _look(features, directions)) * shown * (1 - shown) / _BATCH
+        gradients = [inputs.T @ ((slope @ weights[1].T) * (hidden > 0)), hidden.T @ slope]
+        for w, gradient, m, s in zip(weights, gradients, first, second, strict=True):
+            m += 0.1 * (gradient - m)
+            s += 0.001 * (gradient**2 - s)
+            w -= _RATE * (m / (1 - 0.9**step)) / (np.sqrt(s / (1 - 0.999**step)) + 1e-12)
+    return weights[0].astype(np.float32), weights[1].astype(np.float32)
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -1,0 +1,76 @@
+"""Specular field -> its distinct colours, and for each a point that says how it looks from everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from nerfbake.kernels import colours, mlp
+from nerfbake.scene.specular import SpecularField
+
+DIMENSIONS = 32  # of a point: what the principal components leave out is below 0.1 % of the inertia
+_SAMPLE = 20_000  # colours that the principal components are found from
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiers:
+    """u distinct colours of the used texels, in the order of their codes.
+
+    codes   (u,) uint32, kernels.colours
+    counts  (u,) float64: texels of each colour
+    points  (u, p) float32: the MLP's outputs (0..255) in all directions, in principal components; distances between
+            points are distances between outputs, over all channels and directions
+    """
+
+    codes: npt.NDArray[np.uint32]
+    counts: npt.NDArray[np.float64]
+    points: npt.NDArray[np.float32]
+
+    @property
+    def features(self) -> npt.NDArray[np.float64]:
+        """(u, 3) in 0..1."""
+        return colours.decode(self.codes) / 255
+
+
+def identify(
+    field: SpecularField,
+    *,
+    directions: npt.NDArray[np.float64],
+    direction_weights: npt.NDArray[np.float64] | None = None,
+) -> Identifiers:
+    """The distinct colours, and the MLP's outputs for them in N unit directions (N, 3), reduced to p numbers.
+
+    direction_weights (N,): how much each direction counts, 1 on average. The u x 3N outputs (1.7 GB for a 2048x2048
+    texture) are projected one colour at a time and never stored.
+    """
+    # Sorting beats counting in a table of all 2^24 colours: 0.25 s against 0.69 s for 4 million texels.
+    codes, counts = np.unique(colours.encode(field.features[field.used]), return_counts=True)
+    features = colours.decode(codes) / 255
+    # BLAS orders its sums by the number of its threads; one gives the same bytes everywhere.
+    with threadpool_limits(1, user_api="blas"):
+        basis, shift = _principal_components(field, features, counts, directions, direction_weights)
+    points = mlp.project(features, mlp.split(directions, field.w0, field.w1), basis, shift)
+    return Identifiers(codes, counts.astype(np.float64), points)
+
+
+def _principal_components(
+    field: SpecularField,
+    features: npt.NDArray[np.float64],
+    counts: npt.NDArray[np.int64],
+    directions: npt.NDArray[np.float64],
+    direction_weights: npt.NDArray[np.float64] | None,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """(3N, p) and (p,): outputs @ basis - shift are the components, of an evenly taken sample of the colours."""
+    taken = slice(None, None, -(-len(features) // _SAMPLE))
+    scale = np.full((3, len(directions)), 255.0)
+    if direction_weights is not None:
+        scale *= np.sqrt(direction_weights)
+    outputs = mlp.evaluate(features[taken], directions, field.w0, field.w1).reshape(-1, scale.size) * scale.reshape(-1)
+    weight = counts[taken] / counts[taken].sum()
+    mean = weight @ outputs
+    centred = (outputs - mean) * np.sqrt(weight)[:, None]
+    axes = np.linalg.eigh(centred.T @ centred)[1][:, ::-1][:, :DIMENSIONS]
+    return (scale.reshape(-1, 1) * axes).astype(np.float32), (mean @ axes).astype(np.float32)
