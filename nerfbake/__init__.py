@@ -23,13 +23,18 @@ if TYPE_CHECKING:
     from nerfbake.scene.image import Image as Image
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
+    from nerfbake.scene.vdb import IndexGrid as IndexGrid
+    from nerfbake.scene.vdb import VdbTree as VdbTree
+    from nerfbake.scene.volume import Volume as Volume
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.scene_to_cameras import orbit as orbit
     from nerfbake.stages.scene_to_image import render as render
+    from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
     from nerfbake.stages.scene_to_summary import summarise as summarise
     from nerfbake.stages.scenes_to_comparison import compare as compare
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
+    from nerfbake.stages.vdb_to_octree import restore_octree as restore_octree
 
 __version__ = "0.1.0"
 

@@ -43,6 +43,8 @@ FORMATS = (
     Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
     Format("png", "Image", ".png", "nerfbake.formats.image_png", "picture"),
     Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
+    Format("vdb", "Volume", ".vdb", "nerfbake.formats.vdb_openvdb", "OpenVDB grids"),
+    Format("nvdb", "Volume", ".nvdb", "nerfbake.formats.vdb_nanovdb", "NanoVDB grid"),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
@@ -56,6 +58,9 @@ SCENES = {
     "Image": "nerfbake.scene.image",
     "N3Tree": "nerfbake.scene.n3tree",
     "SparseVoxelOctree": "nerfbake.scene.octree",
+    "VdbTree": "nerfbake.scene.vdb",
+    "IndexGrid": "nerfbake.scene.vdb",
+    "Volume": "nerfbake.scene.volume",
 }
 
 STAGES = {
@@ -63,7 +68,9 @@ STAGES = {
     "render": "nerfbake.stages.scene_to_image",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
     "compare": "nerfbake.stages.scenes_to_comparison",
+    "build_vdb": "nerfbake.stages.octree_to_vdb",
     "cut_octree": "nerfbake.stages.octree_to_octree",
+    "restore_octree": "nerfbake.stages.vdb_to_octree",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "summarise": "nerfbake.stages.scene_to_summary",
 }
