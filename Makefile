@@ -35,6 +35,10 @@ demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and check
 	$(BIN)/nerfbake check build/demo/sample.npz
 	$(BIN)/nerfbake check build/demo/sample.svo.pb
 	$(BIN)/nerfbake check build/demo/sample_64.svo.npz
+	$(BIN)/nerfbake vdb build/demo/sample.npz build/demo/sample.vdb --force
+	$(BIN)/nerfbake vdb build/demo/sample.svo.pb build/demo/sample.nvdb --grids index --half --force
+	$(BIN)/nerfbake check build/demo/sample.vdb
+	$(BIN)/nerfbake check build/demo/sample.nvdb
 
 lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff check .

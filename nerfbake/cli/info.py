@@ -33,8 +33,18 @@ def info(source: Input, as_json: bool, words: Words) -> None:
     if as_json:
         click.echo(json.dumps(facts))
         return
+    _table(facts)
+
+
+def _table(facts: dict[str, Any]) -> None:
     for name, value in facts.items():
-        click.echo(f"{name.replace('_', ' '):<20}{_text(name, value)}")
+        if name == "grids":
+            for grid, parts in value.items():
+                click.echo(f"\ngrid {grid}")
+                _table(parts)
+            click.echo()
+        else:
+            click.echo(f"{name.replace('_', ' '):<20}{_text(name, value)}")
 
 
 def _text(name: str, value: Any) -> str:
