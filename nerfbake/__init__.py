@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from nerfbake.scene.volume import Volume as Volume
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
+    from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
     from nerfbake.stages.scene_to_cameras import orbit as orbit
     from nerfbake.stages.scene_to_image import render as render
-    from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
     from nerfbake.stages.scene_to_summary import summarise as summarise
     from nerfbake.stages.scenes_to_comparison import compare as compare
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
