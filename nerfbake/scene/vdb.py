@@ -22,7 +22,9 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, group_bits, popcount, slots_of
+from nerfbake.kernels.lookup import as_points
 from nerfbake.kernels.topology import all_finite, count_problem, plural
+from nerfbake.scene.octree import Lookup
 
 LEAF_BITS, LOWER_BITS, UPPER_BITS = 9, 12, 15
 ROOT_BITS = 20  # of a tile's number along an axis
@@ -101,6 +103,13 @@ class VdbTopology:
             used: npt.NDArray[np.bool_] = np.any(solid, axis=others)
             low[:, axis], high[:, axis] = used.argmax(axis=1), 7 - used[:, ::-1].argmax(axis=1)
         return low + self.leaf_origin, high + self.leaf_origin
+
+    @cached_property
+    def tables(self) -> Any:
+        """The masks with their ranks, for kernels.accessor."""
+        from nerfbake.kernels.accessor import tables_of
+
+        return tables_of(self.root_origin, self.upper_mask, self.lower_mask, self.leaf_mask)
 
     def structure_problems(self) -> list[Problem]:
         """Masks that disagree about how many nodes there are, and tiles out of order."""
@@ -181,6 +190,19 @@ class VdbTree:
         """Values that no renderer can use."""
         return _finite_problems(self.name, self.values) + _finite_problems("background", self.background)
 
+    @cached_property
+    def floats(self) -> npt.NDArray[np.float32]:
+        """(m, c) the values as they are read."""
+        return np.ascontiguousarray(self.values, np.float32)
+
+    def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
+        """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., c) float32.
+
+        nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight around the point,
+        weighted as usual. Inactive voxels read as the background.
+        """
+        return _sample(self.topology, self.floats, self.background, points, lookup)
+
 
 @dataclass(frozen=True, eq=False)
 class IndexGrid:
@@ -215,6 +237,38 @@ class IndexGrid:
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
         return _finite_problems(self.name, self.table)
+
+    @cached_property
+    def floats(self) -> npt.NDArray[np.float32]:
+        """(m, C) the rows as they are read; a view where the table is float32."""
+        return np.ascontiguousarray(self.values, np.float32)
+
+    def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
+        """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., C) float32.
+
+        nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight around the point,
+        weighted as usual. Inactive voxels read as the background.
+        """
+        return _sample(self.topology, self.floats, self.background, points, lookup)
+
+
+def _sample(
+    topology: VdbTopology,
+    values: npt.NDArray[np.float32],
+    background: npt.NDArray[np.float32],
+    points: npt.ArrayLike,
+    lookup: Lookup,
+) -> npt.NDArray[np.float32]:
+    # Imported on first use: numba takes half a second, and only reads need it.
+    from nerfbake.kernels.accessor import sample_points
+
+    if lookup not in ("nearest", "trilinear"):
+        raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
+    array = as_points(points)
+    out = np.empty((array.size // 3, values.shape[1]), np.float32)
+    corners = 1 if lookup == "nearest" else 2
+    sample_points(topology.tables, values, background, np.ascontiguousarray(array).reshape(-1, 3), corners, out)
+    return out.reshape(*array.shape[:-1], values.shape[1])
 
 
 def _origins(above: Coords, masks: Words, bits: int, width: int) -> Coords:

@@ -69,6 +69,11 @@ class Volume:
                 return grid
         raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(grid.name for grid in self.grids)))
 
+    def index_of(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """(..., 3) world coordinates -> voxels, for a grid's sample()."""
+        apart = np.asarray(points, np.float64) - self.transform[:, 3]
+        return np.asarray(apart @ np.linalg.inv(self.transform[:, :3]).T, np.float64)
+
     def require_sound(self) -> None:
         """Raises InvalidScene with the first structural problem, if there is one."""
         if problems := self.structure_problems():
