@@ -15,11 +15,15 @@ $(VENV)/ready: pyproject.toml
 
 setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
 
-tools:  ## flatc and capnp, against which the tests hold our files: from Debian, where they are missing and we are root
-	@if command -v flatc >/dev/null && command -v capnp >/dev/null; then :; \
+# Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
+READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
+READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
+
+tools:  ## other programs that read our files in tests, OpenVDB to Blender: from Debian, where they are missing and we are root
+	@if dpkg -s $(READERS) >/dev/null 2>&1; then :; \
 	elif [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then \
-		echo "no flatc or no capnp: the tests that need them are skipped (Debian: flatbuffers-compiler capnproto)"; \
-	else apt-get update -qq && apt-get install -y -qq flatbuffers-compiler capnproto >/dev/null; fi
+		echo "tests that need a program that is missing are skipped (Debian: $(READERS))"; \
+	else apt-get update -qq && apt-get install -y -qq --no-install-recommends $(READERS) >/dev/null; fi
 
 demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and checked: build/demo
 	mkdir -p build/demo
@@ -34,6 +38,10 @@ demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and check
 	$(BIN)/nerfbake sample nerf2mesh build/demo/mesh_stage1 --force
 	$(BIN)/nerfbake atlas build/demo/mesh_stage1 build/demo/atlas --clusters 256 --force
 	$(BIN)/nerfbake atlas-error build/demo/atlas build/demo/mesh_stage1 --held-out
+	$(BIN)/nerfbake vdb build/demo/sample.npz build/demo/sample.vdb --force
+	$(BIN)/nerfbake vdb build/demo/sample.svo.pb build/demo/sample.nvdb --grids index --half --force
+	$(BIN)/nerfbake check build/demo/sample.vdb
+	$(BIN)/nerfbake check build/demo/sample.nvdb
 
 lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff check .

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
     from nerfbake.scene.specular import SpecularField as SpecularField
     from nerfbake.scene.stage1 import Stage1 as Stage1
+    from nerfbake.scene.vdb import IndexGrid as IndexGrid
+    from nerfbake.scene.vdb import VdbTree as VdbTree
+    from nerfbake.scene.volume import Volume as Volume
     from nerfbake.stages.atlas_to_error import measure_error as measure_error
     from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
     from nerfbake.stages.clusters_to_maps import snapped_maps as snapped_maps
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
+    from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
     from nerfbake.stages.scene_to_cameras import orbit as orbit
     from nerfbake.stages.scene_to_image import render as render
     from nerfbake.stages.scene_to_summary import summarise as summarise
@@ -44,6 +48,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.specular_to_identifiers import identify as identify
     from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1
     from nerfbake.stages.stage1_to_atlas import measure_stage1 as measure_stage1
+    from nerfbake.stages.vdb_to_octree import restore_octree as restore_octree
 
 __version__ = "0.1.0"
 

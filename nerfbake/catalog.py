@@ -43,6 +43,8 @@ FORMATS = (
     Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
     Format("png", "Image", ".png", "nerfbake.formats.image_png", "picture"),
     Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
+    Format("vdb", "Volume", ".vdb", "nerfbake.formats.vdb_openvdb", "OpenVDB grids"),
+    Format("nvdb", "Volume", ".nvdb", "nerfbake.formats.vdb_nanovdb", "NanoVDB grid"),
 )
 
 # Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
@@ -58,35 +60,40 @@ COMPRESSION = "nerfbake.formats._zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 SCENES = {
+    "BakedAtlas": "nerfbake.scene.atlas",
     "Camera": "nerfbake.scene.camera",
     "Cameras": "nerfbake.scene.camera",
     "Image": "nerfbake.scene.image",
-    "BakedAtlas": "nerfbake.scene.atlas",
+    "IndexGrid": "nerfbake.scene.vdb",
     "N3Tree": "nerfbake.scene.n3tree",
     "OctahedralAtlas": "nerfbake.scene.atlas",
     "SparseVoxelOctree": "nerfbake.scene.octree",
     "SpecularField": "nerfbake.scene.specular",
     "Stage1": "nerfbake.scene.stage1",
+    "VdbTree": "nerfbake.scene.vdb",
+    "Volume": "nerfbake.scene.volume",
 }
 
 STAGES = {
-    "orbit": "nerfbake.stages.scene_to_cameras",
-    "render": "nerfbake.stages.scene_to_image",
     "bake_atlas": "nerfbake.stages.specular_to_atlas",
     "bake_stage1": "nerfbake.stages.stage1_to_atlas",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
+    "build_vdb": "nerfbake.stages.octree_to_vdb",
+    "cluster": "nerfbake.stages.identifiers_to_clusters",
+    "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
     "compare": "nerfbake.stages.scenes_to_comparison",
     "cut_octree": "nerfbake.stages.octree_to_octree",
     "identify": "nerfbake.stages.specular_to_identifiers",
     "measure_error": "nerfbake.stages.atlas_to_error",
     "measure_stage1": "nerfbake.stages.stage1_to_atlas",
-    "cluster": "nerfbake.stages.identifiers_to_clusters",
-    "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
-    "weigh_directions": "nerfbake.stages.cameras_to_directions",
+    "orbit": "nerfbake.stages.scene_to_cameras",
+    "render": "nerfbake.stages.scene_to_image",
+    "restore_octree": "nerfbake.stages.vdb_to_octree",
+    "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "sample_stage1": "nerfbake.stages.shapes_to_stage1",
     "snapped_maps": "nerfbake.stages.clusters_to_maps",
-    "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "summarise": "nerfbake.stages.scene_to_summary",
+    "weigh_directions": "nerfbake.stages.cameras_to_directions",
 }
 
 

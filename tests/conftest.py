@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +17,8 @@ DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data
 
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("repeatable")
+
+TOOLS = ("nanovdb_convert", "nanovdb_print", "nanovdb_validate", "vdb_print")
 
 Shell = Callable[..., subprocess.CompletedProcess[bytes]]
 
@@ -42,6 +45,10 @@ def shell(tmp_path: Path) -> Shell:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if missing := [name for name in TOOLS if shutil.which(name) is None]:
+        for item in items:
+            if item.get_closest_marker("tools"):
+                item.add_marker(pytest.mark.skip(reason=f"no {', '.join(missing)}: `make tools` installs them"))
     if not DATA.is_dir():
         for item in items:
             if item.get_closest_marker("data"):

@@ -25,10 +25,16 @@ def convert(
 ) -> None:
     """Write the octree IN as OUT, in another format or layout, without loss.
 
+    IN may also be what `nerfbake vdb` wrote with the grids `index` or `density,sh`.
+
     \b
       nerfbake convert chair.svo.pb chair.svo.npz
       nerfbake convert chair.svo.pb - --to svo.npz --layout compact > chair.svo.npz
+      nerfbake convert chair.nvdb chair.svo.pb
     """
     target.require("SparseVoxelOctree")
-    octree = source.read(words, nerfbake.SparseVoxelOctree)
+    octree = source.read(words, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    if isinstance(octree, nerfbake.Volume):
+        with source.blamed(words, "restoring the octree"):
+            octree = nerfbake.restore_octree(octree)
     target.write(words, octree.with_layout(layout or octree.layout), no_child=no_child)

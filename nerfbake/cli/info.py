@@ -27,14 +27,24 @@ def info(source: Input, as_json: bool, words: Words) -> None:
     """
     with words.phase(f"reading {source.path}"):
         scene: Any
-        kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+        kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
         scene, form, size = io.load_with_format(source.path, *kinds, max_memory=source.max_memory)
         facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:
         click.echo(json.dumps(facts))
         return
+    _table(facts)
+
+
+def _table(facts: dict[str, Any]) -> None:
     for name, value in facts.items():
-        click.echo(f"{name.replace('_', ' '):<20}{_text(name, value)}")
+        if name == "grids":
+            for grid, parts in value.items():
+                click.echo(f"\ngrid {grid}")
+                _table(parts)
+            click.echo()
+        else:
+            click.echo(f"{name.replace('_', ' '):<20}{_text(name, value)}")
 
 
 def _text(name: str, value: Any) -> str:

@@ -22,6 +22,7 @@ from nerfbake.cli.lod import lod
 from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
+from nerfbake.cli.vdb import vdb
 from nerfbake.errors import NerfbakeError, PipeClosed, one_line
 
 
@@ -42,13 +43,14 @@ def cli() -> None:
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake atlas mesh_stage1 chair_atlas --clusters 256
+      nerfbake vdb chair.npz chair.vdb
       nerfbake svo chair.npz - --to svo.pb | nerfbake info - --json
 
     Exit codes: 0 done, 1 bad input, 2 wrong usage, 3 quality budget missed, 4 the output cannot be written.
     """
 
 
-for command in (svo, convert, lod, atlas, atlas_error, render, compare, info, check, sample, bench):
+for command in (svo, vdb, atlas, atlas_error, convert, lod, render, compare, info, check, sample, bench):
     cli.add_command(command)
 
 

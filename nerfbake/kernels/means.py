@@ -33,6 +33,11 @@ def opacity(sigma: npt.NDArray[Any], length: float) -> Floats:
     return -np.expm1(-depth)
 
 
+def mean_edge(edges: Floats) -> float:
+    """The edge of the cube that has the volume of this box: (3,) -> their geometric mean."""
+    return float(np.prod(edges) ** (1 / 3))
+
+
 def mean_of_runs(
     rows_at: Callable[[npt.NDArray[np.int64]], npt.NDArray[Any]],
     weight: Floats,

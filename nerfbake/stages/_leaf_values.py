@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,19 @@ Ints = npt.NDArray[np.signedinteger[Any]]
 
 _FLOAT16_MAX = 65504.0
 _CHUNK = 1 << 13  # rows at a time: temporaries stay in the cache, and memory bounded
+
+
+class Leaves(Protocol):
+    """What an octree's leaves hold, by number."""
+
+    data_dim: int
+    dtype: np.dtype[Any]
+
+    def values(self, leaf: Ints) -> npt.NDArray[Any]:
+        """(m, D) in dtype."""
+
+    def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
+        """What each weighs in a mean."""
 
 
 class LeafValues:
@@ -110,7 +123,7 @@ class LeafValues:
         return values.astype(self.dtype, copy=False)
 
 
-def node_values(levels: list[Level], leaves: LeafValues) -> npt.NDArray[Any]:
+def node_values(levels: list[Level], leaves: Leaves) -> npt.NDArray[Any]:
     """(n, D): leaves as they are, inner nodes the mean of their children, from the last level up."""
     sizes = [len(level.leaf) for level in levels]
     data = np.zeros((sum(sizes), leaves.data_dim), leaves.dtype)

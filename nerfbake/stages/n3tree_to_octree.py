@@ -8,6 +8,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lockstep import Source, refine
+from nerfbake.kernels.means import mean_edge
 from nerfbake.kernels.pyramid import children_table, drop_empty, merge_equal
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
@@ -91,7 +92,8 @@ def _require_usable(tree: N3Tree, sigma_min: float | None) -> None:
 
 def _finest_width(tree: N3Tree) -> float:
     """The width of a cell of the deepest level in world units: the geometric mean of its three edges."""
-    return float(np.prod(np.abs(tree.invradius)) ** (-1 / 3) / tree.resolution)
+    # Step by step as restore_octree works it out from voxel sizes, so that both make the same means to the bit.
+    return mean_edge(1 / (np.abs(tree.invradius) * tree.resolution))
 
 
 def _source(tree: N3Tree, sigma_min: float) -> Source:

@@ -10,13 +10,19 @@ import numpy.typing as npt
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.volume import Volume
 
 
-def summarise(scene: N3Tree | SparseVoxelOctree) -> dict[str, Any]:
+def summarise(scene: N3Tree | SparseVoxelOctree | Volume) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
+
+    Of a volume the same by grid, and what its file said of its checksum.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
     """
+    if isinstance(scene, Volume):
+        return _of_volume(scene)
     return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
 
 
@@ -73,6 +79,40 @@ def _of_octree(octree: SparseVoxelOctree) -> dict[str, Any]:
         "ranges": _ranges(octree.node_data, occupied, octree.data_format),
         "non_finite": _non_finite(octree.node_data, np.ones(octree.n, bool)),
         "bytes_in_memory": octree.node_children.nbytes + octree.node_data.nbytes,
+    }
+
+
+def _of_volume(volume: Volume) -> dict[str, Any]:
+    return {
+        "kind": "VDB volume",
+        "checksum": volume.checksum,
+        "data_format": volume.frame.data_format or None if volume.frame else None,
+        "voxel_size": volume.voxel_size.tolist(),
+        "transform": volume.transform.tolist(),
+        "grid_names": [grid.name for grid in volume.grids],
+        "grids": {grid.name: _of_grid(grid, volume.transform) for grid in volume.grids},
+        "bytes_in_memory": sum(grid.values.nbytes for grid in volume.grids),
+    }
+
+
+def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> dict[str, Any]:
+    box, world = grid.topology.box, None
+    if box is not None:
+        ends = np.stack([box[0] - 0.5, box[1] + 0.5])  # a voxel reaches half its edge around its centre
+        corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
+        corners = corners @ transform[:, :3].T + transform[:, 3]
+        world = _box(np.stack([corners.min(axis=0), corners.max(axis=0)]))
+    return {
+        "type": "index" if isinstance(grid, IndexGrid) else "values",
+        "dtype": grid.values.dtype.name,
+        "channels": int(grid.values.shape[1]),
+        "active_voxels": grid.topology.m,
+        "nodes_per_level": [1, *grid.topology.node_counts],
+        "index_box": [corner.tolist() for corner in box] if box is not None else None,
+        "world_box": world,
+        "background": grid.background.tolist(),
+        "range": _range(grid.values),
+        "non_finite": _non_finite(grid.values, np.ones(len(grid.values), bool)),
     }
 
 

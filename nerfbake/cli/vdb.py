@@ -1,0 +1,61 @@
+"""`nerfbake vdb`: PlenOctree or octree to OpenVDB or NanoVDB."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import click
+
+import nerfbake
+from nerfbake import io
+from nerfbake.cli.params import Input, Output, Resolution, reads, speaks, writes
+from nerfbake.cli.words import Words
+from nerfbake.errors import UsageError
+
+GRIDS = "density, Cd (colour seen from everywhere on average), sh (coefficients); or index (all behind one topology)."
+DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density"}
+DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}
+
+
+@click.command()
+@reads
+@writes
+@click.option("--grids", help=f"{GRIDS}  [default: density,Cd for .vdb, density for .nvdb]")
+@click.option("--half", is_flag=True, help="Store values as float16.")
+@click.option("--codec", type=click.Choice(["none", "zip"]), help="[default: zip for .vdb, none for .nvdb]")
+@click.option("--resolution", type=Resolution(), help="Voxels an axis, of a PlenOctree.  [default: its finest]")
+@click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
+@click.option("--up", type=click.Choice(["y", "z"]), default="z", show_default=True, help="The axis that z becomes.")
+@speaks
+def vdb(
+    source: Input,
+    target: Output,
+    grids: str | None,
+    half: bool,
+    codec: str | None,
+    resolution: tuple[int, int, int] | None,
+    sigma_min: float | None,
+    up: Literal["y", "z"],
+    words: Words,
+) -> None:
+    """Write the PlenOctree or octree IN as OpenVDB (.vdb) or NanoVDB (.nvdb, one grid a file).
+
+    \b
+      nerfbake vdb chair.npz chair.vdb
+      nerfbake vdb chair.svo.pb chair.nvdb --grids index --half
+      nerfbake vdb chair.npz - --to nvdb | nerfbake info -
+    """
+    target.require("Volume")
+    form = io.format_for(target.path, "Volume", to=target.to).name
+    wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
+    scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    options: Any = {"sigma_min": sigma_min, "max_memory": source.max_memory}
+    with source.blamed(words, "building the grids"):
+        if isinstance(scene, nerfbake.N3Tree):
+            scene = nerfbake.build_octree(scene, resolution=resolution, **options)
+        elif resolution:
+            raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
+        volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, **options)
+    if form == "nvdb" and half and wanted == ("density",):
+        words.say("note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros")
+    target.write(words, volume, codec=codec or DEFAULT_CODEC[form])

@@ -1,0 +1,41 @@
+"""zlib streams as VDB files hold them: packed whole, unpacked to the size they must have and not a byte more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from zlib_ng import zlib_ng
+
+from nerfbake.errors import InvalidFile, Problem
+
+LEVEL = 2  # of zlib-ng: on the chair's densities level 6 saves 0.6 % and takes 2.4 times as long, level 1 costs 31 %
+MAX_INFLATION = 1032  # deflate's own bound: 258 bytes for a quarter of a byte
+
+
+def deflate(data: bytes | memoryview) -> bytes:
+    """A zlib stream."""
+    packed: bytes = zlib_ng.compress(data, LEVEL)
+    return packed
+
+
+def deflate_all(pieces: Iterable[bytes | memoryview]) -> bytes:
+    """One zlib stream of all the pieces."""
+    packer = zlib_ng.compressobj(LEVEL)
+    packed = [packer.compress(piece) for piece in pieces]
+    return b"".join([*packed, packer.flush()])
+
+
+def inflate(packed: memoryview, size: int, what: str) -> bytes:
+    """The `size` bytes of a zlib stream. Raises InvalidFile if it holds fewer or more, or is damaged."""
+    if size > MAX_INFLATION * len(packed) + 64:
+        found = f"declares {size:,} bytes from {len(packed):,}"
+        raise InvalidFile(Problem(what, found, f"{MAX_INFLATION} times as many, deflate's bound"))
+    unpacker = zlib_ng.decompressobj()
+    try:
+        data = unpacker.decompress(packed, size + 1)
+    except zlib_ng.error as error:  # type: ignore[misc]  # an exception, though its stub does not say so
+        raise InvalidFile(Problem(what, f"is damaged ({error})", "a whole zlib stream")) from None
+    if len(data) != size or not unpacker.eof:
+        more = "more than " if len(data) > size else ""
+        raise InvalidFile(Problem(what, f"inflates to {more}{min(len(data), size):,} bytes", f"{size:,}, all of it"))
+    return data

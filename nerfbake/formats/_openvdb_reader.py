@@ -1,0 +1,204 @@
+"""An OpenVDB file from anywhere, version 222 to 224: float and 3-float grids of active voxels.
+
+A node's values say their own size, so nodes are walked one after the other; values are unpacked once all masks are
+known and what they need is within max_memory.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidFile, MemoryLimit, Problem, one_line
+from nerfbake.formats._deflate import inflate
+from nerfbake.formats._openvdb_stream import ACTIVE_MASK, ALL_VALUES, MAGIC, VERSION, ZIP, Stream
+from nerfbake.formats._openvdb_writer import TYPES
+from nerfbake.formats._vdb_frame import NAME, parse_frame
+from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, popcount
+from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.runs import rows_of_runs
+from nerfbake.scene.vdb import VdbTopology, VdbTree, root_keys
+from nerfbake.scene.volume import OctreeFrame, Volume
+
+OLDEST = 222  # the first version whose nodes are stored as today
+MAX_GRIDS = 1000
+_CHUNK = 256  # leaves unpacked at a time by each core
+# Of the codes before a node's values: how many inactive values follow, and whether a mask that chooses among them.
+_INACTIVE_VALUES = (0, 0, 1, 0, 1, 2, 0)
+_SELECTION = (False, False, False, True, True, True, False)
+_SCALES, _AFFINE = ("UniformScaleMap", "ScaleMap"), "AffineMap"
+_SCALES_AND_MOVES = ("UniformScaleTranslateMap", "ScaleTranslateMap")
+_MAPS = (*_SCALES, *_SCALES_AND_MOVES, "TranslationMap", _AFFINE)
+
+
+class _Kind(NamedTuple):
+    channels: int
+    dtype: np.dtype[Any]
+
+    @property
+    def width(self) -> int:
+        """Bytes of a value."""
+        return self.channels * self.dtype.itemsize
+
+
+KINDS = {name: _Kind(channels, np.dtype(dtype)) for (channels, dtype), name in TYPES.items()}
+
+
+def read_file(view: memoryview, *, max_memory: int) -> Volume:
+    """The file's grids. Raises InvalidFile, MemoryLimit."""
+    stream = Stream(view)
+    magic, version, _, _, offsets = stream.numbers("qIIIB", "the file's header")
+    if magic != MAGIC or not OLDEST <= version <= VERSION or not offsets:
+        raise InvalidFile(Problem("the file", f"has version {version}", f"{OLDEST} to {VERSION}, with grid offsets"))
+    stream.take(36, "the UUID")
+    stream.metadata()
+    (count,) = stream.numbers("i", "the number of grids")
+    if not 1 <= count <= MAX_GRIDS:
+        raise InvalidFile(Problem("the file", f"has {count:,} grids", f"1 to {MAX_GRIDS:,}"))
+    grids, transforms, frame, left = [], [], None, max_memory
+    for _ in range(count):
+        grid, transform, own_frame = _read_grid(stream, left)
+        left -= grid.values.nbytes
+        grids.append(grid)
+        transforms.append(transform)
+        frame = frame or own_frame
+    if any(transform.tobytes() != transforms[0].tobytes() for transform in transforms):
+        raise InvalidFile(Problem("the file", "has grids of several transforms", "one transform for all"))
+    return Volume(tuple(grids), transforms[0], frame)
+
+
+def _read_grid(stream: Stream, max_memory: int) -> tuple[VdbTree, npt.NDArray[np.float64], OctreeFrame | None]:
+    # Behind a separator OpenVDB numbers the grids that share a name.
+    name = one_line(stream.text("a grid's name").partition("\x1e")[0])
+    what = f"grid {name[:80]!r}"
+    type_name, parent = stream.text(what), stream.text(what)
+    kind = KINDS.get(type_name)
+    if kind is None or parent:
+        raise InvalidFile(Problem(what, f"is a {(parent and 'copy') or one_line(type_name[:60])}", ", ".join(KINDS)))
+    start, _, end = stream.numbers("3q", what)
+    if start != stream.at or not start < end <= len(stream.view):
+        found = f"stands at bytes {start:,} to {end:,}"
+        raise InvalidFile(Problem(what, found, f"{stream.at:,} to {len(stream.view):,} at most"))
+    (flags,) = stream.numbers("I", what)
+    if flags & ~(ZIP | ACTIVE_MASK):
+        raise InvalidFile(Problem(what, f"has compression {flags}", "0 to 3: none, zip, active mask; not blosc"))
+    metadata = stream.metadata()
+    transform = _read_map(stream)
+    topology, background, order = _read_masks(stream, kind, flags, what)
+    if (need := topology.m * kind.width) > max_memory:
+        raise MemoryLimit(what, need, max_memory)
+    values = _read_values(stream, topology.leaf_mask[order], kind, flags, what)
+    if stream.at != end:
+        raise InvalidFile(Problem(what, f"ends at byte {stream.at:,}", f"{end:,} as it says"))
+    if (order[1:] < order[:-1]).any():
+        values = values[rows_of_runs(popcount(topology.leaf_mask[order]), np.argsort(order))]
+    frame = parse_frame(metadata[NAME]) if NAME in metadata else None
+    return VdbTree(name, topology, values, background), transform, frame
+
+
+def _read_map(stream: Stream) -> npt.NDArray[np.float64]:
+    """(3, 4) from an index to the world."""
+    kind = stream.text("the map")
+    if kind not in _MAPS:
+        raise InvalidFile(Problem("the map", f"is a {one_line(kind[:60])}", ", ".join(_MAPS)))
+    if kind == _AFFINE:
+        square = stream.array("<f8", 16, kind).reshape(4, 4)
+        return np.ascontiguousarray(square[:, :3].T)
+    moves = stream.array("<f8", 3, kind) if kind not in _SCALES else np.zeros(3)
+    scale = stream.array("<f8", 15, kind)[:3] if kind != "TranslationMap" else np.ones(3)
+    return np.column_stack([np.diag(scale), moves])
+
+
+# -- the tree --------------------------------------------------------------------------------------------------
+def _read_masks(
+    stream: Stream, kind: _Kind, flags: int, what: str
+) -> tuple[VdbTopology, npt.NDArray[np.float32], Ints]:
+    """The topology, the background, and the file's order of leaves as rows of the topology's."""
+    (buffers,) = stream.numbers("I", what)
+    if buffers != 1:
+        raise InvalidFile(Problem(what, f"has {buffers:,} buffers a leaf", "1"))
+    background = stream.array("<f4", kind.channels, what).astype(np.float32)
+    tiles, children = stream.numbers("II", what)
+    for _ in range(tiles):
+        *_, active = stream.numbers(f"3i{kind.channels}fB", what)
+        _require_no_tile(bool(active), what)
+    origins, uppers, lowers, leaves = [], [], [], []
+    for _ in range(children):
+        origins.append(stream.array("<i4", 3, what))
+        upper = _read_node(stream, 4096, kind, flags, what)
+        uppers.append(upper)
+        for _ in range(int(popcount(upper[None])[0])):
+            lower = _read_node(stream, 512, kind, flags, what)
+            lowers.append(lower)
+            leaves.append(stream.array("<u8", 8 * int(popcount(lower[None])[0]), what))
+    origin = np.array(origins, np.int32).reshape(-1, 3)
+    upper_mask, lower_mask = _stacked(uppers, 512), _stacked(lowers, 64)
+    leaf_mask = _stacked(leaves, 8)
+    order = np.argsort(root_keys(origin), kind="stable")
+    lower_order = rows_of_runs(popcount(upper_mask), order)
+    leaf_order = rows_of_runs(popcount(lower_mask), lower_order)
+    topology = VdbTopology(origin[order], upper_mask[order], lower_mask[lower_order], leaf_mask[leaf_order])
+    for problem in topology.structure_problems():
+        raise InvalidFile(problem)
+    return topology, background, np.argsort(leaf_order)
+
+
+def _read_node(stream: Stream, size: int, kind: _Kind, flags: int, what: str) -> Words:
+    """An inner node's child mask; its values are background, since it may have no active tiles."""
+    children = stream.array("<u8", size // 8, what)
+    _require_no_tile(bool(stream.array("<u8", size // 8, what).any()), what)
+    code = _read_code(stream, size, kind, what)
+    count = size * 8 if code == ALL_VALUES or not flags & ACTIVE_MASK else 0
+    # An empty array of halves has not even a size.
+    if count or kind.dtype != np.float16:
+        stream.packed(count * kind.width, flags, what)
+    return children
+
+
+def _read_code(stream: Stream, mask_size: int, kind: _Kind, what: str) -> int:
+    """How a node's values are stored, with the inactive ones read over."""
+    (code,) = stream.numbers("B", what)
+    if code > ALL_VALUES:
+        raise InvalidFile(Problem(what, f"has a node stored in way {code}", f"0 to {ALL_VALUES}"))
+    stream.take(_INACTIVE_VALUES[code] * kind.width + (mask_size if _SELECTION[code] else 0), what)
+    return int(code)
+
+
+def _require_no_tile(active: bool, what: str) -> None:
+    if active:
+        raise InvalidFile(Problem(what, "has active tiles", "active voxels only"))
+
+
+def _stacked(rows: list[Words], width: int) -> Words:
+    return np.concatenate(rows or [np.zeros(0, np.uint64)]).astype(np.uint64).reshape(-1, width)
+
+
+# -- values ----------------------------------------------------------------------------------------------------
+def _read_values(stream: Stream, masks: Words, kind: _Kind, flags: int, what: str) -> npt.NDArray[Any]:
+    """(m, c) the active voxels' values, leaves in the file's order."""
+    counts = popcount(masks)
+    octets = masks.astype("<u8").view(np.uint8)
+    stored = []
+    for i, count in enumerate(counts.tolist()):
+        if bytes(stream.take(64, what)) != octets[i].tobytes():
+            raise InvalidFile(Problem(what, f"has two masks for leaf {i:,}", "the same one twice"))
+        code = _read_code(stream, 64, kind, what)
+        held = 512 if code == ALL_VALUES or not flags & ACTIVE_MASK else count
+        piece = stream.packed(held * kind.width, flags, what) if held or kind.dtype != np.float16 else (b"", False)
+        stored.append((*piece, held))
+    values = np.empty((int(counts.sum()), kind.channels), kind.dtype)
+    first = exclusive_sum(counts).tolist()
+
+    def work(begin: int, end: int) -> None:
+        for i in range(begin, end):
+            piece, zipped, held = stored[i]
+            data = inflate(piece, held * kind.width, what) if zipped else piece
+            part = np.frombuffer(data, kind.dtype.newbyteorder("<")).reshape(held, kind.channels)
+            if held == 512:
+                part = part[np.unpackbits(octets[i], bitorder="little").view(bool)]
+            values[first[i] : first[i] + len(part)] = part
+
+    over_chunks(work, len(stored), _CHUNK)
+    return values

@@ -1,0 +1,192 @@
+"""`nerfbake vdb` and back, as a shell sees it; what info and check say; files that lie."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerfbake import build_octree, build_vdb, load, restore_octree, save
+from nerfbake.errors import InvalidFile
+from nerfbake.formats import _nanovdb_nodes as nano
+from nerfbake.formats._vdb_frame import parse_frame
+from nerfbake.io import check
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.volume import Volume
+from tests.conftest import DATA, Shell
+from tests.hostile import complaint
+from tests.scenes import assert_same_octree, n3tree
+from tests.vdb_readers import SCENES, index, tree, volume
+
+
+@pytest.fixture
+def tree_file(tmp_path: Path) -> Path:
+    save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
+    return tmp_path / "a.npz"
+
+
+@pytest.mark.usefixtures("tree_file")
+@pytest.mark.parametrize(
+    ("out", "options", "names"),
+    [
+        ("b.vdb", [], ["density", "Cd"]),
+        ("b.nvdb", [], ["density"]),
+        ("b.nvdb", ["--grids", "index", "--codec", "zip"], ["index"]),
+        ("b.vdb", ["--grids", "density,sh"], ["density", "sh_0", "sh_1", "sh_2", "sh_3"]),
+        ("b.vdb", ["--half", "--codec", "none", "--up", "y", "--resolution", "8", "--sigma-min", "1.5"], None),
+    ],
+)
+def test_options_of_vdb(shell: Shell, tmp_path: Path, out: str, options: list[str], names: list[str] | None) -> None:
+    done = shell("vdb", "a.npz", out, *options)
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (0, b"", 1)
+    made = load(tmp_path / out, Volume)
+    assert [grid.name for grid in made.grids] == (names or ["density", "Cd"])
+    assert made.grids[0].values.dtype == (np.float16 if "--half" in options else np.float32)
+    assert made.transform[1, 2] == (0.125 if "--up" in options else 0)
+    assert shell("check", out).returncode == 0
+    told = json.loads(shell("info", out, "--json").stdout)
+    assert told["grid_names"] == [grid.name for grid in made.grids]
+    first = told["grids"][told["grid_names"][0]]
+    assert (first["active_voxels"], first["nodes_per_level"]) == (made.grids[0].topology.m, [1, 1, 1, 1])
+    assert told["checksum"] == ("half" if out == "b.nvdb" else "none")
+    assert f"grid {made.grids[0].name}" in shell("info", out).stdout.decode()
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
+    octree = build_octree(load(tmp_path / "a.npz"))
+    for options in (["--to", "nvdb", "--grids", "index"], ["--to", "vdb", "--grids", "density,sh"]):
+        first = shell("vdb", "a.npz", "-", *options)
+        assert first.returncode == 0
+        second = shell("convert", "-", "b.svo.npz", "--force", stdin=first.stdout)
+        assert second.returncode == 0
+        assert_same_octree(load(tmp_path / "b.svo.npz", SparseVoxelOctree), octree)
+
+
+@pytest.mark.usefixtures("tree_file")
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["vdb", "a.npz", "b.obj"], 2, "names no format of Volume; allowed: .vdb, .nvdb"),
+        (["vdb", "a.npz", "-"], 2, "stdout has no ending that names a format; allowed: --to FORMAT"),
+        (["vdb", "a.npz", "b.vdb", "--grids", "colour"], 1, "a.npz: grids are 'colour'; allowed: some of density"),
+        (["vdb", "a.npz", "b.vdb", "--grids", "index"], 1, "b.vdb: a .vdb has no index grids; allowed"),
+        (["vdb", "a.npz", "b.nvdb", "--grids", "density,Cd"], 1, "b.nvdb: a .nvdb would hold 2 grids; allowed: one"),
+        (["vdb", "a.npz", "b.nvdb", "--grids", "Cd", "--half"], 1, "NanoVDB has no half colours"),
+        (["vdb", "a.npz", "b.vdb", "--max-memory", "1000"], 1, "a.npz: "),
+        (["vdb", "a.svo.npz", "b.vdb", "--resolution", "8"], 2, "an octree has its own resolution"),
+        (["convert", "a.vdb", "b.svo.npz"], 1, "a.vdb: the volume has the grids density, Cd; allowed: density,sh or"),
+        (["convert", "a.npz", "b.svo.npz"], 1, "holds an N3Tree; allowed: a SparseVoxelOctree or a Volume"),
+        (["vdb", "a.vdb", "b.nvdb"], 1, "holds a Volume; allowed: an N3Tree or a SparseVoxelOctree"),
+    ],
+)
+def test_wrong_usage(shell: Shell, tmp_path: Path, arguments: list[str], code: int, said: str) -> None:
+    shell("svo", "a.npz", "a.svo.npz")
+    shell("vdb", "a.npz", "a.vdb")
+    done = shell(*arguments)
+    assert (done.returncode, done.stderr.count(b"\n")) == (code, 1)
+    assert said in done.stderr.decode()
+    assert not any((tmp_path / name).exists() for name in ("b.vdb", "b.nvdb", "b.obj", "b.svo.npz"))
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_a_half_density_says_what_warp_makes_of_it(shell: Shell) -> None:
+    done = shell("vdb", "a.npz", "b.nvdb", "--half")
+    assert b"note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros" in done.stderr
+
+
+@pytest.mark.data
+def test_the_chair_comes_back_to_the_bit(shell: Shell, tmp_path: Path) -> None:
+    source = str(DATA / "plenoctree" / "chair" / "chair_sh9_128.npz")
+    assert shell("svo", source, "a.svo.npz").returncode == 0
+    octree = load(tmp_path / "a.svo.npz", SparseVoxelOctree)
+    for out, options in (("a.nvdb", ["--grids", "index"]), ("a.vdb", ["--grids", "density,sh"])):
+        assert shell("vdb", source, out, *options).returncode == 0
+        assert shell("convert", out, "b.svo.npz", "--force").returncode == 0
+        assert_same_octree(load(tmp_path / "b.svo.npz", SparseVoxelOctree), octree)
+
+
+@pytest.mark.data
+def test_the_table_is_nearly_all_of_an_index_file(shell: Shell, tmp_path: Path) -> None:
+    source = str(DATA / "plenoctree" / "chair" / "chair_sh9.npz")
+    assert shell("vdb", source, "a.nvdb", "--grids", "index", "--half").returncode == 0
+    (grid,) = load(tmp_path / "a.nvdb", Volume).grids
+    assert grid.values.shape == (629_855, 28)
+    assert grid.values.nbytes > 0.95 * (tmp_path / "a.nvdb").stat().st_size
+
+
+# -- files that lie --------------------------------------------------------------------------------------------
+START = nano.FILE.itemsize + nano.META.itemsize + len(b"density\0")
+STRUCTS = {
+    "FILE": (nano.FILE, 0),
+    "META": (nano.META, nano.FILE.itemsize),
+    "GRID": (nano.GRID, START),
+    "TREE": (nano.TREE, START + 672),
+    "ROOT": (nano.FLOAT.root, START + 736),
+    "TILE": (nano.FLOAT.tile, START + 800),
+    "UPPER": (nano.FLOAT.upper, START + 832),
+    "LOWER": (nano.FLOAT.lower, START + 832 + 270400),
+    "LEAF": (nano.FLOAT.leaf, START + 832 + 270400 + 33856),
+}
+FIELDS = [(name, field) for name, (dtype, _) in STRUCTS.items() for field in dtype.names or ()]
+
+
+@pytest.mark.parametrize(("name", "field"), FIELDS)
+def test_a_lying_nanovdb_is_read_or_refused_in_one_line(name: str, field: str, tmp_path: Path) -> None:
+    """Every field of every struct, its bytes all ones, all zeros, a small and a large number; no checksum helps."""
+    save(tmp_path / "good.nvdb", volume(tree(SCENES["a full leaf"])))
+    good = bytearray((tmp_path / "good.nvdb").read_bytes())
+    good[START + 8 : START + 16] = b"\xff" * 8
+    dtype, start = STRUCTS[name]
+    fields = dtype.fields
+    assert fields is not None
+    kind, offset = fields[field][:2]
+    size = min(kind.itemsize, 64)
+    for lie in (b"\xff" * size, bytes(size), b"\1".ljust(size, b"\0"), (b"\xff" * (size - 1) + b"\x7f")):
+        broken = bytearray(good)
+        broken[start + offset : start + offset + size] = lie
+        (tmp_path / "bad.nvdb").write_bytes(broken)
+        assert complaint(["info", str(tmp_path / "bad.nvdb")], None) is None, lie
+        assert all(problem.line for problem in check(tmp_path / "bad.nvdb"))
+
+
+@pytest.mark.parametrize("field", nano.BLIND.names or ())
+def test_lying_blind_data_are_refused_in_one_line(field: str, tmp_path: Path) -> None:
+    made = volume(index(SCENES["a full leaf"]))
+    save(tmp_path / "good.nvdb", made)
+    good = bytearray((tmp_path / "good.nvdb").read_bytes())
+    start = len(good) - 513 * 16 - (-513 * 16) % 32 - nano.BLIND.itemsize
+    assert good[start + 32 : start + 37] == b"M_vdb"
+    fields = nano.BLIND.fields
+    assert fields is not None
+    kind, offset = fields[field][:2]
+    for lie in (b"\xff" * kind.itemsize, bytes(kind.itemsize)):
+        broken = bytearray(good)
+        broken[start + offset : start + offset + kind.itemsize] = lie
+        (tmp_path / "bad.nvdb").write_bytes(broken)
+        assert complaint(["info", str(tmp_path / "bad.nvdb")], None) is None
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        b"{}",
+        b"[1, 2",
+        b"[" * 100_000,
+        b'{"size": [9, 9], "data_format": "SH1", "layout": "full", "origin": 0, "voxel_size": 1, "extra_data": null}',
+        b'{"size": [1e400, 9, 9]}',
+        b"\xff\xfe",
+    ],
+)
+def test_a_frame_that_is_none_is_refused(frame: bytes) -> None:
+    with pytest.raises(InvalidFile) as error:
+        parse_frame(frame)
+    assert str(error.value).startswith("nerfbake ")
+
+
+def test_restored_octrees_are_sound(tmp_path: Path) -> None:
+    made = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
+    save(tmp_path / "a.nvdb", build_vdb(made, grids=("index",)), codec="zip")
+    assert restore_octree(load(tmp_path / "a.nvdb", Volume)).problems() == []
