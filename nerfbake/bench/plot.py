@@ -24,6 +24,7 @@ def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str)
 
     mpl.use("agg")
     from matplotlib import pyplot
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     with mpl.rc_context({"svg.hashsalt": "nerfbake", "svg.fonttype": "none", "font.size": 9}):
         figure, axes = pyplot.subplots(figsize=(9, 6), layout="constrained")
@@ -33,8 +34,10 @@ def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str)
         axes.set(xscale="log", yscale="log", title=title, xlabel=x, ylabel=y)
         axes.grid(which="both", color="#e6e6e6", linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_major_formatter("{x:g}")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
         axes.margins(0.12)
         axes.legend(frameon=False)
         figure.canvas.draw()
@@ -69,6 +72,7 @@ def _label(axes: object, points: Sequence[Point]) -> None:
                     fontsize=7.5,
                     arrowprops={"arrowstyle": "-", "color": "#aaaaaa", "linewidth": 0.5} if reach > 7 else None,
                 )
+                text.update_positions(renderer)  # else the box is where the offset alone would put it
                 box = Text.get_window_extent(text, renderer)  # without its arrow
                 if not any(box.overlaps(other) for other in taken):
                     best = box

@@ -56,3 +56,9 @@ def test_a_chart_names_every_point_and_is_the_same_each_time() -> None:
     assert images[0] == images[1]
     assert all(f"row {k}" in images[0].decode() for k in range(8))
     assert scatter(points, title="t", x="ms", y="MB", suffix=".png")[:4] == b"\x89PNG"
+
+
+def test_a_chart_of_many_points_names_them_all() -> None:
+    points = [Point(f"point {i}", 10 ** (i / 5), 10 ** (i % 4), f"group {i % 3}") for i in range(24)]
+    image = scatter(points, title="t", x="ms", y="MB", suffix=".svg").decode()
+    assert all(f">{point.label}<" in image for point in points)
