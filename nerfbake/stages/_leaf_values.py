@@ -7,17 +7,16 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lockstep import Cubes, Source
 from nerfbake.kernels.means import mean_of_runs, opacity
 from nerfbake.kernels.overlap import parts_of
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.pyramid import INNER, Level, child_counts
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.stages._half import rounded
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 
-_FLOAT16_MAX = 65504.0
 _CHUNK = 1 << 13  # rows at a time: temporaries stay in the cache, and memory bounded
 
 
@@ -116,11 +115,7 @@ class LeafValues:
         return picked
 
     def _rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        if self.dtype == np.float16 and values.dtype != np.float16 and values.size:
-            largest = float(np.abs(values).max())
-            if largest > _FLOAT16_MAX:
-                raise InvalidScene(Problem("the tree", f"holds {largest:g}", f"up to {_FLOAT16_MAX:g} for float16"))
-        return values.astype(self.dtype, copy=False)
+        return rounded(values, self.dtype, what="the tree", asked="float16")
 
 
 def node_values(levels: list[Level], leaves: Leaves) -> npt.NDArray[Any]:

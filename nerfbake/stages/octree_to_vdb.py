@@ -14,11 +14,11 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, topology_of
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
+from nerfbake.stages._half import rounded
 
 GRIDS = ("density", "Cd", "sh", "index")
 MAX_MEMORY = 4 << 30
 _WORK_BYTES = 96  # a voxel's coordinates, sort key, order and row while the tree is built
-_HALF_MAX = 65504.0
 Ints = npt.NDArray[np.int64]
 
 
@@ -94,11 +94,7 @@ def _colour(octree: SparseVoxelOctree, node: Ints) -> npt.NDArray[np.float32]:
 
 
 def _rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    if dtype == np.float16 and values.dtype != np.float16 and values.size:
-        largest = float(np.abs(values).max())
-        if largest > _HALF_MAX:
-            raise InvalidScene(Problem(f"grid {name!r}", f"holds {largest:g}", f"up to {_HALF_MAX:g} for --half"))
-    return values.astype(dtype, copy=False)
+    return rounded(values, dtype, what=f"grid {name!r}", asked="--half")
 
 
 # -- voxels ----------------------------------------------------------------------------------------------------
