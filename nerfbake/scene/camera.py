@@ -11,6 +11,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
 
 MAX_EDGE = 16384  # pixels
+WORLD = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +65,16 @@ class Cameras(Scene):
 
 
 def look_at(
-    centre: npt.NDArray[np.float64], azimuth: float, elevation: float, distance: float
+    centre: npt.NDArray[np.float64],
+    azimuth: float,
+    elevation: float,
+    distance: float,
+    axes: npt.NDArray[np.float64] = WORLD,
 ) -> npt.NDArray[np.float64]:
-    """(4, 4) pose that looks at a point from so far away; angles in radians, z is up."""
+    """(4, 4) pose that looks at a point from so far away; angles in radians, in these axes (rows; the third is up)."""
     away = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(away, right), away], axis=1)
-    pose[:3, 3] = centre + distance * away
+    pose[:3, :3] = axes.T @ np.stack([right, np.cross(away, right), away], axis=1)
+    pose[:3, 3] = centre + distance * (away @ axes)
     return pose

@@ -13,12 +13,8 @@ from nerfbake.errors import BudgetMissed, InvalidScene, Problem
 from nerfbake.kernels.metrics import psnr, ssim
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.image import Image
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.stages._field import field_of
+from nerfbake.stages._field import Radiance, field_of
 from nerfbake.stages.scene_to_image import render
-
-Scene = N3Tree | SparseVoxelOctree
 
 MAX_POINTS = 200_000  # leaves whose values are compared
 _GAP = 4  # pixels between the pictures of the sheet
@@ -68,7 +64,7 @@ class Comparison:
         return Image(colour, whole, np.zeros_like(whole))
 
 
-def compare(a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | None = None) -> Comparison:
+def compare(a: Radiance, b: Radiance, cameras: Cameras, *, truth: Sequence[Image] | None = None) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
 
     Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and
@@ -98,15 +94,13 @@ def _errors(a: Image, b: Image) -> dict[str, float]:
     return {"psnr": psnr(x, y), "ssim": ssim(x, y), "max_error": float(np.abs(x - y).max())}
 
 
-def _value_errors(a: Scene, b: Scene) -> dict[str, Any]:
-    field = field_of(a)
-    B = field.basis.size
-    points = field.leaf_centres(MAX_POINTS)
-    one, other = a.sample(points), b.sample(points)
-    if one.shape != other.shape:
+def _value_errors(a: Radiance, b: Radiance) -> dict[str, Any]:
+    one, other = field_of(a), field_of(b)
+    if one.basis != other.basis:
         return {}
-    difference = np.abs(one - other)
-    colours = difference[:, :-1].reshape(len(points), 3, B)
+    points = one.leaf_centres(MAX_POINTS)
+    difference = np.abs(one.sample(points) - other.sample(points))
+    colours = difference[:, :-1].reshape(len(points), 3, one.basis.size)
     parts = {"sigma": difference[:, -1], "dc": colours[..., 0], "higher": colours[..., 1:]}
     return {name: _mean_and_max(part) for name, part in parts.items() if part.size}
 
