@@ -49,7 +49,7 @@ def compare(
         io.format_for(sheet, "Image")
         io.require_absent(sheet, force=force)
     second = Input(other, source.max_memory)
-    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
     a, b = source.read(words, *kinds), second.read(words, *kinds)
     views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
     photographs = None

@@ -136,7 +136,7 @@ class Budget:
         views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
         written = Input(target.path, source.max_memory)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
-            found = nerfbake.compare(scene, written.read(words, nerfbake.SparseVoxelOctree), views)
+            found = nerfbake.compare(scene, written.read(words), views)
             found.require(min_psnr=self.min_psnr)
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 
