@@ -43,7 +43,7 @@ def test_compare(shell: Shell, tmp_path: Path) -> None:
     assert (tmp_path / "sheet.png").stat().st_size > 100
     done = shell("compare", "a.npz", "b.svo.pb", "--size", "40x30", "--max-error", "0")
     assert done.returncode == 3
-    assert done.stdout.decode().splitlines()[-4].startswith("mean        IN - IN2")
+    assert done.stdout.decode().splitlines()[-6].startswith("mean        IN - IN2")
     assert "b.svo.pb: the picture is off by" in done.stderr.decode()
 
 
