@@ -63,7 +63,9 @@ def compare(
         if not size:
             views = nerfbake.Cameras(tuple(v.resized(*p.size) for v, p in zip(views.cameras, photographs, strict=True)))
     with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
-        found = nerfbake.compare(a, b, views, truth=photographs)
+        if sheet or html:
+            views.require_memory(source.max_memory, pictures=4)
+        found = nerfbake.compare(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
     if sheet:
         io.save(sheet, found.sheet, force=force)
     budgets: dict[str, Any] = {"min_psnr": min_psnr, "max_error": max_error}

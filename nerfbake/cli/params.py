@@ -140,7 +140,8 @@ class Budget:
         views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
         written = Input(target.path, source.max_memory)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
-            found = nerfbake.compare(scene, written.read(words, nerfbake.SparseVoxelOctree), views)
+            other = written.read(words, nerfbake.SparseVoxelOctree)
+            found = nerfbake.compare(scene, other, views, keep_pictures=False)
             found.require(min_psnr=self.min_psnr)
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 

@@ -88,7 +88,8 @@ def render(
     if not chosen:
         raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")
     if together:
-        nerfbake.Cameras(chosen).require_memory(source.max_memory)
+        with io.blame(out):
+            nerfbake.Cameras(chosen).require_memory(source.max_memory)
     images = []
     for view in chosen:
         with source.blamed(words, f"rendering {view.name}"):

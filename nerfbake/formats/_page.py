@@ -12,7 +12,7 @@ STYLE = """
 }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
-main { max-width: 76rem; margin: 0 auto; padding: 1.5rem 1rem 3rem; }
+main { max-width: 80rem; margin: 0 auto; padding: 1.5rem 1rem 3rem; }
 h1, h2, h3 { line-height: 1.25; overflow-wrap: anywhere; }
 h1 { font-size: 1.6rem; margin: 0 0 .75rem; }
 h1 span { color: var(--soft); font-weight: 400; }
@@ -28,13 +28,16 @@ dl { margin: 1.25rem 0 0; }
 dl div { background: var(--plate); border-radius: .5rem; padding: .6rem .9rem; }
 dt { color: var(--soft); font-size: .85rem; }
 dd { margin: 0; font-size: 1.5rem; font-weight: 600; font-variant-numeric: tabular-nums; }
-.wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .35rem 1.5rem .35rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+th, td { padding: .35rem 1rem .35rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
 thead th { color: var(--soft); font-size: .85rem; font-weight: 600; vertical-align: bottom; }
 tbody th { font-weight: 400; }
-td { overflow-wrap: anywhere; }
-.sums tr:last-child > * { font-weight: 600; }
+data { white-space: nowrap; }
+.facts table { width: 100%; table-layout: fixed; overflow-wrap: anywhere; }
+.facts th:first-child { width: 5.5rem; }
+.pairs { display: flex; flex-wrap: wrap; gap: 1.25rem 2rem; overflow-x: auto; }
+.pairs thead th:first-child { color: var(--ink); }
+.pairs tr:last-child > * { font-weight: 600; }
 figure { margin: 0; }
 img { display: block; width: 100%; height: auto; background: #fff; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: .8rem; margin-top: .2rem; overflow-wrap: anywhere; }

@@ -10,6 +10,8 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping
 from html import escape
+from itertools import repeat
+from pathlib import PurePath
 from typing import Any
 
 from nerfbake.errors import format_size, one_line
@@ -24,15 +26,15 @@ _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _PAIRS = {"a_b": "A and B", "a_truth": "A and truth", "b_truth": "B and truth"}
 _MEASURES = {"psnr": ("PSNR, dB", ".2f"), "ssim": ("SSIM", ".4f"), "max_error": ("largest error", ".4f")}
 _BUDGETS = {
-    "--min-psnr": ("mean PSNR", ".2f", " dB", "at least"),
+    "--min-psnr": ("mean PSNR", ".2f", "&nbsp;dB", "at least"),
     "--max-error": ("largest error", ".4f", "", "at most"),
 }
 _VALUES = {"sigma": "density, 1/world unit", "dc": "colour, first coefficient", "higher": "colour, higher bands"}
 _PICTURES = {"truth": "truth", "difference": f"difference, {AMPLIFIED} times as strong"}
 _ABOUT = (
     "PSNR, SSIM and errors are of sRGB in 0..1 over white, before it is rounded to 8 bits; 100 dB stands for equal "
-    "pictures. The last line of the pictures' table has the mean PSNR and SSIM, and the largest error of all. Values "
-    "are compared at the centres of A's leaves."
+    "pictures. All views: the mean PSNR and SSIM, and the largest error of all. Values are compared at the centres of "
+    "A's leaves."
 )
 
 
@@ -48,7 +50,7 @@ def encode(
     them, whether they hold or not.
     """
     sides = {"a": {"name": "a scene", **(a or {})}, "b": {"name": "another", **(b or {})}}
-    captions = _PICTURES | {side: f"{side.upper()}: {_text(facts['name'])}" for side, facts in sides.items()}
+    captions = _PICTURES | {side: f"{side.upper()}: {_short(facts)}" for side, facts in sides.items()}
     verdicts = comparison.judge(min_psnr=min_psnr, max_error=max_error)
     yield _document(comparison, sides, verdicts).encode()
     for view, row in zip(comparison.views, comparison.rows(), strict=False):
@@ -57,7 +59,7 @@ def encode(
 
 
 def _document(comparison: Comparison, sides: Sides, verdicts: list[Verdict]) -> str:
-    a, b = (_text(facts["name"]) for facts in sides.values())
+    a, b = (_short(facts) for facts in sides.values())
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -74,10 +76,10 @@ def _document(comparison: Comparison, sides: Sides, verdicts: list[Verdict]) -> 
 {_headline(verdicts)}
 {_tiles(comparison, sides)}
 <h2>What was compared</h2>
-{_table(["", "A", "B"], _facts(sides))}
-<h2>Pictures, by view</h2>
-<div class="sums">{_table(["view", *_columns(comparison)], _views(comparison))}</div>
-<h2>Values</h2>
+<div class="facts">{_table(["", "A", "B"], _facts(sides))}</div>
+<h2>Pictures</h2>
+<div class="pairs">{"".join(map(_pair, repeat(comparison), comparison.means))}</div>
+<h2>Values of A and B</h2>
 {_values(comparison)}
 <h2>What it looks like</h2>
 """
@@ -118,14 +120,12 @@ def _fact(key: str, value: Any) -> str:
     return f"{_figure(value, ',')} ({format_size(value)})" if key == "bytes" else _text(str(value))
 
 
-def _columns(comparison: Comparison) -> list[str]:
-    return [f"{_PAIRS[pair]}: {name}" for pair in comparison.means for name, _ in _MEASURES.values()]
-
-
-def _views(comparison: Comparison) -> Iterator[list[str]]:
-    for view in (*comparison.views, {"name": "all views", **comparison.means}):
-        figures = [_figure(view[pair][key], d) for pair in comparison.means for key, (_, d) in _MEASURES.items()]
-        yield [_text(view["name"]), *figures]
+def _pair(comparison: Comparison, pair: str) -> str:
+    rows = [
+        [_text(view["name"]), *(_figure(view[pair][key], digits) for key, (_, digits) in _MEASURES.items())]
+        for view in (*comparison.views, {"name": "all views", **comparison.means})
+    ]
+    return _table([_PAIRS[pair], *(name for name, _ in _MEASURES.values())], rows)
 
 
 def _values(comparison: Comparison) -> str:
@@ -133,7 +133,7 @@ def _values(comparison: Comparison) -> str:
         return "<p>A and B hold values of different kinds; only their pictures are compared.</p>"
     found = comparison.values.items()
     rows = [[_VALUES[name], _figure(errors["mean"], ".4g"), _figure(errors["max"], ".4g")] for name, errors in found]
-    return _table(["A and B", "mean error", "largest error"], rows)
+    return _table(["", "mean error", "largest error"], rows)
 
 
 def _row(name: str, pictures: Mapping[str, Image], captions: Mapping[str, str]) -> str:
@@ -153,7 +153,11 @@ def _table(head: list[str], rows: Any) -> str:
         body = "".join(f"<td>{cell}</td>" for cell in cells)
         lines.append(f'<tr><th scope="row">{first}</th>{body}</tr>')
     body = "\n".join(lines[1:])
-    return f'<div class="wide"><table>\n<thead>{lines[0]}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'
+    return f"<table>\n<thead>{lines[0]}</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n"
+
+
+def _short(facts: Mapping[str, Any]) -> str:
+    return _text(PurePath(facts["name"]).name)
 
 
 def _figure(value: float, digits: str) -> str:

@@ -81,4 +81,6 @@ class Image(Scene):
 
 
 def _bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    return np.asarray(np.rint(255 * np.clip(values, 0, 1)), np.uint8)
+    scaled = np.clip(values, 0, 1)
+    scaled *= 255
+    return np.rint(scaled, out=scaled).astype(np.uint8)

@@ -23,10 +23,12 @@ Scene = N3Tree | SparseVoxelOctree
 MAX_POINTS = 200_000  # leaves whose values are compared
 
 
-def compare(a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | None = None) -> Comparison:
+def compare(
+    a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | None = None, keep_pictures: bool = True
+) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
 
-    Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and
+    Without keep_pictures only one view's are in memory, and there is no sheet to draw. Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and
     for photographs of another number or size than the cameras'.
     """
     if truth is not None and len(truth) != len(cameras.cameras):
@@ -44,7 +46,8 @@ def compare(a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | No
                 raise InvalidScene(Problem(f"truth of {camera.name}", found, f"{camera.width}x{camera.height}"))
             view |= {f"{name}_truth": _errors(image, photograph) for name, image in seen.items()}
         views.append(view)
-        pictures.append((photograph, seen["a"], seen["b"]))
+        if keep_pictures:
+            pictures.append((photograph, seen["a"], seen["b"]))
     return Comparison(tuple(views), _value_errors(a, b), tuple(pictures))
 
 
