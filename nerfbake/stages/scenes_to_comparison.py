@@ -28,8 +28,9 @@ def compare(
 ) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
 
-    Without keep_pictures only one view's are in memory, and there is no sheet to draw. Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and
-    for photographs of another number or size than the cameras'.
+    Without keep_pictures one view's are in memory at a time, and there is nothing to draw. Errors are on sRGB in 0..1,
+    before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and for photographs of another
+    number or size than the cameras'.
     """
     if truth is not None and len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
