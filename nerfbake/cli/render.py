@@ -101,7 +101,7 @@ def render(
         io.save(path, image, force=force, parents=several)
         words.say(f"{path}: {image}")
     if together:
-        with words.phase(f"writing {out}"):
+        with words.phase(f"writing {out}"), io.blame(out):
             whole = nerfbake.Animation(tuple(images)) if together == "Animation" else nerfbake.Image.tiled(images)
             written = io.save(out, whole, force=force)
         words.say(f"{out}: {whole}, {written:,} bytes")

@@ -20,6 +20,7 @@ from nerfbake.scene.animation import Animation
 
 Pixels = npt.NDArray[np.uint8]
 
+_PAUSE = 80  # milliseconds a picture; GIF counts in hundredths of a second
 _LAST = 255  # the background's index
 _SAMPLE = 1 << 18  # pixels that a palette is made from
 _RESET = 2  # GIF's disposal method: back to transparency before the next picture
@@ -30,10 +31,9 @@ def encode(animation: Animation) -> Iterator[bytes]:
     known = np.full(COLOURS, UNKNOWN, np.int16)
     pictures = [_indexed(frame.pixels, palette, known) for frame in animation.frames]
     how: dict[str, Any] = {"transparency": _LAST, "disposal": _RESET} if animation.transparent else {}
-    pause = round(1000 * animation.pause)
     file = io.BytesIO()
     pictures[0].save(
-        file, "GIF", save_all=True, append_images=pictures[1:], duration=pause, loop=0, optimize=False, **how
+        file, "GIF", save_all=True, append_images=pictures[1:], duration=_PAUSE, loop=0, optimize=False, **how
     )
     yield file.getvalue()
 

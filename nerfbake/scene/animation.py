@@ -8,15 +8,12 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
 from nerfbake.scene.image import Image
 
-PAUSE = 0.08  # seconds: 12.5 pictures a second; a GIF counts in hundredths
-
 
 @dataclass(frozen=True, eq=False)
 class Animation(Scene):
-    """frames: pictures of one size, all transparent or none, again and again; each stays for `pause` seconds."""
+    """frames: pictures of one size, all transparent or none; after the last comes the first."""
 
     frames: tuple[Image, ...]
-    pause: float = PAUSE
 
     def __post_init__(self) -> None:
         if not self.frames:
