@@ -53,7 +53,7 @@ def march(
             i2 = 1 / d2 if d2 != 0 else np.inf
             through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
             t, end, world = 0.0, end - start, 1 / scale
-            x, y, z = _within(o0, low0, high0), _within(o1, low1, high1), _within(o2, low2, high2)
+            x, y, z = within(o0, low0, high0), within(o1, low1, high1), within(o2, low2, high2)
             while t < end:
                 slot = descend(cells, path, x, y, z)
                 width = cells.width[path[levels]]
@@ -85,15 +85,15 @@ def march(
                 last = width - 1
                 if exit0 <= exit1 and exit0 <= exit2:
                     x = int(l0 + width if d0 > 0 else l0 - 1)
-                    y, z = _within(o1 + t * d1, l1, l1 + last), _within(o2 + t * d2, l2, l2 + last)
+                    y, z = within(o1 + t * d1, l1, l1 + last), within(o2 + t * d2, l2, l2 + last)
                     inside = low0 <= x <= high0
                 elif exit1 <= exit2:
                     y = int(l1 + width if d1 > 0 else l1 - 1)
-                    x, z = _within(o0 + t * d0, l0, l0 + last), _within(o2 + t * d2, l2, l2 + last)
+                    x, z = within(o0 + t * d0, l0, l0 + last), within(o2 + t * d2, l2, l2 + last)
                     inside = low1 <= y <= high1
                 else:
                     z = int(l2 + width if d2 > 0 else l2 - 1)
-                    x, y = _within(o0 + t * d0, l0, l0 + last), _within(o1 + t * d1, l1, l1 + last)
+                    x, y = within(o0 + t * d0, l0, l0 + last), within(o1 + t * d1, l1, l1 + last)
                     inside = low2 <= z <= high2
                 if not inside:
                     break
@@ -118,7 +118,7 @@ def sigmoid(x: Any) -> Any:
 
 
 @compiled()
-def _within(place: float, low: float, high: float) -> int:
+def within(place: float, low: float, high: float) -> int:
     """The cell of the last level around a place, or the nearest of those from low to high."""
     return int(min(max(np.floor(place), low), high))
 

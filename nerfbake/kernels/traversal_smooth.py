@@ -1,21 +1,23 @@
 """Rays through a tree of cells that are samples of something smooth: values between their centres are interpolated.
 
 Density is trilinear, an empty cell's being 0. Coefficients are trilinear too, weighted by density: what is empty has no
-colour that could show. Steps are half a cell; empty regions are skipped a tree's cell at a time.
+colour that could show. The ray goes through the cubes between eight centres; along it, density is a cubic there, whose
+integral two Gauss points give exactly. Empty regions are crossed a cell of the tree at a time.
 """
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any
 
 import numpy as np
 from numba import prange
 
-from nerfbake.kernels.cells import EMPTY, Cells, descend, new_path
+from nerfbake.kernels.cells import EMPTY, Cells, Ints, descend, new_path
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.traversal import BLOCK, Doubles, Floats, shuffled, sigmoid, span, sums
+from nerfbake.kernels.traversal import BLOCK, Doubles, Floats, shuffled, sigmoid, span, sums, within
 
-STEP = 0.5  # cells; a quarter changes the chair's pictures by less than ...
+GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; the other is as far from the end
 
 
 @compiled(parallel=True)
@@ -30,75 +32,122 @@ def march_smooth(
     cut: float,
     out: Floats,
 ) -> None:
-    """As traversal.march; the box reaches half a cell beyond what is occupied."""
-    blocks, levels, B = (len(directions) + BLOCK - 1) // BLOCK, len(cells.bits), basis.shape[1]
+    """As traversal.march, but that positions count from the first cell's centre; the box goes from centre to centre."""
+    low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
+    high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
+    blocks, levels = (len(directions) + BLOCK - 1) // BLOCK, len(cells.bits)
     for turn in prange(blocks):
         block = shuffled(turn, blocks)
-        path = new_path(cells)
+        path, corners = new_path(cells), np.zeros((8, 4))
         for ray in range(block * BLOCK, min((block + 1) * BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
             d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
             o0, o1, o2 = origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2
             through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
-            k, end = 0, end - start
-            while k * STEP < end:
-                length = min(STEP, end - k * STEP)
-                t = k * STEP + length / 2
-                k += 1
-                p0, p1, p2 = o0 + t * d0, o1 + t * d1, o2 + t * d2
-                x, y, z = int(np.floor(p0)), int(np.floor(p1)), int(np.floor(p2))
-                if (
-                    0 <= x < cells.edge
-                    and 0 <= y < cells.edge
-                    and 0 <= z < cells.edge
-                    and descend(cells, path, x, y, z) == EMPTY
-                ):
-                    width = cells.width[path[levels]]
-                    free = min(_left(p0, d0, x, width), _left(p1, d1, y, width), _left(p2, d2, z, width))
-                    if free >= 0:
-                        k += int(free / STEP)
-                        continue
-                x, y, z = int(np.floor(p0 - 0.5)), int(np.floor(p1 - 0.5)), int(np.floor(p2 - 0.5))
-                f0, f1, f2 = p0 - 0.5 - x, p1 - 0.5 - y, p2 - 0.5 - z
-                sigma, r, g, b = 0.0, 0.0, 0.0, 0.0
-                for corner in range(8):
-                    c0, c1, c2 = corner >> 2, corner >> 1 & 1, corner & 1
-                    v0, v1, v2 = x + c0, y + c1, z + c2
-                    if not (0 <= v0 < cells.edge and 0 <= v1 < cells.edge and 0 <= v2 < cells.edge):
-                        continue
-                    slot = descend(cells, path, v0, v1, v2)
-                    if slot == EMPTY:
-                        continue
-                    row = -2 - slot
-                    weight = (f0 if c0 else 1 - f0) * (f1 if c1 else 1 - f1) * (f2 if c2 else 1 - f2)
-                    weight *= values[row, 3 * B]
-                    sigma += weight
-                    dr, dg, db = sums(values, row, basis, ray)
-                    r, g, b = r + weight * dr, g + weight * dg, b + weight * db
-                if sigma <= 0:
-                    continue
-                depth = sigma * length / scale
-                kept = np.exp(-depth)
-                lost = through * (1 - kept)
-                red += lost * sigmoid(r / sigma)
-                green += lost * sigmoid(g / sigma)
-                blue += lost * sigmoid(b / sigma)
-                far += lost * (start + t) / scale
-                through *= kept
-                if through < cut:
+            t, end, world, fresh = 0.0, end - start, 1 / scale, 8
+            x, y, z = within(o0, low0, high0), within(o1, low1, high1), within(o2, low2, high2)
+            while t < end:
+                # The cube from x to x + 1, or all cubes between the centres of an empty cell's own.
+                l0, l1, l2, width = x, y, z, 1
+                if _slot(cells, path, x, y, z) == EMPTY:
+                    edge = int(cells.width[path[levels]])
+                    if edge > 1 and cells.edge > max(x, y, z) and min(x, y, z) >= 0:
+                        e0, e1, e2 = x // edge * edge, y // edge * edge, z // edge * edge
+                        if max(x - e0, y - e1, z - e2) < edge - 1:
+                            l0, l1, l2, width, fresh = e0, e1, e2, edge - 1, 8
+                exit0 = ((l0 + width if d0 > 0 else l0) - o0) / d0 if d0 != 0 else np.inf
+                exit1 = ((l1 + width if d1 > 0 else l1) - o1) / d1 if d1 != 0 else np.inf
+                exit2 = ((l2 + width if d2 > 0 else l2) - o2) / d2 if d2 != 0 else np.inf
+                ahead = max(min(exit0, exit1, exit2), t)
+                if width == 1:
+                    _fetch(cells, path, values, basis, ray, x, y, z, fresh, corners)
+                    length = min(ahead, end) - t
+                    for point in range(2):
+                        at = t + length * (GAUSS if point == 0 else 1 - GAUSS)
+                        sigma, r, g, b = _between(corners, o0 + at * d0 - x, o1 + at * d1 - y, o2 + at * d2 - z)
+                        if sigma > 0:
+                            kept = np.exp(-sigma * 0.5 * length * world)
+                            lost = through * (1 - kept)
+                            red += lost * sigmoid(r / sigma)
+                            green += lost * sigmoid(g / sigma)
+                            blue += lost * sigmoid(b / sigma)
+                            far += lost * (start + at) * world
+                            through *= kept
+                    if through < cut:
+                        break
+                t = ahead
+                last = width - 1
+                # fresh: the corners that the next cube does not share with this one, as bits of their numbers.
+                if exit0 <= exit1 and exit0 <= exit2:
+                    x = l0 + width if d0 > 0 else l0 - 1
+                    y, z = within(o1 + t * d1, l1, l1 + last), within(o2 + t * d2, l2, l2 + last)
+                    inside, axis, upward = low0 <= x <= high0, 4, d0 > 0
+                elif exit1 <= exit2:
+                    y = l1 + width if d1 > 0 else l1 - 1
+                    x, z = within(o0 + t * d0, l0, l0 + last), within(o2 + t * d2, l2, l2 + last)
+                    inside, axis, upward = low1 <= y <= high1, 2, d1 > 0
+                else:
+                    z = l2 + width if d2 > 0 else l2 - 1
+                    x, y = within(o0 + t * d0, l0, l0 + last), within(o1 + t * d1, l1, l1 + last)
+                    inside, axis, upward = low2 <= z <= high2, 1, d2 > 0
+                if not inside:
                     break
+                if width == 1:
+                    fresh = axis if upward else -axis
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
 
-@compiled()
-def _left(p: float, d: float, cell: int, width: float) -> Any:
-    """How far a ray stays half a cell away from the sides of an empty cell, which then holds all eight neighbours; < 0:
-    it is nearer.
+@compiled(inline=True)
+def _slot(cells: Cells, path: Ints, x: int, y: int, z: int) -> Any:
+    if 0 <= x < cells.edge and 0 <= y < cells.edge and 0 <= z < cells.edge:
+        return descend(cells, path, x, y, z)
+    path[len(cells.bits)] = 0
+    return np.int64(EMPTY)
+
+
+@compiled(inline=True)
+def _fetch(
+    cells: Cells,
+    path: Ints,
+    values: Floats,
+    basis: Floats,
+    ray: int,
+    x: int,
+    y: int,
+    z: int,
+    fresh: int,
+    corners: Doubles,
+) -> None:
+    """Density, and density times the sums of coefficients, at the corners 4 dx + 2 dy + dz of a cube.
+
+    fresh: 8, all of them; 4, 2 or 1, those on the far side of x, y or z, as the cube before lay below this one; and
+    with a minus sign, as it lay above.
     """
-    low = np.floor((cell + 0.5) / width) * width + 0.5
-    high = low + width - 1
-    if p < low or p > high:
-        return -1.0
-    if d > 0:
-        return (high - p) / d
-    return (low - p) / d if d < 0 else np.inf
+    axis = abs(fresh) & 7
+    for corner in range(8):
+        # Shared corners move over before they are overwritten: upward from below, downward from above.
+        number = corner if fresh > 0 else 7 - corner
+        if axis and (number & axis == 0) == (fresh > 0):
+            for k in range(4):  # a loop: slices would be copied first, in case they overlap
+                corners[number, k] = corners[number ^ axis, k]
+            continue
+        slot = _slot(cells, path, x + (number >> 2), y + (number >> 1 & 1), z + (number & 1))
+        sigma, r, g, b = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+        if slot != EMPTY:
+            sigma = values[-2 - slot, 3 * basis.shape[1]]
+            r, g, b = sums(values, -2 - slot, basis, ray)
+        corners[number, 0], corners[number, 1] = sigma, sigma * r
+        corners[number, 2], corners[number, 3] = sigma * g, sigma * b
+
+
+@compiled(inline=True)
+def _between(corners: Doubles, f0: float, f1: float, f2: float) -> Any:
+    """The corners' four values at a place in their cube, 0 to 1 along each axis."""
+    sigma, r, g, b = 0.0, 0.0, 0.0, 0.0
+    for corner in range(8):
+        weight = (f0 if corner & 4 else 1 - f0) * (f1 if corner & 2 else 1 - f1) * (f2 if corner & 1 else 1 - f2)
+        sigma += weight * corners[corner, 0]
+        r += weight * corners[corner, 1]
+        g += weight * corners[corner, 2]
+        b += weight * corners[corner, 3]
+    return sigma, r, g, b

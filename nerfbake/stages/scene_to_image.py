@@ -32,7 +32,7 @@ def render(
 
     lookup  nearest: each leaf is a cell of constant density and of the colour that it has in the ray's direction;
             sums along the ray are exact. trilinear: between the centres of cells of the finest level, density and
-            coefficients are interpolated, the coefficients by density; the ray takes steps of half a cell.
+            coefficients are interpolated, the coefficients by density.
 
     Raises InvalidScene for broken scenes, SG and ASG bases, and volumes without a density.
     """
@@ -57,6 +57,7 @@ def _marched(
 ) -> npt.NDArray[np.float32]:
     origin, looks = camera.rays()
     turn = field.place[:, :3]
+    place = turn @ origin + field.place[:, 3]
     # SH are in the field's own axes.
     own = looks @ field.axes.T
     basis = np.ones((len(looks), 1)) if field.basis.kind == "RGBA" else sh_basis(own, field.basis.size)
@@ -68,7 +69,7 @@ def _marched(
     else:
         from nerfbake.kernels.traversal_smooth import march_smooth as march
 
-        box = field.box + np.array([[-0.5], [0.5]])
-    place = turn @ origin + field.place[:, 3]
+        # Positions from centre to centre; what is occupied reaches one further on each side.
+        place, box = place - 0.5, field.box + np.array([[-1], [0]])
     march(field.cells, field.values, box, place, looks @ turn.T, stop, basis.astype(np.float32), cut, out)
     return out
