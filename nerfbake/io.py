@@ -21,6 +21,7 @@ from nerfbake.catalog import (
     COMPRESSED,
     COMPRESSION_MAGIC,
     Format,
+    folder_of_content,
     folders_of,
     format_named,
     format_of_content,
@@ -47,12 +48,14 @@ Scene = TypeVar("Scene")
 
 
 def load(source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, sound: bool = True) -> Scene:
-    """The scene in a file of any format, or on stdin ('-').
+    """The scene in a file of any format, in a folder of any kind, or on stdin ('-').
 
     kinds: the scene types that are wanted; another one raises InvalidFile. max_memory bounds, in bytes, what a file's
     headers may declare, before anything is allocated. sound=False gives a scene back even if its structure is
     broken, for scene.problems(). Raises NerfbakeError naming the file.
     """
+    if Path(source).is_dir():
+        return _load_any_folder(Path(source), kinds, max_memory)
     return load_with_format(source, *kinds, max_memory=max_memory, sound=sound)[0]
 
 
@@ -75,12 +78,25 @@ def load_with_format(
         if form.companion and path:
             extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
         scene = form.load_module().decode(view, max_memory=max_memory, **extra)
-        if kinds and not isinstance(scene, kinds):
-            allowed = " or ".join(_article(kind.__name__) for kind in kinds)
-            raise InvalidFile(f"holds {_article(form.scene)}; allowed: {allowed}")
+        _require_kind(form, kinds)
         if sound:
             scene.require_sound()
         return scene, _compressed(form) if packed else form, size
+
+
+def _load_any_folder(path: Path, kinds: tuple[type[Scene], ...], max_memory: int) -> Scene:
+    with blame(str(path)):
+        files = _Folder(path, max_memory, {})
+        form = folder_of_content(files)
+        _require_kind(form, kinds)
+        scene: Scene = form.load_module().decode(files, max_memory=max_memory)
+        return scene
+
+
+def _require_kind(form: Format, kinds: tuple[type[Scene], ...]) -> None:
+    if kinds and form.scene not in [kind.__name__ for kind in kinds]:
+        allowed = " or ".join(_article(kind.__name__) for kind in kinds)
+        raise InvalidFile(f"holds {_article(form.scene)}; allowed: {allowed}")
 
 
 def check(source: str | Path, *, max_memory: int = MAX_MEMORY) -> list[Problem]:
@@ -269,11 +285,14 @@ def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def rejected_unless_good(path: str | Path) -> Iterator[None]:
-    """Moves a file to PATH.rejected if the block finds that it costs too much."""
+    """Moves a file or folder to PATH.rejected if the block finds that it costs too much."""
     try:
         yield
     except BudgetMissed:
-        Path(path).replace(f"{path}.rejected")
+        rejected = Path(f"{Path(path)}.rejected")
+        if rejected.is_dir():
+            shutil.rmtree(rejected)
+        Path(path).replace(rejected)
         raise
 
 

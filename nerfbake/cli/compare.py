@@ -41,15 +41,24 @@ def compare(
 ) -> None:
     """Render the scenes IN and IN2 with the same cameras and print how far they are apart.
 
+    Scenes are files of fields or meshes, and the folders of nerf2mesh's stage 1 and of its atlases.
+
     \b
       nerfbake compare chair.npz chair.svo.pb
       nerfbake compare chair.npz small.svo.pb --min-psnr 30 --sheet small.png
+      nerfbake compare mesh_stage1 atlas_64 --sheet atlas.png
     """
     if sheet:
         io.format_for(sheet, "Image")
         io.require_absent(sheet, force=force)
     second = Input(other, source.max_memory)
-    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    kinds = (
+        nerfbake.N3Tree,
+        nerfbake.SparseVoxelOctree,
+        nerfbake.Meshes,
+        nerfbake.Stage1,
+        nerfbake.BakedAtlas,
+    )
     a, b = source.read(words, *kinds), second.read(words, *kinds)
     views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
     photographs = None

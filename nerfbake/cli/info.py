@@ -27,7 +27,7 @@ def info(source: Input, as_json: bool, words: Words) -> None:
     """
     with words.phase(f"reading {source.path}"):
         scene: Any
-        kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+        kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes)
         scene, form, size = io.load_with_format(source.path, *kinds, max_memory=source.max_memory)
         facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:

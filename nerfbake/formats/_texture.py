@@ -17,10 +17,11 @@ _COMPRESSION = 3  # zlib's level: files 3 to 14 % larger than at 6, written in a
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError, OverflowError)
 
 
-def decode_texture(view: memoryview, name: str, *, max_memory: int) -> npt.NDArray[np.uint8]:
+def decode_texture(view: memoryview, name: str, *, max_memory: int, any_mode: bool = False) -> npt.NDArray[np.uint8]:
     """(H, W, 3) uint8, row 0 at the top. Sizes are settled from the header, before anything is inflated.
 
     Raises InvalidFile for anything but a whole PNG or JPEG of 8-bit RGB, MemoryLimit for one above max_memory.
+    any_mode: greys, palettes and alpha are turned into RGB instead, for pictures that are only looked at.
     """
     try:
         with warnings.catch_warnings():
@@ -31,6 +32,8 @@ def decode_texture(view: memoryview, name: str, *, max_memory: int) -> npt.NDArr
                     raise InvalidFile(Problem(name, f"declares {width:,}x{height:,} texels", f"{MAX_EDGE:,} an edge"))
                 if 3 * width * height > max_memory:
                     raise MemoryLimit(name, 3 * width * height, max_memory)
+                if any_mode:
+                    return np.asarray(image.convert("RGB"))
                 if image.mode != "RGB":
                     raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
                 return np.asarray(image)

@@ -16,9 +16,7 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.stages._field import field_of
-from nerfbake.stages.scene_to_image import render
-
-Scene = N3Tree | SparseVoxelOctree
+from nerfbake.stages._picture import Scene, picture
 
 MAX_POINTS = 200_000  # leaves whose values are compared
 _GAP = 4  # pixels between the pictures of the sheet
@@ -78,7 +76,7 @@ def compare(a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | No
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
     views, pictures = [], []
     for i, camera in enumerate(cameras.cameras):
-        seen = {"a": render(a, camera), "b": render(b, camera)}
+        seen = {"a": picture(a, camera), "b": picture(b, camera)}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:
@@ -99,6 +97,8 @@ def _errors(a: Image, b: Image) -> dict[str, float]:
 
 
 def _value_errors(a: Scene, b: Scene) -> dict[str, Any]:
+    if not (isinstance(a, N3Tree | SparseVoxelOctree) and isinstance(b, N3Tree | SparseVoxelOctree)):
+        return {}
     field = field_of(a)
     B = field.basis.size
     points = field.leaf_centres(MAX_POINTS)
