@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from nerfbake.scene.camera import Camera, look_at
 from nerfbake.scene.mesh import Mesh

@@ -17,6 +17,7 @@ from nerfbake.scene.mesh import Mesh
 
 _MATERIALS = "KHR_materials_"  # extensions of this name change how light is reflected, which is not looked at
 _KNOWN = "KHR_mesh_quantization"
+MAX_MESHES = 10_000
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 Floats = npt.NDArray[np.float64]
@@ -41,6 +42,8 @@ def decode_glb(view: memoryview, *, max_memory: int) -> tuple[Mesh, ...]:
                 raise malformed(place, f"is a {type(primitive).__name__}", "an object")
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN):
                 found += _primitive(document, looks, primitive, matrix, place)
+            if len(found) > MAX_MESHES:
+                raise malformed("the scene", f"shows more than {MAX_MESHES:,} meshes", "one a material")
     if not found:
         raise malformed("the mesh", "has no faces", "at least one triangle")
     return tuple(found)
@@ -112,9 +115,9 @@ def _primitive(
     faces = _faces(indices.astype(np.uint32), primitive.get("mode", _TRIANGLES))
     if not len(faces):
         return
-    if np.linalg.det(matrix[:3, :3]) < 0:
-        faces = faces[:, ::-1]  # mirrored: counter-clockwise from outside again
     with np.errstate(over="ignore", invalid="ignore"):
+        if np.linalg.det(matrix[:3, :3]) < 0:
+            faces = faces[:, ::-1]  # mirrored: counter-clockwise from outside again
         positions = (points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
     mesh = Mesh(positions, None, np.ascontiguousarray(faces))
     yield looks.dress(mesh, primitive, attributes, place)

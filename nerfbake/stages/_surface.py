@@ -57,9 +57,14 @@ def paint(
     colour = np.zeros((*shape, 3), np.float32)
     if background is not None:
         colour[~hit] = background
-    owner = np.searchsorted(first, triangle, side="right") - 1
+    filled = np.flatnonzero(triangle != gbuffer.NONE)
+    owner = np.searchsorted(first, triangle[filled], side="right") - 1
+    order = np.argsort(owner, kind="stable")
+    ends = np.searchsorted(owner[order], np.arange(len(meshes) + 1))
     for i, mesh in enumerate(meshes):
-        pixels = np.flatnonzero(hit.reshape(-1) & (owner == i))
+        pixels = filled[order[ends[i] : ends[i + 1]]]
+        if not len(pixels):
+            continue
         hits = Hits(mesh, triangle[pixels] - first[i], weights[pixels], directions[pixels])
         colour.reshape(-1, 3)[pixels] = colours(i, hits)
     depth = np.where(hit, seen.distance, 0).astype(np.float32)

@@ -99,7 +99,7 @@ def test_a_triangle_through_the_cameras_plane() -> None:
     # A floor below a camera that looks along it: it is seen below the horizon, and nowhere above.
     view = camera(distance=3.0, elevation=0.0)
     seen = see(view, square(z=-1.0, half=1000.0))
-    place, rays = view.rays()
+    _, rays = view.rays()
     down = rays[:, 2].reshape(seen.distance.shape)
     expected = np.divide(-1.0, down, out=np.full_like(down, np.inf), where=down < 0)
     np.testing.assert_allclose(seen.distance[expected < 900], expected[expected < 900], rtol=1e-9)
