@@ -1,8 +1,5 @@
-"""Rays through a sparse N^3 tree of constant cells: the one marcher, whatever the tree was made from.
+"""Rays through a tree of constant cells, from leaf to leaf: density and colour are constant there, so sums are exact.
 
-    slots (n, N^3) int32: cells [x][y][z] of each node    >= 0  row of the child
-                                                            -1  empty space
-                                                         <= -2  a leaf, whose values are row -2 - slot
 Source of the rules: spec/n3tree.md, "How it is rendered".
 """
 
@@ -14,94 +11,136 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.cells import EMPTY, Cells, descend, new_path
 from nerfbake.kernels.jit import compiled
 
-EMPTY = -1
-STEP = 1e-5  # behind a cell's exit, in tree units: into the next cell, whatever the rounding
-MAX_STEPS = 100_000
+BLOCK = 256  # rays that one core does before it takes the next
+Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
 
 
 @compiled(parallel=True)
 def march(
-    slots: npt.NDArray[np.int32],
-    N: int,
-    values: npt.NDArray[np.float32],
-    origin: npt.NDArray[np.float64],
-    directions: npt.NDArray[np.float64],
-    basis: npt.NDArray[np.float32],
+    cells: Cells,
+    values: Floats,
+    box: Doubles,
+    origin: Doubles,
+    directions: Doubles,
+    stop: Doubles,
+    basis: Floats,
     cut: float,
-    out: npt.NDArray[np.float32],
+    out: Floats,
 ) -> None:
-    """Front to back, until the ray leaves the cube [0, 1]^3 or lets less than `cut` through.
+    """Front to back, until the ray leaves the box, reaches its stop or lets less than `cut` through.
 
-    origin (3,) and directions (m, 3) in tree units, a direction's length being that of one world unit; basis (m, B);
-    values (leaves, 3 B + 1), density per world unit last. out (m, 5): colour weighted by opacity, alpha, and the sum of
-    opacity times distance. Within a cell the density is constant, so opacity and distance are exact.
+    box (2, 3), origin (3,) and directions (m, 3) in cells, a direction's length being that of one world unit; stop
+    (m,) in world units; basis (m, B); values (leaves, 3 B + 1), density per world unit last. out (m, 5): colour
+    weighted by opacity, alpha, and the sum of opacity times distance.
     """
+    low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
+    high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
+    blocks, levels, B = (len(directions) + BLOCK - 1) // BLOCK, len(cells.bits), basis.shape[1]
+    for turn in prange(blocks):
+        block = shuffled(turn, blocks)
+        path = new_path(cells)
+        for ray in range(block * BLOCK, min((block + 1) * BLOCK, len(directions))):
+            start, end, scale = span(box, origin, directions, ray, stop[ray])
+            d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
+            # From where the ray enters: distances stay small, and exact, however far away the camera is.
+            o0, o1, o2 = origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2
+            i0 = 1 / d0 if d0 != 0 else np.inf
+            i1 = 1 / d1 if d1 != 0 else np.inf
+            i2 = 1 / d2 if d2 != 0 else np.inf
+            through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
+            t, end, world = 0.0, end - start, 1 / scale
+            x, y, z = _within(o0, low0, high0), _within(o1, low1, high1), _within(o2, low2, high2)
+            while t < end:
+                slot = descend(cells, path, x, y, z)
+                width = cells.width[path[levels]]
+                part = 1 / width
+                l0 = np.floor((x + 0.5) * part) * width
+                l1 = np.floor((y + 0.5) * part) * width
+                l2 = np.floor((z + 0.5) * part) * width
+                exit0 = ((l0 + width if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
+                exit1 = ((l1 + width if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
+                exit2 = ((l2 + width if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+                ahead = max(min(exit0, exit1, exit2), t)
+                if slot != EMPTY:
+                    row = -2 - slot
+                    sigma = values[row, 3 * B]
+                    depth = sigma * (min(ahead, end) - t) * world
+                    kept = np.exp(-depth)
+                    r, g, b = sums(values, row, basis, ray)
+                    weight = through * (1 - kept)
+                    red += weight * sigmoid(r)
+                    green += weight * sigmoid(g)
+                    blue += weight * sigmoid(b)
+                    # The mean distance within the cell, of what is lost there.
+                    far += weight * (start + t) * world + through * (1 - kept - depth * kept) / sigma
+                    through *= kept
+                    if through < cut:
+                        break
+                t = ahead
+                # Into the next cell by number, not by a small step: rounding can neither hold a ray up nor skip a cell.
+                last = width - 1
+                if exit0 <= exit1 and exit0 <= exit2:
+                    x = int(l0 + width if d0 > 0 else l0 - 1)
+                    y, z = _within(o1 + t * d1, l1, l1 + last), _within(o2 + t * d2, l2, l2 + last)
+                    inside = low0 <= x <= high0
+                elif exit1 <= exit2:
+                    y = int(l1 + width if d1 > 0 else l1 - 1)
+                    x, z = _within(o0 + t * d0, l0, l0 + last), _within(o2 + t * d2, l2, l2 + last)
+                    inside = low1 <= y <= high1
+                else:
+                    z = int(l2 + width if d2 > 0 else l2 - 1)
+                    x, y = _within(o0 + t * d0, l0, l0 + last), _within(o1 + t * d1, l1, l1 + last)
+                    inside = low2 <= z <= high2
+                if not inside:
+                    break
+            out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
+
+
+@compiled(fastmath=True)
+def sums(values: Floats, row: int, basis: Floats, ray: int) -> Any:
+    """A leaf's coefficients times the basis in a ray's direction, summed up: red, green, blue."""
     B = basis.shape[1]
-    for ray in prange(len(directions)):
-        d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
-        d0, d1, d2 = d0 / scale, d1 / scale, d2 / scale
-        o0, o1, o2 = origin[0], origin[1], origin[2]
-        i0 = 1 / d0 if d0 != 0 else np.inf
-        i1 = 1 / d1 if d1 != 0 else np.inf
-        i2 = 1 / d2 if d2 != 0 else np.inf
-        t, end = _span(o0, o1, o2, d0, d1, d2, i0, i1, i2)
-        through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
-        for _ in range(MAX_STEPS):
-            if t >= end:
-                break
-            # Down from the root to the cell that holds this point.
-            p0 = min(max(o0 + t * d0, 0.0), 1 - 1e-12)
-            p1 = min(max(o1 + t * d1, 0.0), 1 - 1e-12)
-            p2 = min(max(o2 + t * d2, 0.0), 1 - 1e-12)
-            l0, l1, l2, width, node = 0.0, 0.0, 0.0, 1.0, 0
-            while True:
-                width /= N
-                c0, c1, c2 = int((p0 - l0) / width), int((p1 - l1) / width), int((p2 - l2) / width)
-                c0, c1, c2 = min(c0, N - 1), min(c1, N - 1), min(c2, N - 1)
-                l0, l1, l2 = l0 + c0 * width, l1 + c1 * width, l2 + c2 * width
-                node = slots[node, (c0 * N + c1) * N + c2]
-                if node < 0:
-                    break
-            exit0 = ((l0 + width if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
-            exit1 = ((l1 + width if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
-            exit2 = ((l2 + width if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
-            ahead = max(min(exit0, exit1, exit2), t) + STEP
-            if node != EMPTY:
-                row = -2 - node
-                sigma = values[row, 3 * B]
-                length = (min(ahead, end) - t) / scale
-                depth = sigma * length
-                alpha = -np.expm1(-depth)
-                weight = through * alpha
-                r, g, b = 0.0, 0.0, 0.0
-                for k in range(B):
-                    y = basis[ray, k]
-                    r += y * values[row, k]
-                    g += y * values[row, B + k]
-                    b += y * values[row, 2 * B + k]
-                red += weight / (1 + np.exp(-r))
-                green += weight / (1 + np.exp(-g))
-                blue += weight / (1 + np.exp(-b))
-                # The mean distance within the cell, of what is lost there.
-                far += weight * t / scale + through * (alpha - depth * (1 - alpha)) / sigma
-                through *= 1 - alpha
-                if through < cut:
-                    break
-            t = ahead
-        out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
+    r, g, b = np.float32(0), np.float32(0), np.float32(0)
+    for k in range(B):
+        r += basis[ray, k] * values[row, k]
+        g += basis[ray, k] * values[row, B + k]
+        b += basis[ray, k] * values[row, 2 * B + k]
+    return r, g, b
 
 
-@compiled(inline=True)
-def _span(o0: Any, o1: Any, o2: Any, d0: Any, d1: Any, d2: Any, i0: Any, i1: Any, i2: Any) -> tuple[float, float]:
-    """Where a ray enters and leaves the cube; it starts at its origin."""
-    start, end = 0.0, np.inf
-    for o, d, i in ((o0, d0, i0), (o1, d1, i1), (o2, d2, i2)):
+@compiled()
+def sigmoid(x: Any) -> Any:
+    return np.float32(1) / (np.float32(1) + np.exp(-x))
+
+
+@compiled()
+def _within(place: float, low: float, high: float) -> int:
+    """The cell of the last level around a place, or the nearest of those from low to high."""
+    return int(min(max(np.floor(place), low), high))
+
+
+@compiled()
+def span(box: Doubles, origin: Doubles, directions: Doubles, ray: int, stop: float) -> Any:
+    """Where a ray enters the box and leaves it, or stops, in cells; and how many cells are one world unit."""
+    d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+    scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    start, end = 0.0, stop * scale
+    for axis in range(3):
+        d = directions[ray, axis] / scale
+        low, high = box[0, axis] - origin[axis], box[1, axis] - origin[axis]
         if d != 0:
-            a, b = -o * i, (1 - o) * i
-            start, end = max(start, min(a, b)), min(end, max(a, b))
-        elif o < 0 or o >= 1:
+            start, end = max(start, min(low / d, high / d)), min(end, max(low / d, high / d))
+        elif low > 0 or high <= 0:
             end = -1.0
-    return start, end
+    return start, max(start, end), scale
+
+
+@compiled()
+def shuffled(turn: int, blocks: int) -> int:
+    """The block for this turn: each core's run of turns is spread over the picture, so that all have as much to do."""
+    half = (blocks + 1) // 2
+    return 2 * turn if turn < half else 2 * (turn - half) + 1

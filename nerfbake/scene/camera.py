@@ -11,6 +11,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
 
 MAX_EDGE = 16384  # pixels
+WORLD = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +64,17 @@ class Cameras(Scene):
         return f"{len(self.cameras)} cameras"
 
 
-Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # turns z up into y up: (x, y, z) -> (x, z, -y)
-
-
 def look_at(
-    centre: npt.NDArray[np.float64], azimuth: float, elevation: float, distance: float, *, up: str = "z"
+    centre: npt.NDArray[np.float64],
+    azimuth: float,
+    elevation: float,
+    distance: float,
+    axes: npt.NDArray[np.float64] = WORLD,
 ) -> npt.NDArray[np.float64]:
-    """(4, 4) pose that looks at a point from so far away; angles in radians, around the axis that is up, z or y."""
+    """(4, 4) pose that looks at a point from so far away; angles in radians, in these axes (rows; the third is up)."""
     away = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    axes = np.stack([right, np.cross(away, right), away], axis=1)
     pose = np.eye(4)
-    pose[:3, :3] = Y_UP @ axes if up == "y" else axes
-    pose[:3, 3] = centre + distance * pose[:3, 2]
+    pose[:3, :3] = axes.T @ np.stack([right, np.cross(away, right), away], axis=1)
+    pose[:3, 3] = centre + distance * (away @ axes)
     return pose

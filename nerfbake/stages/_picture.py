@@ -1,4 +1,4 @@
-"""Any scene that can be looked at: its picture, and the box that frames it."""
+"""Any scene that can be looked at: its picture, and what frames it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.scene.atlas import BakedAtlas
-from nerfbake.scene.camera import Camera
+from nerfbake.scene.camera import WORLD, Camera
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes, box_of
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages._field import field_of
+from nerfbake.stages._field import Radiance, field_of
 from nerfbake.stages.meshes_to_image import draw
 from nerfbake.stages.scene_to_image import render
 from nerfbake.stages.stage1_to_image import shade, surfaces
 
-Field = N3Tree | SparseVoxelOctree
-Scene = Field | Meshes | Stage1 | BakedAtlas
+Scene = Radiance | Meshes | Stage1 | BakedAtlas
+
+_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # x, -z, y: the axes of a scene whose up is the world's y
 
 
 def picture(scene: Scene, camera: Camera) -> Image:
@@ -30,15 +29,14 @@ def picture(scene: Scene, camera: Camera) -> Image:
     return render(scene, camera)
 
 
-def box(scene: Scene) -> npt.NDArray[np.float64]:
-    """(2, 3) world corners of the box around everything that is there."""
+def frame(scene: Scene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Opposite corners (2, 3) of the box around everything that is there, in the world, and its axes as Field has them.
+
+    The third axis is up: that of the field, z for meshes, and y in nerf2mesh's own world.
+    """
     if isinstance(scene, Meshes):
-        return box_of(scene.meshes)
+        return box_of(scene.meshes), WORLD
     if isinstance(scene, Stage1 | BakedAtlas):
-        return box_of(surfaces(scene))
-    return field_of(scene).occupied_box()
-
-
-def up(scene: Scene) -> str:
-    """The axis that points up: a capture's z, but y in nerf2mesh's own world."""
-    return "y" if isinstance(scene, Stage1 | BakedAtlas) else "z"
+        return box_of(surfaces(scene)), _Y_UP
+    field = field_of(scene)
+    return field.world(field.box), field.axes

@@ -6,7 +6,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera, Cameras, look_at
-from nerfbake.stages._picture import Scene, box, up
+from nerfbake.stages._picture import Scene, frame
 
 FIELD_OF_VIEW = np.radians(40)
 MARGIN = 1.05
@@ -14,16 +14,17 @@ AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
 def orbit(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
-    """Cameras evenly around the scene, z up, that frame all of it; the first looks from the front left, from above.
+    """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
 
-    nerf2mesh's own world has y up, and its scenes are framed so.
+    Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.
+    The folders of nerf2mesh have y up.
     """
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))
-    low, high = box(scene)
-    radius = float(np.linalg.norm(high - low)) / 2
+    corners, axes = frame(scene)
+    centre, radius = corners.mean(axis=0), float(np.linalg.norm(corners[1] - corners[0])) / 2
     distance = MARGIN * radius / np.sin(FIELD_OF_VIEW / 2)
     focal = 0.5 * min(width, height) / np.tan(FIELD_OF_VIEW / 2)
     turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
-    poses = [look_at((low + high) / 2, turn, ELEVATION, distance, up=up(scene)) for turn in turns]
+    poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]
     return Cameras(tuple(Camera(width, height, focal, pose, f"{i:04d}") for i, pose in enumerate(poses)))

@@ -3,51 +3,72 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.sh import sh_basis
-from nerfbake.kernels.traversal import march
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.stages._field import field_of
+from nerfbake.scene.octree import Lookup
+from nerfbake.stages._field import Field, Radiance, field_of
 
 WHITE = (1.0, 1.0, 1.0)
 
 
 def render(
-    scene: N3Tree | SparseVoxelOctree,
+    scene: Radiance,
     camera: Camera,
     *,
     background: tuple[float, float, float] | None = WHITE,
     transmittance_cut: float = 1e-4,
+    lookup: Lookup = "nearest",
+    stop: npt.NDArray[np.float64] | None = None,
 ) -> Image:
     """What the camera sees of the scene. Source: spec/n3tree.md, "How it is rendered".
 
     Emission and absorption along the ray through each pixel's centre, front to back over a background (sRGB in 0..1;
-    None: transparent), each leaf a cell of constant density and of the colour that it has in the ray's direction. A ray
-    ends where it lets less than transmittance_cut through. Raises InvalidScene for broken scenes and SG and ASG bases.
+    None: transparent). A ray ends where it lets less than transmittance_cut through, and at its stop: (H, W) distances
+    from the camera in world units, infinite where nothing stands in the way.
+
+    lookup  nearest: each leaf is a cell of constant density and of the colour that it has in the ray's direction;
+            sums along the ray are exact. trilinear: between the centres of cells of the finest level, density and
+            coefficients are interpolated, the coefficients by density; the ray takes steps of half a cell.
+
+    Raises InvalidScene for broken scenes, SG and ASG bases, and volumes without a density.
     """
     if not 0 <= transmittance_cut < 1:
         raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, without 1"))
-    field = field_of(scene)
-    place, directions = camera.rays()
-    basis = np.ones((len(directions), 1)) if field.basis.kind == "RGBA" else sh_basis(directions, field.basis.size)
-    out = np.empty((len(directions), 5), np.float32)
-    march(
-        field.slots,
-        field.N,
-        field.values,
-        place * field.scale + field.offset,
-        directions * field.scale,
-        basis.astype(np.float32),
-        transmittance_cut,
-        out,
-    )
+    if lookup not in ("nearest", "trilinear"):
+        raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
+    shape = (camera.height, camera.width)
+    if stop is not None and stop.shape != shape:
+        raise InvalidScene(Problem("stop", f"has shape {stop.shape}", f"{shape}"))
+    far_away = np.full(camera.height * camera.width, np.inf) if stop is None else stop.astype(np.float64).reshape(-1)
+    out = _marched(field_of(scene), camera, far_away, transmittance_cut, lookup)
     colour, alpha, far = out[:, :3], out[:, 3], out[:, 4]
     if background is not None:
         colour = colour + (1 - alpha[:, None]) * np.array(background, np.float32)
-    shape = (camera.height, camera.width)
     depth = np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
     return Image(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape), background)
+
+
+def _marched(
+    field: Field, camera: Camera, stop: npt.NDArray[np.float64], cut: float, lookup: Lookup
+) -> npt.NDArray[np.float32]:
+    origin, looks = camera.rays()
+    turn = field.place[:, :3]
+    # SH are in the field's own axes.
+    own = looks @ field.axes.T
+    basis = np.ones((len(looks), 1)) if field.basis.kind == "RGBA" else sh_basis(own, field.basis.size)
+    out = np.empty((len(looks), 5), np.float32)
+    if lookup == "nearest":
+        from nerfbake.kernels.traversal import march
+
+        box = field.box
+    else:
+        from nerfbake.kernels.traversal_smooth import march_smooth as march
+
+        box = field.box + np.array([[-0.5], [0.5]])
+    place = turn @ origin + field.place[:, 3]
+    march(field.cells, field.values, box, place, looks @ turn.T, stop, basis.astype(np.float32), cut, out)
+    return out

@@ -13,9 +13,7 @@ from nerfbake.errors import BudgetMissed, InvalidScene, Problem
 from nerfbake.kernels.metrics import psnr, ssim
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.image import Image
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.stages._field import field_of
+from nerfbake.stages._field import Radiance, field_of
 from nerfbake.stages._picture import Scene, picture
 
 MAX_POINTS = 200_000  # leaves whose values are compared
@@ -97,16 +95,14 @@ def _errors(a: Image, b: Image) -> dict[str, float]:
 
 
 def _value_errors(a: Scene, b: Scene) -> dict[str, Any]:
-    if not (isinstance(a, N3Tree | SparseVoxelOctree) and isinstance(b, N3Tree | SparseVoxelOctree)):
+    if not (isinstance(a, Radiance) and isinstance(b, Radiance)):
         return {}
-    field = field_of(a)
-    B = field.basis.size
-    points = field.leaf_centres(MAX_POINTS)
-    one, other = a.sample(points), b.sample(points)
-    if one.shape != other.shape:
+    one, other = field_of(a), field_of(b)
+    if one.basis != other.basis:
         return {}
-    difference = np.abs(one - other)
-    colours = difference[:, :-1].reshape(len(points), 3, B)
+    points = one.leaf_centres(MAX_POINTS)
+    difference = np.abs(one.sample(points) - other.sample(points))
+    colours = difference[:, :-1].reshape(len(points), 3, one.basis.size)
     parts = {"sigma": difference[:, -1], "dc": colours[..., 0], "higher": colours[..., 1:]}
     return {name: _mean_and_max(part) for name, part in parts.items() if part.size}
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,13 @@ import numpy.typing as npt
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import Camera, Cameras, Image, build_octree, cut_octree, load, orbit, render
+from nerfbake import Camera, Cameras, Image, SparseVoxelOctree, build_octree, build_vdb, cut_octree, load, orbit, render
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.sh import sh_basis
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.vdb import VdbTree, topology_of
+from nerfbake.scene.volume import Volume
 from tests.conftest import DATA
 from tests.scenes import n3tree
 
@@ -149,6 +152,129 @@ def test_cameras_that_see_nothing_are_refused(wrong: dict[str, object], message:
         Camera(**(fields | wrong))  # type: ignore[arg-type]
 
 
+def test_a_ray_ends_at_what_stands_in_its_way() -> None:
+    stop = np.full((5, 5), np.inf)
+    stop[2, 2], stop[2, 1] = 2.75, 1.0  # a quarter into the box, and before it
+    for lookup in ("nearest", "trilinear"):
+        image = render(solid(3.0), front(), transmittance_cut=0, stop=stop, lookup=lookup)
+        if lookup == "nearest":
+            assert_allclose(image.alpha[2, 2], 1 - np.exp(-0.75), rtol=1e-4)
+            assert_allclose(image.alpha[2, 3], 1 - np.exp(-3), rtol=1e-3)
+        assert image.alpha[2, 1] == 0
+        assert image.alpha[2, 2] < image.alpha[2, 3]
+        assert image.depth[2, 2] < 2.75
+    with pytest.raises(InvalidScene, match="stop has shape"):
+        render(solid(3.0), front(), stop=np.ones((4, 5)))
+
+
+def test_a_ray_along_a_boundary_is_not_held_up() -> None:
+    # In the plane between two cells, and along the edge of four, whatever way rounding leans.
+    tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], data_format="SH1")
+    for lean in (0.0, 1e-17, -1e-17, 1e-12):
+        pose = np.eye(4)
+        pose[:3, :3] = look_at(np.zeros(3), -np.pi / 2 + lean, lean, 1.0)[:3, :3]
+        pose[:3, 3] = 0.5, -2.0, 0.5
+        image = render(tree, Camera(3, 3, 1e6, pose), transmittance_cut=0)
+        assert np.isfinite(image.colour).all()
+        assert_allclose(image.alpha[0], image.alpha[0, 0], atol=0.7)
+
+
+# -- trilinear -------------------------------------------------------------------------------------------------
+def test_density_between_centres_is_a_straight_line() -> None:
+    # Head on, the ray sees tents of a cell's density each, two cells wide: they add up to density times width.
+    sigma = np.array([0, 5.0, 1.0, 0, 0, 2.0, 7.0, 0.5])
+    data = np.zeros((1, 8, 8, 8, 4), np.float32)
+    data[..., 3] = sigma[:, None]
+    image = render(n3tree(N=8, data=data, data_format="RGBA"), front(), transmittance_cut=0, lookup="trilinear")
+    assert_allclose(image.alpha[2, 2], 1 - np.exp(-sigma.sum() / 8), rtol=1e-5)
+
+
+def test_what_is_empty_has_no_colour_to_mix_in() -> None:
+    data = np.zeros((1, 8, 8, 8, 4), np.float32)
+    data[0, 2:5, 2:5, 2:5] = 1.0, -2.0, 0.5, 4.0
+    image = render(n3tree(N=8, data=data, data_format="RGBA"), front(9), background=None, lookup="trilinear")
+    seen = image.colour[image.alpha > 1e-3] / image.alpha[image.alpha > 1e-3, None]
+    assert len(seen) > 9
+    assert_allclose(seen, np.broadcast_to(1 / (1 + np.exp([-1.0, 2.0, -0.5])), seen.shape), rtol=1e-3)
+
+
+@pytest.mark.parametrize("N", [2, 3])
+def test_trilinear_is_what_sample_says(N: int) -> None:
+    tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], N=N, data_format="SH1", dtype=np.float32)
+    tree.data[0, 1, 0, 0, -1] = 0  # a large empty cell, to be jumped over
+    octree = build_octree(tree, resample="nearest")
+    camera = orbit(tree, width=7, height=7).cameras[0]
+    image = render(tree, camera, transmittance_cut=0, lookup="trilinear")
+    origin, looks = camera.rays()
+    width = 1 / N**3
+    t = np.arange(0, 2 * np.linalg.norm(origin - 0.5), width / 20)
+    sigma = octree.sample(origin + looks[:, None] * t[:, None], lookup="trilinear")[..., -1]
+    # sample() ends at the grid's faces, the tents half a cell beyond.
+    inside = image.alpha.reshape(-1)
+    assert_allclose(inside, 1 - np.exp(-sigma.sum(axis=1) * width / 20), atol=0.02)
+    assert inside.max() > 0.3
+
+
+# -- volumes ---------------------------------------------------------------------------------------------------
+def grown(data_format: str = "SH4") -> SparseVoxelOctree:
+    """An octree with leaves at three levels and empty space, around the world's origin."""
+    tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], data_format=data_format, dtype=np.float32)
+    tree.data[0, 0, 0, :, -1] = 0
+    octree = build_octree(tree, resample="nearest")
+    return dataclasses.replace(octree, origin=np.full(3, -0.5), voxel_size=octree.voxel_size * [1, 2, 1])
+
+
+@pytest.mark.parametrize("lookup", ["nearest", "trilinear"])
+@pytest.mark.parametrize("grids", [("index",), ("density", "sh")])
+def test_a_volume_looks_like_the_octree_it_was_made_from(grids: tuple[str, ...], lookup: Any) -> None:
+    octree = grown()
+    for up in ("z", "y"):
+        volume = build_vdb(octree, grids=grids, up=up)
+        a, b = orbit(octree, width=24, height=20).cameras[0], orbit(volume, width=24, height=20).cameras[0]
+        one, other = render(octree, a, lookup=lookup), render(volume, b, lookup=lookup)
+        assert one.alpha.max() > 0.1
+        assert_allclose(one.colour, other.colour, atol=2e-4)
+        assert_allclose(one.depth, other.depth, atol=2e-3)
+
+
+def test_a_volume_without_coefficients_shows_its_colour_or_grey() -> None:
+    octree, camera = grown("SH1"), orbit(grown(), width=24, height=20).cameras[0]
+    image = render(octree, camera)
+    assert_allclose(render(build_vdb(octree), camera).colour, image.colour, atol=2e-4)
+    grey = render(build_vdb(octree, grids=("density",)), camera, background=(0.5, 0.5, 0.5))
+    assert_allclose(grey.colour, 0.5, atol=1e-6)
+    assert_allclose(grey.alpha, image.alpha, atol=2e-4)
+    with pytest.raises(InvalidScene, match="the volume has the grids Cd; allowed: density among them, or index"):
+        render(build_vdb(octree, grids=("Cd",)), camera)
+
+
+def test_colours_of_other_voxels_are_looked_up() -> None:
+    # Another program may have pruned one grid and not the other.
+    octree, camera = grown("SH1"), orbit(grown(), width=24, height=20).cameras[0]
+    density, colour = build_vdb(octree).grids
+    more = np.concatenate([colour.topology.coords, [[40, 3, 5]]])
+    topology, order = topology_of(more)
+    values = np.concatenate([colour.values, [[0.1, 0.2, 0.3]]]).astype(np.float32)[order]
+    assert isinstance(colour, VdbTree)
+    other = dataclasses.replace(colour, topology=topology, values=values)
+    pruned = Volume((density, other), build_vdb(octree).transform)
+    assert_allclose(render(pruned, camera).colour, render(octree, camera).colour, atol=2e-4)
+
+
+@pytest.mark.parametrize("far", [4096, -8192, 1 << 30, -(1 << 31)])
+def test_voxels_anywhere_in_32_bits_are_seen(far: int) -> None:
+    coords = np.array([[0, 0, 0], [1, 0, 0], [0, far, 0]], np.int64)
+    topology, _ = topology_of(coords)
+    density = VdbTree("density", topology, np.full((3, 1), 50, np.float32), np.zeros(1, np.float32))
+    volume = Volume((density,), np.eye(4)[:3])
+    for voxel in ([0, 0, 0], [0, far, 0]):
+        # Its face seen from 2 away, along x; the voxel's sample stands at its centre.
+        camera = Camera(1, 1, 1e4, look_at(np.array(voxel, float), np.pi, 0, 2.5))
+        image = render(volume, camera)
+        assert_allclose(image.alpha, 1, atol=1e-6)
+        assert_allclose(image.depth, 2.0, atol=0.05)
+
+
 # -- the real chair --------------------------------------------------------------------------------------------
 CHAIR = DATA / "plenoctree" / "chair"
 
@@ -207,6 +333,9 @@ def test_the_octree_at_the_trees_resolution_gives_the_same_picture() -> None:
     tree = load(CHAIR / "chair_sh9_128.npz", N3Tree)
     camera = load(CHAIR / "views" / "transforms.json", Cameras).cameras[0]
     octree = build_octree(tree)
-    assert_allclose(render(tree, camera).colour, render(octree, camera).colour, atol=1e-4)
+    image = render(tree, camera)
+    assert_allclose(image.colour, render(octree, camera).colour, atol=1e-4)
+    index = build_vdb(octree, grids=("index",))
+    assert_allclose(image.colour, render(index, camera).colour, atol=1e-4)
     coarse = render(cut_octree(octree, level=6), camera)
     assert 20 < psnr(render(tree, camera).pixels, coarse.pixels) < 40
