@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
+    from nerfbake.stages.scene_and_meshes_to_image import composite as composite
     from nerfbake.stages.scene_to_cameras import orbit as orbit
     from nerfbake.stages.scene_to_image import render as render
     from nerfbake.stages.scene_to_summary import summarise as summarise

@@ -87,6 +87,7 @@ STAGES = {
     "cluster": "nerfbake.stages.identifiers_to_clusters",
     "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
     "compare": "nerfbake.stages.scenes_to_comparison",
+    "composite": "nerfbake.stages.scene_and_meshes_to_image",
     "cut_octree": "nerfbake.stages.octree_to_octree",
     "draw": "nerfbake.stages.meshes_to_image",
     "identify": "nerfbake.stages.specular_to_identifiers",

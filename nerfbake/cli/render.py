@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -47,6 +48,15 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
     show_default=True,
     help="Where a ray ends: 0.5 makes an opaque cutout.",
 )
+@click.option("--mesh", type=click.Path(), help="Opaque triangles in the scene's own world: an .obj or .glb.")
+@click.option(
+    "--composite",
+    "how",
+    type=click.Choice(["stop", "ztest"]),
+    default="stop",
+    show_default=True,
+    help="With --mesh: rays stop at it, or the whole picture is laid over it where its depth is nearer.",
+)
 @click.option("--force", is_flag=True, help="Replace what exists.")
 @speaks
 def render(
@@ -58,6 +68,8 @@ def render(
     size: tuple[int, int] | None,
     out: str,
     lod: int | None,
+    mesh: str | None,
+    how: str,
     force: bool,
     words: Words,
     **options: Any,
@@ -67,6 +79,7 @@ def render(
     \b
       nerfbake render chair.npz --out chair.png
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
+      nerfbake render chair.svo.pb --mesh room.glb --out room.png
     """
     several = every or turntable is not None
     if not several:
@@ -81,9 +94,13 @@ def render(
     chosen = views if several else views[frame : frame + 1]
     if not chosen:
         raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")
+    picture: Callable[..., Any] = nerfbake.render
+    if mesh:
+        picture = nerfbake.composite
+        options |= {"meshes": io.load(mesh, nerfbake.Meshes, max_memory=source.max_memory), "how": how}
     for view in chosen:
         with source.blamed(words, f"rendering {view.name}"):
-            image = nerfbake.render(scene, view, **options)
+            image = picture(scene, camera=view, **options)
         path = str(Path(out) / f"{view.name}.png") if several else out
         io.save(path, image, force=force, parents=several)
         words.say(f"{path}: {image}")
