@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.atlas import OctahedralAtlas as OctahedralAtlas
     from nerfbake.scene.camera import Camera as Camera
     from nerfbake.scene.camera import Cameras as Cameras
+    from nerfbake.scene.depth import Depth as Depth
     from nerfbake.scene.image import Image as Image
     from nerfbake.scene.mesh import Mesh as Mesh
     from nerfbake.scene.mesh import Meshes as Meshes

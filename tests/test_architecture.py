@@ -34,6 +34,8 @@ OWN_LIBRARY = {
     "_npz_reader": {"zlib_ng"},
     "_npz_writer": {"zlib_ng"},
     "_zstd": {"zstandard"},
+    "_picture": {"PIL"},
+    "depth_png": {"PIL"},
     "image_png": {"PIL"},
     "_obj": {"trimesh"},
     "atlas": {"sklearn"},  # the contender of bench atlas
@@ -98,7 +100,7 @@ def test_imports_follow_the_rules(path: Path) -> None:
 
 def test_only_io_opens_files() -> None:
     openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
-    no_files = {"main", "_texture"}  # what these open is a device, and bytes in memory
+    no_files = {"main", "_picture"}  # what these open is a device, and bytes in memory
     for path in modules():
         if path.stem == "io" or "bench" in path.parts:  # a benchmark of files opens them
             continue

@@ -33,6 +33,18 @@ def test_a_budget_that_holds_and_one_that_does_not(shell: Shell, tmp_path: Path)
 
 
 @pytest.mark.usefixtures("tree_file")
+def test_volumes_have_budgets_too(shell: Shell, tmp_path: Path) -> None:
+    save(tmp_path / "c.json", orbit(load(tmp_path / "a.npz", N3Tree), frames=2, width=24, height=20))
+    budget = ["--cameras", "c.json", "--min-psnr", "50"]
+    assert shell("vdb", "a.npz", "good.nvdb", "--grids", "index", *budget).returncode == 0
+    assert shell("compare", "a.npz", "good.nvdb", "--cameras", "c.json", "--min-psnr", "60").returncode == 0
+    assert shell("vdb", "a.npz", "grey.vdb", "--grids", "density", *budget).returncode == 3
+    assert sorted(path.name for path in tmp_path.glob("*vdb*")) == ["good.nvdb", "grey.vdb.rejected"]
+    done = shell("vdb", "a.npz", "y.vdb", "--up", "y", *budget)
+    assert (done.returncode, done.stderr.count(b"allowed: --up z")) == (2, 1)
+
+
+@pytest.mark.usefixtures("tree_file")
 def test_compare(shell: Shell, tmp_path: Path) -> None:
     assert shell("svo", "a.npz", "b.svo.pb", "--resolution", "2").returncode == 0
     done = shell("compare", "a.npz", "b.svo.pb", "--size", "40x30", "--sheet", "sheet.png", "--json")

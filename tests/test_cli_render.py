@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
-from nerfbake import Meshes, build_octree, orbit, save
+from nerfbake import Depth, Meshes, build_octree, build_vdb, load, orbit, save
 from nerfbake.cli.main import run
 from tests.conftest import Shell
 from tests.meshes import cube
@@ -22,6 +22,7 @@ def scene(tmp_path: Path) -> Path:
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
     save(tmp_path / "a.npz", tree)
     save(tmp_path / "a.svo.pb", build_octree(tree))
+    save(tmp_path / "a.nvdb", build_vdb(build_octree(tree), grids=("index",)))
     save(tmp_path / "transforms.json", orbit(tree, frames=3, width=20, height=16))
     return tmp_path
 
@@ -68,6 +69,28 @@ def test_a_mesh_in_the_picture(
     assert not Path("m.png").exists()
 
 
+def test_depth_and_alpha_stand_beside_the_picture(shell: Shell, scene: Path) -> None:
+    arguments = ["render", "a.nvdb", "--cameras", "transforms.json", "--lookup", "trilinear", "--alpha"]
+    assert shell(*arguments, "--out", "a.png", "--depth").returncode == 0
+    assert shell(*arguments, "--all", "--out", "views", "--depth", "npy", "-q").returncode == 0
+    assert sorted(path.name for path in (scene / "views").glob("0002*")) == [
+        "0002.alpha.png",
+        "0002.depth.npy",
+        "0002.png",
+    ]
+    exact = np.load(scene / "views" / "0000.depth.npy")
+    with Pillow.open(scene / "a.depth.png") as steps, Pillow.open(scene / "a.alpha.png") as alpha:
+        assert np.abs(np.asarray(steps) / 1000 - exact).max() < 1e-3
+        met = np.asarray(alpha.convert("L")) > 0
+    assert met.any()
+    assert exact[met].min() > 0
+    assert load(scene / "a.depth.png", Depth).distance.shape == (16, 20)
+    done = shell(*arguments, "--out", "a.png", "--depth", "npy")
+    assert done.returncode == 4
+    assert done.stderr.decode() == "error: a.png: exists already; allowed: a new file, or --force\n"
+    assert not (scene / "a.depth.npy").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
@@ -77,7 +100,9 @@ def test_a_mesh_in_the_picture(
         (["a.npz", "--out", "a.png", "--size", "0x9"], 2, "'0x9' is no size"),
         (["a.npz", "--out", "a.png", "--lod", "2"], 1, "a.npz: holds an N3Tree; allowed: a SparseVoxelOctree"),
         (["a.svo.pb", "--out", "a.png", "--lod", "9"], 1, "a.svo.pb: level is 9; allowed: 0 to 2"),
-        (["transforms.json", "--out", "a.png"], 1, "transforms.json: holds a Cameras; allowed: an N3Tree or a Sparse"),
+        (["transforms.json", "--out", "a.png"], 1, "transforms.json: holds a Cameras; allowed: an N3Tree or a Volume"),
+        (["a.npz", "--out", "-", "--depth"], 2, "--depth and --alpha write files beside OUT; allowed: an --out other"),
+        (["a.npz", "--out", "a.png", "--depth", "exr"], 2, "'exr' is not one of 'png', 'npy'"),
         (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "a.npz: holds an N3Tree; allowed: a Cameras"),
         (
             ["a.npz", "--out", "a.png", "--cameras", "transforms.json", "--frame", "7"],

@@ -52,13 +52,8 @@ def compare(
         io.format_for(sheet, "Image")
         io.require_absent(sheet, force=force)
     second = Input(other, source.max_memory)
-    kinds = (
-        nerfbake.N3Tree,
-        nerfbake.SparseVoxelOctree,
-        nerfbake.Meshes,
-        nerfbake.Stage1,
-        nerfbake.BakedAtlas,
-    )
+    fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
     a, b = source.read(words, *kinds), second.read(words, *kinds)
     views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
     photographs = None

@@ -40,6 +40,21 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
 @click.option(
     "--background", type=Background(), default="white", show_default=True, help="white, black, transparent or R,G,B."
 )
+@click.option(
+    "--depth",
+    type=click.Choice(["png", "npy"]),
+    is_flag=False,
+    flag_value="png",
+    help="Write NAME.depth.png beside each picture (16 bits, thousandths of a world unit), or NAME.depth.npy.",
+)
+@click.option("--alpha", is_flag=True, help="Write NAME.alpha.png beside each picture: white is opaque.")
+@click.option(
+    "--lookup",
+    type=click.Choice(["nearest", "trilinear"]),
+    default="nearest",
+    show_default=True,
+    help="Cells as they are, or values interpolated between their centres.",
+)
 @click.option("--lod", type=click.IntRange(min=0), help="Level of an octree to show.")
 @click.option(
     "--transmittance-cut",
@@ -67,6 +82,8 @@ def render(
     turntable: int | None,
     size: tuple[int, int] | None,
     out: str,
+    depth: str | None,
+    alpha: bool,
     lod: int | None,
     mesh: str | None,
     how: str,
@@ -74,19 +91,23 @@ def render(
     words: Words,
     **options: Any,
 ) -> None:
-    """Render the PlenOctree or octree IN as PNG.
+    """Render the PlenOctree, octree or volume IN as PNG.
 
     \b
       nerfbake render chair.npz --out chair.png
+      nerfbake render chair.nvdb --out chair.png --lookup trilinear --depth
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
       nerfbake render chair.svo.pb --mesh room.glb --out room.png
     """
     several = every or turntable is not None
+    if out == io.STREAM and (depth or alpha):
+        raise click.UsageError("--depth and --alpha write files beside OUT; allowed: an --out other than '-'")
     if not several:
         io.format_for(out, "Image")
-        io.require_absent(out, force=force)
-    trees = () if lod is not None else (nerfbake.N3Tree,)
-    scene = source.read(words, *trees, nerfbake.SparseVoxelOctree)
+        for path in (out, *_beside(out, depth, alpha)):
+            io.require_absent(path, force=force)
+    others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume)
+    scene = source.read(words, *others, nerfbake.SparseVoxelOctree)
     if lod is not None:
         with source.blamed(words, f"cutting at level {lod}"):
             scene = nerfbake.cut_octree(scene, level=lod)
@@ -103,4 +124,12 @@ def render(
             image = picture(scene, camera=view, **options)
         path = str(Path(out) / f"{view.name}.png") if several else out
         io.save(path, image, force=force, parents=several)
+        for beside in _beside(path, depth, alpha):
+            plane = image.mask if beside.endswith(".alpha.png") else nerfbake.Depth(image.depth)
+            io.save(beside, plane, force=force)
         words.say(f"{path}: {image}")
+
+
+def _beside(path: str, depth: str | None, alpha: bool) -> list[str]:
+    stem = path.removesuffix(".png")
+    return [f"{stem}.depth.{depth}"] * bool(depth) + [f"{stem}.alpha.png"] * alpha

@@ -8,7 +8,7 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Input, Output, Resolution, reads, speaks, writes
+from nerfbake.cli.params import Budget, Input, Output, Resolution, judges, reads, speaks, writes
 from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
 
@@ -26,6 +26,7 @@ DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}
 @click.option("--resolution", type=Resolution(), help="Voxels an axis, of a PlenOctree.  [default: its finest]")
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
 @click.option("--up", type=click.Choice(["y", "z"]), default="z", show_default=True, help="The axis that z becomes.")
+@judges
 @speaks
 def vdb(
     source: Input,
@@ -36,6 +37,7 @@ def vdb(
     resolution: tuple[int, int, int] | None,
     sigma_min: float | None,
     up: Literal["y", "z"],
+    budget: Budget,
     words: Words,
 ) -> None:
     """Write the PlenOctree or octree IN as OpenVDB (.vdb) or NanoVDB (.nvdb, one grid a file).
@@ -46,9 +48,13 @@ def vdb(
       nerfbake vdb chair.npz - --to nvdb | nerfbake info -
     """
     target.require("Volume")
+    budget.require(target)
+    if budget.min_psnr is not None and up != "z":
+        raise UsageError("--min-psnr looks at IN and OUT with the same cameras; allowed: --up z")
     form = io.format_for(target.path, "Volume", to=target.to).name
     wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
     scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    judged = scene
     options: Any = {"sigma_min": sigma_min, "max_memory": source.max_memory}
     with source.blamed(words, "building the grids"):
         if isinstance(scene, nerfbake.N3Tree):
@@ -59,3 +65,4 @@ def vdb(
     if form == "nvdb" and half and wanted == ("density",):
         words.say("note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros")
     target.write(words, volume, codec=codec or DEFAULT_CODEC[form])
+    budget.judge(words, source, judged, target)

@@ -7,9 +7,7 @@ views of the file.
 
 from __future__ import annotations
 
-import ast
 import io
-import re
 import struct
 import warnings
 import zipfile
@@ -20,12 +18,11 @@ import numpy.typing as npt
 from zlib_ng import zlib_ng
 
 from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.formats._npy import read_header
 
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 MAX_INFLATION = 1032  # deflate's own bound: 258 bytes for a quarter of a byte
 MAX_MEMBERS = 1000
-MAX_HEADER = 10_000
-MAX_DIMENSIONS = 8
 _CHUNK = 1 << 18
 
 
@@ -82,7 +79,7 @@ class NpzReader:
     def _read(self, key: str, info: zipfile.ZipInfo, limit: int | None) -> npt.NDArray[Any]:
         packed = self._packed(key, info)
         stream = _Inflater(key, packed, info)
-        shape, fortran, dtype = _read_header(key, stream)
+        shape, fortran, dtype = read_header(key, stream)
         size = dtype.itemsize
         for edge in shape:  # Python's integers do not overflow
             size *= edge
@@ -201,28 +198,3 @@ class _Inflater:
             raise InvalidFile(Problem(self._key, "goes on past its declared end", f"{self._info.file_size:,} bytes"))
         if self._crc != self._info.CRC:
             raise InvalidFile(Problem(self._key, f"has CRC-32 {self._crc:08x}", f"{self._info.CRC:08x}"))
-
-
-def _read_header(key: str, stream: _Inflater) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, Fortran order and dtype as an .npy file declares them, in a Python dict literal."""
-    magic = stream.read(8)
-    if magic[:6] != np.lib.format.MAGIC_PREFIX or magic[6] not in (1, 2, 3):
-        raise InvalidFile(Problem(key, f"starts with {magic[:6]!r}", "an array (.npy, version 1 to 3)"))
-    size = int.from_bytes(stream.read(2 if magic[6] == 1 else 4), "little")
-    if size > MAX_HEADER:
-        raise InvalidFile(Problem(key, f"has a header of {size:,} bytes", f"{MAX_HEADER:,} at most"))
-    text = stream.read(size).decode("latin-1")
-    try:
-        header = ast.literal_eval(text.strip())
-        shape, fortran, descr = header["shape"], header["fortran_order"], header["descr"]
-    except (ValueError, TypeError, SyntaxError, KeyError, MemoryError, RecursionError):
-        raise InvalidFile(Problem(key, f"has the header {text[:60]!r}", "descr, fortran_order and shape")) from None
-    if isinstance(descr, str) and "O" in descr:
-        raise InvalidFile(Problem(key, "holds Python objects (pickle)", "numbers or text; nerfbake never unpickles"))
-    if not (isinstance(descr, str) and re.fullmatch(r"[<>|=]?(f[248]|[iu][1248]|U[0-9]{1,4})", descr)):
-        raise InvalidFile(Problem(key, f"has dtype {str(descr)[:60]}", "whole numbers, floats or text"))
-    if not (isinstance(shape, tuple) and all(type(edge) is int and 0 <= edge < 1 << 48 for edge in shape)):
-        raise InvalidFile(Problem(key, f"has shape {str(shape)[:60]}", "whole numbers from 0"))
-    if len(shape) > MAX_DIMENSIONS:
-        raise InvalidFile(Problem(key, f"has {len(shape)} dimensions", f"{MAX_DIMENSIONS} at most"))
-    return shape, fortran is True, np.dtype(descr)

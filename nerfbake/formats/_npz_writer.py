@@ -10,14 +10,14 @@ Sizes and CRCs stand in the local headers, not behind the data: cnpy, which volr
 
 from __future__ import annotations
 
-import io
 import struct
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from zlib_ng import zlib_ng
+
+from nerfbake.formats._npy import npy_pieces
 
 ALIGN = 64
 _ZIP64_FROM = 0xFFFFFFFF  # numbers from here on do not fit the old fields, which then hold just this
@@ -30,7 +30,7 @@ def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryvie
     directory, at = [], 0
     for key, value in arrays.items():
         name = f"{key}.npy".encode()
-        head, body = _npy(np.asarray(value))
+        head, body = npy_pieces(np.asarray(value))
         size = len(head) + len(body)
         crc = zlib_ng.crc32(body, zlib_ng.crc32(head))
         zip64 = struct.pack("<HHQQ", 1, 16, size, size) if size >= _ZIP64_FROM else b""
@@ -46,14 +46,6 @@ def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryvie
         at += 30 + len(name) + len(extra) + size
     entries = b"".join(directory)
     yield entries + _end(len(directory), len(entries), at)
-
-
-def _npy(array: npt.NDArray[Any]) -> tuple[bytes, memoryview]:
-    """An array as .npy: its header and its little-endian bytes."""
-    array = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
-    head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(array))
-    return head.getvalue(), array.reshape(-1).view(np.uint8).data
 
 
 def _central(name: bytes, version: int, common: tuple[int, ...], size: int, at: int) -> bytes:

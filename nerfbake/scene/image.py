@@ -47,6 +47,11 @@ class Image(Scene):
         return replace(self, colour=colour, background=background)
 
     @property
+    def mask(self) -> Image:
+        """The alpha as a picture, white where nothing shines through."""
+        return replace(self, colour=np.repeat(self.alpha[..., None], 3, axis=2), background=(0.0, 0.0, 0.0))
+
+    @property
     def pixels(self) -> npt.NDArray[np.uint8]:
         """(H, W, 3) uint8, or (H, W, 4) with straight alpha where there is no background."""
         if self.background is not None:
