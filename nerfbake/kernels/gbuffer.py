@@ -22,6 +22,7 @@ Floats = npt.NDArray[np.float64]
 NONE = -1
 _ROWS = 16  # of a band: threads share out the bands, and no two write to the same pixel
 _MARGIN = 1e-3  # pixels around a triangle's box, for rounding
+_CLOSE = 1e-9  # to a side, of the corners' distance: rounding may have put it on the other one
 
 
 class GBuffer(NamedTuple):
@@ -56,22 +57,25 @@ def _bound(
 ) -> None:
     """(t, 4) the pixels where each triangle may be seen: left, top, right, bottom, the last two exclusive."""
     for f in prange(len(faces)):
-        left, right, top, bottom, front = float(W), 0.0, float(H), 0.0, 0
+        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
         for corner in range(3):
-            point = points[faces[f, corner]]
-            if point[2] < 0:
-                front += 1
-                x, y = W / 2 - focal * point[0] / point[2], H / 2 + focal * point[1] / point[2]
+            p, q = points[faces[f, corner]], points[faces[f, (corner + 1) % 3]]
+            if p[2] < 0:
+                x, y = W / 2 - focal * p[0] / p[2], H / 2 + focal * p[1] / p[2]
                 left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
-        if front == 3:
-            # Pixel i has its centre at i + 1/2.
+            if (p[2] < 0) != (q[2] < 0):
+                # The edge leaves through the camera's plane, which is seen infinitely far out on that side.
+                s = p[2] / (p[2] - q[2])
+                x, y = p[0] + s * (q[0] - p[0]), p[1] + s * (q[1] - p[1])
+                close = _CLOSE * (abs(p[0]) + abs(q[0]) + abs(p[1]) + abs(q[1]))
+                left, right = -np.inf if x < close else left, np.inf if x > -close else right
+                top, bottom = -np.inf if y > -close else top, np.inf if y < close else bottom
+        # Pixel i has its centre at i + 1/2.
+        if left <= right:
             boxes[f, 0] = int(min(max(np.ceil(left - 0.5 - _MARGIN), 0.0), W))
             boxes[f, 1] = int(min(max(np.ceil(top - 0.5 - _MARGIN), 0.0), H))
             boxes[f, 2] = int(min(max(np.floor(right + 0.5 + _MARGIN), 0.0), W))
             boxes[f, 3] = int(min(max(np.floor(bottom + 0.5 + _MARGIN), 0.0), H))
-        elif front:
-            # Through the camera's plane: somewhere on the screen.
-            boxes[f, 2], boxes[f, 3] = W, H
 
 
 @compiled(parallel=True)

@@ -17,8 +17,6 @@ from nerfbake.stages.stage1_to_image import shade, surfaces
 
 Scene = Radiance | Meshes | Stage1 | BakedAtlas
 
-_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # x, -z, y: the axes of a scene whose up is the world's y
-
 
 def picture(scene: Scene, camera: Camera) -> Image:
     """What the camera sees, over white."""
@@ -32,11 +30,11 @@ def picture(scene: Scene, camera: Camera) -> Image:
 def frame(scene: Scene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Opposite corners (2, 3) of the box around everything that is there, in the world, and its axes as Field has them.
 
-    The third axis is up: that of the field, z for meshes, and y in nerf2mesh's own world.
+    The third axis is up: a field's own, and the world's for meshes, as nerf2mesh and its viewer have it.
     """
     if isinstance(scene, Meshes):
         return box_of(scene.meshes), WORLD
     if isinstance(scene, Stage1 | BakedAtlas):
-        return box_of(surfaces(scene)), _Y_UP
+        return box_of(surfaces(scene)), WORLD
     field = field_of(scene)
     return field.world(field.box), field.axes

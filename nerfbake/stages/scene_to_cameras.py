@@ -17,7 +17,6 @@ def orbit(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800)
     """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
 
     Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.
-    The folders of nerf2mesh have y up.
     """
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.mlp import evaluate_each
-from nerfbake.kernels.texture import bilinear, nearest
+from nerfbake.kernels.texture import nearest
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
@@ -22,8 +22,8 @@ def shade(
 ) -> Image:
     """clamp(diffuse + specular) at each pixel, over a background (None: transparent). Source: spec/atlas.md, 1.
 
-    Of a Stage1 specular is the MLP, its feature read between texels; of a BakedAtlas it is what atlas.glsl shows:
-    labels and features of the nearest texel, maps between texels. Raises InvalidScene where a mesh is missing.
+    Of a Stage1 specular is the MLP, of a BakedAtlas it is what atlas.glsl shows; both at the nearest texel, as the
+    viewer of nerf2mesh (its renderer.html) has it, maps between texels. Raises InvalidScene where a mesh is missing.
     """
 
     def colours(cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
@@ -46,7 +46,7 @@ def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
 
 def _mlp(stage1: Stage1, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
     field = stage1.fields[cascade]
-    return evaluate_each(bilinear(field.features, hits.uvs), hits.directions, field.w0, field.w1)
+    return evaluate_each(nearest(field.features, hits.uvs) / np.float32(255), hits.directions, field.w0, field.w1)
 
 
 def _atlas(baked: BakedAtlas, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:

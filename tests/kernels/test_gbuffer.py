@@ -106,6 +106,22 @@ def test_a_triangle_through_the_cameras_plane() -> None:
     assert (seen.triangle[down >= 0] == NONE).all()
 
 
+def test_boxes_leave_nothing_out() -> None:
+    # Large random triangles all around the camera, many of them through its plane, against a test of every pixel.
+    random = np.random.default_rng(5)
+    view = camera(24, 16, distance=0.5)
+    for size in (0.3, 3.0):
+        soup = mesh(random.normal(0, size, (60, 3)), np.arange(60).reshape(-1, 3))
+        place, rays = view.rays()
+        a, b, c = (soup.positions[soup.faces[:, i]].astype(np.float64) - place for i in range(3))
+        weights = np.stack([rays @ np.cross(b, c).T, rays @ np.cross(c, a).T, rays @ np.cross(a, b).T])
+        inside = (weights >= 0).all(axis=0) | (weights <= 0).all(axis=0)
+        far = (a * np.cross(b, c)).sum(axis=1) / weights.sum(axis=0)
+        expected = np.where(inside & (far > 0), far, np.inf).min(axis=1).reshape(16, 24)
+        assert np.isfinite(expected).any()
+        np.testing.assert_allclose(see(view, soup).distance, expected, rtol=1e-9)
+
+
 def test_the_nearest_wins_whatever_the_order() -> None:
     near, far = square(z=1.0), square(z=0.0)
     view = straight_down()
