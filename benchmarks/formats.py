@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from nerfbake import build_octree, load, sample_n3tree
-from nerfbake.bench.formats import chart, compare, joined
-from nerfbake.bench.report import WRITERS, Report, Table
+from nerfbake.bench.formats import chart, compare
+from nerfbake.bench.report import WRITERS, Report, Table, document
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 
@@ -74,8 +74,8 @@ def main() -> None:
         report = compare(octree, name, rounds=ROUNDS, formats=(), progress=told)
         figures, *others = report.tables
         reports.append(report._replace(tables=[figures, aims(report), *others]))
-    for kind, write in WRITERS.items():
-        (RESULTS / f"formats.{kind}").write_text(joined([write(report) for report in reports], kind))
+    for kind in WRITERS:
+        (RESULTS / f"formats.{kind}").write_text(document(reports, kind))
     (RESULTS / "formats.svg").write_bytes(chart(reports[0], ".svg"))
 
 

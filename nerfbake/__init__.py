@@ -18,10 +18,12 @@ from nerfbake.catalog import SCENES, STAGES
 if TYPE_CHECKING:
     from nerfbake.io import load as load
     from nerfbake.io import save as save
+    from nerfbake.scene.animation import Animation as Animation
     from nerfbake.scene.atlas import BakedAtlas as BakedAtlas
     from nerfbake.scene.atlas import OctahedralAtlas as OctahedralAtlas
     from nerfbake.scene.camera import Camera as Camera
     from nerfbake.scene.camera import Cameras as Cameras
+    from nerfbake.scene.comparison import Comparison as Comparison
     from nerfbake.scene.depth import Depth as Depth
     from nerfbake.scene.image import Image as Image
     from nerfbake.scene.mesh import Mesh as Mesh

@@ -23,6 +23,7 @@ class Format(NamedTuple):
     title: str
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
     profiles: tuple[str, ...] = ()  # what encode's `profile` takes, the one it writes unless told otherwise first
+    readable: bool = True  # False: written for people to look at, without decode() and recognise()
 
     def load_module(self) -> Any:
         return import_module(self.module)
@@ -45,6 +46,8 @@ FORMATS = (
     Format("depth.png", "Depth", ".depth.png", "nerfbake.formats.depth_png", "depth, thousandths of a world unit"),
     Format("depth.npy", "Depth", ".depth.npy", "nerfbake.formats.depth_npy", "depth, world units"),
     Format("png", "Image", ".png", "nerfbake.formats.image_png", "picture"),
+    Format("gif", "Animation", ".gif", "nerfbake.formats.animation_gif", "moving picture", readable=False),
+    Format("html", "Comparison", ".html", "nerfbake.formats.comparison_html", "page of a comparison", readable=False),
     Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
     Format("vdb", "Volume", ".vdb", "nerfbake.formats.vdb_openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "nerfbake.formats.vdb_nanovdb", "NanoVDB grid"),
@@ -65,9 +68,11 @@ COMPRESSION = "nerfbake.formats._zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 SCENES = {
+    "Animation": "nerfbake.scene.animation",
     "BakedAtlas": "nerfbake.scene.atlas",
     "Camera": "nerfbake.scene.camera",
     "Cameras": "nerfbake.scene.camera",
+    "Comparison": "nerfbake.scene.comparison",
     "Depth": "nerfbake.scene.depth",
     "Image": "nerfbake.scene.image",
     "IndexGrid": "nerfbake.scene.vdb",
@@ -131,6 +136,11 @@ def format_of_path(path: str, scene: str) -> Format:
     raise UsageError(f"the ending of {path!r} names no format of {scene}; allowed: {endings}, or --to FORMAT")
 
 
+def is_ending(path: str, scene: str) -> bool:
+    """True if a file's ending stands for a format of this scene type."""
+    return path.lower().removesuffix(COMPRESSED).endswith(tuple(form.suffix for form in formats_of(scene)))
+
+
 def formats_of(scene: str) -> list[Format]:
     return [form for form in FORMATS if form.scene == scene]
 
@@ -155,12 +165,13 @@ def format_of_content(path: str, head: bytes) -> Format:
 
     A stream has no ending, and some endings cover others: an octree's .svo.npz may have been renamed to .npz.
     """
-    by_ending = [form for form in FORMATS if path.lower().endswith(form.suffix)]
-    likely = [form for form in FORMATS if not by_ending or form.suffix.endswith(by_ending[0].suffix)]
+    known = [form for form in FORMATS if form.readable]
+    by_ending = [form for form in known if path.lower().endswith(form.suffix)]
+    likely = [form for form in known if not by_ending or form.suffix.endswith(by_ending[0].suffix)]
     for form in likely if len(likely) > 1 else []:
         if form.load_module().recognise(head):
             return form
     if by_ending:
         return by_ending[0]
     start = head[:8].hex(" ") or "nothing"
-    raise InvalidFile(f"starts with {start}, as no known format does; allowed: {', '.join(f.title for f in FORMATS)}")
+    raise InvalidFile(f"starts with {start}, as no known format does; allowed: {', '.join(f.title for f in known)}")

@@ -54,17 +54,17 @@ def load(source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, 
     headers may declare, before anything is allocated. sound=False gives a scene back even if its structure is
     broken, for scene.problems(). Raises NerfbakeError naming the file.
     """
-    if Path(source).is_dir():
-        return _load_any_folder(Path(source), kinds, max_memory)
     return load_with_format(source, *kinds, max_memory=max_memory, sound=sound)[0]
 
 
 def load_with_format(
     source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, sound: bool = True
 ) -> tuple[Scene, Format, int]:
-    """Like load(), with the file's format and its size in bytes."""
+    """Like load(), with the file's format and its size in bytes, or those of a folder."""
     name = reading_name(source)
     with blame(name):
+        if name != "stdin" and Path(name).is_dir():
+            return _load_any_folder(Path(name), kinds, max_memory)
         view = _read_all(sys.stdin.buffer, max_memory) if name == "stdin" else _map(Path(source), max_memory)
         if not len(view):
             raise InvalidFile("is empty; allowed: a file that nerfbake reads")
@@ -84,13 +84,12 @@ def load_with_format(
         return scene, _compressed(form) if packed else form, size
 
 
-def _load_any_folder(path: Path, kinds: tuple[type[Scene], ...], max_memory: int) -> Scene:
-    with blame(str(path)):
-        files = _Folder(path, max_memory, {})
-        form = folder_of_content(files)
-        _require_kind(form, kinds)
-        scene: Scene = form.load_module().decode(files, max_memory=max_memory)
-        return scene
+def _load_any_folder(path: Path, kinds: tuple[type[Scene], ...], max_memory: int) -> tuple[Scene, Format, int]:
+    files = _Folder(path, max_memory, {})
+    form = folder_of_content(files)
+    _require_kind(form, kinds)
+    size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    return form.load_module().decode(files, max_memory=max_memory), form, size
 
 
 def _require_kind(form: Format, kinds: tuple[type[Scene], ...]) -> None:
@@ -290,8 +289,8 @@ def rejected_unless_good(path: str | Path) -> Iterator[None]:
         yield
     except BudgetMissed:
         rejected = Path(f"{Path(path)}.rejected")
-        if rejected.is_dir():
-            shutil.rmtree(rejected)
+        if Path(path).is_dir() and rejected.is_dir():
+            shutil.rmtree(rejected)  # of the last time; a file would be replaced, too
         Path(path).replace(rejected)
         raise
 

@@ -55,8 +55,70 @@ def test_compare(shell: Shell, tmp_path: Path) -> None:
     assert (tmp_path / "sheet.png").stat().st_size > 100
     done = shell("compare", "a.npz", "b.svo.pb", "--size", "40x30", "--max-error", "0")
     assert done.returncode == 3
-    assert done.stdout.decode().splitlines()[-4].startswith("mean        IN - IN2")
+    assert done.stdout.decode().splitlines()[-6].startswith("mean        IN - IN2")
     assert "b.svo.pb: the picture is off by" in done.stderr.decode()
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_a_page_with_every_figure_is_there_even_where_the_budget_is_missed(shell: Shell, tmp_path: Path) -> None:
+    evil = "<script>alert(1)<" + "&.svo.npz"
+    assert shell("svo", "a.npz", evil, "--resolution", "2").returncode == 0
+    arguments = ["compare", "a.npz", evil, "--size", "20x16", "--json", "--html", "cost.html", "--min-psnr", "90"]
+    done = shell(*arguments)
+    assert done.returncode == 3
+    told = json.loads(done.stdout)
+    page = (tmp_path / "cost.html").read_text()
+    for part in (told["mean"]["a_b"], told["values"]["sigma"], told["bytes"], *(view["a_b"] for view in told["views"])):
+        for value in part.values():
+            assert f'<data value="{value!r}">' in page
+    assert "Budget missed" in page
+    assert "<script" not in page
+    assert "&lt;script&gt;alert(1)&lt;&amp;.svo.npz" in page
+    # Nothing is replaced without being told to, and then nothing is printed either.
+    done = shell(*arguments)
+    assert (done.returncode, done.stdout) == (4, b"")
+    assert done.stderr.decode().startswith("error: cost.html: exists already")
+    done = shell(*arguments, "--force")
+    assert (done.returncode, (tmp_path / "cost.html").read_text()) == (3, page)
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_sizes_are_what_was_read(shell: Shell, tmp_path: Path) -> None:
+    size = (tmp_path / "a.npz").stat().st_size
+    piped = (tmp_path / "a.npz").read_bytes()
+    told = json.loads(shell("compare", "-", "a.npz", "--size", "9x9", "--json", stdin=piped).stdout)
+    assert told["bytes"] == {"a": size, "b": size}
+    lines = shell("compare", "a.npz", "a.npz", "--size", "9x9").stdout.decode().splitlines()
+    assert lines[-2:] == [f"bytes       IN            {size:,}", f"bytes       IN2           {size:,}"]
+
+
+@pytest.mark.usefixtures("tree_file")
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--html", "-"], 2, "stdout has the figures; allowed for --sheet and --html: a file"),
+        (["--sheet", "-"], 2, "stdout has the figures; allowed for --sheet and --html: a file"),
+        (["--html", "page.txt"], 2, "names no format of Comparison; allowed: .html"),
+        (["--html", "none/page.html", "--size", "9x9"], 4, "none/page.html: No such file or directory"),
+        (["--html", "page.html", "--max-memory", "1MB"], 1, "needs 351.6 MiB; allowed: 976.6 KiB (--max-memory)"),
+    ],
+)
+def test_a_page_that_cannot_be_is_one_line(
+    shell: Shell, tmp_path: Path, arguments: list[str], code: int, said: str
+) -> None:
+    done = shell("compare", "a.npz", "a.npz", *arguments)
+    (line,) = done.stderr.decode().splitlines()
+    assert said in line
+    assert done.returncode == code
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_a_page_is_nothing_to_read(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text("<!DOCTYPE html>")
+    done = shell("info", "page.html")
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"error: page.html: starts with 3c 21 44 4f 43 54 59 50, as no known format does")
 
 
 @pytest.mark.usefixtures("tree_file")

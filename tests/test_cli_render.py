@@ -91,6 +91,29 @@ def test_depth_and_alpha_stand_beside_the_picture(shell: Shell, scene: Path) -> 
     assert not (scene / "a.depth.npy").exists()
 
 
+def test_a_turntable_moves_or_is_a_sheet(shell: Shell, scene: Path) -> None:
+    turn = ["render", "a.npz", "--turntable", "5", "--size", "24x20"]
+    done = shell(*turn, "--out", "turn.gif")
+    size = (scene / "turn.gif").stat().st_size
+    assert done.stderr.decode() == f"turn.gif: animation of 5 pictures of 24x20, {size:,} bytes\n"
+    with Pillow.open(scene / "turn.gif") as moving:
+        assert (moving.format, moving.size, getattr(moving, "n_frames", 1)) == ("GIF", (24, 20), 5)
+    assert shell(*turn, "--out", "turn.png").returncode == 0
+    assert shell(*turn, "--out", "turn").returncode == 0
+    with Pillow.open(scene / "turn.png") as sheet:
+        assert sheet.size == (3 * 28 - 4, 2 * 24 - 4)
+        pixels = np.asarray(sheet)
+    for i in range(5):
+        x, y = i % 3 * 28, i // 3 * 24
+        with Pillow.open(scene / "turn" / f"{i:04d}.png") as picture:
+            assert (pixels[y : y + 20, x : x + 24] == np.asarray(picture)).all()
+    # Nothing is replaced without being told to; told to, the same comes out.
+    before = (scene / "turn.gif").read_bytes()
+    assert shell(*turn, "--out", "turn.gif").returncode == 4
+    assert shell(*turn, "--out", "turn.gif", "--force").returncode == 0
+    assert (scene / "turn.gif").read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
@@ -101,8 +124,17 @@ def test_depth_and_alpha_stand_beside_the_picture(shell: Shell, scene: Path) -> 
         (["a.npz", "--out", "a.png", "--lod", "2"], 1, "a.npz: holds an N3Tree; allowed: a SparseVoxelOctree"),
         (["a.svo.pb", "--out", "a.png", "--lod", "9"], 1, "a.svo.pb: level is 9; allowed: 0 to 2"),
         (["transforms.json", "--out", "a.png"], 1, "transforms.json: holds a Cameras; allowed: an N3Tree or a Volume"),
-        (["a.npz", "--out", "-", "--depth"], 2, "--depth and --alpha write files beside OUT; allowed: an --out other"),
+        (["a.npz", "--out", "-", "--depth"], 2, "--depth and --alpha write files beside a picture; allowed: a .png"),
+        (["a.npz", "--turntable", "3", "--out", "a.gif", "--alpha"], 2, "--depth and --alpha write files beside a"),
         (["a.npz", "--out", "a.png", "--depth", "exr"], 2, "'exr' is not one of 'png', 'npy'"),
+        (["a.npz", "--out", "a.gif"], 2, "names no format of Image; allowed: .png"),
+        (["a.npz", "--turntable", "3", "--cameras", "t.json", "--out", "a.gif"], 2, "allowed: it or --cameras"),
+        (["a.npz", "--turntable", "3", "--out", "-"], 2, "stdout takes one picture; allowed for several"),
+        (
+            ["a.npz", "--turntable", "9", "--out", "a.gif", "--max-memory", "1MB"],
+            1,
+            "a.gif: keeping 9 pictures at",
+        ),
         (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "a.npz: holds an N3Tree; allowed: a Cameras"),
         (
             ["a.npz", "--out", "a.png", "--cameras", "transforms.json", "--frame", "7"],
@@ -119,3 +151,4 @@ def test_what_goes_wrong_is_one_line(shell: Shell, scene: Path, arguments: list[
     assert said in line
     assert done.returncode == code
     assert not (scene / "a.png").exists()
+    assert not list(scene.glob("*.gif*"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from nerfbake.bench.measure import Spread
@@ -54,6 +54,14 @@ def as_json(report: Report) -> str:
 
 
 WRITERS: dict[str, Callable[[Report], str]] = {"md": markdown, "csv": as_csv, "json": as_json}
+
+
+def document(reports: Sequence[Report], kind: str) -> str:
+    """One or more reports in one of WRITERS' kinds; several in JSON are a list."""
+    texts = [WRITERS[kind](report) for report in reports]
+    if kind == "json" and len(texts) > 1:
+        return f"[{','.join(texts)}]\n"
+    return "\n".join(texts)
 
 
 def _records(table: Table) -> list[dict[str, Any]]:

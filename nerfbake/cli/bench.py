@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,64 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Input, Resolution, Size, speaks
+from nerfbake.cli.params import Command, Input, Resolution, max_memory, reads, speaks
 from nerfbake.cli.words import Words
 from nerfbake.errors import OutputError, UsageError
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a report goes, spelled how, and its chart."""
+
+    kind: str
+    output: str | None
+    plot: str | None
+    force: bool
+
+    def require(self) -> None:
+        """Raises, before anything is measured, if it could not be written."""
+        if self.plot and Path(self.plot).suffix not in (".png", ".svg"):
+            raise UsageError(f"the ending of {self.plot!r} names no picture; allowed: .png, .svg")
+        for path in filter(None, (self.output, self.plot)):
+            io.require_absent(path, force=self.force)
+
+    def write(self, reports: Sequence[Any], chart: Callable[[Any, str], bytes]) -> None:
+        """All reports as one document, and the chart of the first."""
+        from nerfbake.bench.report import document
+
+        text = document(reports, self.kind)
+        if self.output:
+            self._save(self.output, text.encode())
+        else:
+            click.echo(text, nl=False)
+        if self.plot:
+            self._save(self.plot, chart(reports[0], Path(self.plot).suffix))
+
+    def _save(self, path: str, content: bytes) -> None:
+        with io.blame(path, OutputError), io.replacing(Path(path), force=self.force) as file:
+            file.write(content)
+
+
+def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
+    """Adds --rounds, and --format, -o, --plot and --force, which the command gets as `target`."""
+
+    def add(function: Command) -> Command:
+        @click.option(
+            "--rounds", type=click.IntRange(1, 1000), default=rounds, show_default=True, help="Runs that count."
+        )
+        @click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
+        @click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
+        @click.option("--plot", type=click.Path(), help=f"A chart of {chart}, .png or .svg.")
+        @click.option("--force", is_flag=True, help="Replace files that exist.")
+        @functools.wraps(function)
+        def command(*args: Any, kind: str, output: str | None, plot: str | None, force: bool, **others: Any) -> Any:
+            target = Target(kind, output, plot, force)
+            target.require()
+            return function(*args, target=target, **others)
+
+        return command
+
+    return add
 
 
 @click.group()
@@ -22,15 +80,19 @@ def bench() -> None:
 @bench.command()
 @click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=click.Path(allow_dash=True))
 @click.option("--resolution", type=Resolution(), help="For a PlenOctree: voxels an axis.  [default: the tree's finest]")
-@click.option("--rounds", type=click.IntRange(1, 1000), default=5, show_default=True, help="Runs that count.")
 @click.option("--formats", metavar="NAME,...", default="", help="Only rows that start so: svo.pb,json.  [default: all]")
-@click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
-@click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
-@click.option("--plot", type=click.Path(), help="A chart of size against time, .png or .svg; of the first SCENE.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
-@click.option("--max-memory", type=Size(), default="4GiB", show_default=True, help="Most that a SCENE may declare.")
+@reports(rounds=5, chart="size against time, of the first SCENE")
+@max_memory
 @speaks
-def formats(scenes: tuple[str, ...], words: Words, kind: str, **options: Any) -> None:
+def formats(
+    scenes: tuple[str, ...],
+    resolution: Any,
+    formats: str,
+    rounds: int,
+    target: Target,
+    max_memory: int,
+    words: Words,
+) -> None:
     """Write each SCENE in every octree format, read it again, and say what it took.
 
     \b
@@ -38,61 +100,51 @@ def formats(scenes: tuple[str, ...], words: Words, kind: str, **options: Any) ->
       nerfbake bench formats a.svo.pb --formats svo.fb,svo.capnp --plot formats.svg
     """
     from nerfbake.bench import formats as benchmark
-    from nerfbake.bench.report import WRITERS
 
-    output, plot, force = options["output"], options["plot"], options["force"]
-    if plot and Path(plot).suffix not in (".png", ".svg"):
-        raise UsageError(f"the ending of {plot!r} names no picture; allowed: .png, .svg")
-    for target in filter(None, (output, plot)):
-        io.require_absent(target, force=force)
-    names = [name.strip() for name in options["formats"].split(",") if name.strip()]
+    names = [name.strip() for name in formats.split(",") if name.strip()]
     benchmark.chosen(names)
-    reports = []
+    found = []
     for path in scenes:
-        octree = _octree(Input(path, options["max_memory"]), words, options["resolution"])
-        report = benchmark.compare(
-            octree, Path(path).name, rounds=options["rounds"], formats=names, progress=words.phase
-        )
-        reports.append(report)
-    text = benchmark.joined([WRITERS[kind](report) for report in reports], kind)
-    if output:
-        _write(output, text.encode(), force=force)
-    else:
-        click.echo(text, nl=False)
-    if plot:
-        _write(plot, benchmark.chart(reports[0], Path(plot).suffix), force=force)
+        octree = _octree(Input(path, max_memory), words, resolution)
+        found.append(benchmark.compare(octree, Path(path).name, rounds=rounds, formats=names, progress=words.phase))
+    target.write(found, benchmark.chart)
 
 
 @bench.command()
 @click.argument("folder", metavar="STAGE1_DIR", type=click.Path())
-@click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True, help="Runs of every atlas.")
-@click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
-@click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
-@click.option("--plot", type=click.Path(), help="A chart of error against bytes, .png or .svg.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
+@reports(rounds=1, chart="error against bytes")
 @speaks
-def atlas(folder: str, rounds: int, kind: str, output: str | None, plot: str | None, force: bool, words: Words) -> None:
+def atlas(folder: str, rounds: int, target: Target, words: Words) -> None:
     """Bake STAGE1_DIR in every method and many sizes, beside the K-means thesis' table 2 and scikit-learn.
 
     \b
       nerfbake bench atlas mesh_stage1 --plot error.svg
     """
     from nerfbake.bench import atlas as benchmark
-    from nerfbake.bench.report import WRITERS
 
-    if plot and Path(plot).suffix not in (".png", ".svg"):
-        raise UsageError(f"the ending of {plot!r} names no picture; allowed: .png, .svg")
-    for target in filter(None, (output, plot)):
-        io.require_absent(target, force=force)
     io.load_folder(folder, nerfbake.Stage1)
-    report = benchmark.compare(folder, rounds=rounds, progress=words.phase)
-    text = WRITERS[kind](report)
-    if output:
-        _write(output, text.encode(), force=force)
-    else:
-        click.echo(text, nl=False)
-    if plot:
-        _write(plot, benchmark.chart(report, Path(plot).suffix), force=force)
+    target.write([benchmark.compare(folder, rounds=rounds, progress=words.phase)], benchmark.chart)
+
+
+@bench.command()
+@reads
+@click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: 8 views around IN]")
+@reports(rounds=3, chart="time a frame against memory")
+@speaks
+def render(source: Input, cameras: str | None, rounds: int, target: Target, words: Words) -> None:
+    """Render the PlenOctree or octree IN as every structure that it can become, at 400x400 and 800x800.
+
+    \b
+      nerfbake bench render chair.npz --cameras transforms.json --plot frames.svg
+    """
+    from nerfbake.bench import render as benchmark
+
+    scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    views = io.load(cameras, nerfbake.Cameras) if cameras else None
+    name = Path(source.path).name
+    with source.blamed(words, "rendering"):
+        found = benchmark.compare(scene, name, views, rounds=rounds, progress=words.phase)
+    target.write([found], benchmark.chart)
 
 
 def _octree(source: Input, words: Words, resolution: Any) -> Any:
@@ -101,8 +153,3 @@ def _octree(source: Input, words: Words, resolution: Any) -> Any:
         return scene
     with source.blamed(words, "building the octree"):
         return nerfbake.build_octree(scene, resolution=resolution, max_memory=source.max_memory)
-
-
-def _write(target: str, content: bytes, *, force: bool) -> None:
-    with io.blame(target, OutputError), io.replacing(Path(target), force=force) as file:
-        file.write(content)

@@ -23,7 +23,8 @@ from nerfbake.cli.words import Words
 @click.option("--min-psnr", type=float, help="Exit 3 if IN2's mean PSNR against IN, in dB, is lower.")
 @click.option("--max-error", type=float, help="Exit 3 if a pixel's channel differs by more (0..1).")
 @click.option("--sheet", type=click.Path(), help="Write the pictures as a PNG: truth, IN, IN2, 8 times the difference.")
-@click.option("--force", is_flag=True, help="Replace the sheet if it exists.")
+@click.option("--html", type=click.Path(), help="Write a page with everything: budgets, figures, sizes, pictures.")
+@click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
 @as_json
 @speaks
 def compare(
@@ -35,6 +36,7 @@ def compare(
     min_psnr: float | None,
     max_error: float | None,
     sheet: str | None,
+    html: str | None,
     force: bool,
     as_json: bool,
     words: Words,
@@ -45,16 +47,19 @@ def compare(
 
     \b
       nerfbake compare chair.npz chair.svo.pb
-      nerfbake compare chair.npz small.svo.pb --min-psnr 30 --sheet small.png
+      nerfbake compare chair.npz small.svo.pb --min-psnr 30 --html small.html
       nerfbake compare mesh_stage1 atlas_64 --sheet atlas.png
     """
-    if sheet:
-        io.format_for(sheet, "Image")
-        io.require_absent(sheet, force=force)
+    for target, kind in ((sheet, "Image"), (html, "Comparison")):
+        if target == io.STREAM:
+            raise click.UsageError("stdout has the figures; allowed for --sheet and --html: a file")
+        if target:
+            io.format_for(target, kind)
+            io.require_absent(target, force=force)
     second = Input(other, source.max_memory)
     fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
     kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
-    a, b = source.read(words, *kinds), second.read(words, *kinds)
+    (a, facts_a), (b, facts_b) = (_read(words, each, *kinds) for each in (source, second))
     views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
     photographs = None
     if truth:
@@ -62,16 +67,30 @@ def compare(
         if not size:
             views = nerfbake.Cameras(tuple(v.resized(*p.size) for v, p in zip(views.cameras, photographs, strict=True)))
     with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
-        found = nerfbake.compare(a, b, views, truth=photographs)
+        if sheet or html:
+            views.require_memory(source.max_memory, pictures=4)
+        found = nerfbake.compare(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
     if sheet:
         io.save(sheet, found.sheet, force=force)
+    budgets: dict[str, Any] = {"min_psnr": min_psnr, "max_error": max_error}
+    if html:
+        io.save(html, found, force=force, a=facts_a, b=facts_b, **budgets)
+    sizes = {"a": facts_a["bytes"], "b": facts_b["bytes"]}
     if as_json:
         facts = {"a": source.path, "b": other, "mean": found.means, "values": found.values, "views": found.views}
-        click.echo(json.dumps(facts))
+        click.echo(json.dumps({**facts, "bytes": sizes}))
     else:
         _print(found)
+        for name, size in (("IN", sizes["a"]), ("IN2", sizes["b"])):
+            click.echo(f"{'bytes':<12}{name:<14}{size:,}")
     with second.blamed(words, "judging"):
-        found.require(min_psnr=min_psnr, max_error=max_error)
+        found.require(**budgets)
+
+
+def _read(words: Words, source: Input, *kinds: type) -> tuple[Any, dict[str, Any]]:
+    """The scene, and what a reader wants to know of it."""
+    scene, form, size = source.read_with_format(words, *kinds)
+    return scene, {"name": io.reading_name(source.path), "content": str(scene), "format": form.name, "bytes": size}
 
 
 def _print(found: Any) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 import nerfbake
-from nerfbake import io
 from nerfbake.cli.params import Input, as_json, reads, speaks
 from nerfbake.cli.words import Words
 from nerfbake.errors import format_size
@@ -25,11 +24,9 @@ def info(source: Input, as_json: bool, words: Words) -> None:
       nerfbake info chair.npz
       nerfbake info chair.svo.pb --json | jq .nodes
     """
-    with words.phase(f"reading {source.path}"):
-        scene: Any
-        kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes)
-        scene, form, size = io.load_with_format(source.path, *kinds, max_memory=source.max_memory)
-        facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
+    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes)
+    scene, form, size = source.read_with_format(words, *kinds)
+    facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:
         click.echo(json.dumps(facts))
         return

@@ -72,8 +72,12 @@ class Input:
     max_memory: int
 
     def read(self, words: Words, *kinds: type) -> Any:
+        return self.read_with_format(words, *kinds)[0]
+
+    def read_with_format(self, words: Words, *kinds: type) -> tuple[Any, catalog.Format, int]:
+        """The scene, its file's format and its size in bytes (of a stream: of what was read)."""
         with words.phase(f"reading {io.reading_name(self.path)}"):
-            return io.load(self.path, *kinds, max_memory=self.max_memory)
+            return io.load_with_format(self.path, *kinds, max_memory=self.max_memory)
 
     def views(
         self, words: Words, scene: Any, cameras: str | None, size: tuple[int, int] | None, *, frames: int, edge: int
@@ -136,7 +140,7 @@ class Budget:
         views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
         written = Input(target.path, source.max_memory)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
-            found = nerfbake.compare(scene, written.read(words), views)
+            found = nerfbake.compare(scene, written.read(words), views, keep_pictures=False)
             found.require(min_psnr=self.min_psnr)
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 

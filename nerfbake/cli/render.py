@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import click
 
 import nerfbake
-from nerfbake import io
+from nerfbake import catalog, io
 from nerfbake.cli.params import Input, PixelSize, reads, speaks
 from nerfbake.cli.words import Words
 
@@ -33,10 +33,12 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
 @reads
 @click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: an orbit that frames the scene]")
 @click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Which of the cameras.")
-@click.option("--all", "every", is_flag=True, help="All cameras; --out is then a folder.")
-@click.option("--turntable", type=click.IntRange(2, 1000), help="So many pictures around the scene; --out is a folder.")
+@click.option("--all", "every", is_flag=True, help="All cameras.")
+@click.option("--turntable", type=click.IntRange(2, 1000), help="So many pictures around the scene.")
 @click.option("--size", type=PixelSize(), help="Pixels.  [default: the cameras', 800x800 for an orbit]")
-@click.option("--out", required=True, type=click.Path(), help="A .png, '-', or a folder where there are several.")
+@click.option(
+    "--out", required=True, type=click.Path(), help="A .png or '-'; of several: a .gif, a .png sheet, or a folder."
+)
 @click.option(
     "--background", type=Background(), default="white", show_default=True, help="white, black, transparent or R,G,B."
 )
@@ -91,19 +93,25 @@ def render(
     words: Words,
     **options: Any,
 ) -> None:
-    """Render the PlenOctree, octree or volume IN as PNG.
+    """Render the PlenOctree, octree or volume IN as PNG, or as a moving GIF.
 
     \b
       nerfbake render chair.npz --out chair.png
       nerfbake render chair.nvdb --out chair.png --lookup trilinear --depth
+      nerfbake render chair.npz --turntable 36 --size 400x400 --out chair.gif
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
       nerfbake render chair.svo.pb --mesh room.glb --out room.png
     """
+    if turntable and cameras:
+        raise click.UsageError("--turntable goes around the scene; allowed: it or --cameras")
     several = every or turntable is not None
-    if out == io.STREAM and (depth or alpha):
-        raise click.UsageError("--depth and --alpha write files beside OUT; allowed: an --out other than '-'")
-    if not several:
-        io.format_for(out, "Image")
+    if several and out == io.STREAM:
+        raise click.UsageError("stdout takes one picture; allowed for several: a .gif, a .png or a folder")
+    together = next((kind for kind in ("Animation", "Image") if several and catalog.is_ending(out, kind)), None)
+    if (depth or alpha) and (together or out == io.STREAM):
+        raise click.UsageError("--depth and --alpha write files beside a picture; allowed: a .png of one, or a folder")
+    if together or not several:
+        io.format_for(out, together or "Image")
         for path in (out, *_beside(out, depth, alpha)):
             io.require_absent(path, force=force)
     others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume)
@@ -119,15 +127,27 @@ def render(
     if mesh:
         picture = nerfbake.composite
         options |= {"meshes": io.load(mesh, nerfbake.Meshes, max_memory=source.max_memory), "how": how}
+    if together:
+        with io.blame(out):
+            nerfbake.Cameras(chosen).require_memory(source.max_memory)
+    images = []
     for view in chosen:
         with source.blamed(words, f"rendering {view.name}"):
             image = picture(scene, camera=view, **options)
+        if together:
+            images.append(image)
+            continue
         path = str(Path(out) / f"{view.name}.png") if several else out
         io.save(path, image, force=force, parents=several)
         for beside in _beside(path, depth, alpha):
             plane = image.mask if beside.endswith(".alpha.png") else nerfbake.Depth(image.depth)
             io.save(beside, plane, force=force)
         words.say(f"{path}: {image}")
+    if together:
+        with words.phase(f"writing {out}"), io.blame(out):
+            whole = nerfbake.Animation(tuple(images)) if together == "Animation" else nerfbake.Image.tiled(images)
+            written = io.save(out, whole, force=force)
+        words.say(f"{out}: {whole}, {written:,} bytes")
 
 
 def _beside(path: str, depth: str | None, alpha: bool) -> list[str]:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, Problem
+from nerfbake.errors import InvalidScene, MemoryLimit, Problem
 from nerfbake.scene.base import Scene
 
 MAX_EDGE = 16384  # pixels
 WORLD = np.eye(3)
+PICTURE_BYTES = 72  # a pixel of a picture that is kept, put into a sheet, and made into bytes (72 measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,12 @@ class Cameras(Scene):
 
     def __str__(self) -> str:
         return f"{len(self.cameras)} cameras"
+
+    def require_memory(self, limit: int, *, pictures: int = 1) -> None:
+        """Raises MemoryLimit if so many pictures of every camera do not fit into `limit` bytes all at once."""
+        need = PICTURE_BYTES * pictures * sum(camera.width * camera.height for camera in self.cameras)
+        if need > limit:
+            raise MemoryLimit(f"keeping {pictures * len(self.cameras):,} pictures at once", need, limit)
 
 
 def look_at(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +11,8 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
+
+GAP = 4  # pixels between the pictures of a contact sheet
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,27 @@ class Image(Scene):
         colour = self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32)
         return replace(self, colour=colour, background=background)
 
+    @staticmethod
+    def tiled(images: Sequence[Image], *, columns: int | None = None) -> Image:
+        """A contact sheet: rows from the top left, in cells as large as the largest of the images.
+
+        columns: as many as make the sheet nearly square, unless they are given. The first image's background (or
+        none) shows between them; a transparent image among others is put over it. The sheet has no depth.
+        """
+        width, height = (max(image.size[axis] for image in images) for axis in (0, 1))
+        columns = columns or min(len(images), math.ceil(math.sqrt(len(images) * height / width)))
+        rows = math.ceil(len(images) / columns)
+        shape = (rows * (height + GAP) - GAP, columns * (width + GAP) - GAP)
+        background = images[0].background
+        colour = np.full((*shape, 3), background or (0.0, 0.0, 0.0), np.float32)
+        alpha = np.zeros(shape, np.float32)
+        for i, image in enumerate(images):
+            x, y = i % columns * (width + GAP), i // columns * (height + GAP)
+            cell = slice(y, y + image.size[1]), slice(x, x + image.size[0])
+            colour[cell] = (image if background is None else image.over(background)).colour
+            alpha[cell] = image.alpha
+        return Image(colour, alpha, np.zeros_like(alpha), background)
+
     @property
     def mask(self) -> Image:
         """The alpha as a picture, white where nothing shines through."""
@@ -61,4 +86,6 @@ class Image(Scene):
 
 
 def _bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    return np.asarray(np.rint(255 * np.clip(values, 0, 1)), np.uint8)
+    scaled = np.clip(values, 0, 1)
+    scaled *= 255
+    return np.rint(scaled, out=scaled).astype(np.uint8)

@@ -60,7 +60,7 @@ def test_a_truth_and_the_sheet() -> None:
     assert set(found.views[0]) == {"name", "a_b", "a_truth", "b_truth"}
     # The truth, transparent everywhere, counts as white.
     assert found.sheet.colour[0, 0].tolist() == [1, 1, 1]
-    assert found.sheet.size == (4 * 24, 2 * 20)
+    assert found.sheet.size == (4 * 24 - 4, 2 * 20 - 4)
     with pytest.raises(InvalidScene, match="truth has 1 pictures; allowed: 2"):
         compare(a, b, cameras, truth=truth[:1])
     with pytest.raises(InvalidScene, match="truth of 0000 has 20x16 pixels; allowed: 30x30"):

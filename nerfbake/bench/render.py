@@ -1,0 +1,161 @@
+"""Frames a second of every structure that nerfbake writes, from the written file, on one's own scene and machine.
+
+Each row is a process of its own: it reads its file, renders one picture that does not count, then one from each camera.
+The pictures of the PlenOctree (or of the octree, where that is the scene) are what all others are compared with.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import nerfbake
+from nerfbake import io
+from nerfbake.bench.environment import environment
+from nerfbake.bench.measure import Result, Spread, Work, measure
+from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.report import Report, Table
+from nerfbake.kernels.metrics import psnr
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.stages._field import field_of
+
+Progress = Callable[[str], AbstractContextManager[None]]
+
+EDGES = (400, 800)
+LOOKUPS = ("nearest", "trilinear")
+FRAMES = 8  # around the scene
+COLUMNS = ["structure", "pixels", "lookup", "ms a frame", "frames a second", "ready s", "cells MB"]
+COLUMNS += ["file MB", "PSNR dB"]
+NOTES = [
+    "ms a frame: median [min..max] over rounds, each the mean of all cameras' pictures, after a first one.",
+    "ready: from the scene in memory to the first picture: its table of cells made, compiled code read from the disk. "
+    "cells: what that table and its values take.",
+    "PSNR: against the first row's pictures of that size with nearest lookup; 100 for the same. Trilinear lookup "
+    "smooths what was optimised as cells.",
+    "One marcher serves all rows: each structure becomes a table of cells.",
+    "As context: PlenOctrees (Yu et al., 2021) report more than 150 frames a second at 800x800, in CUDA on a GPU.",
+]
+
+
+class Row(NamedTuple):
+    """A structure in a file."""
+
+    name: str
+    path: str
+
+
+def compare(
+    scene: N3Tree | SparseVoxelOctree, name: str, cameras: Cameras | None, *, rounds: int, progress: Progress
+) -> Report:
+    """Writes the scene as every structure, renders each, and reports. cameras: by default an orbit."""
+    results: dict[tuple[Row, int, str], list[Result]] = {}
+    with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
+        with progress("writing the structures"):
+            rows = _written(scene, Path(folder))
+            views = cameras or nerfbake.orbit(scene, frames=FRAMES)
+            shown = str(Path(folder) / "cameras.json")
+            io.save(shown, views)
+        for edge in EDGES:
+            truth = str(Path(folder) / f"truth_{edge}.npy")
+            for _ in range(rounds):
+                for lookup in LOOKUPS:
+                    for row in rows:
+                        with progress(f"{row.name}, {edge}x{edge}, {lookup}"):
+                            arguments = {"path": row.path, "cameras": shown, "edge": edge, "truth": truth}
+                            found = measure(rendering, lookup=lookup, **arguments)
+                        results.setdefault((row, edge, lookup), []).append(found)
+        sizes = {row.path: Path(row.path).stat().st_size for row in rows}
+        with progress("a process of its own"):
+            first = [_first_picture(rows[0], shown) for _ in range(rounds)]
+    head = {
+        "scene": f"{name}: {scene}",
+        "cameras": str(len(views.cameras)),
+        "rounds": str(rounds),
+        **environment("numpy", "numba"),
+    }
+    figures = Table("Rendering", COLUMNS, [_cells(key, found, sizes) for key, found in results.items()])
+    whole = Table(
+        "`nerfbake render` as a process, 400x400: import, read, render, write; compiled code is on the disk",
+        ["scene", "s"],
+        [[rows[0].name, Spread.of(first)]],
+    )
+    return Report(f"Rendering: {name}", head, [figures, whole], NOTES)
+
+
+def chart(report: Report, suffix: str) -> bytes:
+    """Time against memory, a point for each row that was measured."""
+    rows = [dict(zip(COLUMNS, row, strict=True)) for row in report.tables[0].rows]
+    points = [
+        Point(f"{row['structure']} {row['pixels']}", row["cells MB"], row["ms a frame"].median, row["lookup"])
+        for row in rows
+        if row["ms a frame"] is not None
+    ]
+    return scatter(points, title=report.title, x="cells in memory, MB", y="ms a frame (median)", suffix=suffix)
+
+
+def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Work:
+    """The work of rendering a picture from each camera; in a process of its own."""
+    scene: Any = io.load(path, max_memory=1 << 46)
+    views = [camera.resized(edge, edge) for camera in io.load(cameras, nerfbake.Cameras).cameras]
+
+    def run() -> list[Any]:
+        return [nerfbake.render(scene, view, lookup=lookup) for view in views]
+
+    start = time.perf_counter()
+    nerfbake.render(scene, views[0].resized(8, 8), lookup=lookup)
+    ready, field = time.perf_counter() - start, field_of(scene)
+
+    def check(images: list[Any]) -> dict[str, Any]:
+        seen = np.stack([image.colour for image in images])
+        if not Path(truth).exists():
+            np.save(truth, seen)
+        errors = [psnr(a, b) for a, b in zip(seen.astype(np.float64), np.load(truth), strict=True)]
+        size = field.cells.slots.nbytes + field.values.nbytes
+        return {"frames": len(images), "psnr": float(np.mean(errors)), "ready": ready, "cells": size}
+
+    return Work(run, check)
+
+
+def _written(scene: N3Tree | SparseVoxelOctree, folder: Path) -> list[Row]:
+    octree = nerfbake.build_octree(scene) if isinstance(scene, N3Tree) else scene
+    sh = octree.data_format.startswith("SH")
+    made: list[tuple[str, str, Any, dict[str, Any]]] = []
+    if isinstance(scene, N3Tree):
+        made.append(("N3Tree", "tree.npz", scene, {}))
+    made.append(("octree", "octree.svo.npz", octree, {}))
+    if sh:
+        made.append(("VDB, density and sh", "grids.vdb", nerfbake.build_vdb(octree, grids=("density", "sh")), {}))
+    made.append(("VDB index, float16", "index.nvdb", nerfbake.build_vdb(octree, grids=("index",), half=True), {}))
+    for _, name, thing, options in made:
+        io.save(folder / name, thing, **options)
+    return [Row(label, str(folder / name)) for label, name, _, _ in made]
+
+
+def _first_picture(row: Row, cameras: str) -> float:
+    """Seconds of a whole process that shows one picture."""
+    command = [sys.executable, "-m", "nerfbake", "render", row.path, "--cameras", cameras, "--size", "400x400"]
+    start = time.perf_counter()
+    subprocess.run([*command, "--out", "-", "-q"], check=True, capture_output=True)
+    return time.perf_counter() - start
+
+
+def _cells(key: tuple[Row, int, str], found: list[Result], sizes: dict[str, int]) -> list[Any]:
+    row, edge, lookup = key
+    if error := next((result.error for result in found if result.error), ""):
+        return [f"{row.name}: {error}", f"{edge}x{edge}", lookup, *[None] * (len(COLUMNS) - 3)]
+    frame, ready = (
+        Spread.of([1e3 * result.seconds / result.facts["frames"] for result in found]),
+        Spread.of([result.facts["ready"] for result in found]),
+    )
+    facts = [ready, found[0].facts["cells"] / 1e6, sizes[row.path] / 1e6, found[0].facts["psnr"]]
+    return [row.name, f"{edge}x{edge}", lookup, frame, 1e3 / frame.median, *facts]

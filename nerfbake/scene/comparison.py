@@ -1,0 +1,81 @@
+"""How far two scenes are apart, seen by the same cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nerfbake.errors import BudgetMissed, Problem
+from nerfbake.scene.base import Scene
+from nerfbake.scene.image import Image
+
+AMPLIFIED = 8  # times: how much stronger the pictures of differences are
+
+
+class Verdict(NamedTuple):
+    """A budget (an option's name), what was found, what is allowed, and whether it holds."""
+
+    option: str
+    found: float
+    allowed: float
+    holds: bool
+    problem: Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(Scene):
+    """views: for each camera its name and {psnr, ssim, max_error} of a against b, and of both against the truth.
+
+    values   {sigma, dc, higher}: mean and largest absolute difference at the centres of a's leaves; {} where the two
+             hold values of different kinds
+    pictures for each camera the truth (or None), a and b, over white; () where they were not kept
+    """
+
+    views: tuple[dict[str, Any], ...]
+    values: dict[str, Any]
+    pictures: tuple[tuple[Image | None, Image, Image], ...]
+
+    @property
+    def means(self) -> dict[str, Any]:
+        """The views' means, and the largest of their errors."""
+        found = {}
+        for pair in [key for key in self.views[0] if key != "name"]:
+            columns = {key: [view[pair][key] for view in self.views] for key in self.views[0][pair]}
+            found[pair] = {key: float(np.mean(column)) for key, column in columns.items()}
+            found[pair]["max_error"] = max(columns["max_error"])
+        return found
+
+    def judge(self, *, min_psnr: float | None = None, max_error: float | None = None) -> list[Verdict]:
+        """Each budget that is given: b's mean PSNR against a (dB), and how far a pixel's channel is off (0..1)."""
+        verdicts = []
+        psnr, error = self.means["a_b"]["psnr"], self.means["a_b"]["max_error"]
+        if min_psnr is not None:
+            problem = Problem("the picture", f"has a mean PSNR of {psnr:.2f} dB", f"--min-psnr {min_psnr:g}")
+            verdicts.append(Verdict("--min-psnr", psnr, min_psnr, psnr >= min_psnr, problem))
+        if max_error is not None:
+            problem = Problem("the picture", f"is off by {error:.4f}", f"--max-error {max_error:g}")
+            verdicts.append(Verdict("--max-error", error, max_error, error <= max_error, problem))
+        return verdicts
+
+    def require(self, *, min_psnr: float | None = None, max_error: float | None = None) -> None:
+        """Raises BudgetMissed with the first budget that does not hold."""
+        for verdict in self.judge(min_psnr=min_psnr, max_error=max_error):
+            if not verdict.holds:
+                raise BudgetMissed(verdict.problem)
+
+    def rows(self) -> Iterator[dict[str, Image]]:
+        """For each camera its pictures by name, in order: truth (if there is one), a, b, difference."""
+        for truth, a, b in self.pictures:
+            colour = np.clip(AMPLIFIED * np.abs(a.colour - b.colour), 0, 1)
+            whole = np.ones_like(a.alpha)
+            row = {"a": a, "b": b, "difference": Image(colour, whole, np.zeros_like(whole))}
+            yield row if truth is None else {"truth": truth, **row}
+
+    @property
+    def sheet(self) -> Image:
+        """All pictures, a row for each camera."""
+        rows = list(self.rows())
+        return Image.tiled([image for row in rows for image in row.values()], columns=len(rows[0]))
