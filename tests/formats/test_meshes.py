@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import io
 import json
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -253,6 +255,36 @@ def test_damaged_meshes(ending: str, tmp_path: Path) -> None:
     for _, broken in damaged((tmp_path / f"a.{ending}").read_bytes(), flips=200):
         with contextlib.suppress(NerfbakeError):
             module.decode(memoryview(broken), max_memory=ROOM)
+
+
+ODD: tuple[Any, ...] = (None, True, -1, 7, 1e300, 10**30, "x", [], [None], [[0]], {}, {"x": 0}, float("nan"))
+
+
+def with_odd_values(value: Any) -> Iterator[Any]:
+    """The document once for every value in it and every odd value in its place."""
+    yield from ODD
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, entry in list(entries):
+        for odd in with_odd_values(entry):
+            changed = copy.copy(value)
+            changed[key] = odd
+            yield changed
+
+
+def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
+    save(tmp_path / "a.glb", painted())
+    content = (tmp_path / "a.glb").read_bytes()
+    size = int.from_bytes(content[12:16], "little")
+    whole, body = json.loads(content[20 : 20 + size]), content[28 + size :]
+    whole["nodes"][0] |= {"children": [], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
+    whole["nodes"][1] |= {"matrix": np.eye(4).reshape(-1).tolist()}
+    refused = 0
+    for changed in with_odd_values(whole):
+        try:
+            decoded(glb(changed, body))
+        except NerfbakeError:
+            refused += 1
+    assert refused > 500
 
 
 def test_a_stream_is_known_by_its_first_bytes() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 
@@ -128,6 +129,18 @@ def test_the_nearest_wins_whatever_the_order() -> None:
     a, b = see(view, near, far), see(view, far, near)
     np.testing.assert_array_equal(a.distance, b.distance)
     assert a.triangle.max() < 2 <= b.triangle.min()
+
+
+def test_threads_change_nothing() -> None:
+    view = camera(100, 100)
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        alone = see(view, sphere(), cube(0.9))
+    finally:
+        numba.set_num_threads(before)
+    for one, other in zip(alone, see(view, sphere(), cube(0.9)), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_triangles_without_an_area_are_not_seen() -> None:
