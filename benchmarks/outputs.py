@@ -1,0 +1,91 @@
+"""What each output costs in bytes and in pictures: the chair in everything that nerfbake writes, judged from the files.
+
+    python benchmarks/outputs.py        rewrites benchmarks/results/outputs.md
+
+Five held-out views at 400x400. PSNR against the PlenOctree's own pictures says what the conversion lost; PSNR against
+the photographs says what that means. Needs the real chair beside the project.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from nerfbake import Cameras, Image, compare, load
+from nerfbake.bench.environment import environment
+from nerfbake.bench.report import Report, Table, markdown
+
+HERE = Path(__file__).parent
+DATA = Path(os.environ.get("NERFBAKE_DATA", HERE.parents[1] / "shared" / "data"))
+CHAIR = DATA / "plenoctree" / "chair"
+RESULT = HERE / "results" / "outputs.md"
+
+# Each file and the command that makes it from those above; `lost` is what is no longer there at all.
+OUTPUTS = (
+    ("full.svo.pb", "svo chair_sh9.npz full.svo.pb", "nothing"),
+    ("full.svo.npz", "svo chair_sh9.npz full.svo.npz", "nothing"),
+    ("compact.svo.npz", "svo chair_sh9.npz compact.svo.npz --layout compact", "nothing"),
+    ("half.svo.npz", "svo chair_sh9.npz half.svo.npz --layout compact --dtype float16", "nothing: the tree is float16"),
+    ("half.svo.npz.zst", "convert half.svo.npz half.svo.npz.zst", "nothing: the tree is float16"),
+    ("128.svo.npz", "svo chair_sh9.npz 128.svo.npz --resolution 128 --layout compact", "voxels twice as wide"),
+    (
+        "nearest.svo.npz",
+        "svo chair_sh9.npz nearest.svo.npz --resolution 128 --layout compact --resample nearest",
+        "seven of eight voxels",
+    ),
+    ("level7.svo.npz", "lod compact.svo.npz level7.svo.npz --level 7", "the last level"),
+    ("level6.svo.npz", "lod compact.svo.npz level6.svo.npz --level 6", "two levels"),
+    ("level5.svo.npz", "lod compact.svo.npz level5.svo.npz --level 5", "three levels"),
+    ("index.nvdb", "vdb chair_sh9.npz index.nvdb --grids index", "nothing"),
+    ("index_half.nvdb", "vdb chair_sh9.npz index_half.nvdb --grids index --half", "nothing: the tree is float16"),
+    ("sh.vdb", "vdb chair_sh9.npz sh.vdb --grids density,sh --half", "nothing: the tree is float16"),
+    ("colour.vdb", "vdb chair_sh9.npz colour.vdb", "colour's dependence on the view"),
+    ("colour_half.vdb", "vdb chair_sh9.npz colour_half.vdb --half", "that, and digits"),
+    ("thin.svo.npz", "svo chair_sh9.npz thin.svo.npz --layout compact --dtype float16 --sigma-min 1", "thin fog"),
+    (
+        "quantised.svo.npz",
+        "svo chair_sh9_128_quant.npz quantised.svo.npz --layout compact",
+        "its source: 128^3, quantised",
+    ),
+)
+
+
+def rows(folder: Path) -> list[list[Any]]:
+    cameras = load(CHAIR / "views" / "transforms.json", Cameras)
+    truth = [load(CHAIR / "views" / f"{camera.name}.png", Image) for camera in cameras.cameras]
+    tree: Any = load(CHAIR / "chair_sh9.npz")
+    found: list[list[Any]] = []
+    for name, command, lost in OUTPUTS:
+        words = [str(CHAIR / word) if word.startswith("chair") else word for word in shlex.split(command)]
+        subprocess.run([sys.executable, "-m", "nerfbake", *words, "-q"], cwd=folder, check=True)
+        means = compare(tree, load(folder / name), cameras, truth=truth, keep_pictures=False).means
+        size = (folder / name).stat().st_size
+        original = means["a_truth"]["psnr"]
+        against = means["b_truth"]["psnr"]
+        decibels = [means["a_b"]["psnr"], against, against - original]
+        found.append([f"`{command}`", size / 1e6, *(f"{value:.2f}" for value in decibels), lost])
+        print(*found[-1], file=sys.stderr, flush=True)
+    return found
+
+
+def main() -> None:
+    """Writes benchmarks/results/outputs.md."""
+    columns = ["nerfbake ...", "MB", "PSNR to the tree", "PSNR to the photographs", "change dB", "what is lost"]
+    with tempfile.TemporaryDirectory() as folder:
+        table = Table("Outputs", columns, rows(Path(folder)))
+    source = f"chair_sh9.npz, {(CHAIR / 'chair_sh9.npz').stat().st_size / 1e6:.1f} MB, five views of 400x400"
+    head = {"scene": source, **environment("numpy", "numba")}
+    notes = [
+        "PSNR in dB, mean over the views, from the written file; 100 stands for the same picture.",
+        "change: of the PSNR to the photographs, against the tree's own.",
+    ]
+    RESULT.write_text(markdown(Report("What each output costs", head, [table], notes)))
+
+
+if __name__ == "__main__":
+    main()
