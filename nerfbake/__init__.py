@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from nerfbake.scene.comparison import Comparison as Comparison
     from nerfbake.scene.depth import Depth as Depth
     from nerfbake.scene.image import Image as Image
+    from nerfbake.scene.mesh import Mesh as Mesh
+    from nerfbake.scene.mesh import Meshes as Meshes
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
     from nerfbake.scene.specular import SpecularField as SpecularField
@@ -38,9 +40,11 @@ if TYPE_CHECKING:
     from nerfbake.stages.clusters_to_maps import snapped_maps as snapped_maps
     from nerfbake.stages.identifiers_to_clusters import cluster as cluster
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
+    from nerfbake.stages.meshes_to_image import draw as draw
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
+    from nerfbake.stages.scene_and_meshes_to_image import composite as composite
     from nerfbake.stages.scene_to_cameras import orbit as orbit
     from nerfbake.stages.scene_to_image import render as render
     from nerfbake.stages.scene_to_summary import summarise as summarise
@@ -51,6 +55,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.specular_to_identifiers import identify as identify
     from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1
     from nerfbake.stages.stage1_to_atlas import measure_stage1 as measure_stage1
+    from nerfbake.stages.stage1_to_image import shade as shade
     from nerfbake.stages.vdb_to_octree import restore_octree as restore_octree
 
 __version__ = "0.1.0"

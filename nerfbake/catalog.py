@@ -6,6 +6,7 @@ A new format is one file and one line; a new stage is one file and one line. A t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -50,6 +51,8 @@ FORMATS = (
     Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
     Format("vdb", "Volume", ".vdb", "nerfbake.formats.vdb_openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "nerfbake.formats.vdb_nanovdb", "NanoVDB grid"),
+    Format("obj", "Meshes", ".obj", "nerfbake.formats.meshes_obj", "Wavefront mesh"),
+    Format("glb", "Meshes", ".glb", "nerfbake.formats.meshes_glb", "glTF 2.0 mesh"),
 )
 
 # Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
@@ -73,6 +76,8 @@ SCENES = {
     "Depth": "nerfbake.scene.depth",
     "Image": "nerfbake.scene.image",
     "IndexGrid": "nerfbake.scene.vdb",
+    "Mesh": "nerfbake.scene.mesh",
+    "Meshes": "nerfbake.scene.mesh",
     "N3Tree": "nerfbake.scene.n3tree",
     "OctahedralAtlas": "nerfbake.scene.atlas",
     "SparseVoxelOctree": "nerfbake.scene.octree",
@@ -90,7 +95,9 @@ STAGES = {
     "cluster": "nerfbake.stages.identifiers_to_clusters",
     "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
     "compare": "nerfbake.stages.scenes_to_comparison",
+    "composite": "nerfbake.stages.scene_and_meshes_to_image",
     "cut_octree": "nerfbake.stages.octree_to_octree",
+    "draw": "nerfbake.stages.meshes_to_image",
     "identify": "nerfbake.stages.specular_to_identifiers",
     "measure_error": "nerfbake.stages.atlas_to_error",
     "measure_stage1": "nerfbake.stages.stage1_to_atlas",
@@ -99,6 +106,7 @@ STAGES = {
     "restore_octree": "nerfbake.stages.vdb_to_octree",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "sample_stage1": "nerfbake.stages.shapes_to_stage1",
+    "shade": "nerfbake.stages.stage1_to_image",
     "snapped_maps": "nerfbake.stages.clusters_to_maps",
     "summarise": "nerfbake.stages.scene_to_summary",
     "weigh_directions": "nerfbake.stages.cameras_to_directions",
@@ -140,6 +148,16 @@ def formats_of(scene: str) -> list[Format]:
 def folders_of(scene: str) -> list[Format]:
     """The kinds of folders that hold this scene type, the one to write first."""
     return [form for form in FOLDERS if form.scene == scene]
+
+
+def folder_of_content(files: Mapping[str, memoryview]) -> Format:
+    """The kind of folder that these files are. Raises InvalidFile."""
+    for form in FOLDERS:
+        if form.load_module().recognise(files):
+            return form
+    raise InvalidFile(
+        f"is a folder that nerfbake does not know; allowed: a file, or {', '.join(f.title for f in FOLDERS)}"
+    )
 
 
 def format_of_content(path: str, head: bytes) -> Format:

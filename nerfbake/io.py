@@ -21,6 +21,7 @@ from nerfbake.catalog import (
     COMPRESSED,
     COMPRESSION_MAGIC,
     Format,
+    folder_of_content,
     folders_of,
     format_named,
     format_of_content,
@@ -47,7 +48,7 @@ Scene = TypeVar("Scene")
 
 
 def load(source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, sound: bool = True) -> Scene:
-    """The scene in a file of any format, or on stdin ('-').
+    """The scene in a file of any format, in a folder of any kind, or on stdin ('-').
 
     kinds: the scene types that are wanted; another one raises InvalidFile. max_memory bounds, in bytes, what a file's
     headers may declare, before anything is allocated. sound=False gives a scene back even if its structure is
@@ -59,9 +60,11 @@ def load(source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, 
 def load_with_format(
     source: str | Path, *kinds: type[Scene], max_memory: int = MAX_MEMORY, sound: bool = True
 ) -> tuple[Scene, Format, int]:
-    """Like load(), with the file's format and its size in bytes."""
+    """Like load(), with the file's format and its size in bytes, or those of a folder."""
     name = reading_name(source)
     with blame(name):
+        if name != "stdin" and Path(name).is_dir():
+            return _load_any_folder(Path(name), kinds, max_memory)
         view = _read_all(sys.stdin.buffer, max_memory) if name == "stdin" else _map(Path(source), max_memory)
         if not len(view):
             raise InvalidFile("is empty; allowed: a file that nerfbake reads")
@@ -75,12 +78,24 @@ def load_with_format(
         if form.companion and path:
             extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
         scene = form.load_module().decode(view, max_memory=max_memory, **extra)
-        if kinds and not isinstance(scene, kinds):
-            allowed = " or ".join(_article(kind.__name__) for kind in kinds)
-            raise InvalidFile(f"holds {_article(form.scene)}; allowed: {allowed}")
+        _require_kind(form, kinds)
         if sound:
             scene.require_sound()
         return scene, _compressed(form) if packed else form, size
+
+
+def _load_any_folder(path: Path, kinds: tuple[type[Scene], ...], max_memory: int) -> tuple[Scene, Format, int]:
+    files = _Folder(path, max_memory, {})
+    form = folder_of_content(files)
+    _require_kind(form, kinds)
+    size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    return form.load_module().decode(files, max_memory=max_memory), form, size
+
+
+def _require_kind(form: Format, kinds: tuple[type[Scene], ...]) -> None:
+    if kinds and form.scene not in [kind.__name__ for kind in kinds]:
+        allowed = " or ".join(_article(kind.__name__) for kind in kinds)
+        raise InvalidFile(f"holds {_article(form.scene)}; allowed: {allowed}")
 
 
 def check(source: str | Path, *, max_memory: int = MAX_MEMORY) -> list[Problem]:
@@ -269,11 +284,14 @@ def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def rejected_unless_good(path: str | Path) -> Iterator[None]:
-    """Moves a file to PATH.rejected if the block finds that it costs too much."""
+    """Moves a file or folder to PATH.rejected if the block finds that it costs too much."""
     try:
         yield
     except BudgetMissed:
-        Path(path).replace(f"{path}.rejected")
+        rejected = Path(f"{Path(path)}.rejected")
+        if Path(path).is_dir() and rejected.is_dir():
+            shutil.rmtree(rejected)  # of the last time; a file would be replaced, too
+        Path(path).replace(rejected)
         raise
 
 

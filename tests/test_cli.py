@@ -74,7 +74,7 @@ def test_options_of_svo(shell: Shell, tmp_path: Path) -> None:
     ("arguments", "code", "said"),
     [
         (["svo", "nope.npz", "b.svo.pb"], 1, "nope.npz: No such file or directory"),
-        (["svo", ".", "b.svo.pb"], 1, ".: Is a directory"),
+        (["svo", ".", "b.svo.pb"], 1, ".: is a folder that nerfbake does not know"),
         (["svo", "a.npz", "nowhere/b.svo.pb"], 4, "nowhere/b.svo.pb: No such file or directory"),
         (["svo", "a.npz", "a.npz"], 2, "the ending of 'a.npz' names no format of SparseVoxelOctree; allowed: .svo.npz"),
         (["svo", "a.npz", "-"], 2, "stdout has no ending that names a format; allowed: --to FORMAT"),

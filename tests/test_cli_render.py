@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
-from nerfbake import Depth, build_octree, build_vdb, load, orbit, save
+from nerfbake import Depth, Meshes, build_octree, build_vdb, load, orbit, save
+from nerfbake.cli.main import run
 from tests.conftest import Shell
+from tests.meshes import cube
 from tests.scenes import n3tree
 
 
@@ -44,6 +46,27 @@ def test_pictures(shell: Shell, scene: Path) -> None:
     ).stdout
     with Pillow.open(io.BytesIO(clear)) as picture:
         assert picture.mode == "RGBA"
+
+
+def test_a_mesh_in_the_picture(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene)
+    pictures = []
+    for name, more in (("a", []), ("b", ["--mesh", "m.glb"]), ("c", ["--mesh", "m.obj", "--composite", "ztest"])):
+        if more:
+            save(more[1], Meshes((cube(0.3),)))
+        assert run(["render", "a.npz", "--size", "24x24", "--out", f"{name}.png", "-q", *more]) == 0
+        with Pillow.open(f"{name}.png") as picture:
+            pictures.append(np.asarray(picture).astype(int))
+    alone, stopped, tested = pictures
+    assert np.abs(stopped - alone).max() > 50
+    assert np.abs(tested - alone).max() > 50
+    np.testing.assert_array_equal(stopped[0], alone[0])  # the cube is in the middle
+    Path("none.obj").write_text("v 0 0 0\n")
+    assert run(["render", "a.npz", "--mesh", "none.obj", "--out", "m.png"]) == 1
+    assert capsys.readouterr().err == "error: none.obj: the mesh has no faces; allowed: at least one triangle\n"
+    assert not Path("m.png").exists()
 
 
 def test_depth_and_alpha_stand_beside_the_picture(shell: Shell, scene: Path) -> None:

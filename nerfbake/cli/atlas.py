@@ -9,7 +9,7 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Stage1Input, as_json, bakes_stage1, speaks
+from nerfbake.cli.params import Budget, Input, Output, Stage1Input, as_json, bakes_stage1, judges, speaks
 from nerfbake.cli.words import Words
 
 
@@ -46,17 +46,29 @@ from nerfbake.cli.words import Words
     "--border", type=click.IntRange(min=0), default=1, show_default=True, help="Gutter around a map, in texels."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
+@judges
 @as_json
 @speaks
-def atlas(source: Stage1Input, target: str, force: bool, as_json: bool, words: Words, **options: Any) -> None:
+def atlas(
+    source: Stage1Input,
+    target: str,
+    force: bool,
+    budget: Budget,
+    as_json: bool,
+    words: Words,
+    **options: Any,
+) -> None:
     """Bake the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, as OUT_DIR.
 
     \b
-      nerfbake atlas mesh_stage1 atlas --clusters 256
+      nerfbake atlas mesh_stage1 atlas --clusters 256 --min-psnr 40
       nerfbake atlas atlas --feature feat1_0.jpg --mlp mlp.json --method affine
     """
     io.require_no_folder(target, force=force)
     stage1 = source.read(words)
+    if budget.min_psnr is not None:
+        with source.blamed(words, "framing"):
+            nerfbake.orbit(stage1)  # raises, before any work is done, where there is no mesh to look at
     with source.blamed(words, "baking"):
         baked = nerfbake.bake_stage1(stage1, max_memory=source.max_memory, **options)
     with words.phase(f"writing {target}"):
@@ -67,3 +79,5 @@ def atlas(source: Stage1Input, target: str, force: bool, as_json: bool, words: W
         words.say(
             f"{target}: {baked}, MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255, {sum(sizes.values()):,} bytes"
         )
+    written = Output(target, None, force)
+    budget.judge(words, Input(source.name, source.max_memory), stage1, written)

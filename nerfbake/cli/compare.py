@@ -43,9 +43,12 @@ def compare(
 ) -> None:
     """Render the scenes IN and IN2 with the same cameras and print how far they are apart.
 
+    Scenes are files of fields or meshes, and the folders of nerf2mesh's stage 1 and of its atlases.
+
     \b
       nerfbake compare chair.npz chair.svo.pb
       nerfbake compare chair.npz small.svo.pb --min-psnr 30 --html small.html
+      nerfbake compare mesh_stage1 atlas_64 --sheet atlas.png
     """
     for target, kind in ((sheet, "Image"), (html, "Comparison")):
         if target == io.STREAM:
@@ -54,7 +57,8 @@ def compare(
             io.format_for(target, kind)
             io.require_absent(target, force=force)
     second = Input(other, source.max_memory)
-    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
     (a, facts_a), (b, facts_b) = (_read(words, each, *kinds) for each in (source, second))
     views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
     photographs = None

@@ -24,7 +24,7 @@ def info(source: Input, as_json: bool, words: Words) -> None:
       nerfbake info chair.npz
       nerfbake info chair.svo.pb --json | jq .nodes
     """
-    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes)
     scene, form, size = source.read_with_format(words, *kinds)
     facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:

@@ -123,7 +123,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Budget:
-    """What an output may cost, judged from the file as it was written."""
+    """What an output may cost, judged from the file or folder as it was written."""
 
     min_psnr: float | None
     cameras: str | None
@@ -134,7 +134,7 @@ class Budget:
             raise click.UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
 
     def judge(self, words: Words, source: Input, scene: Any, target: Output) -> None:
-        """Renders the written file beside the scene it was made from; moves it to OUT.rejected if it costs too much."""
+        """Renders what was written beside the scene it was made from; moves it to OUT.rejected if it costs too much."""
         if self.min_psnr is None:
             return
         views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)

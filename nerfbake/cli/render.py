@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -64,6 +65,15 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
     show_default=True,
     help="Where a ray ends: 0.5 makes an opaque cutout.",
 )
+@click.option("--mesh", type=click.Path(), help="Opaque triangles in the scene's own world: an .obj or .glb.")
+@click.option(
+    "--composite",
+    "how",
+    type=click.Choice(["stop", "ztest"]),
+    default="stop",
+    show_default=True,
+    help="With --mesh: rays stop at it, or the whole picture is laid over it where its depth is nearer.",
+)
 @click.option("--force", is_flag=True, help="Replace what exists.")
 @speaks
 def render(
@@ -77,6 +87,8 @@ def render(
     depth: str | None,
     alpha: bool,
     lod: int | None,
+    mesh: str | None,
+    how: str,
     force: bool,
     words: Words,
     **options: Any,
@@ -88,6 +100,7 @@ def render(
       nerfbake render chair.nvdb --out chair.png --lookup trilinear --depth
       nerfbake render chair.npz --turntable 36 --size 400x400 --out chair.gif
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
+      nerfbake render chair.svo.pb --mesh room.glb --out room.png
     """
     if turntable and cameras:
         raise click.UsageError("--turntable goes around the scene; allowed: it or --cameras")
@@ -110,13 +123,17 @@ def render(
     chosen = views if several else views[frame : frame + 1]
     if not chosen:
         raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")
+    picture: Callable[..., Any] = nerfbake.render
+    if mesh:
+        picture = nerfbake.composite
+        options |= {"meshes": io.load(mesh, nerfbake.Meshes, max_memory=source.max_memory), "how": how}
     if together:
         with io.blame(out):
             nerfbake.Cameras(chosen).require_memory(source.max_memory)
     images = []
     for view in chosen:
         with source.blamed(words, f"rendering {view.name}"):
-            image = nerfbake.render(scene, view, **options)
+            image = picture(scene, camera=view, **options)
         if together:
             images.append(image)
             continue

@@ -1,9 +1,10 @@
-"""glTF 2.0 binaries (.glb) of textured meshes, unlit, with an octahedral atlas beside each.
+"""glTF 2.0 binaries (.glb) of meshes, textured ones unlit, with an octahedral atlas beside each.
 
     12 B header: "glTF", 2, total size | JSON chunk: size, "JSON", text, spaces | BIN chunk: size, "BIN\\0", data
 
 Any viewer shows the diffuse texture. Atlas, labels and features are textures that no standard material slot names;
-their indices stand with the atlas's conventions in the material's extras, under "nerfbake_atlas".
+their indices stand with the atlas's conventions in the material's extras, under "nerfbake_atlas". Positions are the
+field's own: nothing is turned, whatever axis is up.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.kernels.srgb import to_linear
+from nerfbake.scene.mesh import Mesh
 
 _FLOAT, _UINT32 = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
@@ -28,9 +30,9 @@ class Part(NamedTuple):
     """A mesh, its textures as PNG or JPEG by role ('diffuse', 'atlas', 'labels', 'features'), and its extras."""
 
     name: str
-    mesh: TexturedMesh
+    mesh: Mesh
     textures: Mapping[str, bytes | memoryview]
-    extras: Mapping[str, Any]
+    extras: Mapping[str, Any] | None = None
 
 
 def encode_glb(parts: list[Part], generator: str) -> list[bytes | memoryview]:
@@ -49,7 +51,7 @@ def encode_glb(parts: list[Part], generator: str) -> list[bytes | memoryview]:
             {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP},
             {"magFilter": _NEAREST, "minFilter": _NEAREST, "wrapS": _REPEAT, "wrapT": _REPEAT},
         ],
-        **body.lists,
+        **{name: entries for name, entries in body.lists.items() if entries},
         "buffers": [{"byteLength": body.size}],
     }
     text = json.dumps(document, separators=(",", ":")).encode()
@@ -71,22 +73,22 @@ class _Body:
     def add(self, part: Part) -> None:
         textures = {role: self._texture(role, content, part.name) for role, content in part.textures.items()}
         surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
+        material = {"name": part.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+        if textures:
+            material["extensions"] = {"KHR_materials_unlit": {}}
         if "diffuse" in textures:
             surface["baseColorTexture"] = {"index": textures.pop("diffuse")}
-        material = {
-            "name": part.name,
-            "pbrMetallicRoughness": surface,
-            "doubleSided": True,
-            "extensions": {"KHR_materials_unlit": {}},
-            "extras": {"nerfbake_atlas": {**part.extras, "textures": textures}},
-        }
+        if part.extras is not None:
+            material["extras"] = {"nerfbake_atlas": {**part.extras, "textures": textures}}
         positions = part.mesh.positions
         bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+        attributes = {"POSITION": self._accessor(positions, _FLOAT, "VEC3", _VERTICES, **bounds)}
+        if part.mesh.uvs is not None:
+            attributes["TEXCOORD_0"] = self._accessor(part.mesh.uvs, _FLOAT, "VEC2", _VERTICES)
+        if part.mesh.colours is not None:
+            attributes["COLOR_0"] = self._accessor(to_linear(part.mesh.colours), _FLOAT, "VEC3", _VERTICES)
         primitive = {
-            "attributes": {
-                "POSITION": self._accessor(positions, _FLOAT, "VEC3", _VERTICES, **bounds),
-                "TEXCOORD_0": self._accessor(part.mesh.uvs, _FLOAT, "VEC2", _VERTICES),
-            },
+            "attributes": attributes,
             "indices": self._accessor(part.mesh.faces.reshape(-1), _UINT32, "SCALAR", _INDICES),
             "material": self._append("materials", material),
         }

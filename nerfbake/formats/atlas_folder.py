@@ -6,7 +6,7 @@
 | atlas_{c}.png | the maps with their gutters; linear filter, linear values, no mips |
 | labels_{c}.png | red + 256 green = the texel's cluster; blue = `slopes` of that cluster; nearest, no mips |
 | features_{c}.png | for affine and grid: the texel's offset or feature; nearest, no mips |
-| mesh_{c}.obj, .mtl, feat0_{c} | as they were given |
+| mesh_{c}.obj, .mtl, feat0_{c} | mesh and diffuse texture, as they were given |
 | scene.glb | glTF 2.0: unlit diffuse in any viewer, the atlas as further textures and extras |
 
 Labels are two 8-bit channels because browsers cut 16-bit PNGs to 8.
@@ -26,6 +26,7 @@ import PIL
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats import _atlas_json
 from nerfbake.formats._glb import Part, encode_glb
+from nerfbake.formats._surface import decode_surface, encode_surface
 from nerfbake.formats._texture import decode_texture, encode_texture
 from nerfbake.kernels import octahedron
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
@@ -41,6 +42,9 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
 def encode(baked: BakedAtlas) -> Iterator[tuple[str, list[bytes | memoryview]]]:
     """The files by name."""
     parts, cascades = [], []
+    files = dict(baked.files)
+    for cascade, mesh in enumerate(baked.meshes):
+        files |= {name: b"".join(pieces) for name, pieces in encode_surface(mesh, baked.files, cascade)}
     for cascade, atlas in enumerate(baked.atlases):
         textures: dict[str, bytes | memoryview] = {
             "atlas": encode_texture(atlas.image),
@@ -51,14 +55,14 @@ def encode(baked: BakedAtlas) -> Iterator[tuple[str, list[bytes | memoryview]]]:
         for role, content in textures.items():
             yield f"{role}_{cascade}.png", [content]
         entry = _atlas_json.entry(atlas)
-        diffuse, mesh = diffuse_name(baked.files, cascade), baked.meshes[cascade]
+        diffuse, mesh = diffuse_name(files, cascade), baked.meshes[cascade]
         if diffuse:
-            textures["diffuse"] = baked.files[diffuse]
+            textures["diffuse"] = files[diffuse]
         if mesh is not None:
             parts.append(Part(f"cascade {cascade}", mesh, textures, {**entry, "convention": _atlas_json.CONVENTION}))
         names = {role: f"{role}_{cascade}.png" for role in textures if role != "diffuse"}
         cascades.append({**entry, "files": names | ({"diffuse": diffuse} if diffuse else {})})
-    for name, content in baked.files.items():
+    for name, content in files.items():
         yield name, [content]
     if parts:
         yield "scene.glb", encode_glb(parts, _GENERATOR)
@@ -74,7 +78,7 @@ def encode(baked: BakedAtlas) -> Iterator[tuple[str, list[bytes | memoryview]]]:
 
 
 def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
-    """The atlases of a folder that encode() wrote; meshes are not read. Raises InvalidFile naming what is wrong."""
+    """The atlases of a folder that encode() wrote, and its meshes. Raises InvalidFile naming what is wrong."""
     document = _atlas_json.decode(_require(files, "atlas.json"))
     atlases = []
     for cascade, entry in enumerate(document["cascades"]):
@@ -103,7 +107,8 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
                 entry.slopes,
             )
         )
-    return BakedAtlas(tuple(atlases), (None,) * len(atlases), {}, document["facts"])
+    meshes = [decode_surface(files, cascade, max_memory=max_memory) for cascade in range(len(atlases))]
+    return BakedAtlas(tuple(atlases), tuple(meshes), {}, document["facts"])
 
 
 def _label_texels(atlas: OctahedralAtlas) -> npt.NDArray[np.uint8]:

@@ -12,15 +12,13 @@ import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._mlp_json import Mlp, decode_mlp, encode_mlp
-from nerfbake.formats._obj import decode_obj, encode_obj
+from nerfbake.formats._surface import decode_surface, encode_surface
 from nerfbake.formats._texture import decode_texture, encode_texture
 from nerfbake.formats._transforms import decode_positions
 from nerfbake.kernels.raster import cover
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
 from nerfbake.scene.stage1 import Stage1
-
-_MTL = "newmtl defaultMat\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\nmap_Kd {}\n"
 
 
 def recognise(files: Mapping[str, memoryview]) -> bool:
@@ -31,15 +29,14 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> Stage1:
     """Raises InvalidFile naming the first file that is missing or wrong, InvalidScene for arrays that do not fit."""
     mlp = decode_mlp(_require(files, "mlp.json"), max_memory=max_memory)
     fields: list[SpecularField] = []
-    meshes: list[TexturedMesh | None] = []
+    meshes: list[Mesh | None] = []
     handed_on: dict[str, bytes | memoryview] = {}
     for cascade in range(mlp.cascades):
         name = _texture_name(files, f"feat1_{cascade}")
         features = decode_texture(files[name], name, max_memory=max_memory)
-        mesh_name = f"mesh_{cascade}.obj"
-        mesh = decode_obj(files[mesh_name], mesh_name, max_memory=max_memory) if mesh_name in files else None
+        mesh = decode_surface(files, cascade, max_memory=max_memory)
         H, W, _ = features.shape
-        used = cover(mesh.uvs, mesh.faces, H, W) if mesh else np.ones((H, W), bool)
+        used = cover(mesh.require_unwrapped(), mesh.faces, H, W) if mesh else np.ones((H, W), bool)
         fields.append(SpecularField(features, mlp.w0, mlp.w1, used))
         meshes.append(mesh)
         others = (f"mesh_{cascade}.obj", f"mesh_{cascade}.mtl", f"feat0_{cascade}.jpg", f"feat0_{cascade}.png")
@@ -56,12 +53,7 @@ def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]
     yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, 1.0, len(stage1.fields)))]
     for cascade, field in enumerate(stage1.fields):
         yield f"feat1_{cascade}.png", [encode_texture(field.features)]
-        mesh = stage1.meshes[cascade]
-        if mesh is not None and f"mesh_{cascade}.obj" not in stage1.files:
-            yield f"mesh_{cascade}.obj", encode_obj(mesh, f"mesh_{cascade}.mtl")
-            yield f"mesh_{cascade}.mtl", [_MTL.format(f"feat0_{cascade}.png").encode()]
-    for cascade, texels in enumerate(stage1.diffuse):
-        yield f"feat0_{cascade}.png", [encode_texture(texels)]
+        yield from encode_surface(stage1.meshes[cascade], stage1.files, cascade)
     for name, content in stage1.files.items():
         yield name, [content]
 

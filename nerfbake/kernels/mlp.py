@@ -52,6 +52,14 @@ def evaluate(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Array
     return out.reshape(len(features), 3, -1)
 
 
+def evaluate_each(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Array, w1: Array) -> Array:
+    """(m, 3) the specular colours in 0..1 of m features, each in its own one of m unit directions, (m, 3) both."""
+    inputs = np.concatenate([directions, features], axis=1).astype(np.float32)
+    out = np.empty((len(inputs), 3), np.float32)
+    _evaluate_each(inputs, np.ascontiguousarray(w0.T), w1, out)
+    return out
+
+
 def project(features: npt.NDArray[Any], mlp: Split, basis: Array, shift: Array) -> Array:
     """(m, p) outputs @ basis - shift, with outputs (m, 3n) as evaluate() gives them, but never stored.
 
@@ -131,6 +139,20 @@ def _sigmoid(x: Array) -> None:
 def _evaluate(features: Array, by_direction: Array, by_feature: Array, w1: Array, out: Array) -> None:
     for i in prange(len(features)):
         _show(features[i], by_direction, by_feature, w1, out[i])
+
+
+@compiled(parallel=True)
+def _evaluate_each(inputs: Array, w0: Array, w1: Array, out: Array) -> None:
+    for i in prange(len(inputs)):
+        r, g, b = f32(0), f32(0), f32(0)
+        for k in range(len(w0)):
+            h = f32(0)
+            for j in range(6):
+                h += inputs[i, j] * w0[k, j]
+            h = max(h, f32(0))
+            r, g, b = r + h * w1[k, 0], g + h * w1[k, 1], b + h * w1[k, 2]
+        out[i, 0], out[i, 1], out[i, 2] = r, g, b
+        out[i] = f32(1) / (f32(1) + np.exp(-out[i]))
 
 
 @compiled(parallel=True, fastmath=True)

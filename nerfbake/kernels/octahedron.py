@@ -17,6 +17,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.texture import blend
+
 Floats = npt.NDArray[np.float64]
 Lookup = Literal["bilinear", "nearest", "thesis"]
 
@@ -67,24 +69,22 @@ def with_gutter(maps: npt.NDArray[Any], border: int) -> npt.NDArray[Any]:
     return maps[:, row, column]
 
 
-def sample(maps: npt.NDArray[Any], directions: npt.NDArray[Any], how: Lookup) -> npt.NDArray[np.float32]:
+def sample(
+    maps: npt.NDArray[Any], directions: npt.NDArray[Any], how: Lookup, tiles: Any = slice(None)
+) -> npt.NDArray[np.float32]:
     """What (K, R, R, C) maps show in (n, 3) directions -> (K, n, C) float32.
 
     bilinear: between texel centres, across the fold at the edges. nearest: the texel that holds the point, floor(uv R).
-    thesis: texel int(uv (R - 1)), as the published metric looks it up.
+    thesis: texel int(uv (R - 1)), as the published metric looks it up. tiles: in place of all maps those that go with
+    the directions, whole numbers (...) for directions (..., 3) -> (..., C).
     """
     R = maps.shape[1]
     uv = encode(directions)
     if how != "bilinear":
         at = np.minimum((uv * (R - 1 if how == "thesis" else R)).astype(np.int64), R - 1)
-        return maps[:, at[:, 1], at[:, 0]].astype(np.float32)
+        return np.asarray(maps[tiles, at[..., 1], at[..., 0]], np.float32)
     framed = with_gutter(maps, 1)
-    place = uv * R + 0.5  # in texel centres of the framed map
-    low = np.floor(place).astype(np.int64)
-    (fx, fy), (x, y) = (place - low).astype(np.float32).T[..., None], low.T
-    top = framed[:, y, x] * (1 - fx) + framed[:, y, x + 1] * fx
-    bottom = framed[:, y + 1, x] * (1 - fx) + framed[:, y + 1, x + 1] * fx
-    return np.asarray(top * (1 - fy) + bottom * fy, np.float32)
+    return blend(lambda y, x: framed[tiles, y, x], uv * R + 0.5)  # in texel centres of the framed map
 
 
 def tiles_per_row(K: int) -> int:

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels import octahedron
 from nerfbake.kernels.octahedron import Lookup
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.base import Scene
+from nerfbake.scene.mesh import Mesh
 
 Method = Literal["kmeans", "affine", "grid"]
 METHODS: tuple[Method, ...] = ("kmeans", "affine", "grid")
@@ -122,12 +123,28 @@ class OctahedralAtlas:
 
     def show(self, directions: npt.NDArray[np.float64], lookup: Lookup) -> npt.NDArray[np.float32]:
         """(T, N, 3) what each tile shows in N directions, decoded: colours in 0..1, slopes in -1..1."""
-        shown = octahedron.sample(self.tiles, directions, lookup)
+        return self._decoded(octahedron.sample(self.tiles, directions, lookup), np.arange(len(self.tiles))[:, None])
+
+    def specular(
+        self,
+        labels: npt.NDArray[np.uint16],
+        features: npt.NDArray[np.uint8] | None,
+        directions: npt.NDArray[np.float64],
+    ) -> npt.NDArray[np.float32]:
+        """(m, 3) in 0..1: what m texels of these labels (m,) and features (m, 3) show, in a direction each, (m, 3).
+
+        Maps are read between texel centres, as atlas.glsl does.
+        """
+        tiles, weights = self.terms(labels, np.zeros((len(labels), 3), np.uint8) if features is None else features)
+        shown = octahedron.sample(self.tiles, directions[:, None], "bilinear", tiles)
+        return np.asarray((weights[..., None] * self._decoded(shown, tiles)).sum(axis=1), np.float32)
+
+    def _decoded(self, shown: npt.NDArray[np.float32], tiles: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Bytes (..., 3) of these tiles (...) as colours or slopes."""
         if self.method != "affine":
             return shown / np.float32(255)
-        values = (shown - ZERO_SLOPE) / np.float32(127)
-        values[::4] = shown[::4] / np.float32(255)
-        return values
+        colour = (tiles % 4 == 0)[..., None]
+        return np.where(colour, shown / np.float32(255), (shown - ZERO_SLOPE) / np.float32(127))
 
     def terms(
         self, labels: npt.NDArray[np.uint16], features: npt.NDArray[np.uint8]
@@ -161,7 +178,7 @@ def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int3
 
 
 @dataclass(frozen=True, eq=False)
-class BakedAtlas:
+class BakedAtlas(Scene):
     """Atlases of all cascades of a scene with what an engine needs beside them; cascade c is entry c.
 
     meshes  None where there is none
@@ -170,7 +187,7 @@ class BakedAtlas:
     """
 
     atlases: tuple[OctahedralAtlas, ...]
-    meshes: tuple[TexturedMesh | None, ...]
+    meshes: tuple[Mesh | None, ...]
     files: Mapping[str, bytes | memoryview]
     facts: Mapping[str, Any]
 

@@ -1,7 +1,8 @@
-"""A triangle mesh with texture coordinates."""
+"""Triangle meshes and how they look."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,49 +10,98 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.topology import count_problem
+from nerfbake.scene.base import Scene
 
 UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for a writer's rounding
 
 
 @dataclass(frozen=True, eq=False)
-class TexturedMesh:
+class Mesh:
     """Triangles over vertices that carry their texture coordinates, as glTF has them.
 
     positions  (v, 3) float32, in the field's own world
-    uvs        (v, 2) float32 in 0..1, v down: (0, 0) is the upper left corner of the texture
+    uvs        (v, 2) float32, v down: (0, 0) is the upper left corner of the texture, which repeats; None: none
     faces      (t, 3) uint32, counter-clockwise from outside
+    texture    (H, W, 3) uint8, sRGB, shown as it is; None: a surface of one colour, lit from the camera
+    colours    (v, 3) float32, sRGB in 0..1, times the texture; None: white on a texture, else grey
     """
 
     positions: npt.NDArray[np.float32]
-    uvs: npt.NDArray[np.float32]
+    uvs: npt.NDArray[np.float32] | None
     faces: npt.NDArray[np.uint32]
+    texture: npt.NDArray[np.uint8] | None = None
+    colours: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         v = len(self.positions)
+        if not len(self.faces):
+            raise InvalidScene(Problem("the mesh", "has no faces", "at least one triangle"))
         for name, array, shape, dtype in (
             ("positions", self.positions, (v, 3), np.float32),
             ("uvs", self.uvs, (v, 2), np.float32),
             ("faces", self.faces, (len(self.faces), 3), np.uint32),
+            ("colours", self.colours, (v, 3), np.float32),
         ):
-            if array.shape != shape or array.dtype != dtype or not len(array):
+            if array is not None and (array.shape != shape or array.dtype != dtype or not len(array)):
                 found = f"have shape {array.shape}, dtype {array.dtype}"
                 raise InvalidScene(Problem(f"mesh {name}", found, f"{shape} {np.dtype(dtype).name}, at least one"))
-        finite = ~np.isfinite(self.positions)
-        outside = ~((self.uvs >= -UV_MARGIN) & (self.uvs <= 1 + UV_MARGIN))
-        problems = count_problem("mesh positions", finite, self.positions, "a finite number")
-        problems += count_problem("mesh uvs", outside, self.uvs, "0 to 1")
+        if self.texture is not None:
+            shape = self.texture.shape
+            if len(shape) != 3 or shape[2] != 3 or not self.texture.size or self.texture.dtype != np.uint8:
+                found = f"has shape {shape}, dtype {self.texture.dtype}"
+                raise InvalidScene(Problem("mesh texture", found, "(H, W, 3) uint8"))
+            self.require_uvs()
+        problems = count_problem("mesh positions", ~np.isfinite(self.positions), self.positions, "a finite number")
         problems += count_problem("mesh faces", self.faces >= v, self.faces, f"a vertex, 0 to {v - 1:,}")
+        if self.uvs is not None:
+            problems += count_problem("mesh uvs", ~np.isfinite(self.uvs), self.uvs, "a finite number")
+        if self.colours is not None:
+            outside = ~((self.colours >= 0) & (self.colours <= 1))
+            problems += count_problem("mesh colours", outside, self.colours, "0 to 1")
         if problems:
             raise InvalidScene(problems[0])
 
-    @property
-    def normals(self) -> npt.NDArray[np.float32]:
-        """(v, 3) unit, the mean of the faces around each vertex by area; zero where they cancel."""
-        a, b, c = (self.positions[self.faces[:, corner]].astype(np.float64) for corner in range(3))
-        across = np.cross(b - a, c - a)
-        total = np.zeros(self.positions.shape)
-        for axis in range(3):
-            weights = np.repeat(across[:, axis], 3)
-            total[:, axis] = np.bincount(self.faces.reshape(-1), weights, minlength=len(total))
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        return (total / np.where(length > 0, length, 1)).astype(np.float32)
+    def require_uvs(self) -> npt.NDArray[np.float32]:
+        """Its texture coordinates. Raises InvalidScene if it has none."""
+        if self.uvs is None:
+            raise InvalidScene(Problem("the mesh", "has no texture coordinates", "some for every vertex"))
+        return self.uvs
+
+    def require_unwrapped(self) -> npt.NDArray[np.float32]:
+        """Its texture coordinates. Raises InvalidScene if it has none, or some outside the texture."""
+        uvs = self.require_uvs()
+        outside = ~((uvs >= -UV_MARGIN) & (uvs <= 1 + UV_MARGIN))
+        for problem in count_problem("mesh uvs", outside, uvs, "0 to 1"):
+            raise InvalidScene(problem)
+        return uvs
+
+
+@dataclass(frozen=True, eq=False)
+class Meshes(Scene):
+    """Everything that a mesh file shows, a mesh for each material."""
+
+    meshes: tuple[Mesh, ...]
+
+    def __post_init__(self) -> None:
+        if not self.meshes:
+            raise InvalidScene(Problem("the mesh", "has no faces", "at least one triangle"))
+
+    def __str__(self) -> str:
+        triangles = sum(len(mesh.faces) for mesh in self.meshes)
+        return f"mesh of {triangles:,} triangles over {sum(len(mesh.positions) for mesh in self.meshes):,} vertices"
+
+
+def box_of(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
+    """(2, 3) world corners of the box around all vertices that a face uses."""
+    held = [mesh.positions[mesh.faces.reshape(-1)] for mesh in meshes]
+    corners = [(points.min(axis=0), points.max(axis=0)) for points in held]
+    low, high = zip(*corners, strict=True)
+    return np.stack([np.min(low, axis=0), np.max(high, axis=0)]).astype(np.float64)
+
+
+def joined(meshes: Sequence[Mesh]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
+    """Positions (v, 3) and faces (t, 3) of all meshes as one, and (n + 1,) where each mesh's faces start."""
+    vertex = np.cumsum([0] + [len(mesh.positions) for mesh in meshes])
+    first = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
+    faces = [mesh.faces + np.uint32(shift) for mesh, shift in zip(meshes, vertex, strict=False)]
+    return np.concatenate([mesh.positions for mesh in meshes]), np.concatenate(faces), first

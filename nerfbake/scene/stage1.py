@@ -8,27 +8,27 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.base import Scene
+from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
 
 
 @dataclass(frozen=True, eq=False)
-class Stage1:
+class Stage1(Scene):
     """Cascades (nested boxes, each twice as wide) of one scene; cascade c is entry c of each tuple.
 
     fields   their feature textures, with the MLP that they share
-    meshes   None where the mesh is not there
-    files    the meshes and diffuse textures as they stand in the folder, by name, to be handed on untouched
+    meshes   with the diffuse colour as their texture; None where the mesh is not there
+    files    the meshes and diffuse textures as they stand in the folder, by name, to be handed on untouched; of a
+             scene that was made and not read there are none
     cameras  (c, 3) float64 where the training cameras stand, in the meshes' own world; None if nobody knows
-    diffuse  (H, W, 3) uint8 each, in place of files, for a scene that was made and not read
     Source: nerf2mesh (arXiv 2303.02091) and its forks; spec/atlas.md, 1.
     """
 
     fields: tuple[SpecularField, ...]
-    meshes: tuple[TexturedMesh | None, ...]
+    meshes: tuple[Mesh | None, ...]
     files: Mapping[str, bytes | memoryview] = field(default_factory=dict)
     cameras: npt.NDArray[np.float64] | None = None
-    diffuse: tuple[npt.NDArray[np.uint8], ...] = ()
 
     def __str__(self) -> str:
         return "; ".join(map(str, self.fields))

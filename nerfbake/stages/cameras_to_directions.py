@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.mesh import Mesh
 
 FLOOR = 0.1  # of the mean weight: what no camera saw must not be left to chance
 _SAMPLE = 4096  # surface points
 
 
 def weigh_directions(
-    mesh: TexturedMesh, cameras: npt.NDArray[np.float64], directions: npt.NDArray[np.float64]
+    mesh: Mesh, cameras: npt.NDArray[np.float64], directions: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
     """(N,) how often the surface is looked at along each of N unit directions, 1 on average.
 

@@ -6,25 +6,24 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera, Cameras, look_at
-from nerfbake.stages._field import Radiance, field_of
+from nerfbake.stages._picture import Scene, frame
 
 FIELD_OF_VIEW = np.radians(40)
 MARGIN = 1.05
 AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
-def orbit(scene: Radiance, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
+def orbit(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
     """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
 
     Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.
     """
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))
-    field = field_of(scene)
-    corners = field.world(field.box)
+    corners, axes = frame(scene)
     centre, radius = corners.mean(axis=0), float(np.linalg.norm(corners[1] - corners[0])) / 2
     distance = MARGIN * radius / np.sin(FIELD_OF_VIEW / 2)
     focal = 0.5 * min(width, height) / np.tan(FIELD_OF_VIEW / 2)
     turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
-    poses = [look_at(centre, turn, ELEVATION, distance, field.axes) for turn in turns]
+    poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]
     return Cameras(tuple(Camera(width, height, focal, pose, f"{i:04d}") for i, pose in enumerate(poses)))

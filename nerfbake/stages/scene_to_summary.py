@@ -8,21 +8,24 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.mesh import Meshes, box_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
 
 
-def summarise(scene: N3Tree | SparseVoxelOctree | Volume) -> dict[str, Any]:
+def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
-    Of a volume the same by grid, and what its file said of its checksum.
+    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles and colours.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
     """
     if isinstance(scene, Volume):
         return _of_volume(scene)
+    if isinstance(scene, Meshes):
+        return _of_meshes(scene)
     return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
 
 
@@ -92,6 +95,20 @@ def _of_volume(volume: Volume) -> dict[str, Any]:
         "grid_names": [grid.name for grid in volume.grids],
         "grids": {grid.name: _of_grid(grid, volume.transform) for grid in volume.grids},
         "bytes_in_memory": sum(grid.values.nbytes for grid in volume.grids),
+    }
+
+
+def _of_meshes(scene: Meshes) -> dict[str, Any]:
+    arrays = [(m.positions, m.faces, m.uvs, m.texture, m.colours) for m in scene.meshes]
+    return {
+        "kind": "triangle mesh",
+        "meshes": len(scene.meshes),
+        "triangles": sum(len(mesh.faces) for mesh in scene.meshes),
+        "vertices": sum(len(mesh.positions) for mesh in scene.meshes),
+        "world_box": _box(box_of(scene.meshes)),
+        "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
+        "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
+        "bytes_in_memory": sum(array.nbytes for parts in arrays for array in parts if array is not None),
     }
 
 

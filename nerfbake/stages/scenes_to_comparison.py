@@ -14,13 +14,13 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import Image
 from nerfbake.stages._field import Radiance, field_of
-from nerfbake.stages.scene_to_image import render
+from nerfbake.stages._picture import Scene, picture
 
 MAX_POINTS = 200_000  # leaves whose values are compared
 
 
 def compare(
-    a: Radiance, b: Radiance, cameras: Cameras, *, truth: Sequence[Image] | None = None, keep_pictures: bool = True
+    a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | None = None, keep_pictures: bool = True
 ) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
 
@@ -32,7 +32,7 @@ def compare(
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
     views, pictures = [], []
     for i, camera in enumerate(cameras.cameras):
-        seen = {"a": render(a, camera), "b": render(b, camera)}
+        seen = {"a": picture(a, camera), "b": picture(b, camera)}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:
@@ -53,7 +53,9 @@ def _errors(a: Image, b: Image) -> dict[str, float]:
     return {"psnr": psnr(x, y), "ssim": ssim(x, y), "max_error": float(np.abs(x - y).max())}
 
 
-def _value_errors(a: Radiance, b: Radiance) -> dict[str, Any]:
+def _value_errors(a: Scene, b: Scene) -> dict[str, Any]:
+    if not (isinstance(a, Radiance) and isinstance(b, Radiance)):
+        return {}
     one, other = field_of(a), field_of(b)
     if one.basis != other.basis:
         return {}

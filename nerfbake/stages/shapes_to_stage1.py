@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.raster import cover
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
 from nerfbake.scene.stage1 import Stage1
 
@@ -35,14 +37,14 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
     gloss = 0.55 + 0.45 * np.sign(np.sin(14 * np.pi * u) * np.sin(7 * np.pi * v))
     features = _features(normals, gloss)
     mesh = _mesh()
-    used = cover(mesh.uvs, mesh.faces, resolution, resolution)
+    used = cover(mesh.require_uvs(), mesh.faces, resolution, resolution)
     features[~used] = 0
     base = np.array([0.55, 0.13, 0.1]) + np.array([0.12, 0.1, 0.08]) * gloss[..., None]
     lit = base * (0.45 + 0.55 * np.maximum(normals @ _LIGHT, 0))[..., None]
     diffuse = np.where(used[..., None], np.rint(255 * lit), 0).astype(np.uint8)
     with threadpool_limits(1, user_api="blas"):
         w0, w1 = _fit(np.random.default_rng(seed))
-    return Stage1((SpecularField(features, w0, w1, used),), (mesh,), diffuse=(diffuse,))
+    return Stage1((SpecularField(features, w0, w1, used),), (replace(mesh, texture=diffuse),))
 
 
 def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
@@ -53,7 +55,7 @@ def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
     return RADIUS * middle + THICKNESS * normals, normals
 
 
-def _mesh() -> TexturedMesh:
+def _mesh() -> Mesh:
     u, v = (MARGIN + (1 - 2 * MARGIN) * np.linspace(0, 1, n + 1) for n in (_RINGS, _SIDES))
     v, u = np.meshgrid(v, u, indexing="xy")
     points, _ = _torus(u, v)
@@ -61,7 +63,7 @@ def _mesh() -> TexturedMesh:
     near, far = corner, corner + _SIDES + 1
     faces = np.stack([near, near + 1, far + 1, near, far + 1, far], axis=-1).reshape(-1, 3)
     uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
-    return TexturedMesh(points.reshape(-1, 3).astype(np.float32), uvs.astype(np.float32), faces.astype(np.uint32))
+    return Mesh(points.reshape(-1, 3).astype(np.float32), uvs.astype(np.float32), faces.astype(np.uint32))
 
 
 def _features(normals: Floats, gloss: Floats) -> npt.NDArray[np.uint8]:

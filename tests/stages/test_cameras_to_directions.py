@@ -12,11 +12,11 @@ from nerfbake import weigh_directions
 from nerfbake.cli.main import run
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.sphere import fibonacci
-from nerfbake.scene.mesh import TexturedMesh
+from nerfbake.scene.mesh import Mesh
 
 # A small triangle in the plane z = 0 whose front looks along +z.
 CORNERS = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]], np.float32)
-TRIANGLE = TexturedMesh(CORNERS, CORNERS[:, :2] * 100, np.array([[0, 1, 2]], np.uint32))
+TRIANGLE = Mesh(CORNERS, CORNERS[:, :2] * 100, np.array([[0, 1, 2]], np.uint32))
 
 
 def test_a_camera_before_the_front_by_hand() -> None:

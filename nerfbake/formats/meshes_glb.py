@@ -1,0 +1,27 @@
+"""Meshes as glTF 2.0 in one file (.glb). Coordinates are the field's own: nothing is turned, whatever axis is up."""
+
+from __future__ import annotations
+
+from nerfbake.formats._glb import Part, encode_glb
+from nerfbake.formats._glb_reader import decode_glb
+from nerfbake.formats._texture import encode_texture
+from nerfbake.scene.mesh import Mesh, Meshes
+
+
+def recognise(head: bytes) -> bool:
+    """True for glTF's magic number."""
+    return head[:4] == b"glTF"
+
+
+def encode(scene: Meshes) -> list[bytes | memoryview]:
+    return encode_glb([_part(number, mesh) for number, mesh in enumerate(scene.meshes)], "nerfbake")
+
+
+def decode(view: memoryview, *, max_memory: int) -> Meshes:
+    """Raises InvalidFile for what is not sound or needs another file, InvalidScene for values that no mesh can have."""
+    return Meshes(decode_glb(view, max_memory=max_memory))
+
+
+def _part(number: int, mesh: Mesh) -> Part:
+    textures = {} if mesh.texture is None else {"diffuse": encode_texture(mesh.texture)}
+    return Part(f"mesh {number}", mesh, textures)

@@ -1,0 +1,35 @@
+"""Lookups in textures: texel (i, j) is the value at its centre, ((i + 1/2) / W, (j + 1/2) / H), v down; both repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Whole = npt.NDArray[np.int64]
+
+
+def blend(fetch: Callable[[Whole, Whole], npt.NDArray[Any]], place: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """Between the four texels around a place (..., 2), x and y in texel centres; fetch(y, x) gives texels (..., C)."""
+    low = np.floor(place).astype(np.int64)
+    fraction = (place - low).astype(np.float32)
+    x, y, fx, fy = low[..., 0], low[..., 1], fraction[..., :1], fraction[..., 1:]
+    top = fetch(y, x) * (1 - fx) + fetch(y, x + 1) * fx
+    bottom = fetch(y + 1, x) * (1 - fx) + fetch(y + 1, x + 1) * fx
+    return np.asarray(top * (1 - fy) + bottom * fy, np.float32)
+
+
+def bilinear(texture: npt.NDArray[np.uint8], uvs: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """(m, C) in 0..1: a texture (H, W, C) at (m, 2) coordinates, between texel centres."""
+    H, W = texture.shape[:2]
+    uvs = uvs - np.floor(uvs)  # before they are large numbers of texels
+    return blend(lambda y, x: texture[y % H, x % W], uvs * (W, H) - 0.5) / np.float32(255)
+
+
+def nearest(texture: npt.NDArray[Any], uvs: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(m, ...): the texel of (H, W, ...) that holds each of (m, 2) coordinates."""
+    H, W = texture.shape[:2]
+    x, y = ((uvs - np.floor(uvs)) * (W, H)).astype(np.int64).T
+    return np.asarray(texture[y % H, x % W])

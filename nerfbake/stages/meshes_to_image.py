@@ -1,0 +1,38 @@
+"""Meshes and camera -> picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.texture import bilinear
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.image import Image
+from nerfbake.scene.mesh import Meshes
+from nerfbake.stages._surface import WHITE, Hits, paint
+
+GREY = np.float32(0.75)
+_AMBIENT = np.float32(0.25)  # of the colour, where a surface is seen edge-on
+
+
+def draw(scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE) -> Image:
+    """What the camera sees of opaque triangles, from both of their sides, over a background (None: transparent).
+
+    A texture is shown as it is, between its texels' centres; a mesh without one is grey, or has its vertices' colours,
+    and is lit from the camera. Alpha is 0 or 1, depth the distance along the ray. Nothing is smoothed at edges.
+    """
+    return paint(scene.meshes, camera, lambda _, hits: surface_colours(hits), background)
+
+
+def surface_colours(hits: Hits) -> npt.NDArray[np.float32]:
+    """(m, 3) sRGB in 0..1, before anything that depends on the view but a headlight."""
+    mesh = hits.mesh
+    if mesh.texture is not None:
+        colours = bilinear(mesh.texture, hits.uvs)
+        return colours if mesh.colours is None else colours * hits.mixed(mesh.colours)
+    colours = np.full((len(hits.faces), 3), GREY) if mesh.colours is None else hits.mixed(mesh.colours)
+    a, b, c = (mesh.positions[mesh.faces[hits.faces, corner]].astype(np.float64) for corner in range(3))
+    across = np.cross(b - a, c - a)
+    length = np.linalg.norm(across, axis=1)
+    facing = np.abs((across * hits.directions).sum(axis=1)) / np.where(length > 0, length, 1)
+    return np.asarray(colours * (_AMBIENT + (1 - _AMBIENT) * facing[:, None]), np.float32)

@@ -1,0 +1,52 @@
+"""Radiance field, opaque meshes and camera -> one picture of both."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.image import Image
+from nerfbake.scene.mesh import Meshes
+from nerfbake.stages._field import Radiance
+from nerfbake.stages._surface import WHITE
+from nerfbake.stages.meshes_to_image import draw
+from nerfbake.stages.scene_to_image import render
+
+Composite = Literal["stop", "ztest"]
+
+
+def composite(
+    scene: Radiance,
+    meshes: Meshes,
+    camera: Camera,
+    *,
+    how: Composite = "stop",
+    background: tuple[float, float, float] | None = WHITE,
+    **options: Any,
+) -> Image:
+    """What the camera sees of a field with meshes in it; both stand in the same world. Options go to render().
+
+    stop   rays end at the mesh, which is seen through what is in front of it.
+    ztest  the field is rendered as if it were alone; where its expected depth is nearer than the mesh, all of it is
+           laid over the mesh, elsewhere the mesh is seen alone. For pictures with depth that are there already; wrong
+           where a ray meets something on both sides of the mesh.
+    Source: TR-24-01, section 5.2.
+    """
+    if how not in get_args(Composite):
+        raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))
+    mesh = draw(meshes, camera, background=None)
+    solid = mesh.alpha > 0
+    stop = np.where(solid, mesh.depth, np.inf).astype(np.float64) if how == "stop" else None
+    field = render(scene, camera, background=None, stop=stop, **options)
+    hidden = solid & (field.depth >= mesh.depth) & (how == "ztest")
+    near = np.where(hidden, 0, field.alpha).astype(np.float32)
+    left = (1 - near) * mesh.alpha
+    alpha = near + left
+    colour = np.where(hidden[..., None], 0, field.colour) + left[..., None] * mesh.colour
+    far = near * field.depth + left * mesh.depth
+    depth = np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
+    image = Image(colour.astype(np.float32), alpha, depth, None)
+    return image if background is None else image.over(background)

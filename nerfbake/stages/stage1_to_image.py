@@ -1,0 +1,55 @@
+"""nerf2mesh's stage 1, or the atlas baked from it, and camera -> picture: what a viewer of either would show."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.mlp import evaluate_each
+from nerfbake.kernels.texture import nearest
+from nerfbake.scene.atlas import BakedAtlas
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.image import Image
+from nerfbake.scene.mesh import Mesh
+from nerfbake.scene.stage1 import Stage1
+from nerfbake.stages._surface import WHITE, Hits, paint
+from nerfbake.stages.meshes_to_image import surface_colours
+
+
+def shade(
+    scene: Stage1 | BakedAtlas, camera: Camera, *, background: tuple[float, float, float] | None = WHITE
+) -> Image:
+    """clamp(diffuse + specular) at each pixel, over a background (None: transparent). Source: spec/atlas.md, 1.
+
+    Of a Stage1 specular is the MLP, of a BakedAtlas it is what atlas.glsl shows; both at the nearest texel, as the
+    viewer of nerf2mesh (its renderer.html) has it, maps between texels. Raises InvalidScene where a mesh is missing.
+    """
+
+    def colours(cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
+        specular = _mlp(scene, cascade, hits) if isinstance(scene, Stage1) else _atlas(scene, cascade, hits)
+        return np.asarray(np.clip(surface_colours(hits) + specular, 0, 1), np.float32)
+
+    return paint(surfaces(scene), camera, colours, background)
+
+
+def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
+    """The cascades' meshes. Raises InvalidScene if one has none, or no texture."""
+    found = []
+    for cascade, mesh in enumerate(scene.meshes):
+        if mesh is None or mesh.texture is None:
+            what = f"mesh_{cascade}.obj" if mesh is None else f"feat0_{cascade}"
+            raise InvalidScene(Problem(what, "is missing", "a mesh and its diffuse texture, where there are pictures"))
+        found.append(mesh)
+    return tuple(found)
+
+
+def _mlp(stage1: Stage1, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
+    field = stage1.fields[cascade]
+    return evaluate_each(nearest(field.features, hits.uvs) / np.float32(255), hits.directions, field.w0, field.w1)
+
+
+def _atlas(baked: BakedAtlas, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
+    atlas = baked.atlases[cascade]
+    features = None if atlas.features is None else nearest(atlas.features, hits.uvs)
+    return atlas.specular(nearest(atlas.labels, hits.uvs), features, hits.directions)

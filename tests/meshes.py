@@ -1,0 +1,63 @@
+"""Small meshes made by hand, and the cameras that look at them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nerfbake.scene.camera import Camera, look_at
+from nerfbake.scene.mesh import Mesh
+
+ORIGIN = np.zeros(3)
+
+
+def mesh(positions: Any, faces: Any, **more: Any) -> Mesh:
+    uvs = more.pop("uvs", None)
+    uvs = None if uvs is None else np.array(uvs, np.float32)
+    return Mesh(np.array(positions, np.float32), uvs, np.array(faces, np.uint32), **more)
+
+
+def cube(half: float = 0.5, **more: Any) -> Mesh:
+    """Around the origin; vertex number = x + 2y + 4z."""
+    corners = np.stack(np.meshgrid([-half, half], [-half, half], [-half, half], indexing="ij"), axis=-1)
+    quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]]
+    faces = [[a, b, c] for a, b, c, _ in quads] + [[a, c, d] for a, _, c, d in quads]
+    return mesh(corners.transpose(2, 1, 0, 3).reshape(-1, 3), faces, **more)
+
+
+def sphere(rings: int = 24, sides: int = 48) -> Mesh:
+    """Closed, of radius 1; its poles are one vertex each."""
+    polar = np.pi * np.arange(1, rings) / rings
+    around = 2 * np.pi * np.arange(sides) / sides
+    z, turn = np.meshgrid(np.cos(polar), around, indexing="ij")
+    r = np.sqrt(1 - z**2)
+    points = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=-1).reshape(-1, 3)
+    index = np.arange((rings - 1) * sides).reshape(rings - 1, sides)
+    right = np.roll(index, -1, axis=1)
+    north, south = np.full(sides, len(points)), np.full(sides, len(points) + 1)
+    faces = [np.stack([north, index[0], right[0]], axis=1), np.stack([south, right[-1], index[-1]], axis=1)]
+    a, b, c, d = index[:-1], index[1:], right[1:], right[:-1]
+    faces += [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
+    return mesh(np.concatenate([points, [[0, 0, 1], [0, 0, -1]]]), np.concatenate(faces))
+
+
+def camera(
+    width: int = 40, height: int = 30, distance: float = 3.0, azimuth: float = 0.7, elevation: float = 0.4
+) -> Camera:
+    """Looks at the origin, with a field of view of 40 degrees across its height."""
+    focal = 0.5 * height / np.tan(np.radians(20))
+    return Camera(width, height, focal, look_at(ORIGIN, azimuth, elevation, distance))
+
+
+def square(z: float = 0.0, half: float = 100.0) -> Mesh:
+    """Two triangles in the plane of this z; texture coordinates 0 to 1, u along x, v along -y."""
+    corners = [[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]]
+    return mesh(corners, [[0, 1, 2], [0, 2, 3]], uvs=[[0, 1], [1, 1], [1, 0], [0, 0]])
+
+
+def straight_down(width: int = 5, height: int = 3, focal: float = 4.0, z: float = 2.0) -> Camera:
+    """Above the origin, x to the right and y up."""
+    pose = np.eye(4)
+    pose[2, 3] = z
+    return Camera(width, height, focal, pose)
