@@ -23,6 +23,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, group_bits, popcount, slots_of
 from nerfbake.kernels.lookup import as_points
+from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.kernels.topology import all_finite, count_problem, plural
 from nerfbake.scene.octree import Lookup
 
@@ -111,6 +112,17 @@ class VdbTopology:
 
         return tables_of(self.root_origin, self.upper_mask, self.lower_mask, self.leaf_mask)
 
+    def in_order(self) -> tuple[VdbTopology, Ints]:
+        """The same voxels with the root's tiles sorted, and (l,) the leaf here that each leaf there is.
+
+        Other programs keep the tiles as they like. The masks must agree.
+        """
+        tiles = np.argsort(root_keys(self.root_origin), kind="stable")
+        lowers = rows_of_runs(popcount(self.upper_mask), tiles)
+        leaves = rows_of_runs(popcount(self.lower_mask), lowers)
+        masks = self.upper_mask[tiles], self.lower_mask[lowers], self.leaf_mask[leaves]
+        return VdbTopology(self.root_origin[tiles], *masks), leaves
+
     def structure_problems(self) -> list[Problem]:
         """Masks that disagree about how many nodes there are, and tiles out of order."""
         keys = root_keys(self.root_origin)
@@ -118,6 +130,11 @@ class VdbTopology:
         problems = count_problem("root_origin", astray, self.root_origin, "multiples of 4096")
         if (np.diff(keys) <= 0).any():
             problems.append(Problem("root_origin", "is out of order", "tiles sorted by key, each once"))
+        return problems + self.mask_problems()
+
+    def mask_problems(self) -> list[Problem]:
+        """Masks that disagree about how many nodes there are."""
+        problems = []
         for name, above, below in (("upper_mask", "lower", self.lower_mask), ("lower_mask", "leaf", self.leaf_mask)):
             claimed = int(popcount(getattr(self, name)).sum())
             if claimed != len(below):
