@@ -134,8 +134,8 @@ def main() -> None:
     head |= {"OpenVDB and NanoVDB": _debian("libopenvdb-tools"), "load before": f"{load_before:.2f}"}
     notes = [
         "Medians [least..greatest]; a ratio is of one round. `python benchmarks/vdb.py`, or `make bench`.",
-        "build: the octree in memory becomes grids; write: grids become a file. `nerfbake vdb` is the whole process: it "
-        "reads the octree (.svo.npz), imports Python's libraries, builds and writes.",
+        "build: the octree in memory becomes grids; write: grids become a file. `nerfbake vdb` is the whole process: "
+        "Python's start and imports, reading the octree (.svo.npz), build and write.",
         "nanovdb_convert is a whole process, too: it reads our .vdb of the same grid and writes a .nvdb with all "
         "statistics and a partial checksum; ours has the same.",
         "pyopenvdb has the voxels as a dense array, copies it into a grid and writes that (blosc); it reads with "
