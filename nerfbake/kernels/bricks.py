@@ -84,17 +84,17 @@ def _tree(
     edge = 1 << max(int(side) - 1 for side in size).bit_length()
     corner, cell = np.zeros((1, 3), np.int64), np.zeros(1, np.int64)
     low, solid, parts = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)], []
+    step = (np.arange(8) & 1) << 6 | (np.arange(8) >> 1 & 1) << 3 | np.arange(8) >> 2  # to each octant's slot
     start = above = 0
     for nodes in level_sizes:
         if start:
             own = slots[start - 1 : start - 1 + nodes]
-            parent, octant = own // 8 - (start - above), own & 7
+            parent, octant = (own >> 3) - (start - above), own & 7
             edge //= 2
             if edge >= 8:
                 corner, cell = corner[parent] + (octant[:, None] >> np.arange(3) & 1) * edge, np.arange(nodes) << 9
             else:
-                step = (np.arange(8) & 1) << 6 | (np.arange(8) >> 1 & 1) << 3 | np.arange(8) >> 2
-                cell = cell[parent] + step[octant] * edge
+                cell = cell[parent] + (step * edge)[octant]
         own = np.flatnonzero(filled[start : start + nodes])
         number = (start + own).astype(np.int32)
         if edge > 8:
