@@ -133,7 +133,8 @@ def main() -> None:
     head |= environment("numpy", "zlib-ng", "blosc", "nerfbake")
     head |= {"OpenVDB and NanoVDB": _debian("libopenvdb-tools"), "load before": f"{load_before:.2f}"}
     notes = [
-        "Medians [least..greatest]; a ratio is of one round. `python benchmarks/vdb.py`, or `make bench`.",
+        "Medians [least..greatest]; a ratio is of one round. `python benchmarks/vdb.py`, or `make bench`. "
+        "A load above 0 means that other work shared the cores.",
         "build: the octree in memory becomes grids; write: grids become a file. `nerfbake vdb` is the whole process: "
         "Python's start and imports, reading the octree (.svo.npz), build and write.",
         "nanovdb_convert is a whole process, too: it reads our .vdb of the same grid and writes a .nvdb with all "
