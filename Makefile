@@ -17,6 +17,7 @@ setup: $(VENV)/ready  ## a virtual environment of our own, with everything that 
 
 # Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
 READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
+READERS += g++ libnanovdb-dev zlib1g-dev
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
 tools:  ## other programs that read our files in tests, OpenVDB to Blender: from Debian, where they are missing and we are root
@@ -63,6 +64,7 @@ golden: setup  ## tests/golden anew: the frozen bytes of every format; say why i
 bench: setup  ## the figures of the README, anew: benchmarks/results
 	$(BIN)/python benchmarks/svo.py
 	$(BIN)/python benchmarks/formats.py
+	$(BIN)/python benchmarks/vdb.py
 
 clean:  ## what make made
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -42,6 +42,7 @@ FORMATS = (
     Format("svo.bson", _OCTREE, ".svo.bson", "nerfbake.formats.octree_bson", "octree, BSON", profiles=_BULK),
     Format("svo.fb", _OCTREE, ".svo.fb", "nerfbake.formats.octree_flatbuffers", "octree, FlatBuffers", profiles=_BULK),
     Format("svo.capnp", _OCTREE, ".svo.capnp", "nerfbake.formats.octree_capnp", "octree, Cap'n Proto", profiles=_BULK),
+    Format("vdb.npz", "Volume", ".vdb.npz", "nerfbake.formats.vdb_npz", "VDB grids, plain NumPy arrays"),
     Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
     Format("depth.png", "Depth", ".depth.png", "nerfbake.formats.depth_png", "depth, thousandths of a world unit"),
     Format("depth.npy", "Depth", ".depth.npy", "nerfbake.formats.depth_npy", "depth, world units"),

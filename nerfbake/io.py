@@ -72,7 +72,7 @@ def load_with_format(
         packed = view[:4] == COMPRESSION_MAGIC
         if packed:
             view = load_compression().decompress(view, max_memory=max_memory)
-            path = _uncompressed(path)
+            path = uncompressed(path)
         form = format_of_content(path, bytes(view[:512]))
         extra: dict[str, Any] = {}
         if form.companion and path:
@@ -234,7 +234,7 @@ def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Form
     Raises UsageError where neither `to` nor the target's ending names one for this scene type.
     """
     wanted = str(target) if to is None else to
-    form = _format_for(_uncompressed(str(target)), scene, None if to is None else _uncompressed(to))
+    form = _format_for(uncompressed(str(target)), scene, None if to is None else uncompressed(to))
     return _compressed(form) if wanted.lower().endswith(COMPRESSED) else form
 
 
@@ -248,7 +248,7 @@ def _format_for(target: str, scene: str, to: str | None) -> Format:
     return format_of_path(target, scene)
 
 
-def _uncompressed(name: str) -> str:
+def uncompressed(name: str) -> str:
     """A path, or a format's name, without the ending of a compressed file."""
     return name[: -len(COMPRESSED)] if name.lower().endswith(COMPRESSED) else name
 

@@ -30,6 +30,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
 }
 # The one library that a file is about.
 OWN_LIBRARY = {
+    "_blosc": {"blosc"},
     "_deflate": {"zlib_ng"},
     "_npz_reader": {"zlib_ng"},
     "_npz_writer": {"zlib_ng"},
@@ -51,6 +52,7 @@ OWN_LIBRARY = {
     "plot": {"matplotlib"},
 }
 HEAVY = {
+    "blosc",
     "numba",
     "PIL",
     "trimesh",

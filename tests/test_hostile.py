@@ -9,6 +9,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from tests.formats.octrees import SPELLINGS
 from tests.formats.test_n3tree_npz import archive, svox
 from tests.hostile import complaint
 from tests.scenes import n3tree
+from tests.vdb_readers import blosc_for_zip, bloscked
 
 Arrays = dict[str, Any]
 
@@ -242,7 +244,7 @@ def test_a_chain_of_nodes_ends_soon(tmp_path: Path, capfd: pytest.CaptureFixture
 DAMAGED: list[tuple[str, str, str | None]] = [("svo", "npz", None), ("svo", "stored.npz", None)]
 DAMAGED += [("convert", name, profile) for name, profile in SPELLINGS]
 DAMAGED += [("convert", "svo.pb.zst", "report"), ("convert", "svo.npz.zst", None)]
-DAMAGED += [("convert", suffix, None) for suffix in ("vdb", "nvdb", "zip.nvdb")]
+DAMAGED += [("convert", suffix, None) for suffix in ("vdb", "nvdb", "zip.nvdb", "vdb.npz", "blosc.vdb", "blosc.nvdb")]
 
 
 @pytest.mark.slow
@@ -253,9 +255,13 @@ def test_damaged_files(command: str, suffix: str, profile: str | None, tmp_path:
     source = tmp_path / f"good.{suffix}"
     if command == "svo":
         source.write_bytes(archive(svox(tree), deflated=suffix == "npz"))
-    elif suffix.endswith("vdb"):
-        grids = ("density", "sh") if suffix == "vdb" else ("index",)
-        save(source, build_vdb(build_octree(tree), grids=grids), codec="none" if suffix == "nvdb" else "zip")
+    elif "vdb" in suffix:
+        grids = ("index",) if "nvdb" in suffix else ("density", "sh")
+        codec: Any = {"codec": "zip"} if suffix == "zip.nvdb" else {}
+        with blosc_for_zip() if suffix == "blosc.vdb" else nullcontext():
+            save(source, build_vdb(build_octree(tree), grids=grids), **codec)
+        if suffix == "blosc.nvdb":
+            source.write_bytes(bloscked(source.read_bytes()))
     else:
         options: Any = {"profile": profile} if profile else {}
         save(source, build_octree(tree), **options)

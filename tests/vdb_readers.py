@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import blosc
 import numpy as np
 import numpy.typing as npt
+import pytest
 
+from nerfbake.formats import _nanovdb_nodes as nano
+from nerfbake.formats import _openvdb_writer
+from nerfbake.formats._openvdb_stream import BLOSC
 from nerfbake.scene.vdb import IndexGrid, VdbTree, topology_of
 from nerfbake.scene.volume import Volume
 
@@ -76,6 +84,32 @@ def by_coords(coords: npt.NDArray[Any], values: npt.NDArray[Any]) -> dict[tuple[
     found = {tuple(c): tuple(v) for c, v in zip(coords.tolist(), values.astype(np.float64).tolist(), strict=True)}
     assert len(found) == len(coords)
     return found
+
+
+@contextmanager
+def blosc_for_zip() -> Iterator[None]:
+    """Makes save() write .vdb files as other programs do: blosc (LZ4, shuffled), short buffers as they are."""
+
+    def pack(data: memoryview) -> bytes:
+        packed = blosc.compress(bytes(data), 4, cname="lz4") if len(data) >= 48 else data
+        smaller = len(packed) < len(data)
+        return struct.pack("<q", len(packed) if smaller else -len(data)) + (packed if smaller else data)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_openvdb_writer, "ZIP", BLOSC)
+        patch.setattr(_openvdb_writer, "_zipped", pack)
+        yield
+
+
+def bloscked(nvdb: bytes) -> bytes:
+    """An unpacked .nvdb with codec 2."""
+    file, meta = np.frombuffer(nvdb, nano.FILE, 1).copy(), np.frombuffer(nvdb, nano.META, 1, nano.FILE.itemsize).copy()
+    front = nano.FILE.itemsize + nano.META.itemsize + int(meta["name_size"][0])
+    packed = blosc.compress(nvdb[front:], 4, cname="lz4")
+    file["codec"] = meta["codec"] = nano.CODECS["blosc"]
+    meta["file_size"] = 8 + len(packed)
+    name = nvdb[nano.FILE.itemsize + nano.META.itemsize : front]
+    return b"".join([file.tobytes(), meta.tobytes(), name, struct.pack("<Q", len(packed)), packed])
 
 
 def transform(*, scale: tuple[float, float, float] = (0.25, 0.25, 0.25)) -> npt.NDArray[np.float64]:

@@ -13,16 +13,18 @@ from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
 
 GRIDS = "density, Cd (colour seen from everywhere on average), sh (coefficients); or index (all behind one topology)."
-DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density"}
-DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}
+DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"}
+DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
 
 
 @click.command()
 @reads
 @writes
-@click.option("--grids", help=f"{GRIDS}  [default: density,Cd for .vdb, density for .nvdb]")
+@click.option("--grids", help=f"{GRIDS}  [default: density,Cd, but density for .nvdb]")
 @click.option("--half", is_flag=True, help="Store values as float16.")
-@click.option("--codec", type=click.Choice(["none", "zip"]), help="[default: zip for .vdb, none for .nvdb]")
+@click.option(
+    "--codec", type=click.Choice(["none", "zip"]), help="Of .vdb and .nvdb.  [default: zip for .vdb, none for .nvdb]"
+)
 @click.option("--resolution", type=Resolution(), help="Voxels an axis, of a PlenOctree.  [default: its finest]")
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
 @click.option("--up", type=click.Choice(["y", "z"]), default="z", show_default=True, help="The axis that z becomes.")
@@ -40,7 +42,7 @@ def vdb(
     budget: Budget,
     words: Words,
 ) -> None:
-    """Write the PlenOctree or octree IN as OpenVDB (.vdb) or NanoVDB (.nvdb, one grid a file).
+    """Write the PlenOctree or octree IN as OpenVDB (.vdb), NanoVDB (.nvdb, one grid a file) or arrays (.vdb.npz).
 
     \b
       nerfbake vdb chair.npz chair.vdb
@@ -51,7 +53,10 @@ def vdb(
     budget.require(target)
     if budget.min_psnr is not None and up != "z":
         raise UsageError("--min-psnr looks at IN and OUT with the same cameras; allowed: --up z")
-    form = io.format_for(target.path, "Volume", to=target.to).name
+    form = io.uncompressed(io.format_for(target.path, "Volume", to=target.to).name)
+    codecs = {"codec": codec or DEFAULT_CODEC[form]} if form in DEFAULT_CODEC else {}
+    if codec and not codecs:
+        raise UsageError(f"a .{form} has no codecs; allowed: no --codec, .{form}.zst")
     wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
     scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
     judged = scene
@@ -64,5 +69,5 @@ def vdb(
         volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, **options)
     if form == "nvdb" and half and wanted == ("density",):
         words.say("note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros")
-    target.write(words, volume, codec=codec or DEFAULT_CODEC[form])
+    target.write(words, volume, **codecs)
     budget.judge(words, source, judged, target)

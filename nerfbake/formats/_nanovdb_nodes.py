@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MAGIC = int.from_bytes(b"NanoVDB0", "little")
-CODECS = {"none": 0, "zip": 1}
+CODECS = {"none": 0, "zip": 1, "blosc": 2}
+BLOSC_CHUNK = 1 << 30  # bytes of a grid in one blosc buffer
 HALF_CHECKSUM = 0xFFFFFFFF  # in place of the second CRC: only the first is kept
 EMPTY_BOX = np.array([2**31 - 1] * 3 + [-(2**31)] * 3, np.int32)
 FOG_VOLUME, INDEX_CLASS, CHANNEL_BLIND = 2, 8, 4

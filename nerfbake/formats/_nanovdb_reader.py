@@ -1,4 +1,8 @@
-"""A NanoVDB file from anywhere: every count and offset is held to what a breadth-first tree must have."""
+"""A NanoVDB file from anywhere: every count and offset is held to what a breadth-first tree must have.
+
+The root's tiles may stand in any order: NanoVDB looks for them one by one (its binary search is switched off), and
+nanovdb_convert leaves them in OpenVDB's, by signed coordinates. We write them sorted by key, which any search finds.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,8 @@ from nerfbake.errors import InvalidFile, MemoryLimit, Problem, one_line
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._deflate import inflate
 from nerfbake.formats._vdb_frame import NAME, parse_frame
-from nerfbake.kernels.bitmask import slots_of
+from nerfbake.kernels.bitmask import popcount, slots_of
+from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, root_keys
 from nerfbake.scene.volume import OctreeFrame, Volume
 
@@ -35,20 +40,35 @@ def read_file(view: memoryview, *, max_memory: int) -> Volume:
     if len(payload) < stored:
         raise InvalidFile(Problem("the grid", f"ends after {len(payload):,} bytes", f"{stored:,} as its metadata says"))
     codec = int(meta["codec"])
-    if codec == nano.CODECS["zip"]:
+    if codec not in nano.CODECS.values():
+        raise InvalidFile(Problem("the grid", f"has codec {codec}", "0 (none), 1 (zip) or 2 (blosc)"))
+    if codec != nano.CODECS["none"]:
         if size > max_memory:
             raise MemoryLimit("the grid", size, max_memory)
-        payload = memoryview(inflate(payload[8:], size, "the grid"))
-    elif codec != nano.CODECS["none"]:
-        raise InvalidFile(Problem("the grid", f"has codec {codec}", "0 (none) or 1 (zip)"))
+        zipped = codec == nano.CODECS["zip"]
+        payload = memoryview(inflate(payload[8:], size, "the grid") if zipped else _unblosced(payload, size))
     if len(payload) != size:
         raise InvalidFile(Problem("the grid", f"has {len(payload):,} bytes", f"{size:,} as its metadata says"))
     return _read_grid(payload)
 
 
+def _unblosced(payload: memoryview, size: int) -> bytes:
+    """The grid from buffers of at most 1 GiB each: u64 size | blosc buffer."""
+    from nerfbake.formats._blosc import unblosc  # only files of other programs need it
+
+    parts, at = [], 0
+    for start in range(0, size, nano.BLOSC_CHUNK):
+        stored = int(_structs(payload, at, np.dtype("<u8"), 1, "a blosc buffer's size")[0])
+        buffer = payload[at + 8 : at + 8 + stored]
+        parts.append(unblosc(buffer, min(nano.BLOSC_CHUNK, size - start), "the grid"))
+        at += 8 + stored
+    return b"".join(parts)
+
+
 class _Tree(NamedTuple):
     layout: nano.Layout
     topology: VdbTopology
+    order: npt.NDArray[np.int64]  # the stored leaf that each of the topology's is
     leaf: Nodes
     background: npt.NDArray[np.float32]
 
@@ -69,6 +89,9 @@ def _read_grid(view: memoryview) -> Volume:
     grid: VdbTree | IndexGrid
     if layout is nano.ON_INDEX:
         table, frame = _read_blind(view, head, tree.topology.m)
+        if (np.diff(tree.order) < 0).any():
+            rows = rows_of_runs(popcount(tree.leaf["mask"]), tree.order)
+            table = table[np.append(0, 1 + rows)]
         grid = IndexGrid(name, tree.topology, table)
     else:
         grid = VdbTree(name, tree.topology, _values(tree), tree.background)
@@ -81,7 +104,8 @@ def _verify(view: memoryview, head: Any, layout: nano.Layout) -> str:
     if first == second == nano.HALF_CHECKSUM:
         return "none"
     tree = _structs(view, nano.GRID.itemsize, nano.TREE, 1, "TreeData")[0]
-    end = nano.GRID.itemsize + int(tree["offsets"][2])
+    # nanovdb_convert says 0 where there are no upper nodes.
+    end = nano.GRID.itemsize + int(tree["offsets"][2] or tree["offsets"][3] + layout.root.itemsize)
     found = zlib.crc32(view[16:end])
     if found != first:
         raise InvalidFile(Problem("the checksum", f"is {first:08x}", f"{found:08x}, the CRC-32 of what stands there"))
@@ -105,22 +129,27 @@ def _read_tree(view: memoryview, layout: nano.Layout) -> _Tree:
         if nodes["tiles"].any():
             raise InvalidFile(Problem(what, "have active tiles", "active voxels only"))
     masks = map(np.ascontiguousarray, (upper["children"], lower["children"], leaf["mask"]))
-    topology = VdbTopology(origin, *masks)
+    stored = VdbTopology(origin, *masks)
+    for problem in stored.mask_problems():
+        raise InvalidFile(problem)
+    topology, order = stored.in_order()
     for problem in topology.structure_problems():
         raise InvalidFile(problem)
-    if int(tree["voxels"]) != topology.m:
-        raise InvalidFile(Problem("TreeData", f"counts {tree['voxels']:,} voxels", f"{topology.m:,}, the leaves' bits"))
+    if int(tree["voxels"]) != stored.m:
+        raise InvalidFile(Problem("TreeData", f"counts {tree['voxels']:,} voxels", f"{stored.m:,}, the leaves' bits"))
     if (tiles["child"] + root_at != upper_at + np.arange(uppers) * layout.upper.itemsize).any():
         raise InvalidFile(Problem("the root", "has tiles out of order", "children one after the other"))
-    _require_links(upper, topology.upper_mask, upper_at, lower_at, lower.dtype.itemsize, "upper")
-    _require_links(lower, topology.lower_mask, lower_at, leaf_at, leaf.dtype.itemsize, "lower")
-    wrong = ((leaf["low"] & ~7) != topology.leaf_origin).any(axis=1) & topology.leaf_mask.any(axis=1)
+    _require_links(upper, stored.upper_mask, upper_at, lower_at, lower.dtype.itemsize, "upper")
+    _require_links(lower, stored.lower_mask, lower_at, leaf_at, leaf.dtype.itemsize, "lower")
+    wrong = ((leaf["low"] & ~7) != stored.leaf_origin).any(axis=1) & stored.leaf_mask.any(axis=1)
     if wrong.any():
         first = int(np.argmax(wrong))
-        found, right = leaf["low"][first].tolist(), topology.leaf_origin[first].tolist()
+        found, right = leaf["low"][first].tolist(), stored.leaf_origin[first].tolist()
         raise InvalidFile(Problem(f"leaf {first}", f"lies at {found}", f"{right} and the 7 voxels on"))
     background = np.atleast_1d(root["background"]).astype(np.float32)
-    return _Tree(layout, topology, leaf, background)
+    if layout is nano.ON_INDEX and (leaf["first"] != stored.first + 1).any():
+        raise InvalidFile(Problem("the leaves", "number their voxels otherwise", "from 1 on, leaf after leaf"))
+    return _Tree(layout, topology, order, leaf, background)
 
 
 def _require_links(nodes: Nodes, masks: Nodes, start: int, children: int, size: int, what: str) -> None:
@@ -143,6 +172,7 @@ def _origins(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.int32]:
 def _values(tree: _Tree) -> npt.NDArray[np.float32]:
     """(m, c) the active voxels'."""
     row, slot = slots_of(tree.topology.leaf_mask)
+    row = tree.order[row]
     values = tree.leaf["values"][row, slot]
     if tree.layout is nano.FP16:
         least, quantum = (tree.leaf[name][row] for name in ("least", "quantum"))

@@ -76,6 +76,15 @@ class NpzReader:
                 f"{key}: the deflated data are damaged ({error}); allowed: a whole deflate stream"
             ) from None
 
+    def shaped(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+        """A member whose dtype is one of these kinds (NumPy's letters) and whose shape is this, None for any edge."""
+        array = self.array(key)
+        fits = array.ndim == len(shape) and all(a in (None, b) for a, b in zip(shape, array.shape, strict=True))
+        if array.dtype.kind not in kinds or not fits:
+            allowed = f"({', '.join('any' if edge is None else str(edge) for edge in shape)}) of kind {kinds}"
+            raise InvalidFile(Problem(key, f"has dtype {array.dtype}, shape {array.shape}", allowed))
+        return array
+
     def _read(self, key: str, info: zipfile.ZipInfo, limit: int | None) -> npt.NDArray[Any]:
         packed = self._packed(key, info)
         stream = _Inflater(key, packed, info)

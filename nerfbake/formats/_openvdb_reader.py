@@ -6,44 +6,27 @@ known and what they need is within max_memory.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, MemoryLimit, Problem, one_line
-from nerfbake.formats._deflate import inflate
-from nerfbake.formats._openvdb_stream import ACTIVE_MASK, ALL_VALUES, MAGIC, VERSION, ZIP, Stream
+from nerfbake.formats._openvdb_stream import ACTIVE_MASK, ALL_VALUES, MAGIC, PACKED, VERSION, Stream
+from nerfbake.formats._openvdb_values import Kind, read_leaves, require_code
 from nerfbake.formats._openvdb_writer import TYPES
 from nerfbake.formats._vdb_frame import NAME, parse_frame
-from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, popcount
-from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.bitmask import Words, popcount
 from nerfbake.kernels.runs import rows_of_runs
-from nerfbake.scene.vdb import VdbTopology, VdbTree, root_keys
+from nerfbake.scene.vdb import VdbTopology, VdbTree
 from nerfbake.scene.volume import OctreeFrame, Volume
 
 OLDEST = 222  # the first version whose nodes are stored as today
 MAX_GRIDS = 1000
-_CHUNK = 256  # leaves unpacked at a time by each core
-# Of the codes before a node's values: how many inactive values follow, and whether a mask that chooses among them.
-_INACTIVE_VALUES = (0, 0, 1, 0, 1, 2, 0)
-_SELECTION = (False, False, False, True, True, True, False)
 _SCALES, _AFFINE = ("UniformScaleMap", "ScaleMap"), "AffineMap"
 _SCALES_AND_MOVES = ("UniformScaleTranslateMap", "ScaleTranslateMap")
 _MAPS = (*_SCALES, *_SCALES_AND_MOVES, "TranslationMap", _AFFINE)
 
 
-class _Kind(NamedTuple):
-    channels: int
-    dtype: np.dtype[Any]
-
-    @property
-    def width(self) -> int:
-        """Bytes of a value."""
-        return self.channels * self.dtype.itemsize
-
-
-KINDS = {name: _Kind(channels, np.dtype(dtype)) for (channels, dtype), name in TYPES.items()}
+KINDS = {name: Kind(channels, np.dtype(dtype)) for (channels, dtype), name in TYPES.items()}
 
 
 def read_file(view: memoryview, *, max_memory: int) -> Volume:
@@ -82,18 +65,21 @@ def _read_grid(stream: Stream, max_memory: int) -> tuple[VdbTree, npt.NDArray[np
         found = f"stands at bytes {start:,} to {end:,}"
         raise InvalidFile(Problem(what, found, f"{stream.at:,} to {len(stream.view):,} at most"))
     (flags,) = stream.numbers("I", what)
-    if flags & ~(ZIP | ACTIVE_MASK):
-        raise InvalidFile(Problem(what, f"has compression {flags}", "0 to 3: none, zip, active mask; not blosc"))
+    if flags & ~(PACKED | ACTIVE_MASK):
+        raise InvalidFile(Problem(what, f"has compression {flags}", "0 to 7: none, zip, active mask, blosc"))
     metadata = stream.metadata()
     transform = _read_map(stream)
-    topology, background, order = _read_masks(stream, kind, flags, what)
-    if (need := topology.m * kind.width) > max_memory:
+    stored, background = _read_masks(stream, kind, flags, what)
+    if (need := stored.m * kind.width) > max_memory:
         raise MemoryLimit(what, need, max_memory)
-    values = _read_values(stream, topology.leaf_mask[order], kind, flags, what)
+    values = read_leaves(stream, stored.leaf_mask, kind, flags, what)
     if stream.at != end:
         raise InvalidFile(Problem(what, f"ends at byte {stream.at:,}", f"{end:,} as it says"))
-    if (order[1:] < order[:-1]).any():
-        values = values[rows_of_runs(popcount(topology.leaf_mask[order]), np.argsort(order))]
+    topology, order = stored.in_order()
+    for problem in topology.structure_problems():
+        raise InvalidFile(problem)
+    if (np.diff(order) < 0).any():
+        values = values[rows_of_runs(popcount(stored.leaf_mask), order)]
     frame = parse_frame(metadata[NAME]) if NAME in metadata else None
     return VdbTree(name, topology, values, background), transform, frame
 
@@ -112,10 +98,8 @@ def _read_map(stream: Stream) -> npt.NDArray[np.float64]:
 
 
 # -- the tree --------------------------------------------------------------------------------------------------
-def _read_masks(
-    stream: Stream, kind: _Kind, flags: int, what: str
-) -> tuple[VdbTopology, npt.NDArray[np.float32], Ints]:
-    """The topology, the background, and the file's order of leaves as rows of the topology's."""
+def _read_masks(stream: Stream, kind: Kind, flags: int, what: str) -> tuple[VdbTopology, npt.NDArray[np.float32]]:
+    """The tree with its tiles in the file's order, and the background."""
     (buffers,) = stream.numbers("I", what)
     if buffers != 1:
         raise InvalidFile(Problem(what, f"has {buffers:,} buffers a leaf", "1"))
@@ -134,18 +118,10 @@ def _read_masks(
             lowers.append(lower)
             leaves.append(stream.array("<u8", 8 * int(popcount(lower[None])[0]), what))
     origin = np.array(origins, np.int32).reshape(-1, 3)
-    upper_mask, lower_mask = _stacked(uppers, 512), _stacked(lowers, 64)
-    leaf_mask = _stacked(leaves, 8)
-    order = np.argsort(root_keys(origin), kind="stable")
-    lower_order = rows_of_runs(popcount(upper_mask), order)
-    leaf_order = rows_of_runs(popcount(lower_mask), lower_order)
-    topology = VdbTopology(origin[order], upper_mask[order], lower_mask[lower_order], leaf_mask[leaf_order])
-    for problem in topology.structure_problems():
-        raise InvalidFile(problem)
-    return topology, background, np.argsort(leaf_order)
+    return VdbTopology(origin, _stacked(uppers, 512), _stacked(lowers, 64), _stacked(leaves, 8)), background
 
 
-def _read_node(stream: Stream, size: int, kind: _Kind, flags: int, what: str) -> Words:
+def _read_node(stream: Stream, size: int, kind: Kind, flags: int, what: str) -> Words:
     """An inner node's child mask; its values are background, since it may have no active tiles."""
     children = stream.array("<u8", size // 8, what)
     _require_no_tile(bool(stream.array("<u8", size // 8, what).any()), what)
@@ -153,16 +129,15 @@ def _read_node(stream: Stream, size: int, kind: _Kind, flags: int, what: str) ->
     count = size * 8 if code == ALL_VALUES or not flags & ACTIVE_MASK else 0
     # An empty array of halves has not even a size.
     if count or kind.dtype != np.float16:
-        stream.packed(count * kind.width, flags, what)
+        stream.skip_packed(count * kind.width, flags, what)
     return children
 
 
-def _read_code(stream: Stream, mask_size: int, kind: _Kind, what: str) -> int:
+def _read_code(stream: Stream, mask_size: int, kind: Kind, what: str) -> int:
     """How a node's values are stored, with the inactive ones read over."""
     (code,) = stream.numbers("B", what)
-    if code > ALL_VALUES:
-        raise InvalidFile(Problem(what, f"has a node stored in way {code}", f"0 to {ALL_VALUES}"))
-    stream.take(_INACTIVE_VALUES[code] * kind.width + (mask_size if _SELECTION[code] else 0), what)
+    require_code(code, what)
+    stream.take(kind.beside(code, mask_size), what)
     return int(code)
 
 
@@ -173,32 +148,3 @@ def _require_no_tile(active: bool, what: str) -> None:
 
 def _stacked(rows: list[Words], width: int) -> Words:
     return np.concatenate(rows or [np.zeros(0, np.uint64)]).astype(np.uint64).reshape(-1, width)
-
-
-# -- values ----------------------------------------------------------------------------------------------------
-def _read_values(stream: Stream, masks: Words, kind: _Kind, flags: int, what: str) -> npt.NDArray[Any]:
-    """(m, c) the active voxels' values, leaves in the file's order."""
-    counts = popcount(masks)
-    octets = masks.astype("<u8").view(np.uint8)
-    stored = []
-    for i, count in enumerate(counts.tolist()):
-        if bytes(stream.take(64, what)) != octets[i].tobytes():
-            raise InvalidFile(Problem(what, f"has two masks for leaf {i:,}", "the same one twice"))
-        code = _read_code(stream, 64, kind, what)
-        held = 512 if code == ALL_VALUES or not flags & ACTIVE_MASK else count
-        piece = stream.packed(held * kind.width, flags, what) if held or kind.dtype != np.float16 else (b"", False)
-        stored.append((*piece, held))
-    values = np.empty((int(counts.sum()), kind.channels), kind.dtype)
-    first = exclusive_sum(counts).tolist()
-
-    def work(begin: int, end: int) -> None:
-        for i in range(begin, end):
-            piece, zipped, held = stored[i]
-            data = inflate(piece, held * kind.width, what) if zipped else piece
-            part = np.frombuffer(data, kind.dtype.newbyteorder("<")).reshape(held, kind.channels)
-            if held == 512:
-                part = part[np.unpackbits(octets[i], bitorder="little").view(bool)]
-            values[first[i] : first[i] + len(part)] = part
-
-    over_chunks(work, len(stored), _CHUNK)
-    return values

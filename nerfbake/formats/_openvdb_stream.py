@@ -12,7 +12,8 @@ from nerfbake.errors import InvalidFile, Problem
 
 MAGIC, VERSION = 0x56444220, 224
 UUID = b"00000000-0000-0000-0000-000000000000"
-ZIP, ACTIVE_MASK = 1, 2  # of a grid's compression flags
+ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4  # of a grid's compression flags
+PACKED = ZIP | BLOSC  # blosc goes first where a grid has both
 ACTIVE_ONLY, ALL_VALUES = 0, 6  # codes before a node's values
 MAX_TEXT = 1 << 20
 MAX_ENTRIES = 10_000
@@ -66,11 +67,11 @@ class Stream:
             entries[name] = self.raw_text(f"metadata {name[:40]!r}")
         return entries
 
-    def packed(self, size: int, flags: int, what: str) -> tuple[memoryview, bool]:
-        """What is stored for `size` bytes of a grid with these flags, and whether it is a zlib stream."""
-        if not flags & ZIP:
-            return self.take(size, what), False
-        (stored,) = self.numbers("q", what)
-        if stored <= 0 and -stored != size:
-            raise InvalidFile(Problem(what, f"has {-stored:,} bytes", f"{size:,}"))
-        return self.take(abs(stored), what), stored > 0
+    def skip_packed(self, size: int, flags: int, what: str) -> None:
+        """Reads over what is stored for `size` bytes of a grid with these flags."""
+        stored = -size
+        if flags & PACKED:
+            (stored,) = self.numbers("q", what)
+            if stored <= 0 and -stored != size:
+                raise InvalidFile(Problem(what, f"has {-stored:,} bytes", f"{size:,}"))
+        self.take(abs(stored), what)

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from nerfbake.formats._capnp import Field, Message, Struct, write_struct
-from nerfbake.formats._octree import Blob, Profile, blob_of, children_with, octree_of, small_fields
+from nerfbake.formats._capnp import Field, Message, write_struct
+from nerfbake.formats._octree import Profile, array_fields, blob_in, children_with, octree_of, small_fields
 from nerfbake.scene.octree import SparseVoxelOctree
 
 _DATA_WORDS, _POINTERS = 2, 10  # of the schema's struct
@@ -47,8 +45,8 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "
         octree.origin,
         octree.voxel_size,
         octree.extra_data,
-        None if report else _array(children),
-        None if report else _array(data),
+        None if report else array_fields(children),
+        None if report else array_fields(data),
     ]
     yield from write_struct([*octree.size, octree.data_dim], fields)
 
@@ -62,8 +60,8 @@ def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
             "width": root.number(0),
             "height": root.number(1),
             "depth": root.number(2),
-            "node_children": _blob(root.struct(8)) or root.array(1, "<i4"),
-            "node_data": _blob(root.struct(9)) or root.array(2, "<f4"),
+            "node_children": blob_in(root.struct(8)) or root.array(1, "<i4"),
+            "node_data": blob_in(root.struct(9)) or root.array(2, "<f4"),
             "data_format": root.text(3),
             "data_dim": root.number(3),
             "level_sizes": root.array(4, "<i4"),
@@ -72,15 +70,3 @@ def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
             "extra_data": root.array(7, "<f4"),
         }
     )
-
-
-def _array(values: npt.NDArray[Any]) -> list[Field]:
-    """The schema's struct Array."""
-    blob = blob_of(values)
-    return [blob.dtype, np.array(blob.shape, np.uint64), np.frombuffer(blob.data, np.uint8)]
-
-
-def _blob(found: Struct | None) -> Blob | None:
-    if found is None:
-        return None
-    return Blob(found.text(0), tuple(found.array(1, "<u8").tolist()), found.array(2, "u1").data)

@@ -9,18 +9,16 @@ Arrays are handed over as they stand in memory, and a file's arrays are views of
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from nerfbake.formats._flatbuffers import Field, Table, write_table
 from nerfbake.formats._octree import (
     MAX_2GIB,
     SMALL_SIZE,
-    Blob,
     Profile,
-    blob_of,
+    array_fields,
+    blob_in,
     children_with,
     octree_of,
     require_size,
@@ -55,8 +53,8 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "
         octree.origin,
         octree.voxel_size,
         octree.extra_data,
-        None if report else _array(children),
-        None if report else _array(data),
+        None if report else array_fields(children),
+        None if report else array_fields(data),
     ]
     yield from write_table(fields, IDENTIFIER)
 
@@ -70,8 +68,8 @@ def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
             "width": root.number(1),
             "height": root.number(2),
             "depth": root.number(3),
-            "node_children": _blob(root.table(12)) or root.array(4, "<i4"),
-            "node_data": _blob(root.table(13)) or root.array(5, "<f4"),
+            "node_children": blob_in(root.table(12)) or root.array(4, "<i4"),
+            "node_data": blob_in(root.table(13)) or root.array(5, "<f4"),
             "data_format": root.text(6),
             "data_dim": root.number(7),
             "level_sizes": root.array(8, "<i4"),
@@ -80,15 +78,3 @@ def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
             "extra_data": root.array(11, "<f4"),
         }
     )
-
-
-def _array(values: npt.NDArray[Any]) -> list[Field]:
-    """The schema's table Array."""
-    blob = blob_of(values)
-    return [blob.dtype, np.array(blob.shape, np.uint64), np.frombuffer(blob.data, np.uint8)]
-
-
-def _blob(table: Table | None) -> Blob | None:
-    if table is None:
-        return None
-    return Blob(table.text(0), tuple(table.array(1, "<u8").tolist()), table.array(2, "u1").data)

@@ -15,7 +15,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,22 +54,13 @@ def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
     npz.require("svo_version", "size", "node_children", "node_data", "data_format", "origin", "voxel_size")
     if (version := npz.scalar("svo_version")) != VERSION:
         raise InvalidFile(Problem("svo_version", f"is {version}", f"{VERSION}"))
-    size = _array(npz, "size", "iu", (3,))
+    size = npz.shaped("size", "iu", (3,))
     return assemble(
         size=(int(size[0]), int(size[1]), int(size[2])),
-        children=_array(npz, "node_children", "i", (None, 8)),
-        data=_array(npz, "node_data", "f", (None, None)),
+        children=npz.shaped("node_children", "i", (None, 8)),
+        data=npz.shaped("node_data", "f", (None, None)),
         data_format=str(npz.scalar("data_format")),
-        origin=_array(npz, "origin", "f", (3,)),
-        voxel_size=_array(npz, "voxel_size", "f", (3,)),
-        extra_data=_array(npz, "extra_data", "f", (None, None)).astype(np.float32) if "extra_data" in npz else None,
+        origin=npz.shaped("origin", "f", (3,)),
+        voxel_size=npz.shaped("voxel_size", "f", (3,)),
+        extra_data=npz.shaped("extra_data", "f", (None, None)).astype(np.float32) if "extra_data" in npz else None,
     )
-
-
-def _array(npz: NpzReader, key: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-    array = npz.array(key)
-    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
-    if array.dtype.kind not in kinds or not fits:
-        allowed = f"({', '.join('any' if edge is None else str(edge) for edge in shape)}) of kind {kinds}"
-        raise InvalidFile(Problem(key, f"has dtype {array.dtype}, shape {array.shape}", allowed))
-    return array

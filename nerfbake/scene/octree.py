@@ -121,7 +121,10 @@ class SparseVoxelOctree(Scene):
     def childless(self) -> npt.NDArray[np.bool_]:
         """(n,) bool: the leaves."""
         childless = np.ones(self.n, bool)
-        childless[: self.c] = ~self.node_children.any(axis=1)
+        if self._parents is not None:  # known from the proof of soundness: a tenth of the time
+            childless[self._parents] = False
+        else:
+            childless[: self.c] = ~self.node_children.any(axis=1)
         return childless
 
     # -- soundness ---------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, group_bits, popcount, slots_of
 from nerfbake.kernels.lookup import as_points
+from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.kernels.topology import all_finite, count_problem, plural
 from nerfbake.scene.octree import Lookup
 
@@ -111,6 +112,17 @@ class VdbTopology:
 
         return tables_of(self.root_origin, self.upper_mask, self.lower_mask, self.leaf_mask)
 
+    def in_order(self) -> tuple[VdbTopology, Ints]:
+        """The same voxels with the root's tiles sorted, and (l,) the leaf here that each leaf there is.
+
+        Other programs keep the tiles as they like. The masks must agree.
+        """
+        tiles = np.argsort(root_keys(self.root_origin), kind="stable")
+        lowers = rows_of_runs(popcount(self.upper_mask), tiles)
+        leaves = rows_of_runs(popcount(self.lower_mask), lowers)
+        masks = self.upper_mask[tiles], self.lower_mask[lowers], self.leaf_mask[leaves]
+        return VdbTopology(self.root_origin[tiles], *masks), leaves
+
     def structure_problems(self) -> list[Problem]:
         """Masks that disagree about how many nodes there are, and tiles out of order."""
         keys = root_keys(self.root_origin)
@@ -118,6 +130,11 @@ class VdbTopology:
         problems = count_problem("root_origin", astray, self.root_origin, "multiples of 4096")
         if (np.diff(keys) <= 0).any():
             problems.append(Problem("root_origin", "is out of order", "tiles sorted by key, each once"))
+        return problems + self.mask_problems()
+
+    def mask_problems(self) -> list[Problem]:
+        """Masks that disagree about how many nodes there are."""
+        problems = []
         for name, above, below in (("upper_mask", "lower", self.lower_mask), ("lower_mask", "leaf", self.leaf_mask)):
             claimed = int(popcount(getattr(self, name)).sum())
             if claimed != len(below):
@@ -139,27 +156,52 @@ def topology_of(coords: npt.NDArray[np.integer[Any]]) -> tuple[VdbTopology, Ints
     """
     if len(coords) and not -(1 << 31) <= int(coords.min()) <= int(coords.max()) < 1 << 31:
         raise InvalidScene(Problem("a voxel", f"lies at {int(np.abs(coords).max())}", "coordinates of 32 bits"))
+    tiles, key = _paths(coords, _STEPS)
+    order = _sorting(key, coords, "voxel")
+    leaves, leaf_mask = group_bits(key[order], LEAF_BITS)
+    return _topology(tiles, leaves, leaf_mask), order
+
+
+def topology_of_leaves(low: npt.NDArray[np.integer[Any]], masks: Words) -> tuple[VdbTopology, Ints]:
+    """The same from leaves: (l, 3) multiples of 8 and (l, 8) masks -> topology, the order of those not empty."""
+    held = np.flatnonzero(masks.any(axis=1))
+    tiles, key = _paths(low[held], _STEPS[:2])
+    order = _sorting(key, low[held], "leaf")
+    return _topology(tiles, key[order], masks[held[order]]), held[order]
+
+
+_STEPS = ((5, 7), (4, 3), (3, 0))  # bits of a slot along an axis, and the coordinate's bits below them
+
+
+def _paths(coords: npt.NDArray[np.integer[Any]], steps: tuple[tuple[int, int], ...]) -> tuple[Ints, Ints]:
+    """The root's tiles by number, and (m,) the row among them and the slots on the way to each voxel."""
     keys = root_keys(coords)
     # One tile is the rule: numbering it needs no sort.
     one = not len(keys) or bool((keys == keys[0]).all())
-    tiles, tile = (keys[:1], np.zeros(len(keys), np.int64)) if one else np.unique(keys, return_inverse=True)
-    key = tile
-    for width, mask in ((5, 31), (4, 15), (3, 7)):
-        shift = {5: 7, 4: 3, 3: 0}[width]
+    tiles, key = (keys[:1], np.zeros(len(keys), np.int64)) if one else np.unique(keys, return_inverse=True)
+    for width, shift in steps:
         for axis in range(3):
-            key = key << width | coords[:, axis].astype(np.int64) >> shift & mask
+            key = key << width | coords[:, axis].astype(np.int64) >> shift & (1 << width) - 1
+    return tiles, key
+
+
+def _sorting(key: Ints, coords: npt.NDArray[np.integer[Any]], what: str) -> Ints:
+    """The order that sorts the keys. Raises InvalidScene where one comes twice."""
     order = np.argsort(key)
-    key = key[order]
-    if (np.diff(key) == 0).any():
-        twice = coords[order[int(np.argmin(np.diff(key)))]]
-        raise InvalidScene(Problem(f"voxel ({', '.join(map(str, twice))})", "is there twice", "each voxel once"))
-    leaves, leaf_mask = group_bits(key, LEAF_BITS)
+    if len(twice := np.flatnonzero(np.diff(key[order]) == 0)):
+        place = ", ".join(map(str, coords[order[twice[0]]]))
+        raise InvalidScene(Problem(f"{what} ({place})", "is there twice", f"each {what} once"))
+    return order
+
+
+def _topology(tiles: Ints, leaves: Ints, leaf_mask: Words) -> VdbTopology:
+    """From (l,) sorted paths of leaves."""
     lowers, lower_mask = group_bits(leaves, LOWER_BITS)
     _, upper_mask = group_bits(lowers, UPPER_BITS)
     half = 1 << ROOT_BITS - 1
     tile_numbers = np.stack([tiles >> 42, tiles >> 21, tiles], axis=1) & (1 << ROOT_BITS) - 1
     root_origin = ((tile_numbers + half) % (2 * half) - half) * 4096  # two's complement of 20 bits
-    return VdbTopology(root_origin.astype(np.int32), upper_mask, lower_mask, leaf_mask), order
+    return VdbTopology(root_origin.astype(np.int32), upper_mask, lower_mask, leaf_mask)
 
 
 @dataclass(frozen=True, eq=False)

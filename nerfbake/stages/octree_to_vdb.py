@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import prod
+from operator import mul
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, MemoryLimit, Problem
+from nerfbake.kernels.bitmask import popcount
+from nerfbake.kernels.bricks import Nodes, bricks_of
+from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.kernels.sh import sh_basis
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, topology_of
+from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, topology_of_leaves
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
 from nerfbake.stages._half import rounded
 
 GRIDS = ("density", "Cd", "sh", "index")
 MAX_MEMORY = 4 << 30
-_WORK_BYTES = 96  # a voxel's coordinates, sort key, order and row while the tree is built
-Ints = npt.NDArray[np.int64]
+_CHUNK = 1 << 14  # voxels at a time
+_WORK_BYTES = 64  # a voxel's node and place while the tree is built
 
 
 def build_vdb(
@@ -50,20 +56,27 @@ def build_vdb(
     _require_usable(octree, grids, up)
     if sigma_min is not None and not sigma_min >= 0:
         raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
-    occupied = octree.childless & (octree.sigma > 0) & (octree.sigma >= (sigma_min or 0.0))
-    width = octree.data_dim * octree.node_data.itemsize + _WORK_BYTES
-    coords, node = _voxels(octree, occupied, lambda count: _require_room(count * width, max_memory))
-    topology, order = topology_of(coords)
+    sigma = np.ascontiguousarray(octree.sigma)  # a copy that lies together: a third of the time of each later read
+    occupied = octree.childless & (sigma > 0) & (sigma >= (sigma_min or 0.0))
+    _require_room(octree, occupied, max_memory)
+    bricks = bricks_of(octree.node_children, octree.level_sizes, occupied, octree.size)
+    topology, order = topology_of_leaves(bricks.low, bricks.mask)
+    node = bricks.node[rows_of_runs(popcount(bricks.mask), order)]
     frame = OctreeFrame(
         octree.size, octree.data_format, octree.layout, octree.origin, octree.voxel_size, octree.extra_data
     )
     dtype = np.dtype(np.float16 if half else np.float32)
-    made = _grids(octree, grids, topology, node[order], dtype)
+    made = _grids(octree, grids, sigma, topology, node, dtype)
     return Volume(tuple(made), _transform(octree, up), frame)
 
 
 def _grids(
-    octree: SparseVoxelOctree, grids: tuple[str, ...], topology: VdbTopology, node: Ints, dtype: np.dtype[Any]
+    octree: SparseVoxelOctree,
+    grids: tuple[str, ...],
+    sigma: npt.NDArray[Any],
+    topology: VdbTopology,
+    node: Nodes,
+    dtype: np.dtype[Any],
 ) -> Iterator[VdbTree | IndexGrid]:
     data, B = octree.node_data, (octree.data_dim - 1) // 3
 
@@ -72,69 +85,57 @@ def _grids(
 
     for grid in grids:
         if grid == "index":
-            table = np.zeros((len(node) + 1, octree.data_dim), dtype)
-            table[1:] = _rounded(grid, data[node], dtype)
-            yield IndexGrid("index", topology, table)
+            yield IndexGrid("index", topology, _rounded(grid, _table(data, node), dtype))
         elif grid == "density":
-            yield tree("density", data[node, -1:])
+            yield tree("density", _picked(sigma[:, None], node, [0]))
         elif grid == "Cd":
             yield tree("Cd", _colour(octree, node))
         else:
             for k in range(B):
-                yield tree(f"sh_{k}", data[node[:, None], [k, B + k, 2 * B + k]])
+                yield tree(f"sh_{k}", _picked(data, node, [k, B + k, 2 * B + k]))
 
 
-def _colour(octree: SparseVoxelOctree, node: Ints) -> npt.NDArray[np.float32]:
+def _colour(octree: SparseVoxelOctree, node: Nodes) -> npt.NDArray[np.float32]:
     """(m, 3) sRGB: what a voxel shows on average."""
     basis = parse_basis(octree.data_format)
-    first = octree.node_data[node[:, None], [0, basis.size, 2 * basis.size]].astype(np.float64)
+    first = _picked(octree.node_data, node, [0, basis.size, 2 * basis.size])
     scale = 1.0 if basis.kind == "RGBA" else float(sh_basis(np.array([[0.0, 0.0, 1.0]]), 1)[0, 0])
-    # tanh is the sigmoid that never overflows: 1 / (1 + exp(-x)) = (1 + tanh(x / 2)) / 2.
-    return (0.5 + 0.5 * np.tanh(0.5 * scale * first)).astype(np.float32)
+    colour = np.empty(first.shape, np.float32)
+
+    def work(begin: int, end: int) -> None:
+        # tanh is the sigmoid that never overflows: 1 / (1 + exp(-x)) = (1 + tanh(x / 2)) / 2.
+        colour[begin:end] = 0.5 + 0.5 * np.tanh(0.5 * scale * first[begin:end].astype(np.float64))
+
+    over_chunks(work, len(first), _CHUNK)
+    return colour
+
+
+def _picked(data: npt.NDArray[Any], node: Nodes, columns: list[int]) -> npt.NDArray[Any]:
+    """(m, len(columns)) of each voxel's node these values."""
+    flat, width = data.reshape(-1), np.int64(data.shape[1])
+    picked = np.empty((len(node), len(columns)), data.dtype)
+
+    def work(begin: int, end: int) -> None:
+        # By their places in the flat array: two thirds of the time of data[node, columns].
+        picked[begin:end] = flat[node[begin:end, None] * width + columns]
+
+    over_chunks(work, len(node), _CHUNK)
+    return picked
+
+
+def _table(data: npt.NDArray[Any], node: Nodes) -> npt.NDArray[Any]:
+    """(m + 1, D) zeros, and each voxel's node."""
+    table = np.zeros((len(node) + 1, data.shape[1]), data.dtype)
+
+    def work(begin: int, end: int) -> None:
+        np.take(data, node[begin:end], axis=0, out=table[1 + begin : 1 + end], mode="clip")  # raise would copy twice
+
+    over_chunks(work, len(node), _CHUNK)
+    return table
 
 
 def _rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     return rounded(values, dtype, what=f"grid {name!r}", asked="--half")
-
-
-# -- voxels ----------------------------------------------------------------------------------------------------
-def _voxels(octree: SparseVoxelOctree, which: npt.NDArray[np.bool_], require_room: Any) -> tuple[Ints, Ints]:
-    """(m, 3) the voxels that these leaves fill, inside the grid, and (m,) the node of each."""
-    size, levels, total = np.array(octree.size), [], 0
-    for start, corner, edge in _levels(octree):
-        own = np.flatnonzero(which[start : start + len(corner)])
-        corner = corner[own]
-        extent = np.clip(size - corner, 0, edge)
-        total += int(extent.prod(axis=1).sum())
-        levels.append((start + own, corner, edge, bool((extent < edge).any())))
-    require_room(total)
-    coords, nodes = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
-    for node, corner, edge, cut in levels:
-        if not len(node):
-            continue
-        reach = np.minimum(edge, (size - corner).max(axis=0)) if cut else np.full(3, edge)
-        steps = np.stack(np.meshgrid(*map(np.arange, reach), indexing="ij"), axis=-1).reshape(-1, 3)
-        voxel = (corner[:, None] + steps).reshape(-1, 3)
-        node = np.repeat(node, len(steps))
-        if cut:
-            inside = (voxel < size).all(axis=1)
-            voxel, node = voxel[inside], node[inside]
-        coords.append(voxel)
-        nodes.append(node)
-    return np.concatenate(coords), np.concatenate(nodes)
-
-
-def _levels(octree: SparseVoxelOctree) -> Iterator[tuple[int, Ints, int]]:
-    """Of each level its first node, (n, 3) the lowest voxels of its nodes, and their edge in voxels."""
-    slots = np.flatnonzero(octree.node_children.reshape(-1))  # of nodes 1, 2, 3, ...
-    corner, start, edge = np.zeros((1, 3), np.int64), 0, 1 << octree.grid_level
-    for nodes in octree.level_sizes:
-        if start:
-            own = slots[start - 1 : start - 1 + nodes]
-            edge //= 2
-            corner = corner[own // 8 - (start - len(corner))] + (own[:, None] >> np.arange(3) & 1) * edge
-        yield start, corner, edge
-        start += nodes
 
 
 def _transform(octree: SparseVoxelOctree, up: Up) -> npt.NDArray[np.float64]:
@@ -161,6 +162,12 @@ def _require_usable(octree: SparseVoxelOctree, grids: tuple[str, ...], up: str) 
         raise InvalidScene(Problem("grid 'sh'", f"of {octree.data_dim} values a node", "3 B + 1 values"))
 
 
-def _require_room(need: int, max_memory: int) -> None:
+def _require_room(octree: SparseVoxelOctree, occupied: npt.NDArray[np.bool_], max_memory: int) -> None:
+    """Raises MemoryLimit. Leaves that reach beyond the grid are counted whole, up to as many voxels as it has."""
+    starts = np.cumsum([0, *octree.level_sizes[:-1]])
+    leaves = np.add.reduceat(occupied, starts, dtype=np.int64)
+    volumes = [8 ** (octree.grid_level - level) for level in range(len(starts))]  # Python's integers do not overflow
+    voxels = min(sum(map(mul, leaves.tolist(), volumes)), prod(octree.size))
+    need = voxels * (octree.data_dim * octree.node_data.itemsize + _WORK_BYTES)
     if need > max_memory:
         raise MemoryLimit("the octree as voxels", need, max_memory)

@@ -16,7 +16,7 @@ from nerfbake.formats import vdb_openvdb
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
 from tests.scenes import assert_same_octree, n3tree
-from tests.vdb_readers import SCENES, by_coords, index, pyopenvdb, tool, transform, tree, volume
+from tests.vdb_readers import SCENES, blosc_for_zip, by_coords, index, pyopenvdb, tool, transform, tree, volume
 
 Codec = Literal["none", "zip"]
 TYPES: dict[str, Any] = {
@@ -138,25 +138,57 @@ def test_vdb_print_sees_the_levels(tmp_path: Path) -> None:
 
 _COPY = """
 import sys, numpy, pyopenvdb
-grid = pyopenvdb.FloatGrid(0.25)
-grid.name = "density"
 rng = numpy.random.default_rng(0)
-dense = numpy.where(rng.random((40, 30, 20)) < 0.3, rng.random((40, 30, 20)), 0.25).astype("f4")
-grid.copyFromArray(dense, ijk=(-13, 5, 4090))
-grid.saveFloatAsHalf = len(sys.argv) > 3
-pyopenvdb.write(sys.argv[1], grids=[grid])
-numpy.save(sys.argv[2], dense)
+grids = []
+for name, kind, shape in (("density", pyopenvdb.FloatGrid, (40, 30, 20)), ("Cd", pyopenvdb.Vec3SGrid, (40, 30, 20, 3))):
+    grid = kind()
+    grid.name = name
+    dense = numpy.where(rng.random((40, 30, 20)) < 0.3, 1, 0).astype("f4")
+    dense = (dense.T * rng.random(shape).T).T.astype("f4")
+    grid.copyFromArray(dense, ijk=(-13, 5, 4090))
+    grid.saveFloatAsHalf = len(sys.argv) > 3
+    numpy.save(f"{sys.argv[2]}_{name}.npy", dense)
+    grids.append(grid)
+pyopenvdb.write(sys.argv[1], grids=grids)
 """
 
 
 @pytest.mark.tools
 @pytest.mark.parametrize("half", [False, True])
 def test_what_openvdb_writes_is_read(half: bool, tmp_path: Path) -> None:
-    """Their files are blosc here; vdb_print cannot change that, so the codec is what one line names."""
-    arguments = [str(tmp_path / "a.vdb"), str(tmp_path / "a.npy"), *(["half"] if half else [])]
+    """As it writes unless told otherwise: active values only, packed by blosc."""
+    arguments = [str(tmp_path / "a.vdb"), str(tmp_path / "dense"), *(["half"] if half else [])]
     subprocess.run(["/usr/bin/python3", "-c", _COPY, *arguments], check=True)
-    with pytest.raises(InvalidFile, match=r"grid 'density' has compression 6; allowed: 0 to 3: .* not blosc"):
-        load(tmp_path / "a.vdb", Volume)
+    read = load(tmp_path / "a.vdb", Volume)
+    assert read.problems() == []
+    for name in ("density", "Cd"):
+        dense = np.load(tmp_path / f"dense_{name}.npy").reshape(40, 30, 20, -1)
+        grid = read.grid(name)
+        assert grid.values.dtype == (np.float16 if half else np.float32)
+        found = np.zeros_like(dense)
+        found[tuple((grid.topology.coords - [-13, 5, 4090]).T)] = grid.values
+        assert_array_equal(found, dense.astype(grid.values.dtype))
+
+
+@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("scene", SCENES)
+def test_blosc_is_read_as_zip_is(scene: str, kind: str) -> None:
+    made = volume(tree(SCENES[scene], **TYPES[kind], background=0.5))
+    with blosc_for_zip():
+        data = encoded(made)
+    back = decoded(data)
+    assert encoded(back) == encoded(made)
+
+
+def test_values_of_inactive_voxels_are_left_out() -> None:
+    """A leaf stored whole (code 6), as OpenVDB writes where inactive values differ."""
+    data = bytearray(encoded(volume(tree([[0, 0, 0], [0, 0, 9]])), codec="none"))
+    at = data.rindex((1).to_bytes(64, "little"))  # the first leaf's mask, before its values
+    values = np.arange(1000, 1512, dtype="<f4")
+    whole = data[: at + 64] + b"\6" + values.tobytes() + data[at + 64 + 5 :]
+    end = data.index(len(data).to_bytes(8, "little"))
+    whole[end : end + 8] = len(whole).to_bytes(8, "little")
+    assert_array_equal(decoded(bytes(whole)).grids[0].values[:, 0], [1000, tree([[0, 0, 0], [0, 0, 9]]).values[1, 0]])
 
 
 # -- Blender ---------------------------------------------------------------------------------------------------

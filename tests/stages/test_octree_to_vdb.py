@@ -84,7 +84,7 @@ def test_half_rounds_and_refuses_what_it_cannot_hold() -> None:
 
 def test_memory_is_bounded_before_it_is_taken() -> None:
     solid = SparseVoxelOctree((4096,) * 3, np.zeros((1, 8), np.int32), np.ones((1, 4), np.float32), "RGBA")
-    with pytest.raises(MemoryLimit, match=r"the octree as voxels needs 7.0 TiB; allowed: 4.0 GiB"):
+    with pytest.raises(MemoryLimit, match=r"the octree as voxels needs 5.0 TiB; allowed: 4.0 GiB"):
         build_vdb(solid)
 
 

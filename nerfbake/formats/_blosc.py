@@ -1,0 +1,32 @@
+"""Blosc's buffers, as OpenVDB writes them unless told otherwise: unpacked to the size they must have, or refused.
+
+u8 version | u8 codec's version | u8 flags | u8 type size | u32 size | u32 block size | u32 packed size | blocks
+"""
+
+from __future__ import annotations
+
+import struct
+
+import blosc
+
+from nerfbake.errors import InvalidFile, Problem
+
+MAX_INFLATION = 255  # LZ4's own bound, the codec that OpenVDB and NanoVDB use
+_HEADER = struct.Struct("<4B3I")
+
+
+def unblosc(packed: memoryview, size: int, what: str) -> bytes:
+    """The `size` bytes of a buffer. Raises InvalidFile, before anything is allocated if it declares another size."""
+    if len(packed) < _HEADER.size:
+        raise InvalidFile(Problem(what, f"has a blosc buffer of {len(packed)} bytes", f"{_HEADER.size} or more"))
+    *_, declared, _, stored = _HEADER.unpack_from(packed)
+    if (declared, stored) != (size, len(packed)):
+        found = f"declares {declared:,} bytes packed in {stored:,}"
+        raise InvalidFile(Problem(what, found, f"{size:,} packed in {len(packed):,}"))
+    if size > MAX_INFLATION * stored:
+        raise InvalidFile(Problem(what, f"declares {size:,} bytes from {stored:,}", f"{MAX_INFLATION} times as many"))
+    try:
+        data: bytes = blosc.decompress(packed)
+    except blosc.blosc_extension.error as error:
+        raise InvalidFile(Problem(what, f"is damaged ({error})", "a whole blosc buffer")) from None
+    return data
