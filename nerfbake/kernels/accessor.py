@@ -76,9 +76,9 @@ def nearest(tables: Tables, dense: bool, table: Floats, points: Points, out: Flo
             p0, p1, p2 = NOWHERE, NOWHERE, NOWHERE
         x, y, z = int(np.floor(p0)), int(np.floor(p1)), int(np.floor(p2))
         if (x >> 3 ^ c0) | (y >> 3 ^ c1) | (z >> 3 ^ c2):
-            leaf, c0, c1, c2 = _leaf_at(tables, x, y, z), x >> 3, y >> 3, z >> 3
-        voxel = _voxel(leaf, x, y, z)
-        row = voxel if dense else _child(tables.leaf, voxel, U(0))
+            leaf, c0, c1, c2 = leaf_at(tables, x, y, z), x >> 3, y >> 3, z >> 3
+        voxel = voxel_of(leaf, x, y, z)
+        row = voxel if dense else child_of(tables.leaf, voxel, U(0))
         for k in range(out.shape[1]):
             out[i, k] = table[row, k]
 
@@ -94,12 +94,12 @@ def trilinear(tables: Tables, dense: bool, table: Floats, points: Points, out: F
         if not dense:
             for i in range(count):
                 for k in range(8):
-                    rows[i, k] = _child(tables.leaf, rows[i, k], U(0))
+                    rows[i, k] = child_of(tables.leaf, rows[i, k], U(0))
         if out.shape[1] == 1:  # a loop of one turn for each point would cost as much as all the rest
             for i in range(count):
                 a, b, c, d = flat[rows[i, 0]], flat[rows[i, 1]], flat[rows[i, 2]], flat[rows[i, 3]]
                 e, f, g, h = flat[rows[i, 4]], flat[rows[i, 5]], flat[rows[i, 6]], flat[rows[i, 7]]
-                out[start + i, 0] = _mixed(a, b, c, d, e, f, g, h, parts[i, 0], parts[i, 1], parts[i, 2])
+                out[start + i, 0] = mixed(a, b, c, d, e, f, g, h, parts[i, 0], parts[i, 1], parts[i, 2])
         else:
             for i in range(count):
                 r0, r1, r2, r3 = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
@@ -108,7 +108,7 @@ def trilinear(tables: Tables, dense: bool, table: Floats, points: Points, out: F
                 for k in range(out.shape[1]):
                     a, b, c, d = table[r0, k], table[r1, k], table[r2, k], table[r3, k]
                     e, f, g, h = table[r4, k], table[r5, k], table[r6, k], table[r7, k]
-                    out[start + i, k] = _mixed(a, b, c, d, e, f, g, h, f0, f1, f2)
+                    out[start + i, k] = mixed(a, b, c, d, e, f, g, h, f0, f1, f2)
 
 
 @compiled()
@@ -127,8 +127,8 @@ def _voxels_around(
         x, y, z = int(np.floor(p0)), int(np.floor(p1)), int(np.floor(p2))
         parts[i, 0], parts[i, 1], parts[i, 2] = p0 - x, p1 - y, p2 - z
         if (x >> 3 ^ c0) | (y >> 3 ^ c1) | (z >> 3 ^ c2):
-            leaf, c0, c1, c2 = _leaf_at(tables, x, y, z), x >> 3, y >> 3, z >> 3
-        voxel = _voxel(leaf, x, y, z)
+            leaf, c0, c1, c2 = leaf_at(tables, x, y, z), x >> 3, y >> 3, z >> 3
+        voxel = voxel_of(leaf, x, y, z)
         for k in range(8):
             voxels[i, k] = voxel + U((k >> 2) << 6 | (k >> 1 & 1) << 3 | k & 1)
         # One in three lies between leaves: a list of them, because no processor can foretell such a branch.
@@ -140,12 +140,12 @@ def _voxels_around(
         across = (4 if x & 7 == 7 else 0) | (2 if y & 7 == 7 else 0) | (1 if z & 7 == 7 else 0)
         for k in range(1, 8):
             x1, y1, z1 = x + (k >> 2), y + (k >> 1 & 1), z + (k & 1)
-            leaf = voxels[i, U(k & across)] >> U(9) if k & ~across else _leaf_at(tables, x1, y1, z1)
-            voxels[i, U(k)] = _voxel(leaf, x1, y1, z1)
+            leaf = voxels[i, U(k & across)] >> U(9) if k & ~across else leaf_at(tables, x1, y1, z1)
+            voxels[i, U(k)] = voxel_of(leaf, x1, y1, z1)
 
 
 @compiled()
-def _mixed(a: F, b: F, c: F, d: F, e: F, f: F, g: F, h: F, f0: F, f1: F, f2: F) -> F:
+def mixed(a: F, b: F, c: F, d: F, e: F, f: F, g: F, h: F, f0: F, f1: F, f2: F) -> F:
     """Of eight voxels, z fastest."""
     g0, g1, g2 = F(1) - f0, F(1) - f1, F(1) - f2
     low = (a * g2 + b * f2) * g1 + (c * g2 + d * f2) * f1
@@ -154,7 +154,7 @@ def _mixed(a: F, b: F, c: F, d: F, e: F, f: F, g: F, h: F, f0: F, f1: F, f2: F) 
 
 
 @compiled()
-def _leaf_at(tables: Tables, x: int, y: int, z: int) -> np.uint64:
+def leaf_at(tables: Tables, x: int, y: int, z: int) -> np.uint64:
     """The number of the leaf that would hold this voxel, or of the empty one."""
     tile = len(tables.tiles)
     for t in range(len(tables.tiles)):
@@ -162,19 +162,19 @@ def _leaf_at(tables: Tables, x: int, y: int, z: int) -> np.uint64:
             tile = t
             break
     slot = (x >> 7 & 31) << 10 | (y >> 7 & 31) << 5 | z >> 7 & 31
-    node = _child(tables.upper, U(tile) << U(15) | U(slot), U(len(tables.lower) >> 6) - U(1))
+    node = child_of(tables.upper, U(tile) << U(15) | U(slot), U(len(tables.lower) >> 6) - U(1))
     slot = (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | z >> 3 & 15
-    return _child(tables.lower, node << U(12) | U(slot), U(len(tables.leaf) >> 3) - U(1))
+    return child_of(tables.lower, node << U(12) | U(slot), U(len(tables.leaf) >> 3) - U(1))
 
 
 @compiled()
-def _voxel(leaf: np.uint64, x: int, y: int, z: int) -> np.uint64:
+def voxel_of(leaf: np.uint64, x: int, y: int, z: int) -> np.uint64:
     """A voxel's number among all of all leaves."""
     return leaf << U(9) | U((x & 7) << 6 | (y & 7) << 3 | z & 7)
 
 
 @compiled()
-def _child(words: Words, slot: np.uint64, nothing: np.uint64) -> np.uint64:
+def child_of(words: Words, slot: np.uint64, nothing: np.uint64) -> np.uint64:
     """The number of the child in a slot of all nodes, or `nothing` where its bit is not set."""
     word, rank, bit = words[slot >> U(6), 0], words[slot >> U(6), 1], slot & U(63)
     # Bits counted in pairs, fours, eights, and all eights added up by a product; compilers know it as popcnt.
