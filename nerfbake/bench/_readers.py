@@ -70,7 +70,7 @@ def reading(name: str, folder: str, channels: int, kinds: list[str], max_memory:
     home = Path(folder)
     files = [home / f"{kind}.f32" for kind in kinds]
     if name.startswith("NanoVDB"):
-        return _nanovdb(home, files, stencil="no" not in name)
+        return _nanovdb(home, files, stencil="no stencil" not in name)
     points = [np.fromfile(file, np.float32).reshape(-1, 3) for file in files]
     read, size = _warp(home) if name == "Warp" else _ours(name, home, channels, max_memory)
 

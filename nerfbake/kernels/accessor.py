@@ -24,8 +24,7 @@ Floats = npt.NDArray[np.float32]
 Points = npt.NDArray[np.float64]
 
 BLOCK = 64  # points whose leaves are found before the first is read: their places stay in the first-level cache
-FAR = float(1 << 30)  # beyond lies nothing, and whole numbers would end soon
-NOWHERE = float(1 << 40)  # where no tile is
+FAR = float(1 << 40)  # where no tile is, and whole numbers have not yet ended
 NO_LEAF = 1 << 40
 U, F = np.uint64, np.float32
 
@@ -71,10 +70,8 @@ def nearest(tables: Tables, dense: bool, table: Floats, points: Points, out: Flo
     """
     leaf, c0, c1, c2 = U(0), NO_LEAF, NO_LEAF, NO_LEAF
     for i in range(len(points)):
-        p0, p1, p2 = points[i, 0] + 0.5, points[i, 1] + 0.5, points[i, 2] + 0.5
-        if not (abs(p0) < FAR) & (abs(p1) < FAR) & (abs(p2) < FAR):
-            p0, p1, p2 = NOWHERE, NOWHERE, NOWHERE
-        x, y, z = int(np.floor(p0)), int(np.floor(p1)), int(np.floor(p2))
+        p0, p1, p2 = _bounded(points[i, 0]), _bounded(points[i, 1]), _bounded(points[i, 2])
+        x, y, z = int(np.floor(p0 + 0.5)), int(np.floor(p1 + 0.5)), int(np.floor(p2 + 0.5))
         if (x >> 3 ^ c0) | (y >> 3 ^ c1) | (z >> 3 ^ c2):
             leaf, c0, c1, c2 = leaf_at(tables, x, y, z), x >> 3, y >> 3, z >> 3
         voxel = voxel_of(leaf, x, y, z)
@@ -121,9 +118,7 @@ def _voxels_around(
     leaf, c0, c1, c2 = U(0), NO_LEAF, NO_LEAF, NO_LEAF
     crossings = U(0)
     for i in range(len(points)):
-        p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
-        if not (abs(p0) < FAR) & (abs(p1) < FAR) & (abs(p2) < FAR):
-            p0, p1, p2 = NOWHERE, NOWHERE, NOWHERE
+        p0, p1, p2 = _bounded(points[i, 0]), _bounded(points[i, 1]), _bounded(points[i, 2])
         x, y, z = int(np.floor(p0)), int(np.floor(p1)), int(np.floor(p2))
         parts[i, 0], parts[i, 1], parts[i, 2] = p0 - x, p1 - y, p2 - z
         if (x >> 3 ^ c0) | (y >> 3 ^ c1) | (z >> 3 ^ c2):
@@ -142,6 +137,13 @@ def _voxels_around(
             x1, y1, z1 = x + (k >> 2), y + (k >> 1 & 1), z + (k & 1)
             leaf = voxels[i, U(k & across)] >> U(9) if k & ~across else leaf_at(tables, x1, y1, z1)
             voxels[i, U(k)] = voxel_of(leaf, x1, y1, z1)
+
+
+@compiled()
+def _bounded(p: float) -> float:
+    """Nearer than FAR, NaN too: two instructions, where a branch for such points took a sixth of all time."""
+    p = p if p > -FAR else -FAR
+    return p if p < FAR else FAR
 
 
 @compiled()
