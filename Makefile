@@ -16,7 +16,7 @@ $(VENV)/ready: pyproject.toml
 setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
 
 # Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
-READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
+READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools libnanovdb-dev g++
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
 tools:  ## other programs that read our files in tests, OpenVDB to Blender: from Debian, where they are missing and we are root

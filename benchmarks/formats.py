@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from nerfbake import build_octree, load, sample_n3tree
-from nerfbake.bench.formats import chart, compare, joined
-from nerfbake.bench.report import WRITERS, Report, Table
+from nerfbake.bench.formats import chart, compare
+from nerfbake.bench.report import WRITERS, Report, Table, joined
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 

@@ -38,6 +38,7 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
     if (box := tree.topology.box) is None:
         return Counts(0, 0, 0)
     place, directions = camera.rays()
+    low, high = (box[k].astype(np.float64) + side for k, side in ((0, -0.5), (1, 0.5)))
     step = STEP * float(volume.voxel_size.min())  # world units
     start = volume.index_of(place)
     forward = volume.index_of(place + directions * step) - start
@@ -45,7 +46,7 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
     table = np.concatenate([tree.background[None], tree.values], dtype=np.float32)
 
     def work(begin: int, end: int) -> None:
-        march(tree.topology.tables, table, step, start, forward[begin:end], box[0] - 0.5, box[1] + 0.5, found[begin:end])
+        march(tree.topology.tables, table, step, start, forward[begin:end], low, high, found[begin:end])
 
     over_chunks(work, len(directions), CHUNK)
     return Counts(*found.sum(axis=0).tolist())

@@ -56,7 +56,16 @@ CONTENDERS = (
 def compile_nanovdb(folder: Path) -> None:
     """Leaves the program in the folder, or a text that says why there is none."""
     compiler = which("g++")
-    command = [compiler or "", "-O3", "-march=native", "-std=c++17", "-DNDEBUG", str(SOURCE), "-o", str(folder / "nanovdb")]
+    command = [
+        compiler or "",
+        "-O3",
+        "-march=native",
+        "-std=c++17",
+        "-DNDEBUG",
+        str(SOURCE),
+        "-o",
+        str(folder / "nanovdb"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False) if compiler else None
     if done is None or done.returncode:
         missing = "g++" if done is None else "NanoVDB's headers" if "nanovdb/" in done.stderr else "a C++17 compiler"

@@ -1,6 +1,9 @@
 """Trilinear reads that Warp compiles for one core."""
 
 # Warp reads these annotations as objects, so they may not be postponed.
+from collections.abc import Callable
+from typing import Any
+
 import warp as wp
 
 wp.config.quiet = True
@@ -13,8 +16,8 @@ def trilinear(volume: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(
     out[i] = wp.volume_sample_f(volume, points[i], wp.Volume.LINEAR)
 
 
-def reader(grid, points, out):
-    """Reads the .nvdb file in these bytes at points (n, 3) float32 into out (n,) float32, each time that it is called."""
+def reader(grid: bytes, points: Any, out: Any) -> Callable[[], None]:
+    """Reads the .nvdb file in these bytes at points (n, 3) float32 into out (n,) float32, whenever it is called."""
     volume = wp.Volume.load_from_nvdb(grid, device="cpu")
     places = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
     values = wp.array(out, dtype=wp.float32, device="cpu", copy=False)

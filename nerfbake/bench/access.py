@@ -39,11 +39,10 @@ REFERENCE = "VDB index"
 KINDS = ("diagonal", "random", "rays", "surface")
 COLUMNS = ["structure", "R", "channels", *(f"{kind} ns" for kind in KINDS), "surface x NanoVDB", "MB", "sums agree"]
 NOTES = [
-    "ns: a trilinear read of one point, one thread, float32 values, median [min..max]; after a pass that does not count.",
+    "ns: one trilinear read, float32 values, one thread, after a pass that does not count: median [min..max].",
     "diagonal: PlenVDB's 800 samples from corner to corner, again and again; random: anywhere in the grid; rays: along "
     "a camera's rays at half a voxel; surface: anywhere in active voxels drawn at random. A million of each.",
-    "Points are float32 values in every row; ours and the compared structures take them as float64, NanoVDB and Warp as "
-    "float32.",
+    "Points are float32 values in every row, which NanoVDB and Warp take as such, all others as float64.",
     "x NanoVDB: the median against the faster of NanoVDB's two rows at the same R, one channel.",
     "MB: the arrays that are read (NanoVDB, Warp: the grid). VDB keeps its leaves dense, VDB index asks masks.",
     "sums agree: of everything read, with VDB index's, to 1e-5 of the sum of absolute values.",
@@ -114,9 +113,7 @@ def chart(report: Report, suffix: str) -> bytes:
     return scatter(points, title=title, x="memory, MB", y="ns a read (median)", suffix=suffix)
 
 
-def _write(
-    folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume, points: int
-) -> list[tuple[str, int]]:
+def _write(folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume, points: int) -> list[tuple[str, int]]:
     """What the children read, and every file that could be written of it: what it is, and bytes."""
     topology = density.grids[0].topology
     if not topology.m:
@@ -124,9 +121,14 @@ def _write(
     for kind, some in kinds_of_points(tree.size, topology, points).items():
         some.tofile(folder / f"{kind}.f32")
     compile_nanovdb(folder)
-    half_density, half_index = (build_vdb(tree, grids=(g,), half=True, max_memory=1 << 46) for g in ("density", "index"))
+    half_density, half_index = (
+        build_vdb(tree, grids=(g,), half=True, max_memory=1 << 46) for g in ("density", "index")
+    )
     io.save(folder / "octree.svo.npz", tree)
-    sizes = [("octree .svo.npz", io.save(folder / "a.svo.npz", tree)), ("octree .svo.pb", io.save(folder / "a.svo.pb", tree))]
+    sizes = [
+        ("octree .svo.npz", io.save(folder / "a.svo.npz", tree)),
+        ("octree .svo.pb", io.save(folder / "a.svo.pb", tree)),
+    ]
     sizes.append(("density .nvdb", io.save(folder / "density.nvdb", density)))
     sizes.append(("index .nvdb", io.save(folder / "index.nvdb", index)))
     for what, volume, ending, codec in (

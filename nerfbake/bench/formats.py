@@ -130,13 +130,6 @@ def compare(octree: SparseVoxelOctree, name: str, *, rounds: int, formats: Itera
     return Report(f"Serializations of an octree: {name}", head, tables, NOTES)
 
 
-def joined(texts: list[str], kind: str) -> str:
-    """The reports of several scenes as one document."""
-    if kind == "json":
-        return f"[{','.join(texts)}]\n" if len(texts) > 1 else texts[0]
-    return "\n".join(texts)
-
-
 def chart(report: Report, suffix: str) -> bytes:
     """Size against the time to write, a point for each row that was measured."""
     points = []

@@ -56,6 +56,13 @@ def as_json(report: Report) -> str:
 WRITERS: dict[str, Callable[[Report], str]] = {"md": markdown, "csv": as_csv, "json": as_json}
 
 
+def joined(texts: list[str], kind: str) -> str:
+    """The reports of several scenes as one document."""
+    if kind == "json":
+        return f"[{','.join(texts)}]\n" if len(texts) > 1 else texts[0]
+    return "\n".join(texts)
+
+
 def _records(table: Table) -> list[dict[str, Any]]:
     records = []
     for row in table.rows:

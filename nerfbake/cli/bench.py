@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,76 @@ from nerfbake.cli.words import Words
 from nerfbake.errors import OutputError, UsageError
 
 
+@dataclass(frozen=True)
+class Target:
+    """Where a report goes, and as what."""
+
+    kind: str
+    output: str | None
+    plot: str | None
+    force: bool
+
+    def require(self) -> None:
+        """Raises, before anything is measured, if it could not be written."""
+        if self.plot and Path(self.plot).suffix not in (".png", ".svg"):
+            raise UsageError(f"the ending of {self.plot!r} names no picture; allowed: .png, .svg")
+        for target in filter(None, (self.output, self.plot)):
+            io.require_absent(target, force=self.force)
+
+    def write(self, reports: list[Any], chart: Callable[[Any, str], bytes]) -> None:
+        """All reports as one document, and the first one's chart."""
+        from nerfbake.bench.report import WRITERS, joined
+
+        text = joined([WRITERS[self.kind](report) for report in reports], self.kind)
+        if self.output:
+            self._replace(self.output, text.encode())
+        else:
+            click.echo(text, nl=False)
+        if self.plot:
+            self._replace(self.plot, chart(reports[0], Path(self.plot).suffix))
+
+    def _replace(self, path: str, content: bytes) -> None:
+        with io.blame(path, OutputError), io.replacing(Path(path), force=self.force) as file:
+            file.write(content)
+
+
+def reports(*, plot: str, rounds: int, most: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Adds --rounds and where the report goes; the command gets `rounds` and a `target` that can be written."""
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        @click.option(
+            "--rounds", type=click.IntRange(1, most), default=rounds, show_default=True, help="Runs that count."
+        )
+        @click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
+        @click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
+        @click.option("--plot", type=click.Path(), help=f"A chart of {plot}, .png or .svg.")
+        @click.option("--force", is_flag=True, help="Replace files that exist.")
+        @speaks
+        @functools.wraps(function)
+        def command(*args: Any, kind: str, output: str | None, plot: str | None, force: bool, **others: Any) -> Any:
+            target = Target(kind, output, plot, force)
+            target.require()
+            return function(*args, target=target, **others)
+
+        return command
+
+    return add
+
+
+class Resolutions(click.ParamType[tuple[int, ...]]):
+    """Voxels an axis, one or several."""
+
+    name = "R,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        edges = value.split(",")
+        if not all(edge.isdecimal() and len(edge) < 5 and 1 <= int(edge) <= 4096 for edge in edges):
+            self.fail(f"{value!r} are no resolutions; allowed: R,R,..., each 1 to 4096", param, ctx)
+        return tuple(dict.fromkeys(map(int, edges)))
+
+
 @click.group()
 def bench() -> None:
     """Compare on your own scene and machine."""
@@ -22,15 +95,10 @@ def bench() -> None:
 @bench.command()
 @click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=click.Path(allow_dash=True))
 @click.option("--resolution", type=Resolution(), help="For a PlenOctree: voxels an axis.  [default: the tree's finest]")
-@click.option("--rounds", type=click.IntRange(1, 1000), default=5, show_default=True, help="Runs that count.")
 @click.option("--formats", metavar="NAME,...", default="", help="Only rows that start so: svo.pb,json.  [default: all]")
-@click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
-@click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
-@click.option("--plot", type=click.Path(), help="A chart of size against time, .png or .svg; of the first SCENE.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
 @click.option("--max-memory", type=Size(), default="4GiB", show_default=True, help="Most that a SCENE may declare.")
-@speaks
-def formats(scenes: tuple[str, ...], words: Words, kind: str, **options: Any) -> None:
+@reports(plot="size against time, of the first SCENE", rounds=5, most=1000)
+def formats(scenes: tuple[str, ...], words: Words, target: Target, rounds: int, **options: Any) -> None:
     """Write each SCENE in every octree format, read it again, and say what it took.
 
     \b
@@ -38,61 +106,74 @@ def formats(scenes: tuple[str, ...], words: Words, kind: str, **options: Any) ->
       nerfbake bench formats a.svo.pb --formats svo.fb,svo.capnp --plot formats.svg
     """
     from nerfbake.bench import formats as benchmark
-    from nerfbake.bench.report import WRITERS
 
-    output, plot, force = options["output"], options["plot"], options["force"]
-    if plot and Path(plot).suffix not in (".png", ".svg"):
-        raise UsageError(f"the ending of {plot!r} names no picture; allowed: .png, .svg")
-    for target in filter(None, (output, plot)):
-        io.require_absent(target, force=force)
     names = [name.strip() for name in options["formats"].split(",") if name.strip()]
     benchmark.chosen(names)
-    reports = []
+    found = []
     for path in scenes:
         octree = _octree(Input(path, options["max_memory"]), words, options["resolution"])
-        report = benchmark.compare(
-            octree, Path(path).name, rounds=options["rounds"], formats=names, progress=words.phase
-        )
-        reports.append(report)
-    text = benchmark.joined([WRITERS[kind](report) for report in reports], kind)
-    if output:
-        _write(output, text.encode(), force=force)
-    else:
-        click.echo(text, nl=False)
-    if plot:
-        _write(plot, benchmark.chart(reports[0], Path(plot).suffix), force=force)
+        found.append(benchmark.compare(octree, Path(path).name, rounds=rounds, formats=names, progress=words.phase))
+    target.write(found, benchmark.chart)
 
 
 @bench.command()
 @click.argument("folder", metavar="STAGE1_DIR", type=click.Path())
-@click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True, help="Runs of every atlas.")
-@click.option("--format", "kind", type=click.Choice(["md", "csv", "json"]), default="md", show_default=True)
-@click.option("-o", "--output", type=click.Path(), help="A file for the report.  [default: stdout]")
-@click.option("--plot", type=click.Path(), help="A chart of error against bytes, .png or .svg.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
-@speaks
-def atlas(folder: str, rounds: int, kind: str, output: str | None, plot: str | None, force: bool, words: Words) -> None:
+@reports(plot="error against bytes", rounds=1, most=100)
+def atlas(folder: str, rounds: int, target: Target, words: Words) -> None:
     """Bake STAGE1_DIR in every method and many sizes, beside the K-means thesis' table 2 and scikit-learn.
 
     \b
       nerfbake bench atlas mesh_stage1 --plot error.svg
     """
     from nerfbake.bench import atlas as benchmark
-    from nerfbake.bench.report import WRITERS
 
-    if plot and Path(plot).suffix not in (".png", ".svg"):
-        raise UsageError(f"the ending of {plot!r} names no picture; allowed: .png, .svg")
-    for target in filter(None, (output, plot)):
-        io.require_absent(target, force=force)
     io.load_folder(folder, nerfbake.Stage1)
-    report = benchmark.compare(folder, rounds=rounds, progress=words.phase)
-    text = WRITERS[kind](report)
-    if output:
-        _write(output, text.encode(), force=force)
-    else:
-        click.echo(text, nl=False)
-    if plot:
-        _write(plot, benchmark.chart(report, Path(plot).suffix), force=force)
+    target.write([benchmark.compare(folder, rounds=rounds, progress=words.phase)], benchmark.chart)
+
+
+@bench.command()
+@click.argument("path", metavar="SCENE", type=click.Path(allow_dash=True))
+@click.option("--resolution", type=Resolutions(), help="For a PlenOctree: voxels an axis.  [default: 128,320,512]")
+@click.option("--rays", metavar="TRANSFORMS", help="Count the samples along these cameras' rays, at 400x400.")
+@click.option(
+    "--max-memory",
+    type=Size(),
+    default="4GiB",
+    show_default=True,
+    help="Most that SCENE, its grids, or a row may take.",
+)
+@reports(plot="time against memory", rounds=3, most=1000)
+def access(
+    path: str,
+    resolution: tuple[int, ...] | None,
+    rays: str | None,
+    max_memory: int,
+    rounds: int,
+    target: Target,
+    words: Words,
+) -> None:
+    """Read SCENE trilinearly as dense array, octree and VDB, beside NanoVDB and Warp: PlenVDB's table 3.
+
+    \b
+      nerfbake bench access chair.npz --plot access.svg
+      nerfbake bench access chair.npz --resolution 128,800 --rays transforms.json
+    """
+    from nerfbake.bench import access as benchmark
+
+    source = Input(path, max_memory)
+    scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    cameras = io.load(rays, nerfbake.Cameras).cameras if rays else ()
+    with io.blame(io.reading_name(path)):
+        report = benchmark.compare(
+            scene,
+            Path(path).name,
+            resolutions=resolution,
+            rounds=rounds,
+            max_memory=max_memory,
+            cameras=cameras,
+            progress=words.phase,
+        )
+    target.write([report], benchmark.chart)
 
 
 def _octree(source: Input, words: Words, resolution: Any) -> Any:
@@ -101,8 +182,3 @@ def _octree(source: Input, words: Words, resolution: Any) -> Any:
         return scene
     with source.blamed(words, "building the octree"):
         return nerfbake.build_octree(scene, resolution=resolution, max_memory=source.max_memory)
-
-
-def _write(target: str, content: bytes, *, force: bool) -> None:
-    with io.blame(target, OutputError), io.replacing(Path(target), force=force) as file:
-        file.write(content)

@@ -6,8 +6,8 @@ The kept leaf is what the VDB papers call an accessor; neighbouring points mostl
 with a node without children, which is where all that is not there leads: the way down has no branches.
 
 Trilinear reads go through blocks of points in steps (leaves, then rows, then values), so that a point does not wait for
-the memory of the one before it: half the time of one point after the other on a million random points. Everything
-counts in uint64: a signed index costs numba a test for being negative at each of some twenty reads a point.
+the memory of the one before it: half the time of one point after the other on a million random points. Numbers of nodes
+are uint64: numba tests every signed index for being negative.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ Points = npt.NDArray[np.float64]
 BLOCK = 64  # points whose leaves are found before the first is read: their places stay in the first-level cache
 FAR = float(1 << 40)  # where no tile is, and whole numbers have not yet ended
 NO_LEAF = 1 << 40
-U, F = np.uint64, np.float32
+U = np.uint64
+F = np.float32
 
 
 class Tables(NamedTuple):
-    """A tree as it is read: the tiles' numbers (u, 3) int64; all mask words of upper nodes (512 each), of lower nodes (64)
-    and of leaves (8), each word with the number of its first child, (w, 2) uint64. Each ends with an empty node. Leaves
-    count voxels from 1: row 0 of a table of values is the background.
+    """A tree as it is read: the tiles' numbers (u, 3) int64; all mask words of upper nodes (512 each), of lower nodes
+    (64) and of leaves (8), each with the number of its first child, (w, 2) uint64. Each ends with an empty node.
+    Leaves count voxels from 1: row 0 of a table of values is the background.
     """
 
     tiles: Ints
@@ -109,9 +110,7 @@ def trilinear(tables: Tables, dense: bool, table: Floats, points: Points, out: F
 
 
 @compiled()
-def _voxels_around(
-    tables: Tables, points: Points, voxels: Words, parts: Floats, crossing: Words, places: Ints
-) -> None:
+def _voxels_around(tables: Tables, points: Points, voxels: Words, parts: Floats, crossing: Words, places: Ints) -> None:
     """For each point the numbers of the eight voxels around it (n, 8), z fastest, and how far it is beyond the first
     (n, 3). crossing and places are room to work in.
     """
