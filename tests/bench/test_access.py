@@ -96,7 +96,7 @@ def test_points_are_where_their_kind_says(octree: SparseVoxelOctree) -> None:
 
 
 def test_what_does_not_fit_is_a_row_that_says_so(folder: Path) -> None:
-    with pytest.raises(MemoryLimit, match=r"it needs 878 KiB; allowed: 500 KiB \(--max-memory\)"):
+    with pytest.raises(MemoryLimit, match=r"it needs 877.5 KiB; allowed: 500.0 KiB \(--max-memory\)"):
         _readers._structure("dense array", folder, 13, 500 << 10)
     report = access.compare(
         sample_n3tree(resolution=32), "s", resolutions=[32], rounds=1, max_memory=1 << 12, progress=quiet
@@ -112,7 +112,7 @@ def test_without_a_compiler_nanovdb_keeps_its_rows(monkeypatch: pytest.MonkeyPat
     _readers.compile_nanovdb(tmp_path)
     with pytest.raises(NerfbakeError, match=r"no g\+\+ here \(Debian: g\+\+, libnanovdb-dev\)") as said:
         _readers.reading(NANOVDB[0], str(tmp_path), 1, [], 0)
-    row = access.CONTENDERS[access.CONTENDERS.index(_readers.Contender(NANOVDB[0], all=False))]
+    row = _readers.Contender(NANOVDB[0], all=False)
     rows = access._figures(64, {(row, 1): [Result(error=str(said.value))]})
     assert rows == [[f"{NANOVDB[0]}: {said.value}", 64, 1, *[None] * 7]]
 
@@ -123,7 +123,7 @@ def test_openvdb_keeps_its_row() -> None:
 
 
 def test_a_wrong_sum_would_be_seen_and_ratios_are_to_the_faster_nanovdb() -> None:
-    rows = {contender.name: contender for contender in access.CONTENDERS}
+    rows = {contender.name: contender for contender in _readers.CONTENDERS}
 
     def found(ns: float, total: float) -> list[Result]:
         return [Result(facts={"found": [[ns, total, 100.0]] * 4, "bytes": 1_000_000, "version": ""})]
@@ -163,7 +163,7 @@ def test_samples_along_a_ray_by_hand() -> None:
 
 @pytest.mark.slow
 def test_the_report_and_its_chart(octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch) -> None:
-    some = tuple(row for row in access.CONTENDERS if row.name in ("octree", "VDB", "VDB index", "OpenVDB C++"))
+    some = tuple(row for row in _readers.CONTENDERS if row.name in ("VDB", "VDB index", "OpenVDB C++"))
     monkeypatch.setattr(access, "CONTENDERS", some)
     camera = Camera(40, 40, 40.0, np.eye(4), "a")
     report = access.compare(
@@ -172,15 +172,13 @@ def test_the_report_and_its_chart(octree: SparseVoxelOctree, monkeypatch: pytest
     reads, rays, files = report.tables
     rows = [dict(zip(reads.columns, row, strict=True)) for row in reads.rows]
     assert [(row["structure"].partition(":")[0], row["R"], row["channels"]) for row in rows] == [
-        ("octree", 32, 1),
         ("VDB", 32, 1),
         ("VDB index", 32, 1),
         ("OpenVDB C++", 32, 1),
-        ("octree", 32, 13),
         ("VDB index", 32, 13),
     ]
     assert all(row["sums agree"] is True and row["MB"] > 0 for row in rows if row["MB"] is not None)
-    assert rows[1]["surface ns"].rounds == 2
+    assert rows[0]["surface ns"].rounds == 2
     assert rays.rows[0][1:3] == [1, "total"]
     assert all(size > 0 for _, _, size in files.rows)
     assert {what.split()[0] for what, _, _ in files.rows} == {"octree", "density", "index"}
@@ -201,7 +199,7 @@ def test_the_command(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPat
     done = shell("bench", "access", "a.npz", "--resolution", "4", "--rounds", "1", "--format", "json")
     assert (done.returncode, done.stderr) == (0, b"")
     rows = json.loads(done.stdout)["tables"][0]["rows"]
-    assert [row["structure"].partition(":")[0] for row in rows[:9]] == [row.name for row in access.CONTENDERS]
+    assert [row["structure"].partition(":")[0] for row in rows[:9]] == [row.name for row in _readers.CONTENDERS]
     assert "no g++ here" in rows[6]["structure"]
 
 
