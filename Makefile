@@ -63,6 +63,7 @@ golden: setup  ## tests/golden anew: the frozen bytes of every format; say why i
 bench: setup  ## the figures of the README, anew: benchmarks/results
 	$(BIN)/python benchmarks/svo.py
 	$(BIN)/python benchmarks/formats.py
+	$(BIN)/python benchmarks/access.py
 
 clean:  ## what make made
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis
