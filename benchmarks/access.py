@@ -33,7 +33,10 @@ def aims(report: Report) -> Table:
     """What is aimed for and what was measured."""
     rows = [dict(zip(report.tables[0].columns, row, strict=True)) for row in report.tables[0].rows]
     ratios = [(row["R"], row["surface x NanoVDB"]) for row in rows if row["structure"] == "VDB"]
-    cells = [[f"VDB at {R}^3: surface, x NanoVDB", f"at most {AIM}", ratio, ratio <= AIM] for R, ratio in ratios]
+    cells = [
+        [f"VDB at {R}^3: surface, x NanoVDB", f"at most {AIM}", ratio, ratio is not None and ratio <= AIM]
+        for R, ratio in ratios
+    ]
     return Table("Aims", ["aim", "allowed", "measured", "holds"], cells)
 
 
