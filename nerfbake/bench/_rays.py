@@ -1,6 +1,6 @@
 """What cameras' rays ask of a VDB: PlenVDB's table 1, the two passes of its ray marching, counted.
 
-    possible   samples at steps of half a voxel inside the box around the active voxels
+    possible   samples at steps of half a voxel, from the camera on, inside the box around the active voxels
     valid      of these, those in an active voxel: what the first pass, which asks masks alone, hands to the second
     needed     of these, those that change the picture: opacity from ALPHA on, before the transmittance falls below CUT
 
@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.accessor import Floats, Tables, child_of, leaf_at, voxel_of
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import over_chunks
@@ -21,7 +22,8 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
 
-STEP, ALPHA, CUT = 0.5, 1e-4, 1e-4
+STEP = 0.5  # voxels; so many steps has a ray at most as its way through the box is long, however far it comes from
+ALPHA, CUT = 1e-4, 1e-4
 CHUNK = 1 << 12  # rays that a core marches in one go
 
 
@@ -34,19 +36,27 @@ class Counts(NamedTuple):
 
 
 def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
-    """Counts along a ray through each of the camera's pixels; `tree` is a density of the volume's, 1/world unit."""
+    """Counts along a ray through each of the camera's pixels; `tree` is a density of the volume's, 1/world unit.
+
+    Raises InvalidScene for a camera whose rays are no numbers in voxels.
+    """
     if (box := tree.topology.box) is None:
         return Counts(0, 0, 0)
     place, directions = camera.rays()
+    with np.errstate(all="ignore"):  # what is no number is asked for below
+        start = volume.index_of(place)
+        along = directions @ np.linalg.inv(volume.transform[:, :3]).T  # voxels a world unit
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        forward, step = along / length * STEP, STEP / length[:, 0]
+    if not (np.isfinite(forward).all() and np.isfinite(start).all()):
+        raise InvalidScene(Problem("a camera", "is too far away", "rays that can be told in voxels"))
     low, high = (box[k].astype(np.float64) + side for k, side in ((0, -0.5), (1, 0.5)))
-    step = STEP * float(volume.voxel_size.min())  # world units
-    start = volume.index_of(place)
-    forward = volume.index_of(place + directions * step) - start
     found = np.zeros((len(directions), 3), np.int64)
     table = np.concatenate([tree.background[None], tree.values], dtype=np.float32)
 
     def work(begin: int, end: int) -> None:
-        march(tree.topology.tables, table, step, start, forward[begin:end], low, high, found[begin:end])
+        own = slice(begin, end)
+        march(tree.topology.tables, table, start, forward[own], step[own], low, high, found[own])
 
     over_chunks(work, len(directions), CHUNK)
     return Counts(*found.sum(axis=0).tolist())
@@ -56,15 +66,15 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
 def march(
     tables: Tables,
     table: Floats,
-    step: float,
     start: npt.NDArray[np.float64],
     forward: npt.NDArray[np.float64],
+    step: npt.NDArray[np.float64],
     low: npt.NDArray[np.float64],
     high: npt.NDArray[np.float64],
     found: npt.NDArray[np.int64],
 ) -> None:
-    """found (n, 3), what Counts has, of rays from start (3,), each with its step forward (n, 3), all in voxels; `step`
-    is its length in the world. low and high (3,) are the box's corners.
+    """found (n, 3), what Counts has, of rays from start (3,), each with its step forward (n, 3), all in voxels;
+    step (n,) is its length in the world. low and high (3,) are the box's corners.
     """
     for ray in range(len(forward)):
         begin, end = 0.0, np.inf
@@ -88,7 +98,7 @@ def march(
             if row == 0:
                 continue
             found[ray, 1] += 1
-            alpha = -np.expm1(-table[row, 0] * step)
+            alpha = -np.expm1(-table[row, 0] * step[ray])
             if through >= CUT and alpha >= ALPHA:
                 found[ray, 2] += 1
                 through *= 1 - alpha

@@ -9,6 +9,7 @@ A contender is prepared from a folder that holds the scene at one resolution:
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
 from collections.abc import Callable
@@ -28,15 +29,15 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.volume import Volume
 
 Read = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
+FLAGS = ("-O3", "-march=native", "-std=c++17", "-DNDEBUG")
 SOURCE = Path(__file__).with_name("nanovdb_access.cpp")
 TOO_SLOW = "not measured: Debian's python3-openvdb asks its accessor voxel by voxel from Python, 2.5 microseconds each"
 
 
 class Contender(NamedTuple):
-    """A row; whether it reads all channels, one, or both; stencil is for NanoVDB's sampler."""
+    """A row; whether it can read all channels too, not only the density."""
 
     name: str
-    one: bool = True
     all: bool = True
 
 
@@ -55,21 +56,17 @@ CONTENDERS = (
 
 def compile_nanovdb(folder: Path) -> None:
     """Leaves the program in the folder, or a text that says why there is none."""
-    compiler = which("g++")
-    command = [
-        compiler or "",
-        "-O3",
-        "-march=native",
-        "-std=c++17",
-        "-DNDEBUG",
-        str(SOURCE),
-        "-o",
-        str(folder / "nanovdb"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False) if compiler else None
-    if done is None or done.returncode:
-        missing = "g++" if done is None else "NanoVDB's headers" if "nanovdb/" in done.stderr else "a C++17 compiler"
-        (folder / "nanovdb.missing").write_text(f"no {missing} here (Debian: g++, libnanovdb-dev)")
+    missing = folder / "nanovdb.missing"
+    if (compiler := which("g++")) is None:
+        missing.write_text("no g++ here (Debian: g++)")
+        return
+    command = [compiler, *FLAGS, str(SOURCE), "-o", str(folder / "nanovdb")]
+    english = {**os.environ, "LC_ALL": "C"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=english)
+    if "nanovdb/util/IO.h: No such file" in done.stderr:
+        missing.write_text("no headers of NanoVDB here (Debian: libnanovdb-dev)")
+    elif done.returncode:
+        missing.write_text(f"g++ {next(line for line in done.stderr.splitlines() if 'error' in line)}")
 
 
 def reading(name: str, folder: str, channels: int, kinds: list[str], max_memory: int) -> Work:

@@ -19,6 +19,7 @@ from nerfbake.scene.vdb import VdbTopology
 
 Size = tuple[int, int, int]
 Ints = npt.NDArray[np.int32]
+ONE = np.uint64(1)
 
 
 class Structure(NamedTuple):
@@ -84,8 +85,7 @@ def read_dense(padded: Size, table: Floats, points: Points, out: Floats) -> None
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
         o, p, q, r = _edges(padded, x, y, z)
-        one = np.uint64(1)
-        _mix(table, o, o + one, p, p + one, q, q + one, r, r + one, points, x, y, z, out, i)
+        _mix(table, o, o + ONE, p, p + ONE, q, q + ONE, r, r + ONE, points, x, y, z, out, i)
 
 
 @compiled()
@@ -94,8 +94,8 @@ def read_pointers(padded: Size, links: Ints, table: Floats, points: Points, out:
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
         o, p, q, r = _edges(padded, x, y, z)
-        a, b, c, d = links[o], links[o + np.uint64(1)], links[p], links[p + np.uint64(1)]
-        e, f, g, h = links[q], links[q + np.uint64(1)], links[r], links[r + np.uint64(1)]
+        a, b, c, d = links[o], links[o + ONE], links[p], links[p + ONE]
+        e, f, g, h = links[q], links[q + ONE], links[r], links[r + ONE]
         _mix(table, a, b, c, d, e, f, g, h, points, x, y, z, out, i)
 
 

@@ -46,7 +46,8 @@ NOTES = [
     "x NanoVDB: the median against the faster of NanoVDB's two rows at the same R, one channel.",
     "MB: the arrays that are read (NanoVDB, Warp: the grid). VDB keeps its leaves dense, VDB index asks masks.",
     "sums agree: of everything read, with VDB index's, to 1e-5 of the sum of absolute values.",
-    "dense pointers: Plenoxels' grid of int32 links. octree: this scene's own, from the root for each of 8 corners.",
+    "dense pointers: Plenoxels' grid of int32 links. octree: from the root for each of 8 corners; beyond the "
+    "PlenOctree's own resolution its leaves stay large.",
 ]
 RAY_NOTES = [
     "Two passes, as in PlenVDB's table 1: possible: samples at steps of half a voxel in the box of the active voxels; "
@@ -89,7 +90,6 @@ def compare(
             with progress(f"R = {R}: writing"):
                 files += [[what, R, size / 1e6] for what, size in _write(Path(folder), tree, density, index, points)]
             found = _measured(folder, R, tree.data_dim, rounds, max_memory, progress)
-        version = version or next((r[0].facts["version"] for row, r in found.items() if not r[0].error), "")
         version = next((r[0].facts["version"] for r in found.values() if r[0].facts.get("version")), version)
         reads += _figures(R, found)
         rays += _ray_rows(R, density, cameras, progress)
