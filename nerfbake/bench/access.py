@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -88,7 +89,8 @@ def compare(
             continue
         with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
             with progress(f"R = {R}: writing"):
-                files += [[what, R, size / 1e6] for what, size in _write(Path(folder), tree, density, index, points)]
+                _write(Path(folder), tree, density, index, points)
+                files += _file_rows(Path(folder), R, tree, density, index)
             found = _measured(folder, R, tree.data_dim, rounds, max_memory, progress)
         version = next((r[0].facts["version"] for r in found.values() if r[0].facts.get("version")), version)
         reads += _figures(R, found)
@@ -113,35 +115,38 @@ def chart(report: Report, suffix: str) -> bytes:
     return scatter(points, title=title, x="memory, MB", y="ns a read (median)", suffix=suffix)
 
 
-def _write(folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume, points: int) -> list[tuple[str, int]]:
-    """What the children read, and every file that could be written of it: what it is, and bytes."""
+def _write(folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume, points: int) -> None:
+    """What the children read."""
     topology = density.grids[0].topology
     if not topology.m:
         raise InvalidScene(Problem("the scene", "has no voxel", "a density above 0"))
     for kind, some in kinds_of_points(tree.size, topology, points).items():
         some.tofile(folder / f"{kind}.f32")
     compile_nanovdb(folder)
-    half_density, half_index = (
-        build_vdb(tree, grids=(g,), half=True, max_memory=1 << 46) for g in ("density", "index")
-    )
     io.save(folder / "octree.svo.npz", tree)
-    sizes = [
-        ("octree .svo.npz", io.save(folder / "a.svo.npz", tree)),
-        ("octree .svo.pb", io.save(folder / "a.svo.pb", tree)),
-    ]
-    sizes.append(("density .nvdb", io.save(folder / "density.nvdb", density)))
-    sizes.append(("index .nvdb", io.save(folder / "index.nvdb", index)))
-    for what, volume, ending, codec in (
-        ("density .nvdb zip", density, "nvdb", "zip"),
-        ("density .nvdb half", half_density, "nvdb", "none"),
-        ("density .vdb zip", density, "vdb", "zip"),
-        ("density .vdb half, zip", half_density, "vdb", "zip"),
-        ("index .nvdb zip", index, "nvdb", "zip"),
-        ("index .nvdb half", half_index, "nvdb", "none"),
-        ("index .nvdb half, zip", half_index, "nvdb", "zip"),
-    ):
-        sizes.append((what, io.save(folder / f"b.{ending}", volume, codec=codec, force=True)))
-    return sizes
+    io.save(folder / "density.nvdb", density)
+    io.save(folder / "index.nvdb", index)
+
+
+def _file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, index: Volume) -> list[list[Any]]:
+    """The size of every file that could be written of the scene; float16 does not hold every scene."""
+
+    def size(scene: Any, to: str, **options: Any) -> float:
+        return io.save(folder / "file", scene, to=to, force=True, **options) / 1e6
+
+    rows: list[list[Any]] = [[f"octree .{to}", R, size(tree, to)] for to in ("svo.npz", "svo.pb")]
+    for what, volume, endings in (("density", density, ("nvdb", "vdb")), ("index", index, ("nvdb",))):
+        try:
+            half = build_vdb(tree, grids=(what,), half=True, max_memory=1 << 46)
+        except InvalidScene as error:
+            rows.append([f"{what} half: {error}", R, None])
+            half = None
+        for to, codec in product(endings, ("none", "zip")):
+            packed = " zip" if codec == "zip" else ""
+            rows.append([f"{what} .{to}{packed}", R, size(volume, to, codec=codec)])
+            if half:
+                rows.append([f"{what} .{to} half{packed}", R, size(half, to, codec=codec)])
+    return rows
 
 
 Row = tuple[Contender, int]

@@ -15,8 +15,9 @@ from nerfbake.bench._points import kinds_of_points
 from nerfbake.bench._rays import Counts, count_samples
 from nerfbake.bench.measure import Result, Spread
 from nerfbake.bench.report import markdown
+from nerfbake.cli.main import run
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError
-from nerfbake.scene.camera import Camera
+from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import VdbTree
 from tests.conftest import Shell
@@ -207,6 +208,21 @@ def test_the_report_and_its_chart(octree: SparseVoxelOctree, monkeypatch: pytest
     assert b"VDB index" in access.chart(report, ".svg")
 
 
+def test_a_density_that_float16_cannot_hold_costs_its_rows_only(tmp_path: Path) -> None:
+    tree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
+    tree.sigma[-1] = 1e6
+    density, index = (build_vdb(tree, grids=(grid,)) for grid in ("density", "index"))
+    rows = access._file_rows(tmp_path, 4, tree, density, index)
+    refused = [what for what, _, size in rows if size is None]
+    assert refused == [
+        f"{what} half: grid {what!r} holds 1e+06; allowed: up to 65504 for --half" for what in ("density", "index")
+    ]
+    assert [what for what, _, size in rows if size] == [
+        "octree .svo.npz", "octree .svo.pb", "density .nvdb", "density .nvdb zip", "density .vdb", "density .vdb zip",
+        "index .nvdb", "index .nvdb zip",
+    ]  # fmt: skip
+
+
 def test_a_scene_without_a_voxel_is_refused() -> None:
     empty = build_octree(n3tree(splits=[], data_format="SH4"), sigma_min=1e9)
     with pytest.raises(InvalidScene, match="the scene has no voxel; allowed: a density above 0"):
@@ -214,14 +230,20 @@ def test_a_scene_without_a_voxel_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
+    monkeypatch.setattr(access, "kinds_of_points", lambda size, topology, _: kinds_of_points(size, topology, POINTS))
     save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))]))
-    done = shell("bench", "access", "a.npz", "--resolution", "4", "--rounds", "1", "--format", "json")
-    assert (done.returncode, done.stderr) == (0, b"")
-    rows = json.loads(done.stdout)["tables"][0]["rows"]
-    assert [row["structure"].partition(":")[0] for row in rows[:9]] == [row.name for row in _readers.CONTENDERS]
-    assert "no g++ here" in rows[6]["structure"]
+    save(tmp_path / "rays.json", Cameras((Camera(8, 8, 8.0, np.eye(4), "a"),)))
+    out, plot = tmp_path / "out.json", tmp_path / "out.svg"
+    arguments = [str(tmp_path / "a.npz"), "--resolution", "4", "--rounds", "1", "--rays", str(tmp_path / "rays.json")]
+    assert run(["bench", "access", *arguments, "--format", "json", "-o", str(out), "--plot", str(plot)]) == 0
+    reads, rays, _ = json.loads(out.read_text())["tables"]
+    names = [row["structure"].partition(":")[0] for row in reads["rows"]]
+    assert names[: len(_readers.CONTENDERS)] == [row.name for row in _readers.CONTENDERS]
+    assert "no g++ here" in reads["rows"][6]["structure"]
+    assert [row["cameras"] for row in rays["rows"]] == [1, 1]
+    assert "dense pointers" in plot.read_text()
 
 
 @pytest.mark.parametrize(
