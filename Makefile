@@ -65,6 +65,9 @@ bench: setup  ## the figures of the README, anew: benchmarks/results
 	$(BIN)/python benchmarks/svo.py
 	$(BIN)/python benchmarks/formats.py
 	$(BIN)/python benchmarks/vdb.py
+	$(BIN)/python benchmarks/access.py
+	$(BIN)/python benchmarks/render.py
+	$(BIN)/python benchmarks/outputs.py
 
 clean:  ## what make made
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -50,6 +50,7 @@ OWN_LIBRARY = {
     "libraries": {"bson", "capnp", "flatbuffers", "google"},
     "octree_json": {"orjson"},
     "plot": {"matplotlib"},
+    "_warp_access": {"warp"},  # a contender of bench access
 }
 HEAVY = {
     "blosc",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from itertools import cycle
 from typing import NamedTuple
 
 COLOURS = ("#0b6e99", "#b5532a", "#7a7a7a", "#5b8c3a")
@@ -28,7 +29,7 @@ def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str)
 
     with mpl.rc_context({"svg.hashsalt": "nerfbake", "svg.fonttype": "none", "font.size": 9}):
         figure, axes = pyplot.subplots(figsize=(9, 6), layout="constrained")
-        for colour, group in zip(COLOURS, dict.fromkeys(point.group for point in points), strict=False):
+        for colour, group in zip(cycle(COLOURS), dict.fromkeys(point.group for point in points), strict=False):
             mine = [point for point in points if point.group == group]
             axes.scatter([p.x for p in mine], [p.y for p in mine], s=28, color=colour, label=group, zorder=3)
         axes.set(xscale="log", yscale="log", title=title, xlabel=x, ylabel=y)

@@ -97,7 +97,9 @@ def _cell(cell: Any) -> str:
         case Spread():
             single = cell.rounds == 1
             return _number(cell.median) + ("" if single else f" [{_number(cell.low)}..{_number(cell.high)}]")
-        case int() | float():
+        case int():
+            return f"{cell:,}"
+        case float():
             return _number(cell)
         case _:
             return str(cell).replace("|", "\\|")

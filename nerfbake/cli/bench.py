@@ -72,6 +72,20 @@ def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
     return add
 
 
+class Resolutions(click.ParamType[tuple[int, ...]]):
+    """Voxels an axis, one or several."""
+
+    name = "R,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        edges = value.split(",")
+        if not all(edge.isdecimal() and len(edge) < 5 and 1 <= int(edge) <= 4096 for edge in edges):
+            self.fail(f"{value!r} are no resolutions; allowed: R,R,..., each 1 to 4096", param, ctx)
+        return tuple(dict.fromkeys(map(int, edges)))
+
+
 @click.group()
 def bench() -> None:
     """Compare on your own scene and machine."""
@@ -124,6 +138,42 @@ def atlas(folder: str, rounds: int, target: Target, words: Words) -> None:
 
     io.load_folder(folder, nerfbake.Stage1)
     target.write([benchmark.compare(folder, rounds=rounds, progress=words.phase)], benchmark.chart)
+
+
+@bench.command()
+@reads
+@click.option("--resolution", type=Resolutions(), help="For a PlenOctree: voxels an axis.  [default: 128,320,512]")
+@click.option("--rays", metavar="TRANSFORMS", help="Count the samples along these cameras' rays, at 400x400.")
+@reports(rounds=3, chart="time against memory")
+@speaks
+def access(
+    source: Input,
+    resolution: tuple[int, ...] | None,
+    rays: str | None,
+    rounds: int,
+    target: Target,
+    words: Words,
+) -> None:
+    """Read IN trilinearly as dense array, octree and VDB, beside NanoVDB and Warp: PlenVDB's table 3.
+
+    \b
+      nerfbake bench access chair.npz --plot access.svg
+      nerfbake bench access chair.npz --resolution 128,800 --rays transforms.json
+    """
+    from nerfbake.bench import access as benchmark
+
+    scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    with source.blamed(words, "reading"):
+        report = benchmark.compare(
+            scene,
+            Path(source.path).name,
+            resolutions=resolution,
+            rounds=rounds,
+            max_memory=source.max_memory,
+            cameras=io.load(rays, nerfbake.Cameras).cameras if rays else (),
+            progress=words.phase,
+        )
+    target.write([report], benchmark.chart)
 
 
 @bench.command()

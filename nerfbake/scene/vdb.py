@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +23,15 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, group_bits, popcount, slots_of
 from nerfbake.kernels.lookup import as_points
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.kernels.topology import all_finite, count_problem, plural
 from nerfbake.scene.octree import Lookup
 
 LEAF_BITS, LOWER_BITS, UPPER_BITS = 9, 12, 15
 ROOT_BITS = 20  # of a tile's number along an axis
+MOST_DENSE = 16  # a leaf's voxels for each active one, up to which all of them are kept to be read
+CHUNK = 1 << 14  # points that a core reads in one go
 Coords = npt.NDArray[np.int32]
 
 
@@ -204,6 +207,14 @@ def _topology(tiles: Ints, leaves: Ints, leaf_mask: Words) -> VdbTopology:
     return VdbTopology(root_origin.astype(np.int32), upper_mask, lower_mask, leaf_mask)
 
 
+class Rows(NamedTuple):
+    """What kernels.accessor reads: table (m + 1, C) float32, row 0 the background; or, dense, a row for each voxel of
+    each leaf and of one that is empty."""
+
+    dense: bool
+    table: npt.NDArray[np.float32]
+
+
 @dataclass(frozen=True, eq=False)
 class VdbTree:
     """A grid of values at the active voxels; everywhere else it is the background.
@@ -233,9 +244,10 @@ class VdbTree:
         return _finite_problems(self.name, self.values) + _finite_problems("background", self.background)
 
     @cached_property
-    def floats(self) -> npt.NDArray[np.float32]:
-        """(m, c) the values as they are read."""
-        return np.ascontiguousarray(self.values, np.float32)
+    def rows(self) -> Rows:
+        """The values as they are read."""
+        table = np.concatenate([self.background[None], self.values], dtype=np.float32)
+        return _rows(self.topology, table)
 
     def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
         """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., c) float32.
@@ -243,7 +255,7 @@ class VdbTree:
         nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight around the point,
         weighted as usual. Inactive voxels read as the background.
         """
-        return _sample(self.topology, self.floats, self.background, points, lookup)
+        return _sample(self.topology, self.rows, points, lookup)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,9 +293,9 @@ class IndexGrid:
         return _finite_problems(self.name, self.table)
 
     @cached_property
-    def floats(self) -> npt.NDArray[np.float32]:
-        """(m, C) the rows as they are read; a view where the table is float32."""
-        return np.ascontiguousarray(self.values, np.float32)
+    def rows(self) -> Rows:
+        """The table as it is read; itself where it is float32."""
+        return Rows(False, np.ascontiguousarray(self.table, np.float32))
 
     def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
         """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., C) float32.
@@ -291,26 +303,35 @@ class IndexGrid:
         nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight around the point,
         weighted as usual. Inactive voxels read as the background.
         """
-        return _sample(self.topology, self.floats, self.background, points, lookup)
+        return _sample(self.topology, self.rows, points, lookup)
 
 
-def _sample(
-    topology: VdbTopology,
-    values: npt.NDArray[np.float32],
-    background: npt.NDArray[np.float32],
-    points: npt.ArrayLike,
-    lookup: Lookup,
-) -> npt.NDArray[np.float32]:
+def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> Rows:
+    """One channel is read faster where each leaf has all of its voxels, as NanoVDB has them; where that is much more
+    than there is, it stays as it is."""
+    from nerfbake.kernels.accessor import dense_leaves
+
+    if table.shape[1] > 1 or 512 * len(topology.leaf_mask) > MOST_DENSE * len(table):
+        return Rows(False, table)
+    return Rows(True, dense_leaves(topology.leaf_mask, table))
+
+
+def _sample(topology: VdbTopology, rows: Rows, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:
     # Imported on first use: numba takes half a second, and only reads need it.
-    from nerfbake.kernels.accessor import sample_points
+    from nerfbake.kernels.accessor import nearest, trilinear
 
     if lookup not in ("nearest", "trilinear"):
         raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
     array = as_points(points)
-    out = np.empty((array.size // 3, values.shape[1]), np.float32)
-    corners = 1 if lookup == "nearest" else 2
-    sample_points(topology.tables, values, background, np.ascontiguousarray(array).reshape(-1, 3), corners, out)
-    return out.reshape(*array.shape[:-1], values.shape[1])
+    flat = np.ascontiguousarray(array).reshape(-1, 3)
+    out = np.empty((len(flat), rows.table.shape[1]), np.float32)
+    read = nearest if lookup == "nearest" else trilinear
+
+    def work(begin: int, end: int) -> None:
+        read(topology.tables, *rows, flat[begin:end], out[begin:end])
+
+    over_chunks(work, len(flat), CHUNK)
+    return out.reshape(*array.shape[:-1], out.shape[1])
 
 
 def _origins(above: Coords, masks: Words, bits: int, width: int) -> Coords:

@@ -28,14 +28,14 @@ def field_of_volume(volume: Volume) -> Field:
     first = volume.grids[0]
     if isinstance(first, IndexGrid):
         topology, basis = first.topology, shown_basis(volume.frame.data_format if volume.frame else "")
-        values = first.floats
+        values = first.values.astype(np.float32, copy=False)
         if values.shape[1] != 3 * basis.size + 1:
             found = f"has {values.shape[1]} columns"
             raise InvalidScene(Problem(f"table of {first.name!r}", found, f"{3 * basis.size + 1} for {basis}"))
     else:
         density = _density(volume)
         topology, (colours, basis) = density.topology, _colours(volume, density.topology)
-        values = np.concatenate([colours, density.floats], axis=1)
+        values = np.concatenate([colours, density.values.astype(np.float32, copy=False)], axis=1)
     held = values[:, -1] > 0
     cells, low = _cells(topology, held)
     inverse = np.linalg.inv(volume.transform[:, :3])
@@ -74,7 +74,7 @@ def _values_at(grid: VdbTree, topology: VdbTopology) -> npt.NDArray[np.float32]:
         np.array_equal(getattr(grid.topology, name), getattr(topology, name))
         for name in ("root_origin", "upper_mask", "lower_mask", "leaf_mask")
     )
-    return grid.floats if same else grid.sample(topology.coords)
+    return grid.values.astype(np.float32, copy=False) if same else grid.sample(topology.coords)
 
 
 def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, npt.NDArray[np.int64]]:

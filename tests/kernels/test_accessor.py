@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import build_octree, build_vdb
 from nerfbake.errors import InvalidScene
+from nerfbake.kernels.accessor import dense_leaves, nearest, trilinear
 from nerfbake.scene.octree import Lookup
+from nerfbake.scene.vdb import CHUNK
 from tests.scenes import n3tree
 from tests.vdb_readers import SCENES, by_coords, index, tree
 
@@ -34,6 +38,37 @@ def test_trilinear_is_the_mean_of_eight() -> None:
         weight = np.prod(np.where(step, points - base, 1 - points + base), axis=1)
         expected += weight[:, None] * grid.sample(base + step)
     assert_allclose(grid.sample(points, lookup="trilinear"), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("read", [nearest, trilinear])
+@pytest.mark.parametrize("scene", SCENES)
+def test_dense_leaves_read_as_masks_do(scene: str, read: Any) -> None:
+    grid = tree(SCENES[scene], background=0.5)
+    table = np.concatenate([grid.background[None], grid.values])
+    random = np.random.default_rng(0)
+    points = np.concatenate([grid.topology.coords + random.uniform(-1.2, 1.2, (grid.topology.m, 3)), np.zeros((1, 3))])
+    masks, dense = np.empty((2, len(points), 1), np.float32)
+    read(grid.topology.tables, False, table, points, masks)
+    read(grid.topology.tables, True, dense_leaves(grid.topology.leaf_mask, table), points, dense)
+    assert_array_equal(dense, masks)
+
+
+def test_leaves_with_little_in_them_stay_sparse() -> None:
+    # A hostile file of a million leaves of one voxel each must not become 2 GB in memory.
+    assert tree(SCENES["a full leaf"]).rows.dense
+    assert len(tree(SCENES["one voxel"]).rows.table) == 2
+
+
+def test_many_points_read_as_each_does_alone() -> None:
+    grid = tree(SCENES["a cloud"], background=0.5)
+    random = np.random.default_rng(0)
+    voxels = grid.topology.coords[random.integers(0, grid.topology.m, 3 * CHUNK + 7)]
+    points = voxels + random.uniform(-2, 2, voxels.shape)
+    together = grid.sample(points, lookup="trilinear")
+    some = np.arange(0, len(points), 997)
+    alone = np.concatenate([grid.sample(points[i], lookup="trilinear") for i in some])
+    assert_array_equal(together[some, 0], alone)
+    assert len(np.unique(alone)) > len(some) / 10
 
 
 @pytest.mark.parametrize("lookup", ["nearest", "trilinear"])
