@@ -110,15 +110,10 @@ def _table(grid: VdbTree) -> npt.NDArray[Any]:
 def _number_of(tree: VdbTopology, trees: list[VdbTopology]) -> int:
     """Which of the trees it is; it is put behind them where it is none."""
     for k, other in enumerate(trees):
-        if other is tree or _same(other, tree):
+        if tree.same_as(other):
             return k
     trees.append(tree)
     return len(trees) - 1
-
-
-def _same(one: VdbTopology, other: VdbTopology) -> bool:
-    fields = ("root_origin", *(f"{level}_mask" for level, *_ in _LEVELS))
-    return all(np.array_equal(getattr(one, field), getattr(other, field)) for field in fields)
 
 
 def _read_tree(npz: NpzReader, k: int) -> VdbTopology:

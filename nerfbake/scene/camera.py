@@ -44,11 +44,12 @@ class Camera:
 
     def rays(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """The camera's place (3,) and a unit direction for each pixel (height * width, 3), rows from the top."""
+        right, up, back = self.pose[:3, :3].T
         x = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
         y = -(np.arange(self.height) + 0.5 - self.height / 2) / self.focal
-        looks = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1).reshape(-1, 3)
-        directions = looks @ self.pose[:3, :3].T
-        return self.pose[:3, 3], directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
+        directions /= np.sqrt(np.einsum("yxc,yxc->yx", directions, directions))[..., None]
+        return self.pose[:3, 3], directions.reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)

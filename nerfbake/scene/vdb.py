@@ -126,6 +126,13 @@ class VdbTopology:
         masks = self.upper_mask[tiles], self.lower_mask[lowers], self.leaf_mask[leaves]
         return VdbTopology(self.root_origin[tiles], *masks), leaves
 
+    def same_as(self, other: VdbTopology) -> bool:
+        """Whether the same voxels are active."""
+        return self is other or all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("root_origin", "upper_mask", "lower_mask", "leaf_mask")
+        )
+
     def structure_problems(self) -> list[Problem]:
         """Masks that disagree about how many nodes there are, and tiles out of order."""
         keys = root_keys(self.root_origin)

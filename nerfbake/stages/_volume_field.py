@@ -70,11 +70,9 @@ def _colours(volume: Volume, topology: VdbTopology) -> tuple[npt.NDArray[np.floa
 
 
 def _values_at(grid: VdbTree, topology: VdbTopology) -> npt.NDArray[np.float32]:
-    same = grid.topology is topology or all(
-        np.array_equal(getattr(grid.topology, name), getattr(topology, name))
-        for name in ("root_origin", "upper_mask", "lower_mask", "leaf_mask")
+    return (
+        grid.values.astype(np.float32, copy=False) if grid.topology.same_as(topology) else grid.sample(topology.coords)
     )
-    return grid.values.astype(np.float32, copy=False) if same else grid.sample(topology.coords)
 
 
 def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, npt.NDArray[np.int64]]:

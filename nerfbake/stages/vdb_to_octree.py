@@ -63,7 +63,7 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
     if not coefficients:
         raise InvalidScene(Problem("the volume", f"has the grids {', '.join(_names(volume))}", "density,sh or index"))
     for grid in coefficients:
-        same = np.array_equal(grid.topology.coords, density.topology.coords)
+        same = grid.topology.same_as(density.topology)
         if not same or grid.values.shape[1] != 3 or grid.values.dtype != density.values.dtype:
             raise InvalidScene(Problem(f"grid {grid.name!r}", "differs from density in voxels or type", "one topology"))
     # (m, 3, B): all coefficients of red, then of green, then of blue.
