@@ -93,8 +93,9 @@ def rows(folder: Path) -> list[list[Any]]:
     save(folder / "octree.svo.npz", octree)
     save(folder / "a.vdb", volume)
 
-    def write(name: str, *, build: bool) -> None:
-        save(folder / name, build_vdb(replace(octree), grids=("density",)) if build else volume, force=True)
+    def write(name: str, *, build: bool, **options: Any) -> None:
+        made = build_vdb(replace(octree), grids=("density",)) if build else volume
+        save(folder / name, made, force=True, **options)
 
     def steps(name: str) -> list[Callable[[], float]]:
         return [partial(ours, partial(write, name, build=build)) for build in (False, True)]
@@ -105,7 +106,8 @@ def rows(folder: Path) -> list[list[Any]]:
     convert = ("nanovdb_convert", "-f", "-c", "partial", "-s", "all", folder / "a.vdb", folder / "theirs.nvdb")
     whole = (sys.executable, "-m", "nerfbake", "vdb", folder / "octree.svo.npz", folder / "whole.nvdb", "--force", "-q")
     nvdb = in_turn(*steps("a.nvdb"), partial(process, *whole), partial(process, *convert))
-    vdb = in_turn(*steps("b.vdb"), partial(pyopenvdb, _WRITE, folder / "dense.npy", folder / "theirs.vdb"))
+    stored = partial(ours, partial(write, "stored.vdb", build=True, codec="none"))
+    vdb = in_turn(*steps("b.vdb"), stored, partial(pyopenvdb, _WRITE, folder / "dense.npy", folder / "theirs.vdb"))
     read = in_turn(
         partial(ours, partial(load, folder / "a.vdb", Volume)),
         partial(ours, partial(load, folder / "theirs.vdb", Volume)),
@@ -113,12 +115,14 @@ def rows(folder: Path) -> list[list[Any]]:
     )
     same, same_vdb = (_same(load(folder / f"theirs.{name}", Volume).grids[0], grid) for name in ("nvdb", "vdb"))
     sizes, vdb_sizes = (megabytes("a.nvdb"), megabytes("theirs.nvdb")), (megabytes("b.vdb"), megabytes("theirs.vdb"))
+    rest = (vdb_sizes[1], same_vdb)
     return [
         row(".nvdb, write", "nanovdb_convert", nvdb[0], nvdb[3], None, *sizes, same),
         row(".nvdb, build and write", "nanovdb_convert", nvdb[1], nvdb[3], 1.0, *sizes, same),
         row(".nvdb, `nerfbake vdb`", "nanovdb_convert", nvdb[2], nvdb[3], None, *sizes, same),
-        row(".vdb, write", "pyopenvdb", vdb[0], vdb[2], None, *vdb_sizes, same_vdb),
-        row(".vdb, build and write", "pyopenvdb", vdb[1], vdb[2], 1.0, *vdb_sizes, same_vdb),
+        row(".vdb, write", "pyopenvdb", vdb[0], vdb[3], None, *vdb_sizes, same_vdb),
+        row(".vdb, build and write", "pyopenvdb", vdb[1], vdb[3], 1.0, *vdb_sizes, same_vdb),
+        row(".vdb `--codec none`, build and write", "pyopenvdb", vdb[2], vdb[3], 1.0, megabytes("stored.vdb"), *rest),
         row(".vdb (our zip), read", "pyopenvdb, blosc", read[0], read[2], None, *vdb_sizes, same_vdb),
         row(".vdb (their blosc), read", "pyopenvdb, blosc", read[1], read[2], None, *vdb_sizes, same_vdb),
     ]
