@@ -137,8 +137,8 @@ class SparseVoxelOctree(Scene):
         """
         flat = self.node_children.reshape(-1)
         slots = np.flatnonzero(flat != 0)  # ten times as fast as flatnonzero(flat)
-        parents, children = slots // 8, flat[slots]
-        numbered = len(children) == self.n - 1 and bool((children == np.arange(1, self.n)).all())
+        parents, children = slots >> 3, flat[slots]
+        numbered = len(children) == self.n - 1 and bool((children == np.arange(1, self.n, dtype=np.int32)).all())
         return parents if numbered and bool((children > parents).all()) else None
 
     @cached_property

@@ -59,8 +59,9 @@ def _marched(
     turn = field.place[:, :3]
     place = turn @ origin + field.place[:, 3]
     # SH are in the field's own axes.
-    own = looks @ field.axes.T
-    basis = np.ones((len(looks), 1)) if field.basis.kind == "RGBA" else sh_basis(own, field.basis.size)
+    own, size = looks @ field.axes.T, field.basis.size
+    rgba = field.basis.kind == "RGBA"
+    basis = np.ones((len(looks), 1), np.float32) if rgba else sh_basis(own, size, np.float32)
     out = np.empty((len(looks), 5), np.float32)
     if lookup == "nearest":
         from nerfbake.kernels.traversal import march
@@ -71,5 +72,5 @@ def _marched(
 
         # Positions from centre to centre; what is occupied reaches one further on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
-    march(field.cells, field.values, box, place, looks @ turn.T, stop, basis.astype(np.float32), cut, out)
+    march(field.cells, field.values, box, place, looks @ turn.T, stop, basis, cut, out)
     return out
