@@ -21,7 +21,7 @@ from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Result, Spread, measure
 from nerfbake.bench.plot import Point, scatter
 from nerfbake.bench.report import Report, Table
-from nerfbake.errors import InvalidScene, MemoryLimit, Problem, UsageError
+from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, Problem, UsageError
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -129,12 +129,18 @@ def _write(folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume
 
 
 def _file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, index: Volume) -> list[list[Any]]:
-    """The size of every file that could be written of the scene; float16 does not hold every scene."""
+    """The size of every file that could be written of the scene, or why it could not: a format has its limits, and
+    float16 does not hold every scene.
+    """
+    path = folder / "file"
 
-    def size(scene: Any, to: str, **options: Any) -> float:
-        return io.save(folder / "file", scene, to=to, force=True, **options) / 1e6
+    def row(what: str, scene: Any, to: str, **options: Any) -> list[Any]:
+        try:
+            return [what, R, io.save(path, scene, to=to, force=True, **options) / 1e6]
+        except NerfbakeError as error:
+            return [f"{what}: {str(error).removeprefix(f'{path}: ')}", R, None]
 
-    rows: list[list[Any]] = [[f"octree .{to}", R, size(tree, to)] for to in ("svo.npz", "svo.pb")]
+    rows = [row(f"octree .{to}", tree, to) for to in ("svo.npz", "svo.pb")]
     for what, volume, endings in (("density", density, ("nvdb", "vdb")), ("index", index, ("nvdb",))):
         try:
             half = build_vdb(tree, grids=(what,), half=True, max_memory=1 << 46)
@@ -143,9 +149,9 @@ def _file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, i
             half = None
         for to, codec in product(endings, ("none", "zip")):
             packed = " zip" if codec == "zip" else ""
-            rows.append([f"{what} .{to}{packed}", R, size(volume, to, codec=codec)])
+            rows.append(row(f"{what} .{to}{packed}", volume, to, codec=codec))
             if half:
-                rows.append([f"{what} .{to} half{packed}", R, size(half, to, codec=codec)])
+                rows.append(row(f"{what} .{to} half{packed}", half, to, codec=codec))
     return rows
 
 

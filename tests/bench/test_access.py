@@ -223,6 +223,15 @@ def test_a_density_that_float16_cannot_hold_costs_its_rows_only(tmp_path: Path) 
     ]  # fmt: skip
 
 
+def test_a_format_that_is_too_small_costs_its_row_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.formats.octree_protobuf.MAX_2GIB", 100)
+    tree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
+    density, index = (build_vdb(tree, grids=(grid,)) for grid in ("density", "index"))
+    (refused,) = (what for what, _, size in access._file_rows(tmp_path, 4, tree, density, index) if size is None)
+    assert refused.startswith("octree .svo.pb: svo.pb would take ")
+    assert refused.endswith("allowed: 100, protobuf's limit")
+
+
 def test_a_scene_without_a_voxel_is_refused() -> None:
     empty = build_octree(n3tree(splits=[], data_format="SH4"), sigma_min=1e9)
     with pytest.raises(InvalidScene, match="the scene has no voxel; allowed: a density above 0"):
