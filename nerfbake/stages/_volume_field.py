@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, Problem
+from nerfbake.errors import InvalidScene, Problem, format_size
 from nerfbake.kernels.bitmask import slots_of
 from nerfbake.kernels.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.morton import dilate
@@ -16,6 +16,7 @@ from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._field import Field, box_of, shown_basis
 
+MAX_CELLS = 4 << 30  # bytes: sixteen times what masks take, and files may declare many of those
 _EDGE = 1e-6  # how near to 0 and 1 a colour may be, for its sigmoid to be undone
 Ints = npt.NDArray[np.int64]
 
@@ -77,6 +78,9 @@ def _values_at(grid: VdbTree, topology: VdbTopology) -> npt.NDArray[np.float32]:
 
 def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, npt.NDArray[np.int64]]:
     """The tree, with row i for the i-th held voxel, and the voxel (3,) at its lowest corner."""
+    need = sum(4 * nodes << 3 * width for nodes, width in zip(topology.node_counts, (5, 4, 3), strict=True))
+    if need > MAX_CELLS:
+        raise InvalidScene(Problem("the volume", f"needs {format_size(need)} as cells", format_size(MAX_CELLS)))
     tiles = topology.root_origin.astype(np.int64) >> 12
     low = tiles.min(axis=0, initial=1 << 31)
     levels = _tile_levels(tiles - low)

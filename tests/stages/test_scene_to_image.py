@@ -261,6 +261,13 @@ def test_colours_of_other_voxels_are_looked_up() -> None:
     assert_allclose(render(pruned, camera).colour, render(octree, camera).colour, atol=2e-4)
 
 
+def test_more_cells_than_memory_has_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.stages._volume_field.MAX_CELLS", 100_000)
+    volume = build_vdb(grown())
+    with pytest.raises(InvalidScene, match=r"the volume needs 146.0 KiB as cells; allowed: 97.7 KiB"):
+        render(volume, front())
+
+
 @pytest.mark.parametrize("far", [4096, -8192, 1 << 30, -(1 << 31)])
 def test_voxels_anywhere_in_32_bits_are_seen(far: int) -> None:
     coords = np.array([[0, 0, 0], [1, 0, 0], [0, far, 0]], np.int64)
