@@ -9,13 +9,11 @@ how busy the machine was. Needs the real chair beside the project.
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from nerfbake import load
 from nerfbake.bench.access import RESOLUTIONS, chart, compare
+from nerfbake.bench.progress import told
 from nerfbake.bench.report import Report, Table, markdown
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
@@ -38,12 +36,6 @@ def aims(report: Report) -> Table:
         for R, ratio in ratios
     ]
     return Table("Aims", ["aim", "allowed", "measured", "holds"], cells)
-
-
-@contextmanager
-def told(text: str) -> Iterator[None]:
-    print(text, file=sys.stderr, flush=True)
-    yield
 
 
 def main() -> None:

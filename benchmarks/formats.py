@@ -9,14 +9,13 @@ project; without it the sample stands alone.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from nerfbake import build_octree, load, sample_n3tree
 from nerfbake.bench.formats import chart, compare
+from nerfbake.bench.progress import told
 from nerfbake.bench.report import WRITERS, Report, Table, document
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -58,12 +57,6 @@ def aims(report: Report) -> Table:
         times = faster(ours, other)
         rows.append([f"{ours}: times as fast as {other}", f"at least {least}", times, times >= least])
     return Table("Aims", ["aim", "allowed", "measured", "holds"], rows)
-
-
-@contextmanager
-def told(text: str) -> Iterator[None]:
-    print(text, file=sys.stderr, flush=True)
-    yield
 
 
 def main() -> None:

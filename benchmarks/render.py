@@ -8,13 +8,11 @@ The five held-out views. Needs the real chair beside the project.
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from nerfbake import Cameras, load
+from nerfbake.bench.progress import told
 from nerfbake.bench.render import COLUMNS, chart, compare
 from nerfbake.bench.report import Report, Table, document
 from nerfbake.scene.n3tree import N3Tree
@@ -36,12 +34,6 @@ def aims(report: Report, name: str) -> Table:
         [f"{name}: first picture of a process, s", f"below {FIRST}", first, first < FIRST],
     ]
     return Table("Aims", ["aim", "allowed", "measured", "holds"], rows)
-
-
-@contextmanager
-def told(text: str) -> Iterator[None]:
-    print(text, file=sys.stderr, flush=True)
-    yield
 
 
 def main() -> None:

@@ -6,8 +6,7 @@ round by round. One thread reads, in our rows as in the others'.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +19,7 @@ from nerfbake.bench._readers import CONTENDERS, Contender, compile_nanovdb, read
 from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Result, Spread, measure
 from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, Problem, UsageError
 from nerfbake.scene.camera import Camera
@@ -30,7 +30,6 @@ from nerfbake.scene.volume import Volume
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_vdb import build_vdb
 
-Progress = Callable[[str], AbstractContextManager[None]]
 PACKAGES = ("numpy", "numba", "warp-lang")
 RESOLUTIONS = (128, 320, 512)
 POINTS = 1_000_000

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,11 +23,11 @@ from nerfbake import io
 from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Result, Spread, Work, measure
 from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.kernels.sphere import fibonacci
 from nerfbake.stages.specular_to_identifiers import Identifiers
 
-Progress = Callable[[str], AbstractContextManager[None]]
 PACKAGES = ("numpy", "numba", "pillow", "scikit-learn")
 
 

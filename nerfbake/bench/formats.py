@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -24,6 +23,7 @@ from nerfbake.bench.environment import environment
 from nerfbake.bench.libraries import LIBRARIES
 from nerfbake.bench.measure import Result, Spread, Work, measure
 from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import UsageError
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -59,8 +59,6 @@ FEATURES = Table(
     ],
 )
 WITHDRAWN = "not measured: .NET only; Microsoft withdrew it as unsafe and took it out of .NET 9"
-
-Progress = Callable[[str], AbstractContextManager[None]]
 
 
 class Contender(NamedTuple):

@@ -9,8 +9,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -22,14 +20,13 @@ from nerfbake import io
 from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Result, Spread, Work, measure
 from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.kernels.metrics import psnr
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.stages._field import field_of
-
-Progress = Callable[[str], AbstractContextManager[None]]
 
 EDGES = (400, 800)
 LOOKUPS = ("nearest", "trilinear")
