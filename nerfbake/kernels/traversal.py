@@ -81,21 +81,8 @@ def march(
                     if through < cut:
                         break
                 t = ahead
-                # Into the next cell by number, not by a small step: rounding can neither hold a ray up nor skip a cell.
-                last = width - 1
-                if exit0 <= exit1 and exit0 <= exit2:
-                    x = int(l0 + width if d0 > 0 else l0 - 1)
-                    y, z = within(o1 + t * d1, l1, l1 + last), within(o2 + t * d2, l2, l2 + last)
-                    inside = low0 <= x <= high0
-                elif exit1 <= exit2:
-                    y = int(l1 + width if d1 > 0 else l1 - 1)
-                    x, z = within(o0 + t * d0, l0, l0 + last), within(o2 + t * d2, l2, l2 + last)
-                    inside = low1 <= y <= high1
-                else:
-                    z = int(l2 + width if d2 > 0 else l2 - 1)
-                    x, y = within(o0 + t * d0, l0, l0 + last), within(o1 + t * d1, l1, l1 + last)
-                    inside = low2 <= z <= high2
-                if not inside:
+                x, y, z, axis = beyond(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+                if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
                     break
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
@@ -115,6 +102,38 @@ def sums(values: Floats, row: int, basis: Floats, ray: int) -> Any:
 @compiled()
 def sigmoid(x: Any) -> Any:
     return np.float32(1) / (np.float32(1) + np.exp(-x))
+
+
+@compiled(inline=True)
+def beyond(
+    l0: float,
+    l1: float,
+    l2: float,
+    width: float,
+    exit0: float,
+    exit1: float,
+    exit2: float,
+    o0: float,
+    o1: float,
+    o2: float,
+    d0: float,
+    d1: float,
+    d2: float,
+    t: float,
+) -> Any:
+    """The cell behind the one from l that a ray leaves at t, and the axis across which it does.
+
+    By number, not by a small step: rounding can neither hold a ray up nor skip a cell.
+    """
+    last = width - 1
+    if exit0 <= exit1 and exit0 <= exit2:
+        x = int(l0 + width if d0 > 0 else l0 - 1)
+        return x, within(o1 + t * d1, l1, l1 + last), within(o2 + t * d2, l2, l2 + last), 0
+    if exit1 <= exit2:
+        y = int(l1 + width if d1 > 0 else l1 - 1)
+        return within(o0 + t * d0, l0, l0 + last), y, within(o2 + t * d2, l2, l2 + last), 1
+    z = int(l2 + width if d2 > 0 else l2 - 1)
+    return within(o0 + t * d0, l0, l0 + last), within(o1 + t * d1, l1, l1 + last), z, 2
 
 
 @compiled()

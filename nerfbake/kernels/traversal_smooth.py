@@ -15,7 +15,7 @@ from numba import prange
 
 from nerfbake.kernels.cells import EMPTY, Cells, Ints, descend, new_path
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.traversal import BLOCK, Doubles, Floats, shuffled, sigmoid, span, sums, within
+from nerfbake.kernels.traversal import BLOCK, Doubles, Floats, beyond, shuffled, sigmoid, span, sums, within
 
 GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; the other is as far from the end
 
@@ -76,24 +76,13 @@ def march_smooth(
                     if through < cut:
                         break
                 t = ahead
-                last = width - 1
-                # fresh: the corners that the next cube does not share with this one, as bits of their numbers.
-                if exit0 <= exit1 and exit0 <= exit2:
-                    x = l0 + width if d0 > 0 else l0 - 1
-                    y, z = within(o1 + t * d1, l1, l1 + last), within(o2 + t * d2, l2, l2 + last)
-                    inside, axis, upward = low0 <= x <= high0, 4, d0 > 0
-                elif exit1 <= exit2:
-                    y = l1 + width if d1 > 0 else l1 - 1
-                    x, z = within(o0 + t * d0, l0, l0 + last), within(o2 + t * d2, l2, l2 + last)
-                    inside, axis, upward = low1 <= y <= high1, 2, d1 > 0
-                else:
-                    z = l2 + width if d2 > 0 else l2 - 1
-                    x, y = within(o0 + t * d0, l0, l0 + last), within(o1 + t * d1, l1, l1 + last)
-                    inside, axis, upward = low2 <= z <= high2, 1, d2 > 0
-                if not inside:
+                x, y, z, axis = beyond(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+                if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
                     break
                 if width == 1:
-                    fresh = axis if upward else -axis
+                    # The corners that the next cube does not share with this one, as bits of their numbers.
+                    upward = d0 > 0 if axis == 0 else d1 > 0 if axis == 1 else d2 > 0
+                    fresh = 4 >> axis if upward else -(4 >> axis)
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
 
