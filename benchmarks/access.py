@@ -46,7 +46,6 @@ def main() -> None:
         CHAIR.name,
         resolutions=RESOLUTIONS,
         rounds=ROUNDS,
-        max_memory=4 << 30,
         cameras=load(VIEWS, Cameras).cameras,
         progress=told,
     )

@@ -19,11 +19,12 @@ class Format(NamedTuple):
     name: str  # what --to takes and info prints
     scene: str  # name of the scene type that it holds
     suffix: str  # the ending of its files
-    module: str  # has encode(scene, **options) and decode(view, *, max_memory, ...)
+    module: str  # has encode(scene, **options) and decode(view, ...)
     title: str
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
     profiles: tuple[str, ...] = ()  # what encode's `profile` takes, the one it writes unless told otherwise first
     readable: bool = True  # False: written for people to look at, without decode() and recognise()
+    key: str = ""  # of a folder: the file by which it is known
 
     def load_module(self) -> Any:
         return import_module(self.module)
@@ -58,9 +59,11 @@ FORMATS = (
 
 # Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
 FOLDERS = (
-    Format("stage1", "Stage1", "", "nerfbake.formats.stage1_folder", "nerf2mesh's stage 1"),
-    Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas with its mesh"),
-    Format("thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "atlas of the K-means thesis' own code"),
+    Format("stage1", "Stage1", "", "nerfbake.formats.stage1_folder", "nerf2mesh's stage 1", key="mlp.json"),
+    Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas", key="atlas.json"),
+    Format(
+        "thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "the thesis' atlas", key="octahedron_maps.png"
+    ),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
@@ -114,8 +117,41 @@ STAGES = {
 }
 
 
+# What people call the scenes, and what they may do with one that a command does not take.
+NOUNS = {
+    "Animation": "a moving picture",
+    "BakedAtlas": "an atlas folder",
+    "Cameras": "cameras",
+    "Comparison": "a page of a comparison",
+    "Depth": "a depth map",
+    "Image": "a picture",
+    "Meshes": "a mesh",
+    "N3Tree": "a PlenOctree",
+    "SparseVoxelOctree": "an octree",
+    "Stage1": "a stage-1 folder",
+    "Volume": "a volume",
+}
+ADVICE = {
+    "Cameras": "--cameras takes them",
+    "N3Tree": "`nerfbake svo` makes an octree of it",
+    "SparseVoxelOctree": "`nerfbake convert` writes it in other formats",
+    "Stage1": "`nerfbake atlas` bakes it",
+    "Volume": "`nerfbake convert` makes an octree of it",
+}
+
+
 def load_compression() -> Any:
     return import_module(COMPRESSION)
+
+
+def uncompressed(name: str) -> str:
+    """A path, or a format's name, without the ending of a compressed file."""
+    return name[: -len(COMPRESSED)] if name.lower().endswith(COMPRESSED) else name
+
+
+def compressed(form: Format) -> Format:
+    """The same format in a compressed file."""
+    return form._replace(name=form.name + COMPRESSED, suffix=form.suffix + COMPRESSED)
 
 
 def format_named(name: str, scene: str) -> Format:
@@ -124,7 +160,8 @@ def format_named(name: str, scene: str) -> Format:
     for form in known:
         if form.name == name.removeprefix("."):
             return form
-    raise UsageError(f"no format of {scene} is called {name!r}; allowed: {', '.join(form.name for form in known)}")
+    names = ", ".join(form.name for form in known)
+    raise UsageError(f"{NOUNS[scene]} is not written as {name!r}; allowed: {names}, each with .zst behind it")
 
 
 def format_of_path(path: str, scene: str) -> Format:
@@ -134,7 +171,7 @@ def format_of_path(path: str, scene: str) -> Format:
         if path.lower().endswith(form.suffix):
             return form
     endings = ", ".join(form.suffix for form in known)
-    raise UsageError(f"the ending of {path!r} names no format of {scene}; allowed: {endings}, or --to FORMAT")
+    raise UsageError(f"{path!r} has no ending that {NOUNS[scene]} is written with; allowed: {endings}, or --to FORMAT")
 
 
 def is_ending(path: str, scene: str) -> bool:
@@ -156,8 +193,9 @@ def folder_of_content(files: Mapping[str, memoryview]) -> Format:
     for form in FOLDERS:
         if form.load_module().recognise(files):
             return form
+    names = [form.key for form in FOLDERS]
     raise InvalidFile(
-        f"is a folder that nerfbake does not know; allowed: a file, or {', '.join(f.title for f in FOLDERS)}"
+        f"is a folder that nerfbake does not know; allowed: a file, or a folder with {' or '.join(names)}"
     )
 
 
@@ -175,4 +213,4 @@ def format_of_content(path: str, head: bytes) -> Format:
     if by_ending:
         return by_ending[0]
     start = head[:8].hex(" ") or "nothing"
-    raise InvalidFile(f"starts with {start}, as no known format does; allowed: {', '.join(f.title for f in known)}")
+    raise InvalidFile(f"starts with {start}, as no known format does; allowed: the endings that the README lists")

@@ -7,6 +7,7 @@
 | 2 | wrong usage: an option, a format or an ending that there is not (`UsageError`, click's own) |
 | 3 | a quality budget is missed (`BudgetMissed`) |
 | 4 | the output cannot be written (`OutputError`); what stood there before is untouched |
+| 70 | a fault of nerfbake's own: please report it |
 | 130, 141, 143 | stopped by Ctrl-C, by a reader that closed the pipe, by SIGTERM |
 """
 
@@ -33,9 +34,18 @@ class Problem(NamedTuple):
         return one_line(str(self))
 
 
+LONGEST_LINE = 300  # characters: a terminal's line or two
+
+
 def one_line(text: str) -> str:
-    """Without line breaks and other characters that would move a terminal's cursor."""
-    return " ".join("".join(char if char.isprintable() else " " for char in text).split())
+    """Without line breaks and other characters that would move a terminal's cursor, and not too long to be read."""
+    if len(text) > 4 * LONGEST_LINE:
+        text = text[: 2 * LONGEST_LINE] + text[-2 * LONGEST_LINE :]
+    line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
+    if len(line) <= LONGEST_LINE:
+        return line
+    # What is allowed stands at the end, where it should stay.
+    return f"{line[: LONGEST_LINE * 2 // 3]} ... {line[5 - LONGEST_LINE // 3 :]}"
 
 
 class NerfbakeError(Exception):
@@ -81,8 +91,9 @@ class InvalidScene(NerfbakeError):
 class MemoryLimit(NerfbakeError):
     """A file or a result that would take more memory than the caller allowed."""
 
-    def __init__(self, what: str, need: int, limit: int) -> None:
-        super().__init__(Problem(what, f"needs {format_size(need)}", f"{format_size(limit)} (--max-memory)"))
+    def __init__(self, what: str, need: int, limit: int, *, beside: int = 0) -> None:
+        others = f" beside {format_size(beside)} that are taken" if beside else ""
+        super().__init__(Problem(what, f"needs {format_size(need)}{others}", f"{format_size(limit)} (--max-memory)"))
 
 
 class BudgetMissed(NerfbakeError):

@@ -118,16 +118,24 @@ def test_a_turntable_moves_or_is_a_sheet(shell: Shell, scene: Path) -> None:
     ("arguments", "code", "said"),
     [
         (["a.npz"], 2, "Missing option '--out'"),
-        (["a.npz", "--out", "a.bmp"], 2, "names no format of Image; allowed: .png"),
+        (["a.npz", "--out", "a.bmp"], 2, "has no ending that a picture is written with; allowed: .png"),
         (["a.npz", "--out", "a.png", "--background", "blue"], 2, "'blue' is no colour; allowed: white"),
         (["a.npz", "--out", "a.png", "--size", "0x9"], 2, "'0x9' is no size"),
-        (["a.npz", "--out", "a.png", "--lod", "2"], 1, "a.npz: holds an N3Tree; allowed: a SparseVoxelOctree"),
+        (
+            ["a.npz", "--out", "a.png", "--lod", "2"],
+            1,
+            "a PlenOctree (`nerfbake svo` makes an octree of it); allowed: an octree",
+        ),
         (["a.svo.pb", "--out", "a.png", "--lod", "9"], 1, "a.svo.pb: level is 9; allowed: 0 to 2"),
-        (["transforms.json", "--out", "a.png"], 1, "transforms.json: holds a Cameras; allowed: an N3Tree or a Volume"),
+        (
+            ["transforms.json", "--out", "a.png"],
+            1,
+            "holds cameras (--cameras takes them); allowed: a PlenOctree or a volume",
+        ),
         (["a.npz", "--out", "-", "--depth"], 2, "--depth and --alpha write files beside a picture; allowed: a .png"),
         (["a.npz", "--turntable", "3", "--out", "a.gif", "--alpha"], 2, "--depth and --alpha write files beside a"),
         (["a.npz", "--out", "a.png", "--depth", "exr"], 2, "'exr' is not one of 'png', 'npy'"),
-        (["a.npz", "--out", "a.gif"], 2, "names no format of Image; allowed: .png"),
+        (["a.npz", "--out", "a.gif"], 2, "has no ending that a picture is written with; allowed: .png"),
         (["a.npz", "--turntable", "3", "--cameras", "t.json", "--out", "a.gif"], 2, "allowed: it or --cameras"),
         (["a.npz", "--turntable", "3", "--out", "-"], 2, "stdout takes one picture; allowed for several"),
         (
@@ -135,7 +143,7 @@ def test_a_turntable_moves_or_is_a_sheet(shell: Shell, scene: Path) -> None:
             1,
             "a.gif: keeping 9 pictures at",
         ),
-        (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "a.npz: holds an N3Tree; allowed: a Cameras"),
+        (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "makes an octree of it); allowed: cameras"),
         (
             ["a.npz", "--out", "a.png", "--cameras", "transforms.json", "--frame", "7"],
             2,

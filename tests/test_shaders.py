@@ -27,7 +27,7 @@ def textures(atlas: OctahedralAtlas) -> dict[str, npt.NDArray[np.uint8]]:
     """What a shader gets: the PNGs that are written."""
     written = atlas_folder.encode(BakedAtlas((atlas,), (None,), {}, {}))
     pngs = {name.removesuffix("_0.png"): content for name, content in written if name.endswith(".png")}
-    return {role: decode_texture(memoryview(png[0]), role, max_memory=1 << 30) for role, png in pngs.items()}
+    return {role: decode_texture(memoryview(png[0]), role) for role, png in pngs.items()}
 
 
 def every_texel(atlas: OctahedralAtlas) -> tuple[npt.NDArray[np.int64], Floats]:

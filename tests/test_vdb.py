@@ -76,7 +76,7 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["vdb", "a.npz", "b.obj"], 2, "names no format of Volume; allowed: .vdb.npz, .vdb, .nvdb"),
+        (["vdb", "a.npz", "b.obj"], 2, "has no ending that a volume is written with; allowed: .vdb.npz, .vdb, .nvdb"),
         (["vdb", "a.npz", "-"], 2, "stdout has no ending that names a format; allowed: --to FORMAT"),
         (["vdb", "a.npz", "b.vdb", "--grids", "colour"], 1, "a.npz: grids are 'colour'; allowed: some of density"),
         (["vdb", "a.npz", "b.vdb", "--grids", "index"], 1, "b.vdb: a .vdb has no index grids; allowed"),
@@ -86,8 +86,12 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
         (["vdb", "a.npz", "b.vdb.npz", "--codec", "zip"], 2, "a .vdb.npz has no codecs; allowed: no --codec"),
         (["vdb", "a.svo.npz", "b.vdb", "--resolution", "8"], 2, "an octree has its own resolution"),
         (["convert", "a.vdb", "b.svo.npz"], 1, "a.vdb: the volume has the grids density, Cd; allowed: density,sh or"),
-        (["convert", "a.npz", "b.svo.npz"], 1, "holds an N3Tree; allowed: a SparseVoxelOctree or a Volume"),
-        (["vdb", "a.vdb", "b.nvdb"], 1, "holds a Volume; allowed: an N3Tree or a SparseVoxelOctree"),
+        (["convert", "a.npz", "b.svo.npz"], 1, "makes an octree of it); allowed: an octree or a volume"),
+        (
+            ["vdb", "a.vdb", "b.nvdb"],
+            1,
+            "makes an octree of it); allowed: a PlenOctree or an octree",
+        ),
     ],
 )
 def test_wrong_usage(shell: Shell, tmp_path: Path, arguments: list[str], code: int, said: str) -> None:

@@ -69,8 +69,11 @@ def compile_nanovdb(folder: Path) -> None:
         missing.write_text(f"g++ {next(line for line in done.stderr.splitlines() if 'error' in line)}")
 
 
-def reading(name: str, folder: str, channels: int, kinds: list[str], max_memory: int) -> Work:
-    """The work of reading every kind of points once, after a pass that does not count; in a process of its own."""
+def reading(name: str, folder: str, channels: int, kinds: list[str], limit: int) -> Work:
+    """The work of reading every kind of points once, after a pass that does not count; in a process of its own.
+
+    limit: most bytes that a dense structure may take.
+    """
     if name == "OpenVDB C++":
         raise NerfbakeError(TOO_SLOW)
     home = Path(folder)
@@ -78,7 +81,7 @@ def reading(name: str, folder: str, channels: int, kinds: list[str], max_memory:
     if name.startswith("NanoVDB"):
         return _nanovdb(home, files, stencil="no stencil" not in name)
     points = [np.fromfile(file, np.float32).reshape(-1, 3) for file in files]
-    read, size = _warp(home) if name == "Warp" else _ours(name, home, channels, max_memory)
+    read, size = _warp(home) if name == "Warp" else _ours(name, home, channels, limit)
 
     def run() -> list[tuple[float, float, float]]:
         found = []
@@ -98,8 +101,8 @@ def _size(values: npt.NDArray[np.float32]) -> float:
     return float(np.abs(values).sum(dtype=np.float64))
 
 
-def _ours(name: str, home: Path, channels: int, max_memory: int) -> tuple[Any, int]:
-    structure = _structure(name, home, channels, max_memory)
+def _ours(name: str, home: Path, channels: int, limit: int) -> tuple[Any, int]:
+    structure = _structure(name, home, channels, limit)
 
     def read(points: npt.NDArray[np.float32]) -> Any:
         places, out = points.astype(np.float64), np.empty((len(points), channels), np.float32)
@@ -113,15 +116,15 @@ def _ours(name: str, home: Path, channels: int, max_memory: int) -> tuple[Any, i
     return read, structure.nbytes
 
 
-def _structure(name: str, home: Path, channels: int, max_memory: int) -> _structures.Structure:
-    tree = io.load(home / "octree.svo.npz", SparseVoxelOctree, max_memory=1 << 46)
+def _structure(name: str, home: Path, channels: int, limit: int) -> _structures.Structure:
+    tree = io.load(home / "octree.svo.npz", SparseVoxelOctree)
     if name == "octree":
         return _structures.octree(tree, channels)
     voxels = int(np.prod(tree.size))
     need = {"dense array": 4 * channels * voxels, "dense pointers": 4 * voxels}.get(name, 0)
-    if need > max_memory:
-        raise MemoryLimit("it", need, max_memory)
-    grid = io.load(home / ("density.nvdb" if channels == 1 else "index.nvdb"), Volume, max_memory=1 << 46).grids[0]
+    if need > limit:
+        raise MemoryLimit("it", need, limit)
+    grid = io.load(home / ("density.nvdb" if channels == 1 else "index.nvdb"), Volume).grids[0]
     topology = grid.topology
     if name == "VDB":
         return _structures.Structure(trilinear, (topology.tables, *grid.rows))

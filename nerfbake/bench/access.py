@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from nerfbake import io
+from nerfbake import io, memory
 from nerfbake.bench._points import kinds_of_points
 from nerfbake.bench._rays import Counts, count_samples
 from nerfbake.bench._readers import CONTENDERS, Contender, compile_nanovdb, reading
@@ -64,7 +64,6 @@ def compare(
     *,
     resolutions: Sequence[int] | None,
     rounds: int,
-    max_memory: int,
     progress: Progress,
     cameras: Sequence[Camera] = (),
     points: int = POINTS,
@@ -72,7 +71,7 @@ def compare(
     """Measures every row at every resolution and reports; progress(text) surrounds each step.
 
     An octree has its own resolution only. Raises UsageError where others are asked for, InvalidScene for a scene
-    without a voxel. What would take more than max_memory bytes is a row that says so.
+    without a voxel. What would take more memory than is allowed is a row that says so.
     """
     if isinstance(scene, SparseVoxelOctree) and resolutions:
         raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
@@ -81,8 +80,8 @@ def compare(
     for R in resolutions or (RESOLUTIONS if isinstance(scene, N3Tree) else (max(scene.size),)):
         try:
             with progress(f"R = {R}: building"):
-                tree = build_octree(scene, resolution=R, max_memory=max_memory) if isinstance(scene, N3Tree) else scene
-                density, index = (build_vdb(tree, grids=(g,), max_memory=max_memory) for g in ("density", "index"))
+                tree = build_octree(scene, resolution=R) if isinstance(scene, N3Tree) else scene
+                density, index = (build_vdb(tree, grids=(g,)) for g in ("density", "index"))
         except MemoryLimit as error:
             reads.append([f"all: {error}", R, *[None] * (len(COLUMNS) - 2)])
             continue
@@ -90,7 +89,7 @@ def compare(
             with progress(f"R = {R}: writing"):
                 _write(Path(folder), tree, density, index, points)
                 files += _file_rows(Path(folder), R, tree, density, index)
-            found = _measured(folder, R, tree.data_dim, rounds, max_memory, progress)
+            found = _measured(folder, R, tree.data_dim, rounds, progress)
         version = next((r[0].facts["version"] for r in found.values() if r[0].facts.get("version")), version)
         reads += _figures(R, found)
         rays += _ray_rows(R, density, cameras, progress)
@@ -142,7 +141,7 @@ def _file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, i
     rows = [row(f"octree .{to}", tree, to) for to in ("svo.npz", "svo.pb")]
     for what, volume, endings in (("density", density, ("nvdb", "vdb")), ("index", index, ("nvdb",))):
         try:
-            half = build_vdb(tree, grids=(what,), half=True, max_memory=1 << 46)
+            half = build_vdb(tree, grids=(what,), half=True)
         except InvalidScene as error:
             rows.append([f"{what} half: {error}", R, None])
             half = None
@@ -157,9 +156,7 @@ def _file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, i
 Row = tuple[Contender, int]
 
 
-def _measured(
-    folder: str, R: int, channels: int, rounds: int, max_memory: int, progress: Progress
-) -> dict[Row, list[Result]]:
+def _measured(folder: str, R: int, channels: int, rounds: int, progress: Progress) -> dict[Row, list[Result]]:
     rows = [(row, 1) for row in CONTENDERS]
     rows += [(row, channels) for row in CONTENDERS if row.all and channels > 1]
     results: dict[Row, list[Result]] = {row: [] for row in rows}
@@ -167,7 +164,7 @@ def _measured(
         for contender, C in rows:
             if (found := results[contender, C]) and found[0].error:
                 continue
-            arguments = {"name": contender.name, "channels": C, "kinds": KINDS, "max_memory": max_memory}
+            arguments = {"name": contender.name, "channels": C, "kinds": KINDS, "limit": memory.left()}
             with progress(f"R = {R}, {contender.name}, {C} channels: round {turn + 1} of {rounds}"):
                 found.append(measure(reading, folder=folder, **arguments))
     return results

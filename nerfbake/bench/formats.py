@@ -9,7 +9,6 @@ its own; the formats take turns, round by round, after a round that does not cou
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,9 +25,9 @@ from nerfbake.bench.plot import Point, scatter
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import UsageError
+from nerfbake.io.sources import read_file
 from nerfbake.scene.octree import SparseVoxelOctree
 
-MAX_MEMORY = 1 << 46  # a benchmark measures what it takes
 RAW = "raw"
 PACKAGES = ("numpy", "orjson", "pymongo", "zstandard", "protobuf", "flatbuffers", "pycapnp")
 
@@ -201,7 +200,7 @@ def decoding(contender: list[Any], scene: str, target: str) -> Work:
     decode = _decoder(Contender(*contender))
 
     def run() -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        arrays = decode(_map(target), octree)
+        arrays = decode(read_file(Path(target)), octree)
         _read_all(arrays)
         return arrays
 
@@ -234,8 +233,8 @@ def _decoder(contender: Contender) -> Callable[[memoryview, SparseVoxelOctree], 
     module, decompress = _module(contender.name), catalog.load_compression().decompress
 
     def decode(view: memoryview, _: SparseVoxelOctree) -> tuple[Any, Any]:
-        content = decompress(view, max_memory=MAX_MEMORY) if contender.packed else view
-        octree = module.decode(content, max_memory=MAX_MEMORY)
+        content = decompress(view) if contender.packed else view
+        octree = module.decode(content)
         return octree.node_children, octree.node_data
 
     return decode
@@ -253,13 +252,8 @@ def _read_all(arrays: Iterable[npt.NDArray[Any]]) -> None:
 
 
 def _scene(path: str) -> SparseVoxelOctree:
-    octree: SparseVoxelOctree = _module("svo.npz").decode(_map(path), max_memory=MAX_MEMORY)
+    octree: SparseVoxelOctree = _module("svo.npz").decode(read_file(Path(path)))
     return octree
-
-
-def _map(path: str) -> memoryview:
-    with open(path, "rb") as file:
-        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def _module(name: str) -> Any:

@@ -23,6 +23,7 @@ from nerfbake.bench.plot import Point, scatter
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.kernels.metrics import psnr
+from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -102,7 +103,8 @@ def chart(report: Report, suffix: str) -> bytes:
 
 def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Work:
     """The work of rendering a picture from each camera; in a process of its own."""
-    scene: Any = io.load(path, max_memory=1 << 46)
+    with memory_limit(1 << 46):
+        scene: Any = io.load(path)
     views = [camera.resized(edge, edge) for camera in io.load(cameras, nerfbake.Cameras).cameras]
 
     def run() -> list[Any]:

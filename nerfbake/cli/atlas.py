@@ -70,14 +70,14 @@ def atlas(
         with source.blamed(words, "framing"):
             nerfbake.orbit(stage1)  # raises, before any work is done, where there is no mesh to look at
     with source.blamed(words, "baking"):
-        baked = nerfbake.bake_stage1(stage1, max_memory=source.max_memory, **options)
+        baked = nerfbake.bake_stage1(stage1, **options)
     with words.phase(f"writing {target}"):
         sizes = io.save_folder(target, baked, force=force)
     if as_json:
-        click.echo(json.dumps({**baked.facts, "files": sizes}))
+        io.print_text(json.dumps({**baked.facts, "files": sizes}))
     for error in baked.facts["errors"]:
         words.say(
             f"{target}: {baked}, MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255, {sum(sizes.values()):,} bytes"
         )
     written = Output(target, None, force)
-    budget.judge(words, Input(source.name, source.max_memory), stage1, written)
+    budget.judge(words, Input(source.name), stage1, written)

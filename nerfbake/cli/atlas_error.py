@@ -34,7 +34,7 @@ from nerfbake.cli.words import Words
 @max_memory
 @as_json
 @speaks
-def atlas_error(atlas: str, stage1: str, max_memory: int, as_json: bool, words: Words, **options: Any) -> None:
+def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options: Any) -> None:
     """Print the mean absolute and squared error (0..255) of the atlas OUT_DIR against the MLP of STAGE1_DIR.
 
     Over every used texel, direction and channel; OUT_DIR may also be what the K-means thesis' own code wrote.
@@ -44,14 +44,14 @@ def atlas_error(atlas: str, stage1: str, max_memory: int, as_json: bool, words: 
       nerfbake atlas-error thesis_16x64 crop64 --lookup thesis --reproduce-thesis-fault
     """
     with words.phase(f"reading {atlas}"):
-        baked = io.load_folder(atlas, nerfbake.BakedAtlas, max_memory=max_memory)
+        baked = io.load_folder(atlas, nerfbake.BakedAtlas)
     with words.phase(f"reading {stage1}"):
-        truth = io.load_folder(stage1, nerfbake.Stage1, max_memory=max_memory)
+        truth = io.load_folder(stage1, nerfbake.Stage1)
     with words.phase("measuring"), io.blame(atlas):
         errors = nerfbake.measure_stage1(baked, truth, **options)
     if as_json:
-        click.echo(json.dumps([error._asdict() for error in errors]))
+        io.print_text(json.dumps([error._asdict() for error in errors]))
         return
     for cascade, error in enumerate(errors):
-        click.echo(f"cascade {cascade}: MAE {error.mae:.9f}, MSE {error.mse:.9f} as 8-bit pictures hold them")
-        click.echo(f"cascade {cascade}: MAE {error.mae_float:.9f}, MSE {error.mse_float:.9f} before rounding")
+        io.print_text(f"cascade {cascade}: MAE {error.mae:.9f}, MSE {error.mse:.9f} as 8-bit pictures hold them")
+        io.print_text(f"cascade {cascade}: MAE {error.mae_float:.9f}, MSE {error.mse_float:.9f} before rounding")

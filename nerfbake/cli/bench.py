@@ -41,7 +41,7 @@ class Target:
         if self.output:
             self._save(self.output, text.encode())
         else:
-            click.echo(text, nl=False)
+            io.print_text(text.removesuffix("\n"))
         if self.plot:
             self._save(self.plot, chart(reports[0], Path(self.plot).suffix))
 
@@ -104,7 +104,6 @@ def formats(
     formats: str,
     rounds: int,
     target: Target,
-    max_memory: int,
     words: Words,
 ) -> None:
     """Write each SCENE in every octree format, read it again, and say what it took.
@@ -119,7 +118,7 @@ def formats(
     benchmark.chosen(names)
     found = []
     for path in scenes:
-        octree = _octree(Input(path, max_memory), words, resolution)
+        octree = _octree(Input(path), words, resolution)
         found.append(benchmark.compare(octree, Path(path).name, rounds=rounds, formats=names, progress=words.phase))
     target.write(found, benchmark.chart)
 
@@ -169,7 +168,6 @@ def access(
             Path(source.path).name,
             resolutions=resolution,
             rounds=rounds,
-            max_memory=source.max_memory,
             cameras=io.load(rays, nerfbake.Cameras).cameras if rays else (),
             progress=words.phase,
         )
@@ -202,4 +200,4 @@ def _octree(source: Input, words: Words, resolution: Any) -> Any:
     if isinstance(scene, nerfbake.SparseVoxelOctree):
         return scene
     with source.blamed(words, "building the octree"):
-        return nerfbake.build_octree(scene, resolution=resolution, max_memory=source.max_memory)
+        return nerfbake.build_octree(scene, resolution=resolution)

@@ -22,13 +22,13 @@ def check(source: Input, as_json: bool, words: Words) -> int:
       nerfbake check chair.npz && nerfbake svo chair.npz chair.svo.pb
     """
     with words.phase(f"checking {source.path}"):
-        problems = io.check(source.path, max_memory=source.max_memory)
+        problems = io.check(source.path)
     if as_json:
         found = [{**problem._asdict(), "message": str(problem)} for problem in problems]
-        click.echo(json.dumps({"file": source.path, "ok": not problems, "problems": found}))
+        io.print_text(json.dumps({"file": source.path, "ok": not problems, "problems": found}))
     else:
         for problem in problems:
-            click.echo(f"{source.path}: {problem.line}")
+            io.print_text(f"{source.path}: {problem.line}")
         if not problems:
             words.say(f"{source.path}: ok")
     return 1 if problems else 0

@@ -56,7 +56,7 @@ def compare(
         if target:
             io.format_for(target, kind)
             io.require_absent(target, force=force)
-    second = Input(other, source.max_memory)
+    second = Input(other)
     fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
     kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
     (a, facts_a), (b, facts_b) = (_read(words, each, *kinds) for each in (source, second))
@@ -68,7 +68,7 @@ def compare(
             views = nerfbake.Cameras(tuple(v.resized(*p.size) for v, p in zip(views.cameras, photographs, strict=True)))
     with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
         if sheet or html:
-            views.require_memory(source.max_memory, pictures=4)
+            views.require_memory(pictures=4)
         found = nerfbake.compare(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
     if sheet:
         io.save(sheet, found.sheet, force=force)
@@ -78,11 +78,11 @@ def compare(
     sizes = {"a": facts_a["bytes"], "b": facts_b["bytes"]}
     if as_json:
         facts = {"a": source.path, "b": other, "mean": found.means, "values": found.values, "views": found.views}
-        click.echo(json.dumps({**facts, "bytes": sizes}))
+        io.print_text(json.dumps({**facts, "bytes": sizes}))
     else:
         _print(found)
         for name, size in (("IN", sizes["a"]), ("IN2", sizes["b"])):
-            click.echo(f"{'bytes':<12}{name:<14}{size:,}")
+            io.print_text(f"{'bytes':<12}{name:<14}{size:,}")
     with second.blamed(words, "judging"):
         found.require(**budgets)
 
@@ -95,12 +95,12 @@ def _read(words: Words, source: Input, *kinds: type) -> tuple[Any, dict[str, Any
 
 def _print(found: Any) -> None:
     names = {"a_b": "IN - IN2", "a_truth": "IN - truth", "b_truth": "IN2 - truth"}
-    click.echo(f"{'view':<12}{'':<14}{'PSNR dB':>9}{'SSIM':>9}{'max error':>11}")
+    io.print_text(f"{'view':<12}{'':<14}{'PSNR dB':>9}{'SSIM':>9}{'max error':>11}")
     rows: list[dict[str, Any]] = [*found.views, {"name": "mean", **found.means}]
     for view in rows:
         for pair, errors in view.items():
             if pair != "name":
                 figures = f"{errors['psnr']:>9.2f}{errors['ssim']:>9.4f}{errors['max_error']:>11.4f}"
-                click.echo(f"{view['name']:<12}{names[pair]:<14}{figures}")
+                io.print_text(f"{view['name']:<12}{names[pair]:<14}{figures}")
     for name, errors in found.values.items():
-        click.echo(f"{'values':<12}{name:<14}mean {errors['mean']:.4g}, max {errors['max']:.4g}")
+        io.print_text(f"{'values':<12}{name:<14}mean {errors['mean']:.4g}, max {errors['max']:.4g}")

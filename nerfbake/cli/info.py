@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 import nerfbake
+from nerfbake import io
 from nerfbake.cli.params import Input, as_json, reads, speaks
 from nerfbake.cli.words import Words
 from nerfbake.errors import format_size
@@ -28,7 +29,7 @@ def info(source: Input, as_json: bool, words: Words) -> None:
     scene, form, size = source.read_with_format(words, *kinds)
     facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:
-        click.echo(json.dumps(facts))
+        io.print_text(json.dumps(facts))
         return
     _table(facts)
 
@@ -37,11 +38,11 @@ def _table(facts: dict[str, Any]) -> None:
     for name, value in facts.items():
         if name == "grids":
             for grid, parts in value.items():
-                click.echo(f"\ngrid {grid}")
+                io.print_text(f"\ngrid {grid}")
                 _table(parts)
-            click.echo()
+            io.print_text()
         else:
-            click.echo(f"{name.replace('_', ' '):<20}{_text(name, value)}")
+            io.print_text(f"{name.replace('_', ' '):<20}{_text(name, value)}")
 
 
 def _text(name: str, value: Any) -> str:

@@ -5,6 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import traceback
+import warnings
+from contextlib import suppress
+from io import TextIOWrapper
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -24,6 +29,8 @@ from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
 from nerfbake.cli.vdb import vdb
 from nerfbake.errors import NerfbakeError, PipeClosed, one_line
+
+OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
 
 
 class InOrder(click.Group):
@@ -46,7 +53,8 @@ def cli() -> None:
       nerfbake vdb chair.npz chair.vdb
       nerfbake svo chair.npz - --to svo.pb | nerfbake info - --json
 
-    Exit codes: 0 done, 1 bad input, 2 wrong usage, 3 quality budget missed, 4 the output cannot be written.
+    Exit codes: 0 done, 1 bad input, 2 wrong usage, 3 quality budget missed, 4 the output cannot be written,
+    70 a fault of nerfbake's own.
     """
 
 
@@ -56,12 +64,18 @@ for command in (svo, vdb, atlas, atlas_error, convert, lod, render, compare, inf
 
 def main() -> NoReturn:
     """Runs the command line and exits."""
+    _occupy_standard_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names may hold what the terminal's encoding has not
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")  # they speak to programmers: `python -W error -m nerfbake` shows them
     signal.signal(signal.SIGTERM, _stop)
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
-    """The exit code of a command line."""
+    """The exit code of a command line: the one guard, behind which no exception and no traceback gets."""
     try:
         result = cli.main(arguments, prog_name="nerfbake", standalone_mode=False)
         return result if isinstance(result, int) else 0
@@ -80,11 +94,31 @@ def run(arguments: list[str]) -> int:
         return _fail("out of memory; a lower --resolution or --max-memory may help", 1)
     except (click.Abort, KeyboardInterrupt):
         return _fail("stopped", 128 + signal.SIGINT)
+    except Exception as error:
+        if os.environ.get("NERFBAKE_TRACEBACK"):
+            raise
+        return _fail(f"{_whereabouts(error)}; please report it (NERFBAKE_TRACEBACK=1 shows more)", OWN_FAULT)
+
+
+def _whereabouts(error: Exception) -> str:
+    """What went wrong in nerfbake itself, and where."""
+    place = [frame for frame in traceback.extract_tb(error.__traceback__) if "nerfbake" in frame.filename][-1]
+    return f"a fault of nerfbake's own: {type(error).__name__} in {Path(place.filename).name}:{place.lineno}, {error}"
 
 
 def _fail(text: str, code: int) -> int:
-    click.echo(f"error: {one_line(text)}", err=True)
+    with suppress(OSError):  # a full or closed stderr: the exit code remains
+        click.echo(f"error: {one_line(text)}", err=True)
     return code
+
+
+def _occupy_standard_streams() -> None:
+    """Opens /dev/null where a standard stream is closed: else the next file opened would be taken for it."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:

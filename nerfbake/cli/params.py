@@ -12,9 +12,9 @@ from typing import Any
 import click
 
 import nerfbake
-from nerfbake import catalog, io
+from nerfbake import catalog, io, memory
 from nerfbake.cli.words import Words
-from nerfbake.errors import UsageError
+from nerfbake.errors import UsageError, format_size
 
 BUDGET_FRAMES, BUDGET_EDGE = 8, 400  # the views around a scene that a budget is judged from
 FORMATS = ", ".join(form.name for form in catalog.FORMATS)
@@ -69,7 +69,6 @@ class Input:
     """A file to read, or stdin."""
 
     path: str
-    max_memory: int
 
     def read(self, words: Words, *kinds: type) -> Any:
         return self.read_with_format(words, *kinds)[0]
@@ -77,7 +76,7 @@ class Input:
     def read_with_format(self, words: Words, *kinds: type) -> tuple[Any, catalog.Format, int]:
         """The scene, its file's format and its size in bytes (of a stream: of what was read)."""
         with words.phase(f"reading {io.reading_name(self.path)}"):
-            return io.load_with_format(self.path, *kinds, max_memory=self.max_memory)
+            return io.load_with_format(self.path, *kinds)
 
     def views(
         self, words: Words, scene: Any, cameras: str | None, size: tuple[int, int] | None, *, frames: int, edge: int
@@ -138,7 +137,7 @@ class Budget:
         if self.min_psnr is None:
             return
         views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
-        written = Input(target.path, source.max_memory)
+        written = Input(target.path)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
             found = nerfbake.compare(scene, written.read(words), views, keep_pictures=False)
             found.require(min_psnr=self.min_psnr)
@@ -153,7 +152,6 @@ class Stage1Input:
     features: tuple[str, ...]
     mlp: str | None
     transforms: str | None
-    max_memory: int
 
     @property
     def name(self) -> str:
@@ -164,10 +162,10 @@ class Stage1Input:
             named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
             named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
             given = {name: path for name, path in named.items() if path is not None}
-            files = io.load_files(given, max_memory=self.max_memory)
+            files = io.load_files(given)
             if self.folder:
-                return io.load_folder(self.folder, nerfbake.Stage1, more=files, max_memory=self.max_memory)
-            return io.decode_files(files, nerfbake.Stage1, max_memory=self.max_memory)
+                return io.load_folder(self.folder, nerfbake.Stage1, more=files)
+            return io.decode_files(files, nerfbake.Stage1)
 
     @contextmanager
     def blamed(self, words: Words, phase: str) -> Iterator[None]:
@@ -179,31 +177,32 @@ class Stage1Input:
 Command = Callable[..., Any]
 
 
+def _limit_memory(ctx: click.Context, param: click.Parameter, value: int) -> None:
+    ctx.with_resource(memory.memory_limit(value))
+
+
+# Holds for all that the command does; no function has to hand it on.
+max_memory = click.option(
+    "--max-memory",
+    type=Size(),
+    default=format_size(memory.DEFAULT).replace(".0 ", ""),
+    show_default=True,
+    callback=_limit_memory,
+    expose_value=False,
+    help="Most that files and what is made of them may take in memory, all together.",
+)
+
+
 def reads(function: Command) -> Command:
     """Adds the argument IN and --max-memory; the command gets `source`, an Input."""
 
     @click.argument("source", metavar="IN", type=click.Path(allow_dash=True))
-    @click.option(
-        "--max-memory",
-        type=Size(),
-        default="4GiB",
-        show_default=True,
-        help="Most that IN may declare, or a result take.",
-    )
+    @max_memory
     @functools.wraps(function)
-    def command(*args: Any, source: str, max_memory: int, **others: Any) -> Any:
-        return function(*args, source=Input(source, max_memory), **others)
+    def command(*args: Any, source: str, **others: Any) -> Any:
+        return function(*args, source=Input(source), **others)
 
     return command
-
-
-max_memory = click.option(
-    "--max-memory",
-    type=Size(),
-    default="4GiB",
-    show_default=True,
-    help="Most that a file may declare, or a result take.",
-)
 
 
 def bakes_stage1(function: Command) -> Command:
@@ -224,12 +223,11 @@ def bakes_stage1(function: Command) -> Command:
         features: tuple[str, ...],
         mlp: str | None,
         transforms: str | None,
-        max_memory: int,
         **others: Any,
     ) -> Any:
         if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
             raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
-        source = Stage1Input("" if mlp else folders[0], features, mlp, transforms, max_memory)
+        source = Stage1Input("" if mlp else folders[0], features, mlp, transforms)
         return function(*args, source=source, target=folders[-1], **others)
 
     return command

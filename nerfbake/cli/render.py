@@ -126,10 +126,10 @@ def render(
     picture: Callable[..., Any] = nerfbake.render
     if mesh:
         picture = nerfbake.composite
-        options |= {"meshes": io.load(mesh, nerfbake.Meshes, max_memory=source.max_memory), "how": how}
+        options |= {"meshes": io.load(mesh, nerfbake.Meshes), "how": how}
     if together:
         with io.blame(out):
-            nerfbake.Cameras(chosen).require_memory(source.max_memory)
+            nerfbake.Cameras(chosen).require_memory()
     images = []
     for view in chosen:
         with source.blamed(words, f"rendering {view.name}"):

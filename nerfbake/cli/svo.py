@@ -42,6 +42,6 @@ def svo(source: Input, target: Output, no_child: int, budget: Budget, words: Wor
     budget.require(target)
     tree = source.read(words, nerfbake.N3Tree)
     with source.blamed(words, "building the octree"):
-        octree = nerfbake.build_octree(tree, max_memory=source.max_memory, **options)
+        octree = nerfbake.build_octree(tree, **options)
     target.write(words, octree, no_child=no_child)
     budget.judge(words, source, tree, target)

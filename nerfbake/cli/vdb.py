@@ -60,7 +60,7 @@ def vdb(
     wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
     scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
     judged = scene
-    options: Any = {"sigma_min": sigma_min, "max_memory": source.max_memory}
+    options: Any = {"sigma_min": sigma_min}
     with source.blamed(words, "building the grids"):
         if isinstance(scene, nerfbake.N3Tree):
             scene = nerfbake.build_octree(scene, resolution=resolution, **options)

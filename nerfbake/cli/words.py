@@ -6,9 +6,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import click
+
+from nerfbake.errors import one_line
 
 PATIENCE = 1.0  # seconds before a terminal shows that something is going on
 
@@ -21,7 +23,8 @@ class Words:
 
     def say(self, text: str) -> None:
         if not self._quiet:
-            click.echo(text, err=True)
+            with suppress(OSError):  # a full stderr costs no data
+                click.echo(one_line(text), err=True)
 
     @contextmanager
     def phase(self, text: str) -> Iterator[None]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import number, parse_object
+from nerfbake.formats._json import whole as whole_number
 from nerfbake.kernels.octahedron import tiles_per_row
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, METHODS, Method, OctahedralAtlas
 
 VERSION = 1
 _NAME = "atlas.json"
-_MAX_SIZE = 16 << 20
 
 CONVENTION = {
     "up_axis": "y, in the mesh's own coordinates",
@@ -70,13 +70,8 @@ def entry(atlas: OctahedralAtlas) -> dict[str, Any]:
 
 def decode(view: memoryview) -> dict[str, Any]:
     """{'cascades': [Entry, ...], 'facts': everything else}. Raises InvalidFile for what no encoder wrote."""
-    if len(view) > _MAX_SIZE:
-        raise InvalidFile(Problem(_NAME, f"has {len(view):,} bytes", f"{_MAX_SIZE:,}"))
-    try:
-        document = json.loads(bytes(view))
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(Problem(_NAME, f"is no JSON ({error})", "what `nerfbake atlas` writes")) from None
-    if not isinstance(document, dict) or document.get("nerfbake_atlas") != VERSION:
+    document = parse_object(view, _NAME)
+    if document.get("nerfbake_atlas") != VERSION:
         raise InvalidFile(Problem(_NAME, "is no atlas description", f'an object with "nerfbake_atlas": {VERSION}'))
     cascades = document.pop("cascades", None)
     if not isinstance(cascades, list) or not cascades or not all(isinstance(one, dict) for one in cascades):
@@ -86,17 +81,12 @@ def decode(view: memoryview) -> dict[str, Any]:
 
 def _entry(numbers: dict[str, Any], place: str) -> Entry:
     def whole(key: str, low: int, high: int) -> int:
-        value = numbers.get(key)
-        if type(value) is not int or not low <= value <= high:
-            raise InvalidFile(Problem(f"{place}.{key}", f"is {str(value)[:40]}", f"{low} to {high:,}"))
-        return value
+        return whole_number(numbers, key, place, low=low, high=high)
 
     method = numbers.get("method")
     if method not in METHODS:
         raise InvalidFile(Problem(f"{place}.method", f"is {str(method)[:40]}", ", ".join(METHODS)))
-    slope, slopes = numbers.get("slope", 1.0), numbers.get("slopes")
-    if type(slope) not in (int, float):
-        raise InvalidFile(Problem(f"{place}.slope", f"is {str(slope)[:40]}", "a number"))
+    slope, slopes = number(numbers, "slope", place, default=1.0), numbers.get("slopes")
     if slopes is not None and not (
         isinstance(slopes, list) and all(type(share) is int and 0 <= share <= 255 for share in slopes)
     ):
@@ -106,6 +96,6 @@ def _entry(numbers: dict[str, Any], place: str) -> Entry:
         whole("maps", 1, MAX_TILES),
         whole("map_size", 2, MAX_MAP_SIZE),
         whole("border", 0, MAX_MAP_SIZE // 2),
-        float(slope),
+        slope,
         None if slopes is None else np.array(slopes, np.uint8),
     )

@@ -7,16 +7,16 @@ Source: glTF 2.0, sections 3.6 and 4.4.
 
 from __future__ import annotations
 
-import json
 import struct
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import parse_object
 
-_EXPANSION = 40  # of the JSON's bytes once it is parsed
 _COPIES = 16  # bytes for each number of an accessor, while it is turned into a mesh's
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -27,31 +27,19 @@ def malformed(place: str, found: str, allowed: str) -> InvalidFile:
 
 
 class Document:
-    """max_memory bounds what is handed out, all of it together."""
+    """Its parts are looked up and checked as they are asked for."""
 
-    def __init__(self, view: memoryview, *, max_memory: int) -> None:
-        self.max_memory, self._spent = max_memory, 0
+    def __init__(self, view: memoryview) -> None:
         json_chunk, self._bin = _chunks(view)
-        self.spend("the parsed JSON", _EXPANSION * len(json_chunk))
-        try:
-            self.root = json.loads(bytes(json_chunk))
-        except (ValueError, RecursionError) as error:
-            raise malformed("JSON", f"cannot be parsed ({error})", "one whole object") from None
-        if not isinstance(self.root, dict):
-            raise malformed("JSON", f"holds a {type(self.root).__name__}", "one whole object")
-
-    def spend(self, what: str, size: int) -> None:
-        """Raises MemoryLimit once all that is asked for is too much."""
-        self._spent += size
-        if self._spent > self.max_memory:
-            raise MemoryLimit(what, self._spent, self.max_memory)
+        self.root = parse_object(json_chunk, "the JSON chunk")
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
         """root[name][index], an object."""
         entries = self.root.get(name)
-        count = len(entries) if isinstance(entries, list) else 0
-        if type(index) is not int or not 0 <= index < count:
-            raise malformed(name, f"have no entry {str(index)[:40]}", f"one of {count:,}")
+        if not isinstance(entries, list):
+            entries = []
+        if type(index) is not int or not 0 <= index < len(entries):
+            raise malformed(name, f"have no entry {str(index)[:40]}", f"one of {len(entries):,}")
         entry = entries[index]
         if not isinstance(entry, dict):
             raise malformed(f"{name}[{index}]", f"is a {type(entry).__name__}", "an object")
@@ -75,7 +63,7 @@ class Document:
         if not count or stride < columns * item or end > len(body):
             found = f"has {count:,} entries, up to byte {end:,}"
             raise malformed(place, found, f"1 or more, within the {len(body):,} bytes of its bufferView")
-        self.spend(place, _COPIES * count * columns)
+        memory.hold(place, _COPIES * count * columns)
         array = np.ndarray((count, columns), dtype, body, start, (stride, item))
         if entry.get("normalized") and dtype != "<f4":
             return np.maximum(array.astype(np.float64) / np.iinfo(dtype).max, -1)

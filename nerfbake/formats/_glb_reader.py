@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats._glb_document import Document, malformed, whole
 from nerfbake.formats._texture import decode_texture
@@ -23,12 +24,12 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 Floats = npt.NDArray[np.float64]
 
 
-def decode_glb(view: memoryview, *, max_memory: int) -> tuple[Mesh, ...]:
+def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
     """A mesh for each primitive of each node, with base colour, its texture and vertex colours; no lines and points.
 
     Raises InvalidFile for what is not sound glTF 2.0, needs another extension or another file, or has no triangles.
     """
-    document = Document(view, max_memory=max_memory)
+    document = Document(view)
     for extension in _list(document.root, "extensionsRequired", "JSON"):
         if not (isinstance(extension, str) and (extension.startswith(_MATERIALS) or extension == _KNOWN)):
             raise malformed("extensionsRequired", f"has {str(extension)[:40]}", f"{_KNOWN}, {_MATERIALS}*")
@@ -171,8 +172,8 @@ class _Looks:
             if "uri" in image:
                 raise malformed(place, "is in another file", "pictures within the .glb")
             content = self._document.view(image.get("bufferView"))
-            texture = decode_texture(content, place, max_memory=self._document.max_memory, any_mode=True)
-            self._document.spend(place, texture.nbytes)
+            texture = decode_texture(content, place, any_mode=True)
+            memory.hold(place, texture.nbytes)
             self._textures[source] = texture
         return self._textures[source]
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import number, parse_object, table, whole
 
 MAX_CASCADES = 16
-_MAX_SIZE = 16 << 20
 _NAME = "mlp.json"
 
 
@@ -24,26 +24,15 @@ class Mlp(NamedTuple):
     cascades: int
 
 
-def decode_mlp(view: memoryview, *, max_memory: int) -> Mlp:
-    if len(view) > min(_MAX_SIZE, max_memory):
-        raise MemoryLimit(_NAME, len(view), min(_MAX_SIZE, max_memory))
-    try:
-        content = json.loads(bytes(view))
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(Problem(_NAME, f"is no JSON ({error})", "an object with the weights")) from None
-    if not isinstance(content, dict):
-        raise InvalidFile(Problem(_NAME, f"holds a {type(content).__name__}", "an object with the weights"))
-    cascades = content.get("cascade", 1)
-    if type(cascades) is not int or not 1 <= cascades <= MAX_CASCADES:
-        raise InvalidFile(Problem(f"{_NAME}: cascade", f"is {str(cascades)[:40]}", f"1 to {MAX_CASCADES}"))
-    bound = content.get("bound", 1.0)
-    if type(bound) not in (int, float) or not 0 < bound < 1e9:
-        raise InvalidFile(Problem(f"{_NAME}: bound", f"is {str(bound)[:40]}", "a length above 0"))
+def decode_mlp(view: memoryview) -> Mlp:
+    content = parse_object(view, _NAME)
+    cascades = whole(content, "cascade", _NAME, default=1, low=1, high=MAX_CASCADES)
+    bound = number(content, "bound", _NAME, default=1.0, low=1e-9, high=1e9)
     if extra := sorted(
         key for key in content if key.startswith("net.") and key not in ("net.0.weight", "net.1.weight")
     ):
         raise InvalidFile(Problem(_NAME, f"has {extra[0]}", "two layers without bias: net.0.weight and net.1.weight"))
-    return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), float(bound), cascades)
+    return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), bound, cascades)
 
 
 def encode_mlp(mlp: Mlp) -> bytes:
@@ -59,11 +48,4 @@ def encode_mlp(mlp: Mlp) -> bytes:
 def _weights(content: dict[str, Any], key: str) -> npt.NDArray[np.float32]:
     if key not in content:
         raise InvalidFile(Problem(_NAME, f"has no {key}", "net.0.weight and net.1.weight"))
-    try:
-        weights = np.array(content[key], np.float64)
-    except (ValueError, TypeError):
-        raise InvalidFile(Problem(f"{_NAME}: {key}", "is no table of numbers", "rows of equal length")) from None
-    if weights.ndim != 2:
-        raise InvalidFile(Problem(f"{_NAME}: {key}", f"has shape {weights.shape}", "a row for each input"))
-    with np.errstate(over="ignore"):
-        return weights.astype(np.float32)
+    return table(content[key], f"{_NAME}.{key}", (None, None)).astype(np.float32)

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem, one_line
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem, one_line
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._deflate import inflate
 from nerfbake.formats._vdb_frame import NAME, parse_frame
@@ -24,7 +25,7 @@ from nerfbake.scene.volume import OctreeFrame, Volume
 Nodes = npt.NDArray[Any]
 
 
-def read_file(view: memoryview, *, max_memory: int) -> Volume:
+def read_file(view: memoryview) -> Volume:
     """The volume of the file's one grid. Raises InvalidFile, MemoryLimit."""
     file = _structs(view, 0, nano.FILE, 1, "the file's header")[0]
     if int(file["magic"]) != nano.MAGIC:
@@ -43,8 +44,7 @@ def read_file(view: memoryview, *, max_memory: int) -> Volume:
     if codec not in nano.CODECS.values():
         raise InvalidFile(Problem("the grid", f"has codec {codec}", "0 (none), 1 (zip) or 2 (blosc)"))
     if codec != nano.CODECS["none"]:
-        if size > max_memory:
-            raise MemoryLimit("the grid", size, max_memory)
+        memory.hold("the grid", size)
         zipped = codec == nano.CODECS["zip"]
         payload = memoryview(inflate(payload[8:], size, "the grid") if zipped else _unblosced(payload, size))
     if len(payload) != size:

@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from zlib_ng import zlib_ng
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._npy import read_header
 
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
@@ -27,10 +28,10 @@ _CHUNK = 1 << 18
 
 
 class NpzReader:
-    """The arrays of an archive, each read when it is asked for, against one budget of bytes."""
+    """The arrays of an archive, each read when it is asked for."""
 
-    def __init__(self, view: memoryview, *, max_memory: int) -> None:
-        self._view, self._left, self._limit = view, max_memory, max_memory
+    def __init__(self, view: memoryview) -> None:
+        self._view = view
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # duplicate names are ours to refuse
@@ -51,12 +52,6 @@ class NpzReader:
         if missing := [key for key in keys if key not in self]:
             there = ", ".join(sorted(self._members)[:20]) or "nothing"
             raise InvalidFile(Problem("npz", f"has no {', '.join(missing)}", f"{', '.join(keys)} (it holds {there})"))
-
-    def reserve(self, size: int, what: str) -> None:
-        """Takes `size` bytes from the budget. Raises MemoryLimit when it is used up."""
-        if size > self._left:
-            raise MemoryLimit(what, self._limit - self._left + size, self._limit)
-        self._left -= size
 
     def scalar(self, key: str) -> Any:
         """The one value of a member, as a Python object."""
@@ -97,12 +92,12 @@ class NpzReader:
             raise InvalidFile(Problem(key, found, f"{info.file_size:,} bytes as the zip directory says"))
         if limit is not None and size > limit:
             raise InvalidFile(Problem(key, f"has {size:,} bytes", f"{limit:,} at most"))
-        self.reserve(size, key)
         if info.compress_type == zipfile.ZIP_STORED:
             raw = np.frombuffer(packed[stream.taken :], np.uint8)
             if zlib_ng.crc32(packed) != info.CRC:
                 raise InvalidFile(Problem(key, "has a wrong CRC-32", f"{info.CRC:08x}"))
         else:
+            memory.hold(key, size)
             raw = np.empty(size, np.uint8)
             stream.read_into(raw.data)
             stream.finish()

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.scene.mesh import Mesh
 
 _ALLOWED = "a whole .obj of polygons"
@@ -18,10 +19,9 @@ _EXPANSION = 10  # of a text file's bytes while trimesh reads it
 _BROKEN = (ValueError, IndexError, KeyError, TypeError, AttributeError, NotImplementedError, RecursionError)
 
 
-def decode_obj(view: memoryview, name: str, *, max_memory: int) -> tuple[Mesh, ...]:
+def decode_obj(view: memoryview, name: str) -> tuple[Mesh, ...]:
     """The meshes of an .obj file, one a material; vertices that meet different texture coordinates are split."""
-    if (need := _EXPANSION * len(view)) > max_memory:
-        raise MemoryLimit(name, need, max_memory)
+    memory.require(name, _EXPANSION * len(view))
     try:
         text = io.StringIO(bytes(view).decode())
         scene = trimesh.load_scene(text, file_type="obj", process=False, skip_materials=True)

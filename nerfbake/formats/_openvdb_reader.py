@@ -1,7 +1,7 @@
 """An OpenVDB file from anywhere, version 222 to 224: float and 3-float grids of active voxels.
 
 A node's values say their own size, so nodes are walked one after the other; values are unpacked once all masks are
-known and what they need is within max_memory.
+known and what they need may be taken.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem, one_line
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem, one_line
 from nerfbake.formats._openvdb_stream import ACTIVE_MASK, ALL_VALUES, MAGIC, PACKED, VERSION, Stream
 from nerfbake.formats._openvdb_values import Kind, read_leaves, require_code
 from nerfbake.formats._openvdb_writer import TYPES
@@ -29,7 +30,7 @@ _MAPS = (*_SCALES, *_SCALES_AND_MOVES, "TranslationMap", _AFFINE)
 KINDS = {name: Kind(channels, np.dtype(dtype)) for (channels, dtype), name in TYPES.items()}
 
 
-def read_file(view: memoryview, *, max_memory: int) -> Volume:
+def read_file(view: memoryview) -> Volume:
     """The file's grids. Raises InvalidFile, MemoryLimit."""
     stream = Stream(view)
     magic, version, _, _, offsets = stream.numbers("qIIIB", "the file's header")
@@ -40,10 +41,9 @@ def read_file(view: memoryview, *, max_memory: int) -> Volume:
     (count,) = stream.numbers("i", "the number of grids")
     if not 1 <= count <= MAX_GRIDS:
         raise InvalidFile(Problem("the file", f"has {count:,} grids", f"1 to {MAX_GRIDS:,}"))
-    grids, transforms, frame, left = [], [], None, max_memory
+    grids, transforms, frame = [], [], None
     for _ in range(count):
-        grid, transform, own_frame = _read_grid(stream, left)
-        left -= grid.values.nbytes
+        grid, transform, own_frame = _read_grid(stream)
         grids.append(grid)
         transforms.append(transform)
         frame = frame or own_frame
@@ -52,7 +52,7 @@ def read_file(view: memoryview, *, max_memory: int) -> Volume:
     return Volume(tuple(grids), transforms[0], frame)
 
 
-def _read_grid(stream: Stream, max_memory: int) -> tuple[VdbTree, npt.NDArray[np.float64], OctreeFrame | None]:
+def _read_grid(stream: Stream) -> tuple[VdbTree, npt.NDArray[np.float64], OctreeFrame | None]:
     # Behind a separator OpenVDB numbers the grids that share a name.
     name = one_line(stream.text("a grid's name").partition("\x1e")[0])
     what = f"grid {name[:80]!r}"
@@ -70,8 +70,7 @@ def _read_grid(stream: Stream, max_memory: int) -> tuple[VdbTree, npt.NDArray[np
     metadata = stream.metadata()
     transform = _read_map(stream)
     stored, background = _read_masks(stream, kind, flags, what)
-    if (need := stored.m * kind.width) > max_memory:
-        raise MemoryLimit(what, need, max_memory)
+    memory.hold(what, stored.m * kind.width)
     values = read_leaves(stream, stored.leaf_mask, kind, flags, what)
     if stream.at != end:
         raise InvalidFile(Problem(what, f"ends at byte {stream.at:,}", f"{end:,} as it says"))

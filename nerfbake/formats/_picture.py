@@ -9,7 +9,8 @@ from contextlib import contextmanager
 
 from PIL import Image
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.scene.camera import MAX_EDGE
 
 COMPRESSION = 3  # zlib's level: files 3 to 14 % larger than at 6, written in a third of the time
@@ -17,8 +18,8 @@ _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, Typ
 
 
 @contextmanager
-def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int, max_memory: int) -> Iterator[Image.Image]:
-    """The picture, not yet decoded; decode it inside. Raises InvalidFile, and MemoryLimit for one above max_memory."""
+def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> Iterator[Image.Image]:
+    """The picture, not yet decoded; decode it inside. Raises InvalidFile, and MemoryLimit."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # large images are ours to refuse
@@ -26,8 +27,7 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int, max_m
                 width, height = picture.size
                 if max(width, height) > MAX_EDGE:
                     raise InvalidFile(Problem(name, f"declares {width:,}x{height:,} pixels", f"{MAX_EDGE:,} an edge"))
-                if (need := bytes_per_pixel * width * height) > max_memory:
-                    raise MemoryLimit(name, need, max_memory)
+                memory.require(name, bytes_per_pixel * width * height)
                 yield picture
     except Image.DecompressionBombError:
         raise InvalidFile(Problem(name, "declares more than 178 million pixels", f"{MAX_EDGE:,} an edge")) from None

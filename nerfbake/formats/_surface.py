@@ -14,7 +14,7 @@ from nerfbake.scene.stage1 import diffuse_name
 _MTL = "newmtl defaultMat\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\nmap_Kd {}\n"
 
 
-def decode_surface(files: Mapping[str, memoryview], cascade: int, *, max_memory: int) -> Mesh | None:
+def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None:
     """The mesh with its diffuse texture, if that is there; None where there is no mesh.
 
     Raises InvalidFile for files that cannot be read, InvalidScene for a mesh without texture coordinates.
@@ -22,8 +22,8 @@ def decode_surface(files: Mapping[str, memoryview], cascade: int, *, max_memory:
     name, diffuse = f"mesh_{cascade}.obj", diffuse_name(files, cascade)
     if name not in files:
         return None
-    parts = decode_obj(files[name], name, max_memory=max_memory)
-    texture = decode_texture(files[diffuse], diffuse, max_memory=max_memory, any_mode=True) if diffuse else None
+    parts = decode_obj(files[name], name)
+    texture = decode_texture(files[diffuse], diffuse, any_mode=True) if diffuse else None
     positions, faces, _ = joined(parts)
     return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture)
 

@@ -10,12 +10,12 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._picture import opened, png_of
 
 
-def decode_texture(view: memoryview, name: str, *, max_memory: int, any_mode: bool = False) -> npt.NDArray[np.uint8]:
+def decode_texture(view: memoryview, name: str, *, any_mode: bool = False) -> npt.NDArray[np.uint8]:
     """(H, W, 3) uint8, row 0 at the top. Raises InvalidFile for anything but a whole PNG or JPEG of 8-bit RGB.
 
     any_mode: greys, palettes and alpha are turned into RGB instead, for pictures that are only looked at.
     """
-    with opened(view, name, "PNG", "JPEG", bytes_per_pixel=3, max_memory=max_memory) as image:
+    with opened(view, name, "PNG", "JPEG", bytes_per_pixel=3) as image:
         if any_mode:
             return np.asarray(image.convert("RGB"))
         if image.mode != "RGB":

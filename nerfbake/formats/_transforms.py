@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import parse_object, table
 
 _NAME = "transforms.json"
-_MAX_SIZE = 256 << 20
 
 
-def decode_positions(view: memoryview, *, max_memory: int) -> npt.NDArray[np.float64]:
+def decode_positions(view: memoryview) -> npt.NDArray[np.float64]:
     """(c, 3) the last columns of the frames' camera-to-world matrices, in the file's own world."""
-    if len(view) > min(_MAX_SIZE, max_memory):
-        raise MemoryLimit(_NAME, len(view), min(_MAX_SIZE, max_memory))
-    try:
-        frames = json.loads(bytes(view))["frames"]
-        matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        found = f"cannot be read ({type(error).__name__}: {error})"
-        raise InvalidFile(Problem(_NAME, found, "frames, each with a transform_matrix")) from None
-    if matrices.ndim != 3 or matrices.shape[1:] not in ((3, 4), (4, 4)) or not np.isfinite(matrices).all():
-        found = f"has matrices of shape {matrices.shape}"
-        raise InvalidFile(Problem(f"{_NAME}: transform_matrix", found, "4 x 4 finite numbers for at least one frame"))
+    frames = parse_object(view, _NAME).get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+        raise InvalidFile(Problem(f"{_NAME}: frames", "is no list of objects", "one object a frame"))
+    matrices = table([frame.get("transform_matrix") for frame in frames], f"{_NAME}: transform_matrix", (None,) * 3)
+    if matrices.shape[1:] not in ((3, 4), (4, 4)):
+        found = f"has matrices of shape {matrices.shape[1:]}"
+        raise InvalidFile(Problem(f"{_NAME}: transform_matrix", found, "3 x 4 or 4 x 4 numbers"))
     return matrices[:, :3, 3]

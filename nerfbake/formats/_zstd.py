@@ -6,13 +6,16 @@ from collections.abc import Iterable, Iterator
 
 import zstandard
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 
 LEVEL = 3
 MAX_WINDOW = 1 << 27  # what zstd's own command line allows
 _CHUNK = 1 << 20
 # A block of 4 bytes may inflate to 128 KiB: so many bytes are at most 32 MiB before they are counted.
 _SIP = 1 << 10
+_HEAD = 18  # bytes of the longest frame header
+_SKIPPED = range(0x184D2A50, 0x184D2A60)  # magic numbers of frames that hold no content
 
 
 def compress(pieces: Iterable[bytes | memoryview]) -> Iterator[bytes]:
@@ -25,21 +28,38 @@ def compress(pieces: Iterable[bytes | memoryview]) -> Iterator[bytes]:
     yield compressor.flush()
 
 
-def decompress(view: memoryview, *, max_memory: int) -> memoryview:
-    """All frames, one after the other. Raises MemoryLimit before more than max_memory is held."""
+def decompress(view: memoryview) -> memoryview:
+    """All frames, one after the other. Raises InvalidFile, MemoryLimit before more is held than is allowed."""
     out, at = bytearray(), 0
     context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
     while at < len(view):
         frame = context.decompressobj()
+        window, size = _declared(view[at : at + _HEAD], at)
+        memory.require("the decompressed file", size)
+        memory.require("zstd's window", min(window, MAX_WINDOW))
         while not frame.eof:
             if at == len(view):
                 raise InvalidFile(Problem("zstd frame", f"does not end by byte {at:,}", "a whole frame"))
             sip = view[at : at + _SIP]
             try:
-                out += frame.decompress(sip)
+                piece = frame.decompress(sip)
             except zstandard.ZstdError as error:
                 raise InvalidFile(Problem(f"zstd frame near byte {at:,}", f"is damaged ({error})", "zstd")) from None
             at += len(sip) - len(frame.unused_data)
-            if len(out) > max_memory:
-                raise MemoryLimit("the decompressed file", len(out), max_memory)
+            # A growing buffer has an eighth to spare.
+            memory.require("the decompressed file", len(piece) + len(out) // 8)
+            memory.hold("the decompressed file", len(piece))
+            out += piece
     return memoryview(out).toreadonly()
+
+
+def _declared(head: memoryview, at: int) -> tuple[int, int]:
+    """Window and content of a frame in bytes, as its header says; 0 for a content that it does not say."""
+    if int.from_bytes(head[:4], "little") in _SKIPPED:
+        return 0, 0
+    try:
+        found = zstandard.get_frame_parameters(head)
+    except zstandard.ZstdError as error:
+        raise InvalidFile(Problem(f"zstd frame at byte {at:,}", f"is damaged ({error})", "zstd")) from None
+    size = found.content_size
+    return found.window_size, 0 if size == zstandard.CONTENTSIZE_UNKNOWN else size

@@ -77,7 +77,7 @@ def encode(baked: BakedAtlas) -> Iterator[tuple[str, list[bytes | memoryview]]]:
     yield "atlas.json", [(json.dumps(document, indent=1) + "\n").encode()]
 
 
-def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
+def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
     """The atlases of a folder that encode() wrote, and its meshes. Raises InvalidFile naming what is wrong."""
     document = _atlas_json.decode(_require(files, "atlas.json"))
     atlases = []
@@ -85,7 +85,7 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
 
         def texture(role: str, cascade: int = cascade) -> npt.NDArray[np.uint8]:
             name = f"{role}_{cascade}.png"
-            return decode_texture(_require(files, name), name, max_memory=max_memory)
+            return decode_texture(_require(files, name), name)
 
         image, labels = texture("atlas"), texture("labels").astype(np.uint16)
         count, size, border = entry.maps, entry.map_size, entry.border
@@ -107,7 +107,7 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
                 entry.slopes,
             )
         )
-    meshes = [decode_surface(files, cascade, max_memory=max_memory) for cascade in range(len(atlases))]
+    meshes = [decode_surface(files, cascade) for cascade in range(len(atlases))]
     return BakedAtlas(tuple(atlases), tuple(meshes), {}, document["facts"])
 
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import parse_object
 from nerfbake.scene.camera import Camera, Cameras
 
 DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
@@ -25,14 +26,9 @@ def recognise(head: bytes) -> bool:
     return head.lstrip()[:1] == b"{" and (b"camera_angle_x" in head or b"fl_x" in head or b"frames" in head)
 
 
-def decode(view: memoryview, *, max_memory: int) -> Cameras:
-    if 40 * len(view) > max_memory:
-        raise MemoryLimit("the parsed JSON", 40 * len(view), max_memory)
-    try:
-        fields = json.loads(bytes(view))
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(Problem("JSON", f"cannot be parsed ({error})", "one whole object")) from None
-    frames = fields.get("frames") if isinstance(fields, dict) else None
+def decode(view: memoryview) -> Cameras:
+    fields = parse_object(view, "the JSON", comments=True)
+    frames = fields.get("frames")
     if not isinstance(frames, list) or len(frames) > MAX_FRAMES:
         raise InvalidFile(Problem("frames", "are no list", f"1 to {MAX_FRAMES:,} frames"))
     width = int(_number(fields, "w", DEFAULT_EDGE))

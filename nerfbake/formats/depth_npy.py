@@ -22,7 +22,7 @@ def encode(depth: Depth) -> Iterator[bytes | memoryview]:
     yield from npy_pieces(depth.distance)
 
 
-def decode(view: memoryview, *, max_memory: int) -> Depth:
+def decode(view: memoryview) -> Depth:
     """A view of the file: nothing is allocated."""
     stream = io.BytesIO(view[: MAX_HEADER + 12])
     shape, fortran, dtype = read_header("depth", stream)

@@ -30,8 +30,8 @@ def encode(depth: Depth) -> Iterator[bytes]:
     yield png_of(Image.fromarray(np.where(depth.distance > 0, np.maximum(steps, 1), 0).astype(np.uint16)))
 
 
-def decode(view: memoryview, *, max_memory: int) -> Depth:
-    with opened(view, "PNG", "PNG", bytes_per_pixel=12, max_memory=max_memory) as picture:
+def decode(view: memoryview) -> Depth:
+    with opened(view, "PNG", "PNG", bytes_per_pixel=12) as picture:
         if not picture.mode.startswith("I"):
             raise InvalidFile(Problem("PNG", f"holds {picture.mode} pixels", "16 bits of grey"))
         return Depth((np.asarray(picture).astype(np.float64) / STEPS).astype(np.float32))

@@ -20,9 +20,9 @@ def encode(image: Image) -> Iterator[bytes]:
     yield png_of(Pillow.fromarray(image.pixels))
 
 
-def decode(view: memoryview, *, max_memory: int) -> Image:
+def decode(view: memoryview) -> Image:
     """The picture; colours premultiplied by alpha where it has one."""
-    with opened(view, "PNG", "PNG", bytes_per_pixel=24, max_memory=max_memory) as picture:
+    with opened(view, "PNG", "PNG", bytes_per_pixel=24) as picture:
         transparent = picture.mode in ("RGBA", "LA") or "transparency" in picture.info
         pixels = np.asarray(picture.convert("RGBA")).astype(np.float32) / np.float32(255)
     alpha = pixels[..., 3]

@@ -17,9 +17,9 @@ def encode(scene: Meshes) -> list[bytes | memoryview]:
     return encode_glb([_part(number, mesh) for number, mesh in enumerate(scene.meshes)], "nerfbake")
 
 
-def decode(view: memoryview, *, max_memory: int) -> Meshes:
+def decode(view: memoryview) -> Meshes:
     """Raises InvalidFile for what is not sound or needs another file, InvalidScene for values that no mesh can have."""
-    return Meshes(decode_glb(view, max_memory=max_memory))
+    return Meshes(decode_glb(view))
 
 
 def _part(number: int, mesh: Mesh) -> Part:

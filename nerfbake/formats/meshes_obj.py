@@ -28,6 +28,6 @@ def encode(scene: Meshes) -> Iterator[bytes]:
     return encode_obj(scene.meshes)
 
 
-def decode(view: memoryview, *, max_memory: int) -> Meshes:
+def decode(view: memoryview) -> Meshes:
     """Raises InvalidFile for what cannot be read or has no faces, InvalidScene for values that no mesh can have."""
-    return Meshes(decode_obj(view, "the mesh", max_memory=max_memory))
+    return Meshes(decode_obj(view, "the mesh"))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats._npz_reader import ZIP_MAGIC, NpzReader
 from nerfbake.formats._npz_writer import write_npz
@@ -20,9 +21,9 @@ def recognise(head: bytes) -> bool:
     return head[:4] in ZIP_MAGIC
 
 
-def decode(view: memoryview, *, max_memory: int, companion: bool = False) -> N3Tree:
+def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
     """The tree of an archive. `companion`: a _poses_bounds.npy stands beside the file (a forward-facing scene)."""
-    npz = NpzReader(view, max_memory=max_memory)
+    npz = NpzReader(view)
     quantised = "quant_map" in npz and "data" not in npz
     radius = "invradius3" if "invradius3" in npz or "invradius" not in npz else "invradius"
     npz.require("child", "offset", radius, *(("quant_colors", "quant_map", "sigma") if quantised else ("data",)))
@@ -129,7 +130,7 @@ def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:
         raise InvalidFile(Problem("quant_colors", f"has {b} codebooks beside {r} retained", f"{basis.size} together"))
     dtype = np.float16 if sigma.dtype == colors.dtype == retained.dtype == np.float16 else np.float32
     cells = sigma.size
-    npz.reserve(cells * basis.data_dim * np.dtype(dtype).itemsize, "the decoded data")
+    memory.hold("the decoded data", cells * basis.data_dim * np.dtype(dtype).itemsize)
     data = np.empty((cells, basis.data_dim), dtype)
     data[:, -1] = sigma.reshape(-1)
     for i in range(basis.size):

@@ -20,7 +20,8 @@ import bson
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._octree import (
     MAX_2GIB,
     Blob,
@@ -60,12 +61,12 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "
     yield b"\0"
 
 
-def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+def decode(view: memoryview) -> SparseVoxelOctree:
     """The octree of either profile; blobs are views of the file."""
     fields, large = _split(view, "document", ("node_children", "node_data"))
     for name, (kind, value) in large.items():
         if kind == _ARRAY:
-            fields[name] = _numbers(value, name, max_memory)
+            fields[name] = _numbers(value, name)
         elif kind == _DOCUMENT:
             fields[name] = _read_blob(value, name)
         else:
@@ -133,7 +134,7 @@ def _records(rows: range, digits: int, kind: int) -> npt.NDArray[Any]:
     return records
 
 
-def _numbers(document: memoryview, name: str, max_memory: int) -> npt.NDArray[Any] | list[Any]:
+def _numbers(document: memoryview, name: str) -> npt.NDArray[Any] | list[Any]:
     """An array's numbers. Where all are of one type, as every writer of a typed array leaves them, without an object
     for each; where types are mixed, through the library."""
     body = document[4:-1]
@@ -148,7 +149,7 @@ def _numbers(document: memoryview, name: str, max_memory: int) -> npt.NDArray[An
                 found = np.frombuffer(body, record, len(part), at)
                 expected = _records(part, digits, kind)
                 if not all((found[key] == expected[key]).all() for key in ("type", "index", "zero")):
-                    return _mixed(document, name, max_memory)
+                    return _mixed(document, name)
                 parts.append(found["value"])
                 at += found.nbytes
             index += count
@@ -156,12 +157,11 @@ def _numbers(document: memoryview, name: str, max_memory: int) -> npt.NDArray[An
                 break
         if at == len(body):
             return np.concatenate(parts)
-    return _mixed(document, name, max_memory)
+    return _mixed(document, name)
 
 
-def _mixed(document: memoryview, name: str, max_memory: int) -> list[Any]:
-    if (need := _PER_VALUE * len(document)) > max_memory:
-        raise MemoryLimit(name, need, max_memory)
+def _mixed(document: memoryview, name: str) -> list[Any]:
+    memory.require(name, _PER_VALUE * len(document))
     return list(_loads(bytes(document), name).values())
 
 

@@ -51,7 +51,7 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "
     yield from write_struct([*octree.size, octree.data_dim], fields)
 
 
-def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+def decode(view: memoryview) -> SparseVoxelOctree:
     """The octree of either profile, its arrays views of the file."""
     root = Message(view).root
     return octree_of(

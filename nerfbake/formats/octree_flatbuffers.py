@@ -59,7 +59,7 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "
     yield from write_table(fields, IDENTIFIER)
 
 
-def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+def decode(view: memoryview) -> SparseVoxelOctree:
     """The octree of either profile, its arrays views of the file."""
     root = Table.root(view)
     return octree_of(

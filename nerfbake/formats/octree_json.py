@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import parse_object
 from nerfbake.formats._octree import Blob, Profile, blob_of, children_with, octree_of, require_finite, small_fields
 from nerfbake.scene.octree import SparseVoxelOctree
 
@@ -25,8 +26,6 @@ _CHUNK = 3 << 17  # numbers, or bytes: base64 needs a multiple of 3
 # A reader that goes through a double rounds this one float32 twice, and wrongly, when it is written with fewest digits.
 # It is the only one: all 2^31 finite and positive ones were tried.
 _ROUNDED_TWICE = np.float32(7.038531e-26)
-_PER_VALUE = 32  # bytes of a parsed float and its slot in a list
-_PER_CONTAINER = 128
 
 
 def recognise(head: bytes) -> bool:
@@ -48,16 +47,9 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "
     yield b"}\n"
 
 
-def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
-    """The octree of either profile. Raises MemoryLimit if the parsed text would take more than max_memory."""
-    if (need := _parsed_size(view)) > max_memory:
-        raise MemoryLimit("the parsed JSON", need, max_memory)
-    try:
-        fields = orjson.loads(view)
-    except orjson.JSONDecodeError as error:
-        raise InvalidFile(Problem("JSON", f"cannot be parsed ({error})", "one whole object")) from None
-    if not isinstance(fields, dict):
-        raise InvalidFile(Problem("JSON", f"holds {type(fields).__name__}", "one object"))
+def decode(view: memoryview) -> SparseVoxelOctree:
+    """The octree of either profile."""
+    fields = parse_object(view, "the JSON")
     for name in ("node_children", "node_data"):
         if isinstance(fields.get(name), dict):
             fields[name] = _read_blob(name, fields[name])
@@ -94,14 +86,3 @@ def _read_blob(name: str, blob: dict[str, Any]) -> Blob:
         return Blob(dtype, tuple(shape or ()), memoryview(a2b_base64(text, strict_mode=True)))
     except (Base64Error, ValueError) as error:
         raise InvalidFile(Problem(name, f"has data that are no base64 ({error})", "RFC 4648, no breaks")) from None
-
-
-def _parsed_size(view: memoryview) -> int:
-    """Most bytes that Python's objects for this text can take: text itself, and what its punctuation announces."""
-    text = np.frombuffer(view, np.uint8)
-    values = containers = 0
-    for start in range(0, len(text), _CHUNK):
-        counts = np.bincount(text[start : start + _CHUNK], minlength=256)
-        values += int(counts[ord(",")] + counts[ord(":")])
-        containers += int(counts[ord("[")] + counts[ord("{")] + counts[ord('"')])
-    return len(text) + _PER_VALUE * values + _PER_CONTAINER * containers

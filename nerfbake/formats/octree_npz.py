@@ -49,8 +49,8 @@ def encode(octree: SparseVoxelOctree, *, no_child: int = 0) -> Iterator[bytes | 
     return write_npz(arrays)
 
 
-def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
-    npz = NpzReader(view, max_memory=max_memory)
+def decode(view: memoryview) -> SparseVoxelOctree:
+    npz = NpzReader(view)
     npz.require("svo_version", "size", "node_children", "node_data", "data_format", "origin", "voxel_size")
     if (version := npz.scalar("svo_version")) != VERSION:
         raise InvalidFile(Problem("svo_version", f"is {version}", f"{VERSION}"))

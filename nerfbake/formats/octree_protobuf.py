@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._octree import (
     MAX_2GIB,
     SMALL_SIZE,
@@ -76,13 +77,12 @@ def encode(
         yield blob_of(children_with(octree.node_children, no_child)).data
 
 
-def decode(view: memoryview, *, max_memory: int) -> SparseVoxelOctree:
+def decode(view: memoryview) -> SparseVoxelOctree:
     """The octree of a message. Fields 7 and up may be absent: the report's own files have none of them."""
     message = _Message(view)
     packed_children = message.packed(5)
     # Most varints here are one byte long and become four.
-    if (need := 4 * len(packed_children)) > max_memory:
-        raise MemoryLimit("node_children", need, max_memory)
+    memory.require("node_children", 4 * len(packed_children))
     children: Any = decode_varints(packed_children)
     if len(bulk := message.last(13)):
         if len(packed_children):

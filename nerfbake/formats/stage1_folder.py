@@ -25,16 +25,16 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
     return "mlp.json" in files
 
 
-def decode(files: Mapping[str, memoryview], *, max_memory: int) -> Stage1:
+def decode(files: Mapping[str, memoryview]) -> Stage1:
     """Raises InvalidFile naming the first file that is missing or wrong, InvalidScene for arrays that do not fit."""
-    mlp = decode_mlp(_require(files, "mlp.json"), max_memory=max_memory)
+    mlp = decode_mlp(_require(files, "mlp.json"))
     fields: list[SpecularField] = []
     meshes: list[Mesh | None] = []
     handed_on: dict[str, bytes | memoryview] = {}
     for cascade in range(mlp.cascades):
         name = _texture_name(files, f"feat1_{cascade}")
-        features = decode_texture(files[name], name, max_memory=max_memory)
-        mesh = decode_surface(files, cascade, max_memory=max_memory)
+        features = decode_texture(files[name], name)
+        mesh = decode_surface(files, cascade)
         H, W, _ = features.shape
         used = cover(mesh.require_unwrapped(), mesh.faces, H, W) if mesh else np.ones((H, W), bool)
         fields.append(SpecularField(features, mlp.w0, mlp.w1, used))
@@ -43,7 +43,7 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> Stage1:
         handed_on |= {other: files[other] for other in others if other in files}
     cameras = None
     if "transforms.json" in files:
-        cameras = decode_positions(files["transforms.json"], max_memory=max_memory)
+        cameras = decode_positions(files["transforms.json"])
     return Stage1(tuple(fields), tuple(meshes), handed_on, cameras)
 
 

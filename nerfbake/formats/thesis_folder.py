@@ -8,12 +8,12 @@ Source: "Using K-Means clustering to export a NeRF ..." (TU Delft, 2023); spec/a
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import parse_object, whole
 from nerfbake.formats._texture import decode_texture
 from nerfbake.kernels.octahedron import tiles_per_row
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, BakedAtlas, OctahedralAtlas
@@ -25,19 +25,13 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
     return "octahedron_maps.png" in files
 
 
-def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
+def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
     for name in ("results.json", "octahedron_maps.png", "labels_map.png"):
         if name not in files:
             raise InvalidFile(Problem(name, "is missing", "the three files of the thesis' code"))
-    try:
-        results = json.loads(bytes(files["results.json"]))
-        K, R = (int(results[key]) for key in _SIZES)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InvalidFile(Problem("results.json", f"cannot be read ({error})", " and ".join(_SIZES))) from None
-    for key, value in zip(_SIZES, (K, R), strict=True):
-        if not 1 <= value <= _SIZES[key]:
-            raise InvalidFile(Problem(f"results.json: {key}", f"is {value}", f"1 to {_SIZES[key]:,}"))
-    image = decode_texture(files["octahedron_maps.png"], "octahedron_maps.png", max_memory=max_memory)
+    results = parse_object(files["results.json"], "results.json")
+    K, R = (whole(results, key, "results.json", low=1, high=high) for key, high in _SIZES.items())
+    image = decode_texture(files["octahedron_maps.png"], "octahedron_maps.png")
     W = tiles_per_row(K)
     if image.shape != (W * R, W * R, 3):
         found = f"has {image.shape[1]}x{image.shape[0]} texels"
@@ -45,7 +39,7 @@ def decode(files: Mapping[str, memoryview], *, max_memory: int) -> BakedAtlas:
     # [x][y] of the thesis: tile column, then texel column, then tile row, then texel row.
     maps = image[::-1].swapaxes(0, 1).reshape(W, R, W, R, 3)
     tiles = maps.transpose(0, 2, 3, 1, 4).reshape(W * W, R, R, 3)[:K]
-    texels = decode_texture(files["labels_map.png"], "labels_map.png", max_memory=max_memory).astype(np.uint32)
+    texels = decode_texture(files["labels_map.png"], "labels_map.png").astype(np.uint32)
     labels = (texels @ np.array([1, 256, 65536], np.uint32)).astype(np.uint16)
     if texels[..., 2].any():
         raise InvalidFile(Problem("labels_map.png", "has labels above 65,535", f"0 to {K - 1}"))

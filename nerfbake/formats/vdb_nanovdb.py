@@ -53,8 +53,8 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
     yield from pieces
 
 
-def decode(view: memoryview, *, max_memory: int) -> Volume:
-    return read_file(view, max_memory=max_memory)
+def decode(view: memoryview) -> Volume:
+    return read_file(view)
 
 
 def _name_key(name: bytes) -> int:

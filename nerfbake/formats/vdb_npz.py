@@ -65,8 +65,8 @@ def encode(volume: Volume) -> Iterator[bytes | memoryview]:
     return write_npz(arrays)
 
 
-def decode(view: memoryview, *, max_memory: int) -> Volume:
-    npz = NpzReader(view, max_memory=max_memory)
+def decode(view: memoryview) -> Volume:
+    npz = NpzReader(view)
     npz.require("vdb_version", "transform", "grid_name", "grid_class", "grid_tree")
     if (version := npz.scalar("vdb_version")) != VERSION:
         raise InvalidFile(Problem("vdb_version", f"is {version}", f"{VERSION}"))

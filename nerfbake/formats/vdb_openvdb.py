@@ -48,5 +48,5 @@ def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator
         yield from written.buffers
 
 
-def decode(view: memoryview, *, max_memory: int) -> Volume:
-    return read_file(view, max_memory=max_memory)
+def decode(view: memoryview) -> Volume:
+    return read_file(view)

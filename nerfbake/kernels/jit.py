@@ -1,7 +1,7 @@
 """numba's compiler, with the options that every kernel here uses and the types that it drops.
 
-Compiled code is kept beside the module (or in the user's cache), so that only the first run ever pays for it. It lets
-go of the interpreter, for kernels.parallel.
+Compiled code is kept beside the module, or in the user's cache, so that only the first run ever pays for it; where
+neither can be written, every run does. It lets go of the interpreter, for kernels.parallel.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from typing import Any, Literal, TypeVar, cast
 
 import numba
 
+uncached: list[str] = []  # kernels that are compiled anew in every process
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -19,7 +21,12 @@ def compiled(*, parallel: bool = False, fastmath: bool = False, inline: bool = F
 
     def compile_(function: Function) -> Function:
         how: Literal["always", "never"] = "always" if inline else "never"
-        result: Any = numba.njit(function, cache=True, nogil=True, parallel=parallel, fastmath=fastmath, inline=how)
+        options: Any = {"nogil": True, "parallel": parallel, "fastmath": fastmath, "inline": how}
+        try:
+            result: Any = numba.njit(function, cache=True, **options)
+        except RuntimeError:  # numba found no folder that it may write to
+            uncached.append(function.__name__)
+            result = numba.njit(function, **options)
         return cast(Function, result)
 
     return compile_

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.pyramid import INNER, Level
 
 Ints = npt.NDArray[np.int64]
@@ -95,14 +96,12 @@ def descend(
     return leaf, cubes._replace(row=row, depth=depth)
 
 
-def refine(
-    source: Source, size: tuple[int, int, int], *, centres: bool, node_bytes: int, max_memory: int
-) -> tuple[list[Level], Cubes]:
+def refine(source: Source, size: tuple[int, int, int], *, centres: bool, node_bytes: int) -> tuple[list[Level], Cubes]:
     """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
 
     -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
     the voxels made of several parts, of which the k-th has the number n C + n + k. With `centres` a voxel covers what
-    its centre hits. Raises MemoryLimit as soon as the nodes, at node_bytes each, take more than max_memory.
+    its centre hits. Raises MemoryLimit as soon as the nodes, at node_bytes each, take too much.
     """
     shift = max(edge - 1 for edge in size).bit_length()
     root = Cubes(*(np.zeros(1, np.int64) for _ in range(5)))
@@ -121,8 +120,7 @@ def refine(
             parent, octant = np.repeat(at[some], 8), np.tile(np.arange(8, dtype=np.uint8), len(at[some]))
             found.append(_keep(source, cubes, parent, octant, shift, size, centres=centres))
             nodes += len(found[-1][0].leaf)
-            if nodes * node_bytes > max_memory:
-                raise MemoryLimit(f"an octree of {'x'.join(map(str, size))} voxels", nodes * node_bytes, max_memory)
+            memory.require(f"an octree of {'x'.join(map(str, size))} voxels", nodes * node_bytes)
         level = Level(*(np.concatenate(arrays) for arrays in zip(*(piece for piece, _ in found), strict=True)))
         inner = Cubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
         levels.append(level)

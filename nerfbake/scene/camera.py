@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
 
 MAX_EDGE = 16384  # pixels
@@ -65,11 +66,10 @@ class Cameras(Scene):
     def __str__(self) -> str:
         return f"{len(self.cameras)} cameras"
 
-    def require_memory(self, limit: int, *, pictures: int = 1) -> None:
-        """Raises MemoryLimit if so many pictures of every camera do not fit into `limit` bytes all at once."""
+    def require_memory(self, *, pictures: int = 1) -> None:
+        """Raises MemoryLimit if so many pictures of every camera do not fit all at once."""
         need = PICTURE_BYTES * pictures * sum(camera.width * camera.height for camera in self.cameras)
-        if need > limit:
-            raise MemoryLimit(f"keeping {pictures * len(self.cameras):,} pictures at once", need, limit)
+        memory.require(f"keeping {pictures * len(self.cameras):,} pictures at once", need)
 
 
 def look_at(

@@ -16,8 +16,6 @@ from nerfbake.stages._leaf_values import LeafValues, node_values
 
 Resample = Literal["mean", "nearest"]
 
-MAX_MEMORY = 4 << 30
-
 
 def build_octree(
     tree: N3Tree,
@@ -27,7 +25,6 @@ def build_octree(
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
     sigma_min: float | None = None,
-    max_memory: int = MAX_MEMORY,
 ) -> SparseVoxelOctree:
     """The tree resampled to a grid of W x H x D voxels over its cube, as a breadth-first octree.
 
@@ -39,7 +36,7 @@ def build_octree(
     Leaves whose density is 0 or less, or below sigma_min (1/world unit), are empty space; without a sigma_min a
     density below 0 is an error. Empty regions have no nodes; regions of exactly equal values are one leaf. An
     internal node holds the same mean of all the leaves below it, empty space included as density 0, so that any
-    level can be shown. max_memory bounds the octree and its making, in bytes.
+    level can be shown.
 
     Raises InvalidScene if the tree is broken, holds values that no renderer can use, or stands in NDC; MemoryLimit.
     """
@@ -51,7 +48,7 @@ def build_octree(
     _require_usable(tree, sigma_min)
     source = _source(tree, sigma_min or 0.0)
     node_bytes = tree.data_dim * np.dtype(dtype).itemsize + 8 * 4 + 16
-    levels, mixed = refine(source, size, centres=resample == "nearest", node_bytes=node_bytes, max_memory=max_memory)
+    levels, mixed = refine(source, size, centres=resample == "nearest", node_bytes=node_bytes)
     leaves = LeafValues(tree, source, _finest_width(tree), np.dtype(dtype))
     if (levels[-1].leaf >= source.link.size).any():
         leaves.add_means(mixed, size)

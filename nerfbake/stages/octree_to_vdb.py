@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.bitmask import popcount
 from nerfbake.kernels.bricks import Nodes, bricks_of
 from nerfbake.kernels.parallel import over_chunks
@@ -23,7 +24,6 @@ from nerfbake.scene.volume import OctreeFrame, Up, Volume
 from nerfbake.stages._half import rounded
 
 GRIDS = ("density", "Cd", "sh", "index")
-MAX_MEMORY = 4 << 30
 _CHUNK = 1 << 14  # voxels at a time
 _WORK_BYTES = 64  # a voxel's node and place while the tree is built
 
@@ -35,7 +35,6 @@ def build_vdb(
     half: bool = False,
     sigma_min: float | None = None,
     up: Up = "z",
-    max_memory: int = MAX_MEMORY,
 ) -> Volume:
     """The octree's voxels as grids over one topology.
 
@@ -50,15 +49,15 @@ def build_vdb(
 
     Leaves above density 0 (and from sigma_min, 1/world unit) become voxels, large ones many; the rest is background,
     0. half: values are float16. up: the world's axis that the field's z becomes; `y` turns (x, y, z) into
-    (x, z, -y) in the transform alone, voxels and SH stay as they are. max_memory bounds voxels and their making,
-    in bytes, before any is made. Raises InvalidScene, MemoryLimit.
+    (x, z, -y) in the transform alone, voxels and SH stay as they are. Raises InvalidScene; MemoryLimit,
+    before any voxel is made.
     """
     _require_usable(octree, grids, up)
     if sigma_min is not None and not sigma_min >= 0:
         raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
     sigma = np.ascontiguousarray(octree.sigma)  # a copy that lies together: a third of the time of each later read
     occupied = octree.childless & (sigma > 0) & (sigma >= (sigma_min or 0.0))
-    _require_room(octree, occupied, max_memory)
+    _require_room(octree, occupied)
     bricks = bricks_of(octree.node_children, octree.level_sizes, occupied, octree.size)
     topology, order = topology_of_leaves(bricks.low, bricks.mask)
     node = bricks.node[rows_of_runs(popcount(bricks.mask), order)]
@@ -162,12 +161,11 @@ def _require_usable(octree: SparseVoxelOctree, grids: tuple[str, ...], up: str) 
         raise InvalidScene(Problem("grid 'sh'", f"of {octree.data_dim} values a node", "3 B + 1 values"))
 
 
-def _require_room(octree: SparseVoxelOctree, occupied: npt.NDArray[np.bool_], max_memory: int) -> None:
+def _require_room(octree: SparseVoxelOctree, occupied: npt.NDArray[np.bool_]) -> None:
     """Raises MemoryLimit. Leaves that reach beyond the grid are counted whole, up to as many voxels as it has."""
     starts = np.cumsum([0, *octree.level_sizes[:-1]])
     leaves = np.add.reduceat(occupied, starts, dtype=np.int64)
     volumes = [8 ** (octree.grid_level - level) for level in range(len(starts))]  # Python's integers do not overflow
     voxels = min(sum(map(mul, leaves.tolist(), volumes)), prod(octree.size))
     need = voxels * (octree.data_dim * octree.node_data.itemsize + _WORK_BYTES)
-    if need > max_memory:
-        raise MemoryLimit("the octree as voxels", need, max_memory)
+    memory.require("the octree as voxels", need)

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from nerfbake.errors import InvalidScene, MemoryLimit, Problem
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels import colours
 from nerfbake.kernels.sphere import fibonacci
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, ZERO_OFFSET, ZERO_SLOPE, Method, OctahedralAtlas
@@ -34,7 +35,6 @@ def bake_atlas(
     nodes: int = 7,
     border: int = 1,
     seed: int = 0,
-    max_memory: int = 4 << 30,
 ) -> OctahedralAtlas:
     """The atlas that comes closest to the field's MLP: OctahedralAtlas says what the methods are.
 
@@ -42,7 +42,7 @@ def bake_atlas(
     those in which colours are compared, 100 evenly spread ones unless given; direction_weights (N,): how much each
     counts, 1 on average. centres: kmeans' maps show the snapped colour, or the mean of the cluster. The same arguments
     give the same bytes, whatever the number of threads. Raises InvalidScene for sizes out of range and more clusters
-    than colours, MemoryLimit for maps that would take more than max_memory bytes while they are made.
+    than colours, MemoryLimit for maps that would take too much while they are made.
     """
     for name, value, low, high in (("map size", map_size, 2, MAX_MAP_SIZE), ("nodes", nodes, 2, MAX_NODES)):
         if not low <= value <= high:
@@ -50,8 +50,7 @@ def bake_atlas(
     if method == "affine" and clusters > MAX_TILES // 4:
         raise InvalidScene(Problem("clusters", f"is {clusters:,}", f"1 to {MAX_TILES // 4:,}, of 4 maps each"))
     count = {"kmeans": clusters, "affine": 4 * clusters, "grid": nodes**3}[method]
-    if (need := count * map_size**2 * _TEXEL_BYTES) > max_memory:
-        raise MemoryLimit(f"{count:,} maps of {map_size}x{map_size}", need, max_memory)
+    memory.require(f"{count:,} maps of {map_size}x{map_size}", count * map_size**2 * _TEXEL_BYTES)
     directions = fibonacci(100) if directions is None else directions
     # BLAS orders its sums by the number of its threads; one thread gives the same bytes everywhere, and costs nothing
     # here because the heavy sums are kernels of our own.

@@ -25,7 +25,6 @@ def bake_stage1(
     *,
     directions: int = 100,
     direction_set: DirectionSet = "fibonacci",
-    max_memory: int = 4 << 30,
     **options: Any,
 ) -> BakedAtlas:
     """An atlas for each cascade, baked and measured in so many evenly spread directions; options go to bake_atlas().
@@ -35,7 +34,7 @@ def bake_stage1(
     """
     evenly = fibonacci(directions)
     atlases = tuple(
-        bake_atlas(field, directions=evenly, direction_weights=weights, max_memory=max_memory, **options)
+        bake_atlas(field, directions=evenly, direction_weights=weights, **options)
         for field, weights in zip(stage1.fields, _weights(stage1, direction_set, evenly), strict=True)
     )
     errors = [

@@ -17,6 +17,7 @@ from nerfbake.bench.measure import Result, Spread
 from nerfbake.bench.report import markdown
 from nerfbake.cli.main import run
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError
+from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import VdbTree
@@ -101,9 +102,8 @@ def test_points_are_where_their_kind_says(octree: SparseVoxelOctree) -> None:
 def test_what_does_not_fit_is_a_row_that_says_so(folder: Path) -> None:
     with pytest.raises(MemoryLimit, match=r"it needs 877.5 KiB; allowed: 500.0 KiB \(--max-memory\)"):
         _readers._structure("dense array", folder, 13, 500 << 10)
-    report = access.compare(
-        sample_n3tree(resolution=32), "s", resolutions=[32], rounds=1, max_memory=1 << 12, progress=quiet
-    )
+    with memory_limit(1 << 12):
+        report = access.compare(sample_n3tree(resolution=32), "s", resolutions=[32], rounds=1, progress=quiet)
     ((said, R, *others),) = report.tables[0].rows
     assert said.startswith("all: ")
     assert "--max-memory" in said
@@ -188,9 +188,7 @@ def test_the_report_and_its_chart(octree: SparseVoxelOctree, monkeypatch: pytest
     some = tuple(row for row in _readers.CONTENDERS if row.name in ("VDB", "VDB index", "OpenVDB C++"))
     monkeypatch.setattr(access, "CONTENDERS", some)
     camera = Camera(40, 40, 40.0, np.eye(4), "a")
-    report = access.compare(
-        octree, "s", resolutions=None, rounds=2, max_memory=1 << 30, progress=quiet, cameras=[camera], points=POINTS
-    )
+    report = access.compare(octree, "s", resolutions=None, rounds=2, progress=quiet, cameras=[camera], points=POINTS)
     reads, rays, files = report.tables
     rows = [dict(zip(reads.columns, row, strict=True)) for row in reads.rows]
     assert [(row["structure"].partition(":")[0], row["R"], row["channels"]) for row in rows] == [
@@ -235,7 +233,7 @@ def test_a_format_that_is_too_small_costs_its_row_only(tmp_path: Path, monkeypat
 def test_a_scene_without_a_voxel_is_refused() -> None:
     empty = build_octree(n3tree(splits=[], data_format="SH4"), sigma_min=1e9)
     with pytest.raises(InvalidScene, match="the scene has no voxel; allowed: a density above 0"):
-        access.compare(empty, "s", resolutions=None, rounds=1, max_memory=1 << 30, progress=quiet)
+        access.compare(empty, "s", resolutions=None, rounds=1, progress=quiet)
 
 
 @pytest.mark.slow
@@ -267,7 +265,11 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["a.svo.pb", "--plot", "a.pdf"], 2, "the ending of 'a.pdf' names no picture; allowed: .png, .svg"),
         (["a.svo.pb", "-o", "a.svo.pb"], 4, "a.svo.pb: exists already; allowed: a new file, or --force"),
         (["a.svo.pb", "--rays", "nothing.json"], 1, "nothing.json: No such file"),
-        (["a.svo.pb", "--rays", "a.svo.pb"], 1, "a.svo.pb: holds a SparseVoxelOctree; allowed: a Cameras"),
+        (
+            ["a.svo.pb", "--rays", "a.svo.pb"],
+            1,
+            "writes it in other formats); allowed: cameras",
+        ),
         (["nothing.svo.pb"], 1, "nothing.svo.pb: No such file"),
     ],
 )

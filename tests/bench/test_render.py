@@ -50,7 +50,7 @@ def test_what_cannot_be_rendered_is_one_line(shell: Shell, tmp_path: Path) -> No
     for arguments, said in (
         (["a.npz"], "a.npz: data_format is SG1; allowed: SHk or RGBA can be rendered"),
         (["a.npz", "--plot", "x.pdf"], "names no picture; allowed: .png, .svg"),
-        (["a.npz", "--cameras", "a.npz"], "a.npz: holds an N3Tree; allowed: a Cameras"),
+        (["a.npz", "--cameras", "a.npz"], "makes an octree of it); allowed: cameras"),
     ):
         done = shell("bench", "render", *arguments)
         assert done.stderr.decode().count("\n") == 1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nerfbake import build_octree, catalog
+from nerfbake.memory import memory_limit
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.scenes import n3tree
 
@@ -24,8 +25,9 @@ def written(name: str, profile: str | None, octree: SparseVoxelOctree, **options
     return b"".join(FORMATS[name].load_module().encode(octree, **options))
 
 
-def read(name: str, data: bytes, *, max_memory: int = 1 << 24) -> SparseVoxelOctree:
-    octree: SparseVoxelOctree = FORMATS[name].load_module().decode(memoryview(data), max_memory=max_memory)
+def read(name: str, data: bytes, *, limit: int = 1 << 24) -> SparseVoxelOctree:
+    with memory_limit(limit):
+        octree: SparseVoxelOctree = FORMATS[name].load_module().decode(memoryview(data))
     return octree
 
 

@@ -18,7 +18,7 @@ def capture(**fields: Any) -> dict[str, Any]:
 
 
 def read(fields: Any) -> Cameras:
-    return cameras_json.decode(memoryview(json.dumps(fields).encode()), max_memory=1 << 20)
+    return cameras_json.decode(memoryview(json.dumps(fields).encode()))
 
 
 def test_a_capture_by_hand() -> None:
@@ -31,7 +31,7 @@ def test_a_capture_by_hand() -> None:
 
 def test_what_is_written_is_read() -> None:
     cameras = read(capture(w=640, h=480, fl_x=500))
-    again = cameras_json.decode(memoryview(b"".join(cameras_json.encode(cameras))), max_memory=1 << 20)
+    again = cameras_json.decode(memoryview(b"".join(cameras_json.encode(cameras))))
     assert_allclose(again.cameras[0].pose, cameras.cameras[0].pose)
     assert again.cameras[0].focal == 500
 
@@ -47,7 +47,7 @@ def test_the_middle_of_the_middle_pixel_looks_ahead() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ([], "frames are no list"),
+        ([], "holds a list"),
         (capture(frames=[]), "frames are none"),
         (capture(frames=[{}]), r"frames\[0\].transform_matrix has shape"),
         (capture(frames=[{"transform_matrix": np.zeros((4, 4)).tolist()}]), "singular"),
@@ -58,7 +58,7 @@ def test_the_middle_of_the_middle_pixel_looks_ahead() -> None:
         (capture(camera_angle_x="wide"), "camera_angle_x is wide"),
         (capture(w=-3), "w is -3"),
         (capture(w=1e8), "pixels"),
-        (capture(fl_x=float("nan")), "fl_x is nan"),
+        (capture(fl_x=float("nan")), "cannot be parsed"),
     ],
 )
 def test_what_is_no_capture_is_refused(fields: Any, message: str) -> None:
@@ -69,4 +69,4 @@ def test_what_is_no_capture_is_refused(fields: Any, message: str) -> None:
 def test_what_is_no_json_is_refused() -> None:
     for data in (b"{", b"\xff", b"[" * 100_000):
         with pytest.raises(InvalidFile, match="cannot be parsed"):
-            cameras_json.decode(memoryview(data), max_memory=1 << 30)
+            cameras_json.decode(memoryview(data))

@@ -12,6 +12,7 @@ from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats import depth_npy, depth_png, image_png
+from nerfbake.memory import memory_limit
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
 
@@ -26,9 +27,7 @@ def test_steps_are_thousandths_and_nothing_met_is_0() -> None:
         assert_array_equal(np.asarray(seen), [[0, 1, 1500], [2000, 65535, 3251]])
     assert data[24:26] == b"\x10\x00"  # 16 bits of grey, in the PNG's own header
     assert depth_png.recognise(data[:512])
-    assert_array_equal(
-        depth_png.decode(memoryview(data), max_memory=1000).distance[0], np.array([0, 0.001, 1.5], np.float32)
-    )
+    assert_array_equal(depth_png.decode(memoryview(data)).distance[0], np.array([0, 0.001, 1.5], np.float32))
 
 
 def test_what_16_bits_do_not_hold_is_refused() -> None:
@@ -40,7 +39,7 @@ def test_numpy_reads_what_is_written() -> None:
     data = b"".join(bytes(piece) for piece in depth_npy.encode(Depth(distances())))
     assert_array_equal(np.load(io.BytesIO(data)), distances())
     assert depth_npy.recognise(data[:512])
-    assert_array_equal(depth_npy.decode(memoryview(data), max_memory=1000).distance, distances())
+    assert_array_equal(depth_npy.decode(memoryview(data)).distance, distances())
 
 
 def test_hostile_files_are_refused() -> None:
@@ -49,11 +48,11 @@ def test_hostile_files_are_refused() -> None:
     np.save(whole, np.zeros((2, 3)))
     nan = good[:-4] + np.float32(np.nan).tobytes()
     for data in (good[:-1], good[:40], good + b"x", whole.getvalue(), b"\x93NUMPY", nan):
-        with pytest.raises((InvalidFile, InvalidScene), match="allowed"):
-            depth_npy.decode(memoryview(data), max_memory=1000)
+        with pytest.raises((InvalidFile, InvalidScene), match="allowed"), memory_limit(1000):
+            depth_npy.decode(memoryview(data))
     flat = np.zeros((2, 2), np.float32)
     picture = b"".join(image_png.encode(Image(np.zeros((2, 2, 3), np.float32), flat, flat)))
-    with pytest.raises(InvalidFile, match="holds RGB pixels; allowed: 16 bits of grey"):
-        depth_png.decode(memoryview(picture), max_memory=1000)
-    with pytest.raises(MemoryLimit):
-        depth_png.decode(memoryview(b"".join(depth_png.encode(Depth(distances())))), max_memory=10)
+    with pytest.raises(InvalidFile, match="holds RGB pixels; allowed: 16 bits of grey"), memory_limit(1000):
+        depth_png.decode(memoryview(picture))
+    with pytest.raises(MemoryLimit), memory_limit(10):
+        depth_png.decode(memoryview(b"".join(depth_png.encode(Depth(distances())))))

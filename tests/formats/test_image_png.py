@@ -10,6 +10,7 @@ from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit
 from nerfbake.formats import image_png
+from nerfbake.memory import memory_limit
 from nerfbake.scene.image import Image
 
 
@@ -28,7 +29,7 @@ def test_what_is_written_is_read_and_pillow_reads_it_too(background: tuple[float
     with Pillow.open(io.BytesIO(data)) as seen:
         assert seen.mode == ("RGBA" if background is None else "RGB")
         assert np.asarray(seen).tobytes() == image.pixels.tobytes()
-    back = image_png.decode(memoryview(data), max_memory=1 << 20)
+    back = image_png.decode(memoryview(data))
     assert_allclose(back.colour, image.colour, atol=3 / 255)
     if background is None:
         assert_allclose(back.alpha, image.alpha, atol=1 / 255)
@@ -41,6 +42,6 @@ def test_hostile_pictures_are_refused() -> None:
     huge[29:33] = zlib.crc32(bytes(huge[12:29])).to_bytes(4, "big")
     for data in (good[:50], good[:-30], b"\x89PNG\r\n\x1a\n", bytes(huge), good[:8] + bytes(100)):
         with pytest.raises(InvalidFile, match="allowed"):
-            image_png.decode(memoryview(data), max_memory=1 << 24)
-    with pytest.raises(MemoryLimit):
-        image_png.decode(memoryview(good), max_memory=100)
+            image_png.decode(memoryview(data))
+    with pytest.raises(MemoryLimit), memory_limit(100):
+        image_png.decode(memoryview(good))

@@ -37,7 +37,7 @@ def svox(tree: N3Tree) -> dict[str, Any]:
 
 
 def read(data: bytes, **options: Any) -> N3Tree:
-    return n3tree_npz.decode(memoryview(data), max_memory=1 << 24, **options)
+    return n3tree_npz.decode(memoryview(data), **options)
 
 
 def assert_same_tree(a: N3Tree, b: N3Tree) -> None:

@@ -74,7 +74,7 @@ def test_mixed_numbers_count_against_max_memory() -> None:
     fields = report_fields(small_octree())
     fields["node_data"][-1] = 1
     with pytest.raises(MemoryLimit, match="node_data needs"):
-        read("svo.bson", bson.encode(fields), max_memory=10_000)
+        read("svo.bson", bson.encode(fields), limit=10_000)
 
 
 @pytest.mark.parametrize(("profile", "rows"), [("report", 2**31 // (13 * 17)), ("bulk", 2**31 // (13 * 4) + 1)])

@@ -135,5 +135,5 @@ def test_the_chair_survives_every_format(chair: Path, dtype: Any) -> None:
     octree = build_octree(load(chair / "chair_sh9.npz", N3Tree), resolution=128, dtype=dtype)
     for name, form in FORMATS.items():
         for profile in form.profiles or (None,):
-            back = read(name, written(name, profile, octree), max_memory=8 << 30)
+            back = read(name, written(name, profile, octree), limit=8 << 30)
             assert_same_octree(back, octree)

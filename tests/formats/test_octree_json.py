@@ -87,7 +87,7 @@ def blob(**changes: Any) -> dict[str, Any]:
 
 
 LIES: dict[str, tuple[bytes, str]] = {
-    "an empty list": (b"[]", "JSON holds list"),
+    "an empty list": (b"[]", "JSON holds a list"),
     "no fields": (b"{}", "level_sizes adds up to 0 nodes"),
     "half an object": (b'{"width": 1', "JSON cannot be parsed"),
     "no UTF-8": (b'{"\xff": 1}', "JSON cannot be parsed"),
@@ -137,5 +137,5 @@ def test_lies_are_refused(lie: str) -> None:
 
 @pytest.mark.parametrize("filling", [b"[],", b"{},", b'"",', b"0.5,"])
 def test_text_that_grows_when_parsed_is_refused_first(filling: bytes) -> None:
-    with pytest.raises(MemoryLimit, match="the parsed JSON needs"):
-        read("svo.json", b'{"node_data":[' + filling * 100_000 + b"0]}", max_memory=1 << 21)
+    with pytest.raises(MemoryLimit, match="the JSON, parsed, needs"):
+        read("svo.json", b'{"node_data":[' + filling * 100_000 + b"0]}", limit=1 << 21)

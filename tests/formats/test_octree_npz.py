@@ -21,7 +21,7 @@ def written(octree: SparseVoxelOctree, **options: int) -> bytes:
 def test_round_trips_are_exact(octree: SparseVoxelOctree, no_child: int) -> None:
     data = written(octree, no_child=no_child)
     assert octree_npz.recognise(data[:512])
-    assert_same_octree(octree_npz.decode(memoryview(data), max_memory=1 << 20), octree)
+    assert_same_octree(octree_npz.decode(memoryview(data)), octree)
     assert written(octree, no_child=no_child) == data
 
 
@@ -42,7 +42,7 @@ def test_arrays_start_at_multiples_of_64_bytes_and_are_read_as_views(octree: Spa
     for info in zipfile.ZipFile(io.BytesIO(data)).infolist():
         name, extra = (int.from_bytes(data[info.header_offset + at :][:2], "little") for at in (26, 28))
         assert (info.header_offset + 30 + name + extra) % 64 == 0
-    back = octree_npz.decode(memoryview(data), max_memory=1 << 20)
+    back = octree_npz.decode(memoryview(data))
     assert not back.node_data.flags.owndata
     assert back.node_data.ctypes.data % 4 == np.frombuffer(data, np.uint8).ctypes.data % 4
 
@@ -56,4 +56,4 @@ def test_archives_beyond_32_bits_are_zip64(octree: SparseVoxelOctree) -> None:
     with np.load(io.BytesIO(data)) as npz:
         assert npz["node_data"].tobytes() == octree.node_data.tobytes()
     assert zipfile.ZipFile(io.BytesIO(data)).testzip() is None
-    assert_same_octree(octree_npz.decode(memoryview(data), max_memory=1 << 20), octree)
+    assert_same_octree(octree_npz.decode(memoryview(data)), octree)

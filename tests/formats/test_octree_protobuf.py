@@ -19,6 +19,7 @@ from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats import octree_protobuf
 from nerfbake.formats._octree import TYPE_URLS
 from nerfbake.kernels.varint import encode_varints
+from nerfbake.memory import memory_limit
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import REPOSITORY
 from tests.formats.octrees import small_octree
@@ -63,8 +64,9 @@ def written(octree: SparseVoxelOctree, **options: Any) -> bytes:
     return b"".join(octree_protobuf.encode(octree, **options))
 
 
-def read(data: bytes, max_memory: int = 1 << 24) -> SparseVoxelOctree:
-    return octree_protobuf.decode(memoryview(data), max_memory=max_memory)
+def read(data: bytes, limit: int = 1 << 24) -> SparseVoxelOctree:
+    with memory_limit(limit):
+        return octree_protobuf.decode(memoryview(data))
 
 
 @given(octrees(), st.sampled_from([0, -1]))
@@ -187,7 +189,7 @@ def test_more_than_two_gibibytes_are_refused_before_anything_is_written() -> Non
 
 def test_children_count_against_max_memory() -> None:
     with pytest.raises(MemoryLimit, match="node_children needs"):
-        read(written(build_octree(n3tree())), max_memory=64)
+        read(written(build_octree(n3tree())), limit=64)
 
 
 def field(number: int, wire: int, payload: bytes) -> bytes:

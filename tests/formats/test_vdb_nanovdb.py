@@ -19,6 +19,7 @@ from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats import vdb_nanovdb
 from nerfbake.formats._blosc import unblosc
 from nerfbake.formats._nanovdb_reader import _unblosced
+from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
 from nerfbake.scene.volume import Volume
 from tests.scenes import assert_same_octree, n3tree
@@ -40,7 +41,7 @@ def encoded(made: Volume, *, codec: Codec = "none") -> bytes:
 
 
 def decoded(data: bytes) -> Volume:
-    return vdb_nanovdb.decode(memoryview(data), max_memory=1 << 30)
+    return vdb_nanovdb.decode(memoryview(data))
 
 
 @pytest.mark.parametrize("codec", ["none", "zip"])
@@ -156,8 +157,8 @@ def test_what_the_format_cannot_hold(made: Callable[[], Volume], said: str) -> N
 
 def test_a_zipped_grid_that_declares_too_much_is_not_unpacked() -> None:
     data = encoded(volume(tree(SCENES["a cloud"])), codec="zip")
-    with pytest.raises(MemoryLimit, match="the grid needs"):
-        vdb_nanovdb.decode(memoryview(data), max_memory=100_000)
+    with pytest.raises(MemoryLimit, match="the grid needs"), memory_limit(100_000):
+        vdb_nanovdb.decode(memoryview(data))
 
 
 def test_a_flipped_bit_below_the_checksum_is_found() -> None:

@@ -14,6 +14,7 @@ from nerfbake import build_octree, build_vdb, restore_octree
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError
 from nerfbake.formats import vdb_npz
 from nerfbake.formats._npz_writer import write_npz
+from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
 from tests.conftest import REPOSITORY
@@ -35,8 +36,9 @@ def encoded(made: Volume) -> bytes:
     return b"".join(vdb_npz.encode(made))
 
 
-def decoded(data: bytes, *, max_memory: int = 1 << 24) -> Volume:
-    return vdb_npz.decode(memoryview(data), max_memory=max_memory)
+def decoded(data: bytes, *, limit: int = 1 << 24) -> Volume:
+    with memory_limit(limit):
+        return vdb_npz.decode(memoryview(data))
 
 
 def arrays_of(data: bytes) -> dict[str, Any]:
@@ -162,8 +164,10 @@ def test_a_lying_file_is_refused(lie: str) -> None:
 
 
 def test_memory_is_bounded() -> None:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays_of(encoded(volume(tree(SCENES["a full leaf"])))))
     with pytest.raises(MemoryLimit, match="grid_0_table needs"):
-        decoded(encoded(volume(tree(SCENES["a full leaf"]))), max_memory=10_500)
+        decoded(file.getvalue(), limit=10_500)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import build_octree, build_vdb, load, restore_octree, sample_n3tree, save
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats import vdb_openvdb
+from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
 from tests.scenes import assert_same_octree, n3tree
@@ -32,7 +33,7 @@ def encoded(made: Volume, *, codec: Codec = "zip") -> bytes:
 
 
 def decoded(data: bytes) -> Volume:
-    return vdb_openvdb.decode(memoryview(data), max_memory=1 << 30)
+    return vdb_openvdb.decode(memoryview(data))
 
 
 @pytest.mark.parametrize("codec", ["none", "zip"])
@@ -76,8 +77,8 @@ def test_there_are_no_index_grids() -> None:
 
 
 def test_memory_is_bounded_before_values_are_unpacked() -> None:
-    with pytest.raises(MemoryLimit, match=r"grid 'density' needs 2\.0 KiB; allowed: 1000 B"):
-        vdb_openvdb.decode(memoryview(encoded(volume(tree(SCENES["a full leaf"])))), max_memory=1000)
+    with pytest.raises(MemoryLimit, match=r"grid 'density' needs 2\.0 KiB; allowed: 1000 B"), memory_limit(1000):
+        vdb_openvdb.decode(memoryview(encoded(volume(tree(SCENES["a full leaf"])))))
 
 
 def test_two_transforms_are_refused() -> None:

@@ -11,14 +11,16 @@ from hypothesis import strategies as st
 
 from nerfbake.errors import InvalidFile, MemoryLimit
 from nerfbake.formats import _zstd
+from nerfbake.memory import memory_limit
 
 
 def packed(*pieces: bytes) -> bytes:
     return b"".join(_zstd.compress(pieces))
 
 
-def unpacked(data: bytes, max_memory: int = 1 << 20) -> bytes:
-    return bytes(_zstd.decompress(memoryview(data), max_memory=max_memory))
+def unpacked(data: bytes, limit: int = 1 << 24) -> bytes:
+    with memory_limit(limit):
+        return bytes(_zstd.decompress(memoryview(data)))
 
 
 @given(st.lists(st.binary(max_size=5000)))
@@ -60,14 +62,14 @@ def test_a_window_beyond_the_limit_is_refused() -> None:
     parameters = zstandard.ZstdCompressionParameters(window_log=28, compression_level=1)
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
     with pytest.raises(InvalidFile, match="is damaged"):
-        unpacked(compressor.compress(bytes(10)) + compressor.flush())
+        unpacked(limit=1 << 28, data=compressor.compress(bytes(10)) + compressor.flush())
 
 
 def test_a_bomb_stays_within_max_memory(tmp_path: Path) -> None:
     bomb = packed(*[bytes(1 << 20)] * 2048)
     assert len(bomb) < 1 << 20
     with pytest.raises(MemoryLimit, match="the decompressed file needs"):
-        unpacked(bomb, max_memory=1 << 20)
+        unpacked(bomb, limit=1 << 22)
     (tmp_path / "bad.svo.pb.zst").write_bytes(bomb)
     code = f"""if True:
         import resource, sys

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import build_octree, cut_octree
 from nerfbake.errors import InvalidScene, MemoryLimit
+from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
 from tests import oracle
 from tests.scenes import assert_same_octree, n3tree, n3trees, sizes, world_centres
@@ -166,8 +167,8 @@ def test_a_resolution_out_of_range_is_refused(resolution: int | tuple[int, int, 
 
 def test_memory_is_bounded_before_it_is_taken() -> None:
     # Cells of a third of the cube against 4096 voxels: millions of voxels lie along the boundaries.
-    with pytest.raises(MemoryLimit, match="--max-memory"):
-        build_octree(n3tree(N=3), resolution=4096, max_memory=32 << 20)
+    with pytest.raises(MemoryLimit, match="--max-memory"), memory_limit(32 << 20):
+        build_octree(n3tree(N=3), resolution=4096)
 
 
 def test_a_resolution_of_4096_costs_only_what_is_there() -> None:

@@ -1,0 +1,25 @@
+"""load and save: the only place that opens files.
+
+Files are read whole, so that nobody who cuts a file short while it is read can harm the process; '-' is stdin or
+stdout. What is written appears whole or not at all. Any format may be compressed, said by a further ending (.zst), or
+seen by the first bytes.
+"""
+
+from nerfbake.catalog import uncompressed as uncompressed
+from nerfbake.io.reading import check as check
+from nerfbake.io.reading import decode_files as decode_files
+from nerfbake.io.reading import load as load
+from nerfbake.io.reading import load_files as load_files
+from nerfbake.io.reading import load_folder as load_folder
+from nerfbake.io.reading import load_with_format as load_with_format
+from nerfbake.io.sources import STREAM as STREAM
+from nerfbake.io.sources import blame as blame
+from nerfbake.io.sources import reading_name as reading_name
+from nerfbake.io.streams import print_text as print_text
+from nerfbake.io.targets import rejected_unless_good as rejected_unless_good
+from nerfbake.io.targets import replacing as replacing
+from nerfbake.io.targets import require_absent as require_absent
+from nerfbake.io.targets import require_no_folder as require_no_folder
+from nerfbake.io.writing import format_for as format_for
+from nerfbake.io.writing import save as save
+from nerfbake.io.writing import save_folder as save_folder

@@ -1,0 +1,124 @@
+"""load: the scene in a file, in a folder, or on stdin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from nerfbake import memory
+from nerfbake.catalog import (
+    ADVICE,
+    COMPRESSION_MAGIC,
+    NOUNS,
+    Format,
+    compressed,
+    folder_of_content,
+    folders_of,
+    format_of_content,
+    load_compression,
+    uncompressed,
+)
+from nerfbake.errors import InvalidFile, NerfbakeError, Problem
+from nerfbake.io.sources import STREAM, Folder, blame, read_file, read_stdin, reading_name
+
+Scene = TypeVar("Scene")
+
+
+def load(source: str | Path, *kinds: type[Scene], sound: bool = True) -> Scene:
+    """The scene in a file of any format, in a folder of any kind, or on stdin ('-').
+
+    kinds: the scene types that are wanted; another one raises InvalidFile. sound=False gives a scene back even if its
+    structure is broken, for scene.problems(). memory_limit() bounds what it may take. Raises NerfbakeError naming the
+    file.
+    """
+    return load_with_format(source, *kinds, sound=sound)[0]
+
+
+def load_with_format(source: str | Path, *kinds: type[Scene], sound: bool = True) -> tuple[Scene, Format, int]:
+    """Like load(), with the file's format and its size in bytes, or those of a folder."""
+    name = reading_name(source)
+    with blame(name):
+        with memory.scope():
+            is_folder = str(source) != STREAM and Path(source).is_dir()
+            scene, form, size = _decode_folder(Path(source), kinds) if is_folder else _decode_file(source, kinds)
+        memory.keep(scene, memory.size_of(scene))
+        if sound:
+            scene.require_sound()
+    return scene, form, size
+
+
+def check(source: str | Path) -> list[Problem]:
+    """Everything that is wrong with a file: what keeps it from being read, else its structure, else its values."""
+    try:
+        scene: Any = load(source, sound=False)
+    except NerfbakeError as error:
+        return [error.problem]
+    problems: list[Problem] = scene.problems()
+    return problems
+
+
+def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
+    stream = str(source) == STREAM
+    view = read_stdin() if stream else read_file(Path(source))
+    if not len(view):
+        raise InvalidFile("is empty; allowed: a file that nerfbake reads")
+    path, size = "" if stream else str(source), len(view)
+    packed = view[:4] == COMPRESSION_MAGIC
+    if packed:
+        view = load_compression().decompress(view)
+        path = uncompressed(path)
+    form = format_of_content(path, bytes(view[:512]))
+    extra: dict[str, Any] = {}
+    if form.companion and path:
+        extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
+    _require_kind(form, kinds)
+    scene = form.load_module().decode(view, **extra)
+    return scene, compressed(form) if packed else form, size
+
+
+def _decode_folder(path: Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
+    files = Folder(path, {})
+    form = folder_of_content(files)
+    _require_kind(form, kinds)
+    size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    return form.load_module().decode(files), form, size
+
+
+def _require_kind(form: Format, kinds: tuple[type[Scene], ...]) -> None:
+    if kinds and form.scene not in [kind.__name__ for kind in kinds]:
+        allowed = " or ".join(NOUNS[kind.__name__] for kind in kinds)
+        advice = f" ({ADVICE[form.scene]})" if form.scene in ADVICE else ""
+        raise InvalidFile(f"holds {NOUNS[form.scene]}{advice}; allowed: {allowed}")
+
+
+def load_folder(source: str | Path, kind: type[Scene], *, more: Mapping[str, memoryview] | None = None) -> Scene:
+    """The scene of this type in a folder, and in `more` files as if they stood there.
+
+    Raises NerfbakeError naming the folder and the file in it.
+    """
+    with blame(str(source)):
+        path = Path(source)
+        if not path.is_dir():
+            found = "is no folder" if path.exists() else "is not there"
+            raise InvalidFile(f"{found}; allowed: a folder, {folders_of(kind.__name__)[0].title}")
+        return decode_files(Folder(path, more or {}), kind)
+
+
+def decode_files(files: Mapping[str, memoryview], kind: type[Scene]) -> Scene:
+    """The scene of this type in files of these names, wherever they come from."""
+    modules = [form.load_module() for form in folders_of(kind.__name__)]
+    module = next((module for module in modules if module.recognise(files)), modules[0])
+    with memory.scope():
+        scene: Scene = module.decode(files)
+    memory.keep(scene, memory.size_of(scene))
+    return scene
+
+
+def load_files(paths: Mapping[str, str | Path]) -> dict[str, memoryview]:
+    """Files from anywhere under the names that a folder would have for them."""
+    files = {}
+    for name, path in paths.items():
+        with blame(str(path)):
+            files[name] = read_file(Path(path))
+    return files

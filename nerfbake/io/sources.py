@@ -1,0 +1,112 @@
+"""Where bytes come from: files, folders and stdin, read whole, and errors that name them."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import stat
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, NerfbakeError
+
+STREAM = "-"
+_CHUNK = 1 << 20
+_HUGE = 1 << 21  # bytes of a large page: one fault instead of 512
+
+
+def reading_name(source: str | Path) -> str:
+    """What words and errors call a source."""
+    return "stdin" if str(source) == STREAM else str(source)
+
+
+@contextmanager
+def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[None]:
+    """Names the file in every error that leaves the block, and turns the system's errors into ours."""
+    try:
+        yield
+    except NerfbakeError as error:
+        if error.source is None:
+            error.source = name
+        raise
+    except (OSError, ValueError) as error:
+        if isinstance(error, ValueError) and "\0" not in name:  # the one that paths raise
+            raise
+        raise error_type(f"{getattr(error, 'strerror', None) or error}", source=name) from error
+
+
+def read_file(path: Path) -> memoryview:
+    """All bytes of a file, or of a pipe or device. Raises InvalidFile, MemoryLimit, OSError.
+
+    They are read, not mapped: a mapped file that somebody cuts short kills the process that looks at it (SIGBUS).
+    """
+    with open(path, "rb", buffering=0) as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            return read_stream(file)
+        if not status.st_size:
+            return read_stream(file)  # empty, or one of /proc's, which do not tell their size
+        memory.hold("the file", status.st_size)
+        buffer = _room(status.st_size)
+        at = 0
+        while at < len(buffer):
+            count = file.readinto(buffer[at:])
+            if not count:
+                raise InvalidFile(f"was cut short to {at:,} bytes while it was read; allowed: a file that stays whole")
+            at += count
+        return buffer.toreadonly()
+
+
+def read_stdin() -> memoryview:
+    """All bytes that come in. Raises InvalidFile where stdin is closed, MemoryLimit."""
+    if sys.stdin is None or sys.stdin.closed:
+        raise InvalidFile("is closed; allowed: a pipe or a file")
+    return read_stream(sys.stdin.buffer)
+
+
+def read_stream(file: IO[bytes]) -> memoryview:
+    """All bytes of what does not tell its size."""
+    data = bytearray()
+    while chunk := file.read(_CHUNK):
+        memory.hold("the stream", len(chunk))
+        data += chunk
+    return memoryview(data).toreadonly()
+
+
+def _room(size: int) -> memoryview:
+    """Memory of the system's own, in large pages where it has them."""
+    if size < _HUGE:
+        return memoryview(bytearray(size))
+    room = mmap.mmap(-1, size)
+    if hasattr(mmap, "MADV_HUGEPAGE"):
+        room.madvise(mmap.MADV_HUGEPAGE)
+    return memoryview(room)
+
+
+class Folder(Mapping[str, memoryview]):
+    """A folder's files by name, each read once, when it is asked for, and more that are in its place."""
+
+    def __init__(self, path: Path, more: Mapping[str, memoryview]) -> None:
+        self._path, self._more = path, dict(more)
+
+    def __getitem__(self, name: str) -> memoryview:
+        if name not in self._more:
+            path = self._path / name
+            if not path.is_file():
+                raise KeyError(name)
+            with blame(str(path)):
+                self._more[name] = read_file(path)
+        return self._more[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._more or (isinstance(name, str) and (self._path / name).is_file())
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted({path.name for path in self._path.iterdir()} | set(self._more)))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)

@@ -1,0 +1,43 @@
+"""stdout, and what can be wrong with it: closed, full, or a reader that has seen enough."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+from nerfbake.errors import OutputError, PipeClosed, UsageError
+
+
+def print_text(text: str = "") -> None:
+    """Prints a line of data. Raises OutputError if it cannot be written, PipeClosed if nobody reads it any more."""
+    if sys.stdout is None or sys.stdout.closed:
+        raise OutputError("is closed; allowed: a pipe, a file or a terminal", source="stdout")
+    with _blamed():
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+
+
+def write_stdout(pieces: Iterable[bytes | memoryview]) -> int:
+    """Writes bytes to stdout; gives their number. Raises OutputError, PipeClosed; UsageError for a terminal."""
+    if sys.stdout is None or sys.stdout.closed:
+        raise OutputError("is closed; allowed: a pipe or a file", source="stdout")
+    if sys.stdout.isatty():
+        raise UsageError("stdout is a terminal; allowed: a pipe or a file")
+    size = 0
+    with _blamed():
+        for piece in pieces:
+            sys.stdout.buffer.write(piece)
+            size += len(piece)
+        sys.stdout.buffer.flush()
+    return size
+
+
+@contextmanager
+def _blamed() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise PipeClosed from None
+    except OSError as error:
+        raise OutputError(f"{error.strerror or error}", source="stdout") from error

@@ -1,0 +1,201 @@
+"""Where bytes go: a file or a folder appears whole or not at all, and what stood there is replaced in one step.
+
+Everything is written under a name of its own beside the target, `.NAME.<16 random digits>.part`, and then renamed. A
+writer holds a lock (flock) on what it is writing: two writers never share a name, and the next writer of the same
+target sweeps what dead ones have left, told by the lock that nobody holds, whatever became of their process number.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from nerfbake.errors import BudgetMissed, OutputError
+
+try:
+    import fcntl
+except ImportError:  # no locks on this system: then nothing is swept
+    fcntl = None  # type: ignore[assignment]
+
+_PART, _OLD = "part", "old"
+_LONGEST_NAME = 200  # of 255 bytes, which leaves room for the digits
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
+
+
+def require_absent(target: str | Path, *, force: bool) -> None:
+    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+    if str(target) == "-":
+        return
+    with _nul_is_no_name(target):
+        if Path(target).is_dir():
+            raise OutputError("is a folder; allowed: a file", source=str(target))
+        if not force and os.path.lexists(target) and _is_regular(Path(target)):
+            raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
+
+
+def require_no_folder(target: str | Path, *, force: bool) -> None:
+    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+    path = Path(target)
+    with _nul_is_no_name(target):
+        if os.path.lexists(path) and not path.is_dir():
+            raise OutputError("is no folder; allowed: a new folder", source=str(target))
+        if path.is_dir() and any(path.iterdir()) and not force:
+            raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
+
+
+@contextmanager
+def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
+    """A file that takes the target's place when the block ends well, and vanishes when it does not.
+
+    What it replaces keeps its permissions. A pipe or a device is written to: renaming over it would be a disaster.
+    """
+    require_absent(target, force=force)
+    target = Path(os.path.realpath(target))
+    if target.exists() and not _is_regular(target):
+        with open(target, "wb") as file:
+            yield file
+        return
+    _sweep(target)
+    with _locked_part(target) as part:
+        try:
+            with open(part, "wb") as file:
+                yield file
+            _keep_mode(part, target)
+            part.replace(target)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
+    """A new folder that takes the target's place when the block ends well, and vanishes when it does not.
+
+    Linux exchanges the two in one step. Elsewhere the old folder is moved aside first; if the process dies just then,
+    the next writer puts it back.
+    """
+    require_no_folder(target, force=force)
+    target = Path(os.path.realpath(target))
+    _sweep(target)
+    with _locked_part(target, folder=True) as part:
+        try:
+            yield part
+            if target.exists():
+                _keep_mode(part, target)
+                if not _exchange(part, target):
+                    old = part.with_suffix(f".{_OLD}")
+                    target.replace(old)
+                    part.replace(target)
+                    shutil.rmtree(old, ignore_errors=True)
+            else:
+                part.replace(target)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def rejected_unless_good(path: str | Path) -> Iterator[None]:
+    """Moves a file or folder to PATH.rejected if the block finds that it costs too much."""
+    try:
+        yield
+    except BudgetMissed:
+        rejected = Path(f"{Path(path)}.rejected")
+        if Path(path).is_dir() and rejected.is_dir():
+            shutil.rmtree(rejected)  # of the last time; a file would be replaced, too
+        Path(path).replace(rejected)
+        raise
+
+
+@contextmanager
+def _locked_part(target: Path, *, folder: bool = False) -> Iterator[Path]:
+    """A new, empty file or folder of a name of its own, locked for as long as the block lasts."""
+    while True:
+        part = target.with_name(f".{_stem(target)}.{os.urandom(8).hex()}.{_PART}")
+        if folder:
+            part.mkdir()
+            handle = os.open(part, os.O_RDONLY)
+        else:
+            handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
+        try:
+            # A sweeper may have come between making and locking: then what is locked here has no name any more.
+            if _lock(handle) and part.exists() and os.path.samestat(part.stat(), os.fstat(handle)):
+                yield part
+                return
+        finally:
+            os.close(handle)
+
+
+def _sweep(target: Path) -> None:
+    """Removes what dead writers of this target have left; puts a folder back that one had moved aside."""
+    if fcntl is None:
+        return
+    ours = re.compile(rf"\.{re.escape(_stem(target))}\.[0-9a-f]{{16}}\.({_PART}|{_OLD})")
+    with suppress(OSError):
+        for entry in os.scandir(target.parent):
+            if (found := ours.fullmatch(entry.name)) and not entry.is_symlink():
+                with suppress(OSError):
+                    _sweep_one(Path(entry.path), target, moved_aside=found[1] == _OLD)
+
+
+def _sweep_one(left: Path, target: Path, *, moved_aside: bool) -> None:
+    handle = os.open(left, os.O_RDONLY)
+    try:
+        if not _lock(handle):
+            return  # its writer lives
+        if moved_aside and not target.exists():
+            left.replace(target)
+        elif left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    """Locks an open file or folder, unless another process has done so. True where locks are not to be had."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass  # a file system without locks
+    return True
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Gives each path what the other stands for, in one step. False where the system cannot."""
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        rename: int = libc.renameat2(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _RENAME_EXCHANGE)
+    except (AttributeError, OSError):
+        return False
+    return rename == 0
+
+
+def _keep_mode(part: Path, target: Path) -> None:
+    with suppress(FileNotFoundError):
+        part.chmod(stat.S_IMODE(target.stat().st_mode))
+
+
+def _stem(target: Path) -> str:
+    return os.fsdecode(os.fsencode(target.name)[:_LONGEST_NAME])
+
+
+def _is_regular(path: Path) -> bool:
+    return not path.exists() or stat.S_ISREG(path.stat().st_mode)
+
+
+@contextmanager
+def _nul_is_no_name(target: str | Path) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:  # what paths with a NUL raise
+        raise OutputError(f"is no name of a file ({error}); allowed: a path", source=str(target)) from None

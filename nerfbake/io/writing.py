@@ -1,0 +1,86 @@
+"""save: a scene as a file, as a folder, or on stdout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO, Any
+
+from nerfbake.catalog import (
+    COMPRESSED,
+    Format,
+    compressed,
+    folders_of,
+    format_named,
+    format_of_path,
+    formats_of,
+    load_compression,
+    uncompressed,
+)
+from nerfbake.errors import OutputError, UsageError
+from nerfbake.io.sources import STREAM, blame
+from nerfbake.io.streams import write_stdout
+from nerfbake.io.targets import replacing, replacing_folder
+
+
+def save(
+    target: str | Path, scene: Any, *, to: str | None = None, force: bool = False, parents: bool = False, **options: Any
+) -> int:
+    """Writes a scene in the format that the target's ending names (or `to`, always for '-'); gives its size in bytes.
+
+    parents: makes the folders that lead there; options go to the format's encode(). Raises OutputError if the target
+    exists and `force` is not given, or if it cannot be written; what stood there before is then untouched.
+    """
+    form = format_for(target, type(scene).__name__, to=to)
+    pieces = form.load_module().encode(scene, **options)
+    if form.suffix.endswith(COMPRESSED):
+        pieces = load_compression().compress(pieces)
+    if str(target) == STREAM:
+        return write_stdout(pieces)
+    with blame(str(target), OutputError):
+        if parents:
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
+        with replacing(Path(target), force=force) as file:
+            return _write_all(file, pieces)
+
+
+def save_folder(target: str | Path, scene: Any, *, force: bool = False) -> dict[str, int]:
+    """Writes a scene as a folder; gives the size in bytes of each file.
+
+    The folder appears whole or not at all. With `force` it replaces one that stands there, whatever is in that.
+    """
+    sizes = {}
+    with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
+        for name, pieces in folders_of(type(scene).__name__)[0].load_module().encode(scene):
+            with open(folder / name, "xb") as file:
+                sizes[name] = _write_all(file, pieces)
+    return sizes
+
+
+def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:
+    """The format to write; its suffix ends with .zst where it is to be compressed.
+
+    Raises UsageError where neither `to` nor the target's ending names one for this scene type.
+    """
+    wanted = str(target) if to is None else to
+    form = _format_for(uncompressed(str(target)), scene, None if to is None else uncompressed(to))
+    return compressed(form) if wanted.lower().endswith(COMPRESSED) else form
+
+
+def _format_for(target: str, scene: str, to: str | None) -> Format:
+    if to is not None:
+        return format_named(to, scene)
+    if target == STREAM and len(only := formats_of(scene)) == 1:
+        return only[0]
+    if target == STREAM:
+        raise UsageError("stdout has no ending that names a format; allowed: --to FORMAT")
+    return format_of_path(target, scene)
+
+
+def _write_all(file: IO[bytes], pieces: Iterable[bytes | memoryview]) -> int:
+    size = 0
+    for piece in pieces:
+        file.write(piece)
+        size += len(piece)
+    file.flush()
+    return size

@@ -1,0 +1,120 @@
+"""The allowance of memory: one number for all that is held at once, whoever holds it.
+
+    with memory_limit(1 << 30):
+        octree = build_octree(load("chair.npz"))
+
+Whoever is about to allocate asks first: every reader before it believes what a file declares, every stage before it
+makes what was asked for. The allowance is ambient, as NumPy's errstate is: an argument has to be handed on from call to
+call, and the one place that forgets it is the place that a hostile file finds.
+
+What counts is the bytes of data: files while they are read, what they become, what stages make of it. The interpreter
+and its libraries do not count.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from nerfbake.errors import MemoryLimit
+
+DEFAULT = 4 << 30
+
+
+class _Allowance:
+    """Some bytes, those taken for a while, and those of scenes; keeps: scenes count for as long as they live."""
+
+    def __init__(self, limit: int, *, keeps: bool) -> None:
+        self.limit, self.keeps = limit, keeps
+        self.taken, self.kept, self.scopes = 0, 0, 0
+
+    @property
+    def held(self) -> int:
+        return self.taken + self.kept
+
+    def let_go(self, size: int) -> None:
+        self.kept -= size
+
+
+# Outside of memory_limit() every call has the whole default for itself: a notebook may hold as many scenes as it likes.
+_default = _Allowance(DEFAULT, keeps=False)
+_current: ContextVar[_Allowance] = ContextVar("allowance", default=_default)
+
+
+@contextmanager
+def memory_limit(limit: int) -> Iterator[None]:
+    """Bounds, in bytes, what everything inside the block holds together."""
+    token = _current.set(_Allowance(limit, keeps=True))
+    try:
+        with scope():
+            yield
+    finally:
+        _current.reset(token)
+
+
+def left() -> int:
+    """How many bytes may still be taken."""
+    allowance = _current.get()
+    return allowance.limit - allowance.held
+
+
+def require(what: str, size: int) -> None:
+    """Raises MemoryLimit if so many bytes do not fit beside what is held already. Takes nothing."""
+    allowance = _current.get()
+    if allowance.held + size > allowance.limit:
+        raise MemoryLimit(what, size, allowance.limit, beside=allowance.held)
+
+
+def hold(what: str, size: int) -> None:
+    """Takes so many bytes until the end of the surrounding scope(), where there is one. Raises MemoryLimit."""
+    require(what, size)
+    if (allowance := _current.get()).scopes:
+        allowance.taken += size
+
+
+@contextmanager
+def lent(what: str, size: int) -> Iterator[None]:
+    """Takes so many bytes for as long as the block lasts. Raises MemoryLimit."""
+    with scope():
+        hold(what, size)
+        yield
+
+
+@contextmanager
+def scope() -> Iterator[None]:
+    """A block at whose end all that was taken inside it is given back."""
+    allowance = _current.get()
+    before = allowance.taken
+    allowance.scopes += 1
+    try:
+        yield
+    finally:
+        allowance.taken = before
+        allowance.scopes -= 1
+
+
+def keep(scene: Any, size: int) -> None:
+    """Counts a scene of so many bytes for as long as it lives, inside of memory_limit()."""
+    allowance = _current.get()
+    if allowance.keeps:
+        allowance.kept += size
+        weakref.finalize(scene, allowance.let_go, size)
+
+
+def size_of(scene: Any) -> int:
+    """The bytes of all arrays and buffers in a scene, or in a tuple, list or dict of such."""
+    match scene:
+        case tuple() | list():
+            return sum(map(size_of, scene))
+        case dict():
+            return sum(map(size_of, scene.values()))
+        case memoryview():
+            return scene.nbytes
+        case bytes():
+            return len(scene)
+    if isinstance(size := getattr(scene, "nbytes", None), int):  # of an array
+        return size
+    return sum(map(size_of, vars(scene).values())) if hasattr(scene, "__dataclass_fields__") else 0
