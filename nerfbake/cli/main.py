@@ -28,7 +28,7 @@ from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
 from nerfbake.cli.vdb import vdb
-from nerfbake.errors import NerfbakeError, PipeClosed, one_line
+from nerfbake.errors import NerfbakeError, OutputError, PipeClosed, one_line
 
 OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
 
@@ -88,12 +88,18 @@ def run(arguments: list[str]) -> int:
         # Nothing more may be flushed into the pipe at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return error.exit_code
+    except SystemExit as error:
+        if error.code == 1:  # click's own, for a closed pipe that it met while it printed --help
+            return PipeClosed.exit_code
+        raise
     except NerfbakeError as error:
         return _fail(str(error), error.exit_code)
     except MemoryError:
         return _fail("out of memory; a lower --resolution or --max-memory may help", 1)
     except (click.Abort, KeyboardInterrupt):
         return _fail("stopped", 128 + signal.SIGINT)
+    except OSError as error:
+        return _fail(error.strerror or str(error), OutputError.exit_code)
     except Exception as error:
         if os.environ.get("NERFBAKE_TRACEBACK"):
             raise

@@ -31,7 +31,7 @@ class Words:
         """A step of the work: a terminal shows a spinner once it has lasted a second, a pipe shows nothing."""
         start, done = time.perf_counter(), threading.Event()
         spinner = threading.Thread(target=_spin, args=(text, done), daemon=True)
-        if sys.stderr.isatty() and not self._quiet:
+        if sys.stderr is not None and sys.stderr.isatty() and not self._quiet:
             spinner.start()
         try:
             yield
