@@ -18,6 +18,7 @@ from nerfbake.catalog import SCENES, STAGES
 if TYPE_CHECKING:
     from nerfbake.io import load as load
     from nerfbake.io import save as save
+    from nerfbake.memory import memory_limit as memory_limit
     from nerfbake.scene.animation import Animation as Animation
     from nerfbake.scene.atlas import BakedAtlas as BakedAtlas
     from nerfbake.scene.atlas import OctahedralAtlas as OctahedralAtlas
@@ -60,7 +61,14 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {"load": "nerfbake.io", "save": "nerfbake.io", "NerfbakeError": "nerfbake.errors", **SCENES, **STAGES}
+_HOMES = {
+    "NerfbakeError": "nerfbake.errors",
+    "load": "nerfbake.io",
+    "memory_limit": "nerfbake.memory",
+    "save": "nerfbake.io",
+    **SCENES,
+    **STAGES,
+}
 __all__ = sorted(_HOMES)
 
 

@@ -19,7 +19,7 @@ class Words:
     """quiet: nothing but errors. verbose: each step with its time. Else one line for each file written."""
 
     def __init__(self, *, quiet: bool, verbose: bool) -> None:
-        self._quiet, self._verbose = quiet, verbose
+        self._quiet, self._verbose, self._told = quiet, verbose, False
 
     def say(self, text: str) -> None:
         if not self._quiet:
@@ -41,6 +41,13 @@ class Words:
                 spinner.join()
         if self._verbose:
             self.say(f"{text}: {time.perf_counter() - start:.2f} s")
+            self._tell_of_uncached_kernels()
+
+    def _tell_of_uncached_kernels(self) -> None:
+        jit = sys.modules.get("nerfbake.kernels.jit")
+        if jit is not None and jit.uncached and not self._told:
+            self._told = True
+            self.say("note: no folder can be written that would keep compiled kernels; kernels are compiled anew")
 
 
 def _spin(text: str, done: threading.Event) -> None:

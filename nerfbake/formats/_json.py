@@ -101,8 +101,10 @@ def table(value: Any, place: str, shape: tuple[int | None, ...]) -> npt.NDArray[
         raise InvalidFile(Problem(place, "is no table of numbers", allowed)) from None
     if array.ndim != len(shape) or any(a not in (None, b) for a, b in zip(shape, array.shape, strict=True)):
         raise InvalidFile(Problem(place, f"has shape {array.shape}", allowed))
-    if array.size and not np.abs(array).max() <= MAX_NUMBER:
-        raise InvalidFile(Problem(place, "holds a number that is not finite or too large", f"up to {MAX_NUMBER:g}"))
+    if (bad := ~(np.abs(array) <= MAX_NUMBER)).any():
+        index = np.unravel_index(int(bad.argmax()), array.shape)
+        where = f"{place}[{', '.join(map(str, index))}]"
+        raise InvalidFile(Problem(where, f"is {array[index]:g}", f"{-MAX_NUMBER:g} to {MAX_NUMBER:g}"))
     return array
 
 
@@ -137,4 +139,6 @@ def collector_paused() -> Iterator[None]:
 
 
 def _within(place: str, key: str) -> str:
+    if place.endswith(".json"):
+        return f"{place}: {key}"
     return f"{place}.{key}" if place else key

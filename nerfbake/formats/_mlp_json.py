@@ -48,4 +48,4 @@ def encode_mlp(mlp: Mlp) -> bytes:
 def _weights(content: dict[str, Any], key: str) -> npt.NDArray[np.float32]:
     if key not in content:
         raise InvalidFile(Problem(_NAME, f"has no {key}", "net.0.weight and net.1.weight"))
-    return table(content[key], f"{_NAME}.{key}", (None, None)).astype(np.float32)
+    return table(content[key], f"{_NAME}: {key}", (None, None)).astype(np.float32)

@@ -33,10 +33,8 @@ def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[
         if error.source is None:
             error.source = name
         raise
-    except (OSError, ValueError) as error:
-        if isinstance(error, ValueError) and "\0" not in name:  # the one that paths raise
-            raise
-        raise error_type(f"{getattr(error, 'strerror', None) or error}", source=name) from error
+    except OSError as error:
+        raise error_type(f"{error.strerror or error}", source=name) from error
 
 
 def read_file(path: Path) -> memoryview:
@@ -63,7 +61,7 @@ def read_file(path: Path) -> memoryview:
 
 def read_stdin() -> memoryview:
     """All bytes that come in. Raises InvalidFile where stdin is closed, MemoryLimit."""
-    if sys.stdin is None or sys.stdin.closed:
+    if sys.stdin is None:
         raise InvalidFile("is closed; allowed: a pipe or a file")
     return read_stream(sys.stdin.buffer)
 

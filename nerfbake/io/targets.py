@@ -33,21 +33,21 @@ def require_absent(target: str | Path, *, force: bool) -> None:
     """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
     if str(target) == "-":
         return
-    with _nul_is_no_name(target):
-        if Path(target).is_dir():
-            raise OutputError("is a folder; allowed: a file", source=str(target))
-        if not force and os.path.lexists(target) and _is_regular(Path(target)):
-            raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
+    _require_name(target)
+    if Path(target).is_dir():
+        raise OutputError("is a folder; allowed: a file", source=str(target))
+    if not force and os.path.lexists(target) and _is_regular(Path(target)):
+        raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
 
 
 def require_no_folder(target: str | Path, *, force: bool) -> None:
     """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
     path = Path(target)
-    with _nul_is_no_name(target):
-        if os.path.lexists(path) and not path.is_dir():
-            raise OutputError("is no folder; allowed: a new folder", source=str(target))
-        if path.is_dir() and any(path.iterdir()) and not force:
-            raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
+    _require_name(path)
+    if os.path.lexists(path) and not path.is_dir():
+        raise OutputError("is no folder; allowed: a new folder", source=str(target))
+    if path.is_dir() and any(path.iterdir()) and not force:
+        raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
 
 
 @contextmanager
@@ -193,9 +193,10 @@ def _is_regular(path: Path) -> bool:
     return not path.exists() or stat.S_ISREG(path.stat().st_mode)
 
 
-@contextmanager
-def _nul_is_no_name(target: str | Path) -> Iterator[None]:
+def _require_name(target: str | Path) -> None:
     try:
-        yield
-    except ValueError as error:  # what paths with a NUL raise
-        raise OutputError(f"is no name of a file ({error}); allowed: a path", source=str(target)) from None
+        encoded = os.fsencode(target)
+    except UnicodeEncodeError:
+        encoded = b"\0"
+    if b"\0" in encoded:
+        raise OutputError("is no name that a file can have; allowed: a path", source=str(target))

@@ -1,0 +1,102 @@
+"""Inputs: read whole, whatever happens to them meanwhile."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from nerfbake import load, memory_limit, sample_n3tree, save
+from nerfbake.errors import InvalidFile, MemoryLimit
+from nerfbake.io import sources
+from nerfbake.scene.n3tree import N3Tree
+
+
+def test_a_file_that_is_cut_short_while_it_is_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(bytes(3 << 20))
+    make_room = sources._room
+
+    def cut(size: int) -> memoryview:
+        os.truncate(path, 1 << 20)
+        return make_room(size)
+
+    monkeypatch.setattr(sources, "_room", cut)
+    with pytest.raises(InvalidFile, match="was cut short to 1,048,576 bytes"):
+        sources.read_file(path)
+
+
+def test_a_file_that_is_cut_short_at_any_moment_kills_nobody(tmp_path: Path) -> None:
+    # What a mapped file did: SIGBUS, the process dies without a word.
+    good = tmp_path / "good.npz"
+    save(good, sample_n3tree(resolution=32, basis="SH1"))
+    content, path, done = good.read_bytes(), tmp_path / "a.npz", threading.Event()
+    path.write_bytes(content)
+
+    def cut() -> None:
+        while not done.is_set():
+            os.truncate(path, 4096)
+            path.write_bytes(content)
+
+    thread = threading.Thread(target=cut)
+    thread.start()
+    code = """if True:
+        import sys
+        from nerfbake.cli.main import run
+        sys.stdout = None  # what check finds is not what is asked
+        codes = {run(["info", "a.npz"]) for _ in range(200)}
+        sys.exit(not codes <= {1, 4})"""
+    finished = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done.set()
+    thread.join()
+    assert finished.returncode == 0, finished
+    assert all(line.startswith("error: ") for line in finished.stderr.splitlines())
+
+
+def test_files_of_every_size_are_read_whole(tmp_path: Path) -> None:
+    for size in (0, 1, sources._HUGE - 1, sources._HUGE, sources._HUGE + 1):
+        content = os.urandom(size)
+        (tmp_path / "a.bin").write_bytes(content)
+        view = sources.read_file(tmp_path / "a.bin")
+        assert view.readonly
+        assert bytes(view) == content
+
+
+def test_a_file_counts_as_memory(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(bytes(5000))
+    with memory_limit(4999), pytest.raises(MemoryLimit, match=r"a\.npz: the file needs 4\.9 KiB; allowed: 4\.9 KiB"):
+        load(tmp_path / "a.npz")
+
+
+def test_an_endless_stream_ends_at_the_limit() -> None:
+    with memory_limit(10 << 20), pytest.raises(MemoryLimit, match="the stream needs"):
+        load("/dev/zero")
+
+
+def test_a_folders_files_are_read_once(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"one")
+    folder = sources.Folder(tmp_path, {"b": memoryview(b"two")})
+    first = folder["a"]
+    (tmp_path / "a").write_bytes(b"changed")
+    assert folder["a"] is first
+    assert sorted(folder) == ["a", "b"]
+    assert "c" not in folder
+    with pytest.raises(KeyError):
+        folder["c"]
+
+
+def test_loaded_scenes_count_for_as_long_as_they_live(tmp_path: Path) -> None:
+    tree = sample_n3tree(resolution=32)
+    save(tmp_path / "a.npz", tree)
+    size = tree.child.nbytes + tree.data.nbytes
+    with memory_limit(3 * size):
+        first = load(tmp_path / "a.npz", N3Tree)
+        with pytest.raises(MemoryLimit, match="that are taken"):
+            _ = [load(tmp_path / "a.npz", N3Tree) for _ in range(3)]
+        del first
+        load(tmp_path / "a.npz", N3Tree)
+        load(tmp_path / "a.npz", N3Tree)

@@ -1,0 +1,204 @@
+"""Outputs: whole or not at all, whoever else writes them and whoever dies meanwhile."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from nerfbake.errors import OutputError
+from nerfbake.io import targets
+from nerfbake.io.targets import replacing, replacing_folder
+
+# Writes half of what it should under the target's name, says so, and waits to be killed.
+HALF_WRITER = """
+import sys, time
+from pathlib import Path
+from nerfbake.io.targets import replacing, replacing_folder
+target = Path(sys.argv[1])
+if target.suffix:
+    with replacing(target, force=True) as file:
+        file.write(b"half")
+        file.flush()
+        print("ready", flush=True)
+        time.sleep(60)
+else:
+    with replacing_folder(target, force=True) as folder:
+        (folder / "a").write_bytes(b"half")
+        print("ready", flush=True)
+        time.sleep(60)
+"""
+
+
+def half_writer(target: Path) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen([sys.executable, "-c", HALF_WRITER, str(target)], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    return process
+
+
+def write(target: Path, content: bytes) -> None:
+    with replacing(target, force=True) as file:
+        file.write(content)
+
+
+def write_folder(target: Path, content: bytes) -> None:
+    with replacing_folder(target, force=True) as folder:
+        (folder / "a").write_bytes(content)
+
+
+def test_what_a_killed_writer_left_is_swept_by_the_next_one(tmp_path: Path) -> None:
+    for target in (tmp_path / "out.bin", tmp_path / "folder"):
+        with half_writer(target) as process:
+            process.send_signal(signal.SIGKILL)
+        assert not target.exists()
+        assert len(list(tmp_path.iterdir())) == 1
+        (write if target.suffix else write_folder)(target, b"whole")
+        assert [path.name for path in tmp_path.iterdir()] == [target.name]
+        assert (target if target.suffix else target / "a").read_bytes() == b"whole"
+        (write if target.suffix else write_folder)(target, b"again")
+        assert [path.name for path in tmp_path.iterdir()] == [target.name]
+        target.unlink() if target.suffix else shutil.rmtree(target)
+
+
+def test_what_a_living_writer_is_writing_is_left_alone(tmp_path: Path) -> None:
+    target = tmp_path / "out.bin"
+    with half_writer(target) as process:
+        write(target, b"whole")
+        assert len(list(tmp_path.iterdir())) == 2  # the other's part is there still
+        process.kill()
+    assert target.read_bytes() == b"whole"
+
+
+def test_leftovers_of_other_targets_and_other_peoples_files_are_left_alone(tmp_path: Path) -> None:
+    others = [".out.bin.0123456789abcdef.part.bak", ".other.0123456789abcdef.part", ".out.bin.xyz.part", "out.bin.part"]
+    for name in others:
+        (tmp_path / name).write_bytes(b"mine")
+    write(tmp_path / "out.bin", b"whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "out.bin"])
+
+
+def test_two_writers_of_one_target_do_not_meet(tmp_path: Path) -> None:
+    target = tmp_path / "out.bin"
+    contents = [bytes([i]) * 100_000 for i in range(8)]
+
+    def work(content: bytes) -> None:
+        for _ in range(25):
+            write(target, content)
+            assert target.read_bytes() in contents
+
+    threads = [threading.Thread(target=work, args=(content,)) for content in contents]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert target.read_bytes() in contents
+    assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
+
+
+def test_a_folder_is_there_whole_at_every_moment(tmp_path: Path) -> None:
+    target, done, seen = tmp_path / "folder", threading.Event(), set()
+    write_folder(target, b"0")
+
+    def watch() -> None:
+        while not done.is_set():
+            seen.add((target / "a").read_bytes())  # would raise if the folder were gone
+
+    errors: list[BaseException] = []
+
+    def guarded() -> None:
+        try:
+            watch()
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=guarded)
+    thread.start()
+    for turn in range(100):
+        write_folder(target, str(turn).encode())
+    done.set()
+    thread.join()
+    assert not errors
+    assert seen
+
+
+def test_without_an_exchange_the_old_folder_comes_back_if_the_writer_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "folder"
+    write_folder(target, b"old")
+    monkeypatch.setattr(targets, "_exchange", lambda a, b: False)
+    write_folder(target, b"new")
+    assert (target / "a").read_bytes() == b"new"
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+    # The writer dies after it has moved the old folder aside: its part and the old one are what is left.
+    target.rename(tmp_path / ".folder.0123456789abcdef.old")
+    (tmp_path / ".folder.0123456789abcdef.part").mkdir()
+    with pytest.raises(KeyboardInterrupt), replacing_folder(target, force=True):
+        raise KeyboardInterrupt
+    assert (target / "a").read_bytes() == b"new"
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_force_keeps_the_mode(tmp_path: Path) -> None:
+    for name, mode in (("a.bin", 0o600), ("b.bin", 0o755)):
+        write(tmp_path / name, b"old")
+        (tmp_path / name).chmod(mode)
+        write(tmp_path / name, b"new")
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == mode
+    write_folder(tmp_path / "folder", b"old")
+    (tmp_path / "folder").chmod(0o700)
+    write_folder(tmp_path / "folder", b"new")
+    assert stat.S_IMODE((tmp_path / "folder").stat().st_mode) == 0o700
+
+
+def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
+    write(tmp_path / "out.bin", b"")
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "out.bin").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_name_of_255_bytes_is_written(tmp_path: Path) -> None:
+    target = tmp_path / ("ä" * 120 + "x" * 11 + ".bin")
+    assert len(os.fsencode(target.name)) == 255
+    write(target, b"whole")
+    assert target.read_bytes() == b"whole"
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "real.bin").write_bytes(b"old")
+    (tmp_path / "link.bin").symlink_to(tmp_path / "folder" / "real.bin")
+    write(tmp_path / "link.bin", b"new")
+    assert (tmp_path / "link.bin").is_symlink()
+    assert (tmp_path / "folder" / "real.bin").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("target", ["folder", "a\0b.bin"])
+def test_what_is_no_name_of_a_file_is_refused(target: str, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OutputError), replacing(tmp_path / target, force=True):
+        pass
+
+
+@pytest.mark.slow
+def test_random_kills_leave_nothing_half(tmp_path: Path) -> None:
+    target = tmp_path / "out.bin"
+    writer = "import sys; from pathlib import Path; from tests.io.test_targets import write\nwhile True: "
+    writer += "write(Path(sys.argv[1]), bytes([65]) * 10_000_000)"
+    for turn in range(20):
+        process = subprocess.Popen([sys.executable, "-c", writer, str(target)])
+        time.sleep(0.3 + 0.013 * turn)
+        process.kill()
+        process.wait()
+        assert not target.exists() or target.read_bytes() == b"A" * 10_000_000
+    write(target, b"whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
