@@ -100,8 +100,9 @@ def refine(source: Source, size: tuple[int, int, int], *, centres: bool, node_by
     """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
 
     -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
-    the voxels made of several parts, of which the k-th has the number n C + n + k. With `centres` a voxel covers what
-    its centre hits. Raises MemoryLimit as soon as the nodes, at node_bytes each, take too much.
+    the voxels made of several parts, of which the k-th has the number n C + n + k; all of these may be empty, which
+    only a voxel's parts can tell. With `centres` a voxel covers what its centre hits. Raises MemoryLimit as soon as
+    the nodes, at node_bytes each, take too much.
     """
     shift = max(edge - 1 for edge in size).bit_length()
     root = Cubes(*(np.zeros(1, np.int64) for _ in range(5)))

@@ -52,7 +52,11 @@ class LeafValues:
         """(m, D) in the octree's dtype. Raises InvalidScene where that dtype cannot hold a value."""
         return self._rounded(self._exact(leaf))
 
-    def sigma(self, leaf: Ints) -> npt.NDArray[Any]:
+    def hold(self, leaf: Ints) -> npt.NDArray[np.bool_]:
+        """(m,) bool: these are not empty in the octree's dtype, in which a thin one may be 0."""
+        return self._sigma(leaf) > 0
+
+    def _sigma(self, leaf: Ints) -> npt.NDArray[Any]:
         return self._rounded(self._pick(leaf, self._source.density, self._means[:, -1]))
 
     def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
@@ -64,7 +68,7 @@ class LeafValues:
 
     def same(self, leaves: Ints) -> npt.NDArray[np.bool_]:
         """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
-        sigma = self.sigma(leaves.reshape(-1)).reshape(-1, 8)
+        sigma = self._sigma(leaves.reshape(-1)).reshape(-1, 8)
         same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)
         for part in np.array_split(np.flatnonzero(same), 1 + len(same) // _CHUNK):
             values = self.values(leaves[part].reshape(-1)).reshape(len(part), 8, self.data_dim)
@@ -88,8 +92,8 @@ class LeafValues:
             chunk = Cubes(*(array[start : start + _CHUNK] for array in voxels))
             covered = parts_of(self._source, chunk, size)
             counts = np.bincount(covered.voxel, minlength=len(chunk.row))
-            where = tree.n + start + np.arange(len(chunk.row))
-            self._set_means(where, covered.part, covered.volume, counts)
+            filled = np.flatnonzero(counts)  # the rest of what lies across cells covers only empty ones
+            self._set_means(tree.n + start + filled, covered.part, covered.volume, counts[filled])
 
     def _set_means(self, where: Ints, parts: Ints, volume: npt.NDArray[np.float64], counts: Ints) -> None:
         def rows_at(rows: Ints) -> npt.NDArray[Any]:
@@ -120,6 +124,7 @@ class LeafValues:
 
 def node_values(levels: list[Level], leaves: Leaves) -> npt.NDArray[Any]:
     """(n, D): leaves as they are, inner nodes the mean of their children, from the last level up."""
+    thinnest = np.nextafter(leaves.dtype.type(0), leaves.dtype.type(1))
     sizes = [len(level.leaf) for level in levels]
     data = np.zeros((sum(sizes), leaves.data_dim), leaves.dtype)
     weight = np.zeros(0)
@@ -140,6 +145,8 @@ def node_values(levels: list[Level], leaves: Leaves) -> npt.NDArray[Any]:
             below = data[end : end + sizes[height + 1]]
             mean = mean_of_runs(below.__getitem__, weight, np.broadcast_to(1 / 8, len(below)), counts, leaves.data_dim)
             data[start + inner], level_weight[inner] = mean
+            # A mean of something never rounds to nothing: where a level is cut, it is a leaf.
+            data[start + inner[data[start + inner, -1] == 0], -1] = thinnest
         weight, end = level_weight, start
     return data
 

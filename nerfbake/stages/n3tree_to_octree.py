@@ -52,7 +52,7 @@ def build_octree(
     leaves = LeafValues(tree, source, _finest_width(tree), np.dtype(dtype))
     if (levels[-1].leaf >= source.link.size).any():
         leaves.add_means(mixed, size)
-    levels = merge_equal(drop_empty(levels), leaves.same)
+    levels = merge_equal(drop_empty(levels, leaves.hold), leaves.same)
     data = node_values(levels, leaves)
     return SparseVoxelOctree(
         size=size,
