@@ -15,7 +15,7 @@ from nerfbake.kernels.pyramid import INNER, Level, children_table, merge_equal
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTopology
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._leaf_values import node_values
+from nerfbake.stages._node_values import NodeValues
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 
@@ -47,7 +47,7 @@ def restore_octree(volume: Volume) -> SparseVoxelOctree:
     return SparseVoxelOctree(
         size=frame.size,
         node_children=children_table(levels, all_slots=frame.layout == "full"),
-        node_data=node_values(levels, leaves),
+        node_data=NodeValues(levels, leaves),
         data_format=frame.data_format,
         origin=frame.origin,
         voxel_size=frame.voxel_size,
