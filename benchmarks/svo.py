@@ -142,7 +142,7 @@ def machine() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
-    libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "zlib-ng", "nerfbake"))
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "deflate", "nerfbake"))
     return f"{model}, {os.cpu_count()} cores; {platform.system()}; Python {platform.python_version()}, {libraries}"
 
 

@@ -33,7 +33,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
 OWN_LIBRARY = {
     "_blosc": {"blosc"},
     "_deflate": {"zlib_ng"},
-    "_npz_reader": {"zlib_ng"},
+    "_npz_reader": {"deflate"},
     "_npz_writer": {"zlib_ng"},
     "_zstd": {"zstandard"},
     "_picture": {"PIL"},

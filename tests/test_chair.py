@@ -77,6 +77,13 @@ def test_every_voxel_at_256_reads_what_the_tree_reads() -> None:
     assert_same_octree(octree, build_octree(tree))
 
 
+@pytest.mark.parametrize(("size", "leaves"), [((100, 80, 60), 35_240), (200, 448_486)])
+def test_no_leaf_holds_nothing_at_any_size(size: int | tuple[int, int, int], leaves: int) -> None:
+    octree = build_octree(chair("chair_sh9"), resolution=size)
+    assert (octree.sigma > 0).all()
+    assert np.count_nonzero(octree.childless) == leaves
+
+
 def test_spellings_of_one_tree_give_one_octree() -> None:
     for resolution in (128, 64):
         plain, legacy = (build_octree(chair(name), resolution=resolution) for name in list(FILES)[1:3])

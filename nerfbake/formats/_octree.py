@@ -11,13 +11,14 @@ In the `report` profile node_children and node_data are plain lists of numbers; 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.kernels.parallel import ahead
 from nerfbake.kernels.topology import all_finite
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -30,6 +31,7 @@ TYPE_URLS = {
 }
 MAX_2GIB = 2**31 - 1
 SMALL_SIZE = 1 << 20  # more than all small fields and a format's own bytes can take
+_ROWS = 1 << 13  # made at a time: a megabyte or so
 
 
 class Blob(NamedTuple):
@@ -44,6 +46,16 @@ def blob_of(values: npt.NDArray[Any]) -> Blob:
     """The array's own memory where it is little-endian and contiguous already, else a copy."""
     little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return Blob(little.dtype.newbyteorder("<").str, values.shape, little.reshape(-1).view(np.uint8).data)
+
+
+def value_pieces(octree: SparseVoxelOctree) -> Iterator[memoryview]:
+    """node_data's bytes in order; what is not made yet is made while the part before it is written."""
+    rows = octree.node_rows
+    if isinstance(rows, np.ndarray):
+        yield blob_of(rows).data
+        return
+    starts = range(0, octree.n, _ROWS)
+    yield from ahead(blob_of(rows[start : start + _ROWS]).data for start in starts)
 
 
 class Record(Protocol):
@@ -75,7 +87,7 @@ def children_with(children: npt.NDArray[np.int32], no_child: int) -> npt.NDArray
 def small_fields(octree: SparseVoxelOctree) -> dict[str, Any]:
     """Every field but the two large arrays, as Python's own types."""
     fields = {
-        "type_url": TYPE_URLS[octree.node_data.dtype.name],
+        "type_url": TYPE_URLS[octree.node_rows.dtype.name],
         **dict(zip(("width", "height", "depth"), octree.size, strict=True)),
         "data_format": octree.data_format,
         "data_dim": octree.data_dim,

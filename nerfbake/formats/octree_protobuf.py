@@ -5,7 +5,7 @@
 
 The wire is written and read here, without the protobuf library: its messages hold a copy of every array, and
 serialising makes another. These bytes are the same as the library's (a test compares them), the node values are
-handed over as they stand in memory, and a file's node values are read as a view of the file.
+handed over as they stand in memory or are made, and a file's node values are read as a view of the file.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from nerfbake.formats._octree import (
     children_with,
     octree_of,
     require_size,
+    value_pieces,
 )
 from nerfbake.kernels.varint import decode_varints, encode_varints, varint_sizes
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -54,16 +55,16 @@ def encode(
     chunks = [flat[start : start + _CHUNK] for start in range(0, len(flat), _CHUNK)]
     sizes = (varint_sizes(children_with(chunk, no_child)) for chunk in chunks)
     children_size = sum(sizes) if profile == "report" else flat.nbytes
-    require_size("svo.pb", children_size + octree.node_data.nbytes + SMALL_SIZE, MAX_2GIB, "protobuf's limit")
-    yield _bytes(1, TYPE_URLS[octree.node_data.dtype.name].encode())
+    require_size("svo.pb", children_size + octree.node_rows.nbytes + SMALL_SIZE, MAX_2GIB, "protobuf's limit")
+    yield _bytes(1, TYPE_URLS[octree.node_rows.dtype.name].encode())
     for number, edge in enumerate(octree.size, start=2):
         yield _varint(number << 3 | _VARINT) + _varint(edge)
     if children_size and profile == "report":
         yield _varint(5 << 3 | _BYTES) + _varint(children_size)
         for chunk in chunks:
             yield encode_varints(children_with(chunk, no_child))
-    yield _varint(6 << 3 | _BYTES) + _varint(octree.node_data.nbytes)
-    yield blob_of(octree.node_data).data
+    yield _varint(6 << 3 | _BYTES) + _varint(octree.node_rows.nbytes)
+    yield from value_pieces(octree)
     if octree.data_format:
         yield _bytes(7, octree.data_format.encode())
     yield _varint(8 << 3 | _VARINT) + _varint(octree.data_dim)

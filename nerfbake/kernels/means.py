@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.parallel import over_chunks
 
-CHUNK = 1 << 11  # runs at a time: temporaries stay in the second-level cache
+CHUNK = 1 << 11  # rows at a time: temporaries stay in the second-level cache
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def mean_edge(edges: Floats) -> float:
 
 
 def mean_of_runs(
-    rows_at: Callable[[npt.NDArray[np.int64]], npt.NDArray[Any]],
+    rows_at: Callable[[int, int], npt.NDArray[Any]],
     weight: Floats,
     volume: Floats,
     counts: npt.NDArray[np.int64],
@@ -47,35 +47,44 @@ def mean_of_runs(
 ) -> Weighted:
     """Means over runs of consecutive rows: the first run is counts[0] rows, the next counts[1], and so on.
 
-    rows_at(i) gives the values (len(i), D) of some of the rows 0 .. m, density last; weight (m,) opacities; volume
-    (m,) each row's share of its run's volume (what is left to 1 is empty). Sums run from a run's first row to its
-    last, the same on every machine.
+    rows_at(begin, end) gives the values (end - begin, D) of some of the rows 0 .. m, density last; weight (m,)
+    opacities; volume (m,) each row's share of its run's volume (what is left to 1 is empty). Sums run from a run's
+    first row to its last, the same on every machine.
     """
-    # Longest runs first, so that the k-th rows of all that have one are the first few of a chunk.
-    order = np.argsort(-counts, kind="stable")
-    starts, longest = (np.cumsum(counts) - counts)[order], int(counts.max(initial=0))
-    with_at_least = np.searchsorted(-counts[order], -np.arange(longest), side="left")
-    out = np.empty((len(starts), data_dim), np.float32)
-    sorted_opacity = np.zeros(len(starts))
-    share = (weight * volume).astype(np.float32)
+    ends = np.cumsum(counts)
+    out, out_opacity = np.zeros((len(counts), data_dim), np.float32), np.zeros(len(counts))
+    # Blocks of whole runs, each about as many rows.
+    edges = np.flatnonzero(np.diff(ends // CHUNK, prepend=-1, append=-1))
 
     def work(begin: int, end: int) -> None:
-        total = np.zeros((end - begin, data_dim), np.float32)
-        for k in range(longest):
-            some = min(int(with_at_least[k]), end) - begin
-            if some <= 0:
-                break
-            rows = starts[begin : begin + some] + k
-            piece = rows_at(rows).astype(np.float32, copy=False)
-            piece[:, :-1] *= share[rows, None]
-            piece[:, -1] *= volume[rows]
-            total[:some] += piece
-            sorted_opacity[begin : begin + some] += weight[rows] * volume[rows]
-        divisor = sorted_opacity[begin:end].astype(np.float32)
-        total[:, :-1] /= np.where(divisor > 0, divisor, 1)[:, None]
-        out[order[begin:end]] = total
+        for run, stop in zip(edges[begin:end], edges[begin + 1 : end + 1], strict=True):
+            some = slice(run, stop)
+            first, last = int(ends[run] - counts[run]), int(ends[stop - 1])
+            share = weight[first:last] * volume[first:last]
+            rows = rows_at(first, last).astype(np.float32, copy=False)
+            pieces = rows * share.astype(np.float32)[:, None]
+            pieces[:, -1] = rows[:, -1] * volume[first:last]
+            out[some], out_opacity[some] = _sums(pieces, share, counts[some])
+            divisor = out_opacity[some].astype(np.float32)
+            out[some, :-1] /= np.where(divisor > 0, divisor, 1)[:, None]
 
-    over_chunks(work, len(starts), CHUNK)
-    out_opacity = np.empty(len(starts))
-    out_opacity[order] = sorted_opacity
+    over_chunks(work, len(edges) - 1, 1)
     return Weighted(out, out_opacity)
+
+
+def _sums(
+    pieces: npt.NDArray[np.float32], share: Floats, counts: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.float32], Floats]:
+    """Of each run, row after row."""
+    # Longest runs first, so that the k-th rows of all that have one are the first few.
+    order = np.argsort(-counts, kind="stable")
+    starts = (np.cumsum(counts) - counts)[order]
+    with_at_least = np.searchsorted(-counts[order], -np.arange(int(counts.max())), side="left")
+    total, opacities = np.zeros((len(counts), pieces.shape[1]), np.float32), np.zeros(len(counts))
+    for k, some in enumerate(with_at_least):
+        rows = starts[:some] + k
+        total[:some] += pieces.take(rows, axis=0)
+        opacities[:some] += share[rows]
+    back = np.empty(len(order), np.int64)
+    back[order] = np.arange(len(order))
+    return total.take(back, axis=0), opacities[back]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from threading import Thread
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 
 def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> None:
@@ -32,4 +35,28 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
     for thread in others:
         thread.join()
     if errors:
+        raise errors[0]
+
+
+def ahead(items: Iterable[Item]) -> Iterator[Item]:
+    """The same items, each made while the one before it is used."""
+    source, made = iter(items), list[Item]()
+    errors: list[BaseException] = []
+
+    def make() -> None:
+        try:
+            made.append(next(source))
+        except BaseException as error:
+            errors.append(error)
+
+    make()
+    while made:
+        item = made.pop()
+        maker = Thread(target=make)
+        maker.start()
+        try:
+            yield item
+        finally:
+            maker.join()
+    if not isinstance(errors[0], StopIteration):
         raise errors[0]

@@ -32,12 +32,20 @@ def child_counts(levels: list[Level], height: int) -> Ints:
     return np.bincount(levels[height + 1].parent, minlength=nodes)
 
 
-def drop_empty(levels: list[Level]) -> list[Level]:
-    """Without inner nodes that have no leaf below them, from the last level up. The root stays."""
+def drop_empty(levels: list[Level], holds: Callable[[npt.NDArray[np.int32]], npt.NDArray[np.bool_]]) -> list[Level]:
+    """Without leaves that hold nothing, and inner nodes that have no leaf below them, from the last level up.
+
+    holds((m,) leaves) -> (m,) bool. The root stays; where it holds nothing, it is an inner node without children.
+    """
     kept = list(levels)
-    for height in range(len(kept) - 1, 0, -1):
-        barren = (kept[height].leaf == INNER) & (child_counts(kept, height) == 0)
-        if barren.any():
+    for height in range(len(kept) - 1, -1, -1):
+        level = kept[height]
+        barren = child_counts(kept, height) == 0
+        leaves = np.flatnonzero(level.leaf != INNER)
+        barren[leaves] = ~holds(level.leaf[leaves])
+        if height == 0:
+            kept[0] = level._replace(leaf=np.where(barren, np.int32(INNER), level.leaf))
+        elif barren.any():
             _take(kept, height, ~barren)
     return _without_empty_levels(kept)
 

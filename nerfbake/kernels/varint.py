@@ -33,15 +33,20 @@ def encode_varints(values: npt.NDArray[np.int32]) -> bytes:
     low, high = int(values.min()), int(values.max())
     if low >= 0 and high < 128:
         return values.astype(np.uint8).tobytes()
+    # Most numbers of a table are 0, which is a byte of 0: the others are put in between.
+    at = np.flatnonzero(values != 0)
+    some = values[at].astype(np.int64).view(np.uint64)
     width = MAX_BYTES if low < 0 else -(-high.bit_length() // 7)
-    wide = values.astype(np.int64).view(np.uint64)[:, None]
-    shifted = wide >> np.arange(0, 7 * width, 7, dtype=np.uint64)  # column k: the bits from group k up
-    used = shifted != 0
-    used[:, 0] = True
-    more = np.zeros(shifted.shape, np.uint8)
-    more[:, :-1] = used[:, 1:]
-    digits = (shifted & np.uint64(0x7F)).astype(np.uint8) | more << np.uint8(7)
-    return bytes(digits[used])
+    longer = [some >= np.uint64(1 << 7 * k) for k in range(1, width)] + [np.zeros(len(some), bool)]
+    extra = np.add.reduce(longer, dtype=np.int64)
+    begin = at + np.cumsum(extra) - extra
+    out = np.zeros(len(values) + int(extra.sum()), np.uint8)
+    out[begin] = (some & np.uint64(0x7F)).astype(np.uint8) | longer[0] << np.uint8(7)
+    for k in range(1, width):
+        has = np.flatnonzero(longer[k - 1])
+        digit = some[has] >> np.uint64(7 * k) & np.uint64(0x7F)
+        out[begin[has] + k] = digit.astype(np.uint8) | longer[k][has] << np.uint8(7)
+    return out.tobytes()
 
 
 def decode_varints(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:

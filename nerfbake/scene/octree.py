@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -28,13 +28,43 @@ def _ones() -> npt.NDArray[np.float64]:
     return np.ones(3)
 
 
+class Rows(Protocol):
+    """(n, D) values, or what makes them: some rows at a time, or all with np.asarray()."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]: ...
+
+    @property
+    def nbytes(self) -> int: ...
+
+    def __getitem__(self, rows: slice, /) -> npt.NDArray[Any]: ...
+
+
+class _NodeData:
+    """The field node_data: rows that are still to be made become an array when it is first read."""
+
+    def __get__(self, octree: SparseVoxelOctree | None, owner: type) -> npt.NDArray[Any]:
+        if octree is None:
+            raise AttributeError("node_data")  # so that the field has no default
+        data = np.asarray(octree.node_rows)
+        self.__set__(octree, data)
+        return data
+
+    def __set__(self, octree: SparseVoxelOctree, rows: Rows) -> None:
+        octree.__dict__["node_rows"] = rows
+
+
 @dataclass(frozen=True, eq=False)
 class SparseVoxelOctree(Scene):
     """A sparse octree over a grid of W x H x D voxels. Source: TR-24-01, 3.2; spec/svo.md.
 
     size           (W, H, D) voxels along x, y, z; the root's cube is the next power of two
     node_children  (c, 8) int32: row of each child, 0 = none; octant = x + 2y + 4z (1 = the upper half)
-    node_data      (n, D) float32 or float16, a row for EVERY node; density sigma (1/world unit) is last
+    node_data      (n, D) float32 or float16, a row for EVERY node; density sigma (1/world unit) is last. Given as Rows
+                   it is made when it is first read; who writes a file takes node_rows, a part at a time
     data_format    scene.basis says how D is laid out; '' if nobody knows
     origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size, voxel (0, 0, 0) starts at origin
     extra_data     the lobes of SG and ASG, else None
@@ -47,7 +77,7 @@ class SparseVoxelOctree(Scene):
 
     size: tuple[int, int, int]
     node_children: npt.NDArray[np.int32]
-    node_data: npt.NDArray[Any]
+    node_data: _NodeData = _NodeData()
     data_format: str = ""
     origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
     voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
@@ -61,8 +91,9 @@ class SparseVoxelOctree(Scene):
         if self.node_children.ndim != 2 or self.node_children.shape[1] != 8 or self.node_children.dtype != np.int32:
             found = f"has shape {self.node_children.shape}, dtype {self.node_children.dtype}"
             raise InvalidScene(Problem("node_children", found, "(c, 8) int32"))
-        if self.node_data.ndim != 2 or not self.node_data.size or self.node_data.dtype not in (np.float16, np.float32):
-            found = f"has shape {self.node_data.shape}, dtype {self.node_data.dtype}"
+        shape, dtype = self.node_rows.shape, self.node_rows.dtype
+        if len(shape) != 2 or 0 in shape or dtype not in (np.float16, np.float32):
+            found = f"has shape {shape}, dtype {dtype}"
             raise InvalidScene(Problem("node_data", found, "(n, D) float16 or float32, n and D at least 1"))
         if self.c > self.n:
             raise InvalidScene(Problem("node_children", f"has {plural(self.c, 'row')}", f"{self.n:,}, one a node"))
@@ -75,13 +106,19 @@ class SparseVoxelOctree(Scene):
 
     def __str__(self) -> str:
         size = "x".join(map(str, self.size))
-        nodes = f"{plural(self.n, 'node')}, {self.node_data.dtype}, {self.layout}"
+        nodes = f"{plural(self.n, 'node')}, {self.node_rows.dtype}, {self.layout}"
         return f"{self.data_format or 'plain'} octree of {size}, {nodes}"
 
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
+    def node_rows(self) -> Rows:
+        """node_data, not made yet perhaps."""
+        rows: Rows = self.__dict__["node_rows"]
+        return rows
+
+    @property
     def n(self) -> int:
-        return int(self.node_data.shape[0])
+        return int(self.node_rows.shape[0])
 
     @property
     def c(self) -> int:
@@ -90,7 +127,7 @@ class SparseVoxelOctree(Scene):
 
     @property
     def data_dim(self) -> int:
-        return int(self.node_data.shape[1])
+        return int(self.node_rows.shape[1])
 
     @property
     def layout(self) -> Layout:

@@ -1,36 +1,22 @@
-"""What the nodes of an octree made from an N3Tree hold: copies of leaves, and means."""
+"""What the leaves of an octree made from an N3Tree hold: copies of its leaves, and means."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.halves import widened
 from nerfbake.kernels.lockstep import Cubes, Source
 from nerfbake.kernels.means import mean_of_runs, opacity
 from nerfbake.kernels.overlap import parts_of
-from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.pyramid import INNER, Level, child_counts
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.stages._half import rounded
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 
 _CHUNK = 1 << 13  # rows at a time: temporaries stay in the cache, and memory bounded
-
-
-class Leaves(Protocol):
-    """What an octree's leaves hold, by number."""
-
-    data_dim: int
-    dtype: np.dtype[Any]
-
-    def values(self, leaf: Ints) -> npt.NDArray[Any]:
-        """(m, D) in dtype."""
-
-    def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
-        """What each weighs in a mean."""
 
 
 class LeafValues:
@@ -52,7 +38,11 @@ class LeafValues:
         """(m, D) in the octree's dtype. Raises InvalidScene where that dtype cannot hold a value."""
         return self._rounded(self._exact(leaf))
 
-    def sigma(self, leaf: Ints) -> npt.NDArray[Any]:
+    def hold(self, leaf: Ints) -> npt.NDArray[np.bool_]:
+        """(m,) bool: these are not empty in the octree's dtype, in which a thin one may be 0."""
+        return self._sigma(leaf) > 0
+
+    def _sigma(self, leaf: Ints) -> npt.NDArray[Any]:
         return self._rounded(self._pick(leaf, self._source.density, self._means[:, -1]))
 
     def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
@@ -64,7 +54,7 @@ class LeafValues:
 
     def same(self, leaves: Ints) -> npt.NDArray[np.bool_]:
         """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
-        sigma = self.sigma(leaves.reshape(-1)).reshape(-1, 8)
+        sigma = self._sigma(leaves.reshape(-1)).reshape(-1, 8)
         same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)
         for part in np.array_split(np.flatnonzero(same), 1 + len(same) // _CHUNK):
             values = self.values(leaves[part].reshape(-1)).reshape(len(part), 8, self.data_dim)
@@ -88,12 +78,12 @@ class LeafValues:
             chunk = Cubes(*(array[start : start + _CHUNK] for array in voxels))
             covered = parts_of(self._source, chunk, size)
             counts = np.bincount(covered.voxel, minlength=len(chunk.row))
-            where = tree.n + start + np.arange(len(chunk.row))
-            self._set_means(where, covered.part, covered.volume, counts)
+            filled = np.flatnonzero(counts)  # the rest of what lies across cells covers only empty ones
+            self._set_means(tree.n + start + filled, covered.part, covered.volume, counts[filled])
 
     def _set_means(self, where: Ints, parts: Ints, volume: npt.NDArray[np.float64], counts: Ints) -> None:
-        def rows_at(rows: Ints) -> npt.NDArray[Any]:
-            return self._exact(parts[rows])
+        def rows_at(begin: int, end: int) -> npt.NDArray[Any]:
+            return widened(self._exact(parts[begin:end]))
 
         mean = mean_of_runs(rows_at, self.opacity(parts), volume, counts, self.data_dim)
         self._means[where], self._mean_opacity[where] = mean
@@ -101,11 +91,12 @@ class LeafValues:
     def _exact(self, leaf: Ints) -> npt.NDArray[Any]:
         mean = leaf >= len(self._cells)
         if not mean.any():
-            return self._cells[leaf]
+            return self._cells.take(leaf, axis=0)
         if mean.all():
-            return self._means[leaf - len(self._cells)]
-        values = self._cells[np.where(mean, 0, leaf)].astype(np.float32)
-        values[mean] = self._means[leaf[mean] - len(self._cells)]
+            return self._means.take(leaf - len(self._cells), axis=0)
+        values = np.empty((len(leaf), self.data_dim), np.float32)
+        values[~mean] = self._cells.take(leaf[~mean], axis=0)
+        values[mean] = self._means.take(leaf[mean] - len(self._cells), axis=0)
         return values
 
     def _pick(self, leaf: Ints, cells: npt.NDArray[Any], means: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -115,33 +106,9 @@ class LeafValues:
         return picked
 
     def _rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        if self.dtype == np.float32:
+            return widened(values)
         return rounded(values, self.dtype, what="the tree", asked="float16")
-
-
-def node_values(levels: list[Level], leaves: Leaves) -> npt.NDArray[Any]:
-    """(n, D): leaves as they are, inner nodes the mean of their children, from the last level up."""
-    sizes = [len(level.leaf) for level in levels]
-    data = np.zeros((sum(sizes), leaves.data_dim), leaves.dtype)
-    weight = np.zeros(0)
-    end = len(data)
-    for height, level in reversed(list(enumerate(levels))):
-        start = end - sizes[height]
-        level_weight = np.zeros(sizes[height])
-        own = np.flatnonzero(level.leaf != INNER)
-        level_weight[own] = leaves.opacity(level.leaf[own])
-
-        def copy(begin: int, end: int, own: Ints = own, level: Level = level, start: int = start) -> None:
-            data[start + own[begin:end]] = leaves.values(level.leaf[own[begin:end]])
-
-        over_chunks(copy, len(own), _CHUNK)
-        inner = np.flatnonzero(level.leaf == INNER)
-        if height + 1 < len(levels) and len(inner):
-            counts = child_counts(levels, height)[inner]
-            below = data[end : end + sizes[height + 1]]
-            mean = mean_of_runs(below.__getitem__, weight, np.broadcast_to(1 / 8, len(below)), counts, leaves.data_dim)
-            data[start + inner], level_weight[inner] = mean
-        weight, end = level_weight, start
-    return data
 
 
 def _chunks(array: Ints) -> list[Ints]:

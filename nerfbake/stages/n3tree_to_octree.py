@@ -12,7 +12,8 @@ from nerfbake.kernels.means import mean_edge
 from nerfbake.kernels.pyramid import children_table, drop_empty, merge_equal
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
-from nerfbake.stages._leaf_values import LeafValues, node_values
+from nerfbake.stages._leaf_values import LeafValues
+from nerfbake.stages._node_values import NodeValues
 
 Resample = Literal["mean", "nearest"]
 
@@ -36,7 +37,7 @@ def build_octree(
     Leaves whose density is 0 or less, or below sigma_min (1/world unit), are empty space; without a sigma_min a
     density below 0 is an error. Empty regions have no nodes; regions of exactly equal values are one leaf. An
     internal node holds the same mean of all the leaves below it, empty space included as density 0, so that any
-    level can be shown.
+    level can be shown. The float32 values of leaves are copied from the tree when they are asked for.
 
     Raises InvalidScene if the tree is broken, holds values that no renderer can use, or stands in NDC; MemoryLimit.
     """
@@ -52,12 +53,13 @@ def build_octree(
     leaves = LeafValues(tree, source, _finest_width(tree), np.dtype(dtype))
     if (levels[-1].leaf >= source.link.size).any():
         leaves.add_means(mixed, size)
-    levels = merge_equal(drop_empty(levels), leaves.same)
-    data = node_values(levels, leaves)
+    levels = merge_equal(drop_empty(levels, leaves.hold), leaves.same)
+    values = NodeValues(levels, leaves)
     return SparseVoxelOctree(
         size=size,
         node_children=children_table(levels, all_slots=layout == "full"),
-        node_data=data,
+        # float16 may not hold a value, which is to be said here; float32 holds all, and is made when it is asked for.
+        node_data=values if dtype == "float32" else np.asarray(values),
         data_format=tree.data_format,
         origin=-tree.offset / tree.invradius,
         voxel_size=1 / (tree.invradius * size),

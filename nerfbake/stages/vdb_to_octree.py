@@ -15,7 +15,7 @@ from nerfbake.kernels.pyramid import INNER, Level, children_table, merge_equal
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTopology
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._leaf_values import node_values
+from nerfbake.stages._node_values import NodeValues
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 
@@ -23,16 +23,18 @@ Ints = npt.NDArray[np.signedinteger[Any]]
 def restore_octree(volume: Volume) -> SparseVoxelOctree:
     """The octree behind an index grid, or behind density and sh_0, sh_1, ...: its voxels bit for bit.
 
-    Eight equal neighbours are one leaf, as build_octree has it, so its octrees come back with the same nodes. What
-    inner nodes hold is not in the grids: it is made anew by build_octree's rule, with the voxel's width for the
-    finest cell's, and is the same to the bit where the octree was baked at its tree's own resolution.
+    Eight equal neighbours are one leaf and voxels of density 0 are no nodes, as build_octree has it, so its octrees
+    come back with the same nodes. What inner nodes hold is not in the grids: it is made anew by build_octree's rule,
+    with the voxel's width for the finest cell's, and is the same to the bit where the octree was baked at its tree's
+    own resolution.
 
     Raises InvalidScene where the grids hold no octree: other programs' files, and those without coefficients.
     """
     if volume.frame is None:
         raise InvalidScene(Problem("the volume", "does not say which octree it was", "what `nerfbake vdb` writes"))
     frame, (topology, data) = volume.frame, _data(volume)
-    coords = topology.coords.astype(np.int64)
+    held = np.flatnonzero(data[:, -1] != 0)  # half a float may be 0 where the voxel was thin
+    coords = topology.coords[held].astype(np.int64)
     if len(coords) and (coords.min() < 0 or (coords.max(axis=0) >= frame.size).any()):
         size = "x".join(map(str, frame.size))
         raise InvalidScene(Problem("the volume", f"has voxels outside {size}", "voxels of its octree"))
@@ -40,12 +42,12 @@ def restore_octree(volume: Volume) -> SparseVoxelOctree:
     x, y, z = (dilate(coords[:, axis]) for axis in range(3))
     codes = x | y << 1 | z << 2
     order = np.argsort(codes)
-    leaves = _Voxels(data, order, mean_edge(frame.voxel_size))
+    leaves = _Voxels(data, held[order], mean_edge(frame.voxel_size))
     levels = merge_equal(_levels(codes[order], height), leaves.same)
     return SparseVoxelOctree(
         size=frame.size,
         node_children=children_table(levels, all_slots=frame.layout == "full"),
-        node_data=node_values(levels, leaves),
+        node_data=NodeValues(levels, leaves),
         data_format=frame.data_format,
         origin=frame.origin,
         voxel_size=frame.voxel_size,

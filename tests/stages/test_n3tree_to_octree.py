@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,8 @@ from nerfbake import build_octree, cut_octree
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import Layout
+from nerfbake.stages.n3tree_to_octree import Resample
 from tests import oracle
 from tests.scenes import assert_same_octree, n3tree, n3trees, sizes, world_centres
 
@@ -114,6 +118,39 @@ def test_nothing_at_all_is_an_empty_root() -> None:
     octree = build_octree(n3tree(data=np.zeros((1, 2, 2, 2, 4), np.float16)))
     assert octree.level_sizes == [1]
     assert not octree.node_data.any()
+
+
+@given(n3trees(), sizes, st.sampled_from(["mean", "nearest"]), st.data())
+def test_no_leaf_holds_nothing(tree: N3Tree, size: tuple[int, int, int], how: Resample, draw: st.DataObject) -> None:
+    layout: Layout = draw.draw(st.sampled_from(["full", "compact"]))
+    dtype: Literal["float32", "float16"] = draw.draw(st.sampled_from(["float32", "float16"]))
+    cut = draw.draw(st.sampled_from([None, 0, 1]))
+    octree = build_octree(tree, resolution=size, resample=how, layout=layout, dtype=dtype, sigma_min=cut)
+    for level in range(octree.grid_level + 1):
+        shown = cut_octree(octree, level=level)
+        assert shown.n == 1 or (shown.sigma[shown.childless] > 0).all()
+
+
+def test_voxels_across_empty_cells_are_no_nodes() -> None:
+    # The filled cell reaches to 1.5 of 3 voxels an axis. The middle ones are cut by its walls, or by those between
+    # empty cells: (1, 1, 2) covers four of these.
+    data = np.zeros((1, 2, 2, 2, 4), np.float32)
+    data[0, 0, 0, 0] = 1
+    octree = build_octree(n3tree(data=data), resolution=3)
+    assert octree.level_sizes == [1, 1, 8]
+    # Along an axis the first voxel is filled, the second by half.
+    filled = np.array([1, 0.5, 0])
+    assert_allclose(octree.sample(world_centres(octree))[:, 3], np.einsum("i,j,k->ijk", *[filled] * 3).ravel())
+
+
+def test_what_is_too_thin_for_half_precision_is_nothing() -> None:
+    data = np.ones((1, 2, 2, 2, 4), np.float32)
+    data[..., 3] = 1e-9
+    assert build_octree(n3tree(data=data), dtype="float16").level_sizes == [1]
+    data[0, 0, 0, 0, 3] = 6e-8  # the least that a half holds: an eighth of it would round to 0
+    octree = build_octree(n3tree(data=data), dtype="float16")
+    assert octree.level_sizes == [1, 1]
+    assert (octree.sigma > 0).all()
 
 
 def test_sigma_min_empties_thin_leaves() -> None:

@@ -34,6 +34,14 @@ def test_every_voxel_comes_back_and_then_nothing_changes(octree: SparseVoxelOctr
     assert_same_octree(restore_octree(build_vdb(back, grids=("index",), half=half)), back)
 
 
+def test_voxels_that_hold_nothing_are_no_nodes() -> None:
+    tree = n3tree(dtype=np.float32)
+    tree.data[0, 0, 0, 0, 3] = 1e-9  # 0 as a half
+    octree = build_octree(tree)
+    assert octree.level_sizes == [1, 8]
+    assert restore_octree(build_vdb(octree, grids=("index",), half=True)).level_sizes == [1, 7]
+
+
 def test_grids_without_coefficients_hold_no_octree() -> None:
     octree = build_octree(n3tree())
     with pytest.raises(InvalidScene, match="has the grids density, Cd; allowed: density,sh or index"):
