@@ -57,14 +57,14 @@ def group(points: Array, weight: npt.NDArray[np.float64], start: Ints) -> Groups
 def seed(points: Array, weight: npt.NDArray[np.float64], K: int, random: np.random.Generator) -> Array:
     """(K, p) of the points, far apart: greedy k-means++ (Arthur and Vassilvitskii, 2007), weighted."""
     chosen = np.empty(K, np.int64)
-    _seed(points, weight, random.random((K, TRIALS)), chosen)
+    _seed(np.ascontiguousarray(points.T), weight, random.random((K, TRIALS)), chosen)
     return points[chosen]
 
 
 def assign(points: Array, cells: Cells, centres: Array) -> tuple[npt.NDArray[np.int32], Array]:
     """(m,) the nearest centre of each point, the first of equals, and its squared distance."""
     label, distance = np.empty(len(points), np.int32), np.empty(len(points), np.float32)
-    _assign(points, *cells, centres, label, distance)
+    _assign(points, *cells, np.ascontiguousarray(centres.T), label, distance)
     return label, distance
 
 
@@ -108,9 +108,29 @@ def _cell_sums(points: Array, weight: npt.NDArray[np.float64], start: Ints, tota
             total[c, p] += weight[i]
 
 
-@compiled(parallel=True, fastmath=True)
-def _seed(points: Array, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.float64], chosen: Ints) -> None:
-    m, p = points.shape
+@compiled(inline=True)
+def squares(point: Array, others: Array, out: Array) -> None:
+    """(n,) squared distances of a point (p,) to others (p, n): a vector register holds several others, and each sum
+    runs from the first dimension to the last, whatever the register's width.
+    """
+    p, n = others.shape
+    for k in range(n):
+        out[k] = 0
+    for t in range(0, p - p % 4, 4):
+        for k in range(n):
+            a, b = others[t, k] - point[t], others[t + 1, k] - point[t + 1]
+            c, d = others[t + 2, k] - point[t + 2], others[t + 3, k] - point[t + 3]
+            out[k] += (a * a + b * b) + (c * c + d * d)
+    for t in range(p - p % 4, p):
+        for k in range(n):
+            a = others[t, k] - point[t]
+            out[k] += a * a
+
+
+@compiled(parallel=True)
+def _seed(across: Array, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.float64], chosen: Ints) -> None:
+    """across (p, m): the points' dimensions one after the other."""
+    m = across.shape[1]
     K, trials = draws.shape
     nearest = np.ones(m, np.float32)  # the first draw goes by weight alone
     attempt = np.empty((trials, m), np.float32)
@@ -120,40 +140,42 @@ def _seed(points: Array, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.
         reach = np.cumsum(nearest * weight)
         for trial in prange(trials):
             at = min(np.searchsorted(reach, draws[k, trial] * reach[-1], side="right"), m - 1)
-            total = 0.0
-            for i in range(m):
-                square = f32(0)
-                for t in range(p):
-                    square += (points[i, t] - points[at, t]) ** 2
-                square = min(square, nearest[i]) if k > 0 else square
-                attempt[trial, i] = square
-                total += square * weight[i]
-            inertia[trial], drawn[trial] = total, at
+            own = attempt[trial]
+            squares(across[:, at].copy(), across, own)
+            if k > 0:
+                for i in range(m):
+                    own[i] = own[i] if own[i] < nearest[i] else nearest[i]
+            # Four sums at a time, always the same four.
+            a, b, c, d = 0.0, 0.0, 0.0, 0.0
+            for i in range(0, m - m % 4, 4):
+                a, b = a + own[i] * weight[i], b + own[i + 1] * weight[i + 1]
+                c, d = c + own[i + 2] * weight[i + 2], d + own[i + 3] * weight[i + 3]
+            for i in range(m - m % 4, m):
+                a += own[i] * weight[i]
+            inertia[trial], drawn[trial] = (a + b) + (c + d), at
         best = np.argmin(inertia)
         chosen[k] = drawn[best]
         nearest[:] = attempt[best]
 
 
-@compiled(parallel=True, fastmath=True)
+@compiled(parallel=True)
 def _assign(
     points: Array,
     start: Ints,
     mean: Array,
     radius: Array,
-    centres: Array,
+    across: Array,
     label: npt.NDArray[np.int32],
     distance: Array,
 ) -> None:
-    K, p = centres.shape
+    """across (p, K): the centres' dimensions one after the other."""
+    p, K = across.shape
     for c in prange(len(mean)):
         to_mean = np.empty(K, np.float32)
+        squares(mean[c], across, to_mean)
         closest = f32(np.inf)
         for k in range(K):
-            square = f32(0)
-            for t in range(p):
-                square += (mean[c, t] - centres[k, t]) ** 2
-            to_mean[k] = square
-            closest = min(closest, square)
+            closest = to_mean[k] if to_mean[k] < closest else closest
         # The margin covers float32's rounding, so that pruning never changes a label.
         reach = (np.sqrt(closest) + f32(2) * radius[c]) * f32(1.0001) + f32(1e-3)
         candidate, candidates = np.empty(K, np.int32), 0
@@ -161,15 +183,16 @@ def _assign(
             if to_mean[k] <= reach * reach:
                 candidate[candidates] = k
                 candidates += 1
+        near, away = np.empty((p, candidates), np.float32), np.empty(candidates, np.float32)
+        for t in range(p):
+            for q in range(candidates):
+                near[t, q] = across[t, candidate[q]]
         for i in range(start[c], start[c + 1]):
+            squares(points[i], near, away)
             best, which = f32(np.inf), np.int32(0)
             for q in range(candidates):
-                k = candidate[q]
-                square = f32(0)
-                for t in range(p):
-                    square += (points[i, t] - centres[k, t]) ** 2
-                if square < best:
-                    best, which = square, np.int32(k)
+                if away[q] < best:
+                    best, which = away[q], candidate[q]
             label[i], distance[i] = which, best
 
 

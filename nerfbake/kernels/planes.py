@@ -9,26 +9,21 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.equations import solve_each
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.lloyd import PARTS, Cells
+from nerfbake.kernels.lloyd import PARTS, Cells, squares
 
 Array = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
 f32 = np.float32
 
 _FAR = 1e9
-_CELLS = 1 << 11  # at a time, in nearest_clusters()
 
 
 def nearest_clusters(cells: Cells, centres: Array, count: int) -> npt.NDArray[np.int32]:
-    """(c, count) the clusters whose centres are closest to each cell's mean."""
-    count = min(count, len(centres))
-    found = np.empty((len(cells.mean), count), np.int32)
-    squares = (centres * centres).sum(axis=1)
-    for start in range(0, len(found), _CELLS):
-        part = cells.mean[start : start + _CELLS]
-        away = squares - 2 * (part @ centres.T)
-        found[start : start + _CELLS] = np.argpartition(away, count - 1, axis=1)[:, :count]
+    """(c, count) the clusters whose centres are closest to each cell's mean, in order; of equals the first."""
+    found = np.empty((len(cells.mean), min(count, len(centres))), np.int32)
+    _nearest_clusters(cells.mean, np.ascontiguousarray(centres.T), found)
     return found
 
 
@@ -45,8 +40,7 @@ def fit(points: Array, features: Array, weight: Floats, label: npt.NDArray[np.in
     empty = left[:, 0, 0] == 0
     left[empty], right[empty, 0] = np.eye(4), _FAR
     pull = flatness * left[:, :1, :1] * np.diag([0.0, 1, 1, 1])
-    planes: Array = np.linalg.solve(left + pull, right).astype(np.float32)
-    return planes
+    return solve_each(left + pull, right).astype(np.float32)
 
 
 def assign(
@@ -75,7 +69,26 @@ def _moments(points: Array, features: Array, weight: Floats, label: npt.NDArray[
                     total[a, 4 + t] += scaled * points[i, t]
 
 
-@compiled(parallel=True, fastmath=True)
+@compiled(parallel=True)
+def _nearest_clusters(mean: Array, across: Array, found: npt.NDArray[np.int32]) -> None:
+    """across (p, K): the centres' dimensions one after the other."""
+    K, count = across.shape[1], found.shape[1]
+    for c in prange(len(mean)):
+        away = np.empty(K, np.float32)
+        squares(mean[c], across, away)
+        own, held = found[c], 0
+        for k in range(K):
+            if held == count and not away[k] < away[own[count - 1]]:
+                continue
+            held = min(held + 1, count)
+            at = held - 1
+            while at > 0 and away[k] < away[own[at - 1]]:
+                own[at] = own[at - 1]
+                at -= 1
+            own[at] = k
+
+
+@compiled(parallel=True)
 def _assign(
     points: Array,
     features: Array,
@@ -84,18 +97,25 @@ def _assign(
     planes: Array,
     label: npt.NDArray[np.int32],
 ) -> None:
-    p = points.shape[1]
+    p, count = points.shape[1], candidates.shape[1]
     for c in prange(len(candidates)):
+        # The candidates' planes, dimension by dimension: a vector register holds several of them.
+        near, away = np.empty((p, 4, count), np.float32), np.empty(count, np.float32)
+        for q in range(count):
+            for a in range(4):
+                for t in range(p):
+                    near[t, a, q] = planes[candidates[c, q], a, t]
         for i in range(start[c], start[c + 1]):
             r, g, b = features[i, 0], features[i, 1], features[i, 2]
+            for q in range(count):
+                away[q] = 0
+            for t in range(p):
+                for q in range(count):
+                    shown = (near[t, 0, q] + r * near[t, 1, q]) + (g * near[t, 2, q] + b * near[t, 3, q])
+                    apart = points[i, t] - shown
+                    away[q] += apart * apart
             best, which = f32(np.inf), np.int32(0)
-            for q in range(candidates.shape[1]):
-                k = candidates[c, q]
-                plane = planes[k]
-                square = f32(0)
-                for t in range(p):
-                    apart = points[i, t] - (plane[0, t] + r * plane[1, t] + g * plane[2, t] + b * plane[3, t])
-                    square += apart * apart
-                if square < best:
-                    best, which = square, np.int32(k)
+            for q in range(count):
+                if away[q] < best:
+                    best, which = away[q], candidates[c, q]
             label[i] = which

@@ -56,7 +56,7 @@ def measure_error(
         first = codes == colours.encode(_first_met(field))
         met = Shown(table, index[first], weight[first])
         sums[first] = _sums(field, codes[first], met, directions, lookup)
-    means = counts @ sums / (counts.sum() * table.shape[1])
+    means = (counts[:, None] * sums).sum(axis=0) / (counts.sum() * table.shape[1])
     mae, mse, mae_float, mse_float = means.tolist()
     return AtlasError(mae, mse, mae_float, mse_float, int(counts.sum()), len(keys))
 

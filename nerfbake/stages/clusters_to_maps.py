@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels import colours, mlp, octahedron
+from nerfbake.kernels.equations import solve_banded, solve_each
+from nerfbake.kernels.products import product
 from nerfbake.scene.atlas import ZERO_OFFSET, tetrahedron
 from nerfbake.scene.specular import SpecularField
 from nerfbake.stages.identifiers_to_clusters import FLATNESS, Clusters
@@ -56,7 +58,8 @@ def affine_maps(field: SpecularField, identifiers: Identifiers, clusters: Cluste
     for k, (features, weight) in enumerate(_group(identifiers, clusters.labels)):
         design = np.insert(features - centres[k] / 255, 0, 1, axis=1)
         left, right = _moments(field, features, weight, design, map_size)
-        maps[k] = np.linalg.solve(left + weight.sum() * FLATNESS * np.diag([0, 1, 1, 1]), right)
+        left += weight.sum() * FLATNESS * np.diag([0, 1, 1, 1])
+        maps[k] = solve_each(left[None], right[None])[0]
     return AffineMaps(_as_maps(maps.reshape(4 * clusters.K, -1), map_size), centres)
 
 
@@ -72,18 +75,22 @@ def grid_maps(field: SpecularField, identifiers: Identifiers, *, nodes: int, map
     axis = np.arange(nodes) / (nodes - 1)
     at_nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     pull = _NODE_WEIGHT * identifiers.counts.sum() / nodes**3
-    left, right = pull * np.eye(nodes**3), pull * _outputs(field, at_nodes, map_size)
-    cubes, labels = np.unique(tetrahedron(colours.decode(identifiers.codes), nodes)[0][:, 0], return_inverse=True)
     steps = np.array([0, 1, nodes, nodes + 1])
+    steps = np.concatenate([steps, steps + nodes**2])
+    # Nodes meet in cubes alone: what belongs to two of them is at most a cube's diagonal away from the diagonal.
+    left, right = np.zeros((nodes**3, steps[-1] + 1)), pull * _outputs(field, at_nodes, map_size)
+    left[:, 0] = pull
+    low, high = np.tril_indices(len(steps))
+    cubes, labels = np.unique(tetrahedron(colours.decode(identifiers.codes), nodes)[0][:, 0], return_inverse=True)
     for cube, (features, weight) in zip(cubes, _group(identifiers, labels), strict=True):
         index, share = tetrahedron(255 * features, nodes)
-        corners = cube + np.concatenate([steps, steps + nodes**2])
+        corners = cube + steps
         design = np.zeros((len(features), 8))
         np.put_along_axis(design, np.searchsorted(corners, index), share, axis=1)
         moments = _moments(field, features, weight, design, map_size)
-        left[np.ix_(corners, corners)] += moments.left
+        left[corners[low], steps[low] - steps[high]] += moments.left[low, high]
         right[corners] += moments.right
-    return _as_maps(np.linalg.solve(left, right), map_size)
+    return _as_maps(solve_banded(left, right), map_size)
 
 
 class _Moments(NamedTuple):
@@ -101,8 +108,8 @@ def _moments(field: SpecularField, features: Floats, weight: Floats, design: Flo
     for start in range(0, len(features), step):
         part = slice(start, start + step)
         outputs = mlp.evaluate(features[part], directions, field.w0, field.w1)
-        right += weighted[part].T.astype(np.float32) @ outputs.reshape(-1, right.shape[1])
-    return _Moments(weighted.T @ design, right)
+        right += product(weighted[part].T, outputs.reshape(-1, right.shape[1]))
+    return _Moments(product(weighted.T, design), right)
 
 
 def _group(identifiers: Identifiers, labels: npt.NDArray[np.integer[Any]]) -> list[tuple[Floats, Floats]]:

@@ -6,7 +6,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
@@ -41,8 +40,8 @@ def bake_atlas(
     clusters: K, for kmeans and affine; nodes: along each axis of feature space, for grid. directions (N, 3): unit,
     those in which colours are compared, 100 evenly spread ones unless given; direction_weights (N,): how much each
     counts, 1 on average. centres: kmeans' maps show the snapped colour, or the mean of the cluster. The same arguments
-    give the same bytes, whatever the number of threads. Raises InvalidScene for sizes out of range and more clusters
-    than colours, MemoryLimit for maps that would take too much while they are made.
+    give the same bytes on every CPU, whatever the number of threads. Raises InvalidScene for sizes out of range and
+    more clusters than colours, MemoryLimit for maps that would take too much while they are made.
     """
     for name, value, low, high in (("map size", map_size, 2, MAX_MAP_SIZE), ("nodes", nodes, 2, MAX_NODES)):
         if not low <= value <= high:
@@ -52,26 +51,23 @@ def bake_atlas(
     count = {"kmeans": clusters, "affine": 4 * clusters, "grid": nodes**3}[method]
     memory.require(f"{count:,} maps of {map_size}x{map_size}", count * map_size**2 * _TEXEL_BYTES)
     directions = fibonacci(100) if directions is None else directions
-    # BLAS orders its sums by the number of its threads; one thread gives the same bytes everywhere, and costs nothing
-    # here because the heavy sums are kernels of our own.
-    with threadpool_limits(1, user_api="blas"):
-        identifiers = identify(field, directions=directions, direction_weights=direction_weights)
-        if method == "grid":
-            maps = grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
-            labels = np.zeros(field.used.shape, np.uint16)
-            return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
-        find = cluster_planes if method == "affine" else cluster
-        found = find(identifiers, clusters=clusters, seed=seed)
-        labels = label_texels(field, identifiers, found)
-        if method == "affine":
-            affine = affine_maps(field, identifiers, found, map_size=map_size)
-            offsets = _bytes(field.features - affine.centres[labels] + ZERO_OFFSET)
-            tiles, slope, slopes = _encode_affine(affine.maps)
-            return OctahedralAtlas("affine", tiles, labels, offsets, border, slope, slopes)
-        make = mean_maps if centres == "mean" else snapped_maps
-        return OctahedralAtlas(
-            "kmeans", _bytes(255 * make(field, identifiers, found, map_size=map_size)), labels, border=border
-        )
+    identifiers = identify(field, directions=directions, direction_weights=direction_weights)
+    if method == "grid":
+        maps = grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
+        labels = np.zeros(field.used.shape, np.uint16)
+        return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
+    find = cluster_planes if method == "affine" else cluster
+    found = find(identifiers, clusters=clusters, seed=seed)
+    labels = label_texels(field, identifiers, found)
+    if method == "affine":
+        affine = affine_maps(field, identifiers, found, map_size=map_size)
+        offsets = _bytes(field.features - affine.centres[labels] + ZERO_OFFSET)
+        tiles, slope, slopes = _encode_affine(affine.maps)
+        return OctahedralAtlas("affine", tiles, labels, offsets, border, slope, slopes)
+    make = mean_maps if centres == "mean" else snapped_maps
+    return OctahedralAtlas(
+        "kmeans", _bytes(255 * make(field, identifiers, found, map_size=map_size)), labels, border=border
+    )
 
 
 def label_texels(field: SpecularField, identifiers: Identifiers, clusters: Clusters) -> npt.NDArray[np.uint16]:
