@@ -34,7 +34,9 @@ def lens_of(fields: Mapping[str, Any], where: str) -> Lens | None:
     model = _model(fields, where)
     if model is None and values.get("k4", 0) != 0:
         # To nerfstudio it is the factor of r^8, to OpenCV it stands below the line, instant-ngp leaves it out.
-        raise InvalidFile(Problem(within(where, "k4"), f"is {values['k4']:g}", "0, or a camera_model that says what it means"))
+        raise InvalidFile(
+            Problem(within(where, "k4"), f"is {values['k4']:g}", "0, or a camera_model that says what it means")
+        )
     model = model or "polynomial"
     for key in ("k5", "k6") if model != "rational" else ():
         if values.get(key, 0) != 0:
@@ -68,4 +70,3 @@ def _model(fields: Mapping[str, Any], where: str) -> Model | None:
     if fisheye and model not in (None, "fisheye"):
         raise InvalidFile(Problem(within(where, "is_fisheye"), "is true", f"false with camera_model {named}"))
     return "fisheye" if fisheye else model
-

@@ -110,12 +110,13 @@ def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> I
     both = {**shared, **{key: own[key] for key in _OWN & own.keys()}}
     for key in _UNKNOWN:
         if both.get(key) not in (None, 0, False):
-            raise InvalidFile(Problem(within(where, key), f"is {shown(both[key])}", "perspective, or a fisheye's k1 to k4"))
+            raise InvalidFile(
+                Problem(within(where, key), f"is {shown(both[key])}", "perspective, or a fisheye's k1 to k4")
+            )
     guessed = size is None and not {"w", "h"} & both.keys()
     told = size or (DEFAULT_EDGE, DEFAULT_EDGE)
     width, height = (
-        _pixels(both, key, default if size or guessed else None, where)
-        for key, default in zip("wh", told, strict=True)
+        _pixels(both, key, default if size or guessed else None, where) for key, default in zip("wh", told, strict=True)
     )
     found = _focal(own, width, height, where) or _focal(shared, width, height, "")
     if found is None:
@@ -160,4 +161,10 @@ def _refuse_rolling(fields: Fields, frame: Fields, index: int) -> None:
     start, end = (frame.get(f"transform_matrix_{which}") for which in ("start", "end"))
     shutter = frame.get("rolling_shutter", fields.get("rolling_shutter"))
     if end is not None and start != end and shutter and shutter != [0] * 4:
-        raise InvalidFile(Problem(within(f"frames[{index}]", "transform_matrix_end"), "is seen through a rolling_shutter", "cameras that stand still"))
+        raise InvalidFile(
+            Problem(
+                within(f"frames[{index}]", "transform_matrix_end"),
+                "is seen through a rolling_shutter",
+                "cameras that stand still",
+            )
+        )

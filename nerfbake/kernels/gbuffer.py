@@ -34,9 +34,7 @@ class GBuffer(NamedTuple):
     distance: Floats  # (H, W) along the ray
 
 
-def gbuffer(
-    positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, rays: Floats
-) -> GBuffer:
+def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, rays: Floats) -> GBuffer:
     """The nearest of t triangles for each pixel, whichever side they show; of equally near ones the first.
 
     positions (v, 3), faces (t, 3); pose (4, 4) camera to world, OpenGL axes; rays (H, W, 3) the world directions

@@ -149,7 +149,9 @@ class Cameras(Scene):
         if skew.any():
             name = self.cameras[int(np.argmax(skew))].name
             allowed = "right-handed axes of length 1, at right angles"
-            problems.append(Problem(f"camera {name}".strip(), "has a pose that is no rotation", allowed, int(skew.sum())))
+            problems.append(
+                Problem(f"camera {name}".strip(), "has a pose that is no rotation", allowed, int(skew.sum()))
+            )
         blind = [problem for camera in self.cameras for problem in camera.lens_problems()]
         return problems + [problem._replace(times=len(blind)) for problem in blind[:1]]
 

@@ -51,10 +51,8 @@ class Lens:
         """(m, 2) on the plane (of a fisheye: as long as their angle) -> where they are seen; x right, y down."""
         return lens.distort(points, *self._coefficients, self.p)
 
-    def looks(
-        self, points: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        """Where one looks to see these points (m, 2): (m, 3) unit vectors, x right, y down, z ahead; and which exist."""
+    def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """Where to look to see these points (m, 2): (m, 3) unit vectors, x right, y down, z ahead; and which exist."""
         most = np.pi if self.model == "fisheye" else np.inf
         plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
         r = np.sqrt((plane * plane).sum(axis=1))

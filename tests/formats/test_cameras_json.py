@@ -24,16 +24,16 @@ def read(fields: Any) -> Cameras:
 def test_a_capture_by_hand() -> None:
     (camera,) = read(capture()).cameras
     assert (camera.width, camera.height, camera.name) == (800, 800, "r_7")
-    assert_allclose(camera.focal, 400 / np.tan(0.35))
+    assert_allclose(camera.fx, 400 / np.tan(0.35))
     (camera,) = read(capture(w=640, h=480, fl_x=500)).cameras
-    assert (camera.width, camera.height, camera.focal) == (640, 480, 500)
+    assert (camera.width, camera.height, camera.fx) == (640, 480, 500)
 
 
 def test_what_is_written_is_read() -> None:
     cameras = read(capture(w=640, h=480, fl_x=500))
     again = cameras_json.decode(memoryview(b"".join(cameras_json.encode(cameras))))
     assert_allclose(again.cameras[0].pose, cameras.cameras[0].pose)
-    assert again.cameras[0].focal == 500
+    assert again.cameras[0].fx == 500
 
 
 def test_the_middle_of_the_middle_pixel_looks_ahead() -> None:
