@@ -155,6 +155,12 @@ class Cameras(Scene):
         blind = [problem for camera in self.cameras for problem in camera.lens_problems()]
         return problems + [problem._replace(times=len(blind)) for problem in blind[:1]]
 
+    def require_covered(self) -> None:
+        """Raises InvalidScene for the first lens that does not cover its picture: asked before any is rendered."""
+        for camera in self.cameras:
+            for problem in camera.lens_problems():
+                raise InvalidScene(problem)
+
     def require_memory(self, *, pictures: int = 1) -> None:
         """Raises MemoryLimit if so many pictures of every camera do not fit into memory all at once."""
         need = PICTURE_BYTES * pictures * sum(camera.width * camera.height for camera in self.cameras)
