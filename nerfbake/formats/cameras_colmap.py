@@ -22,7 +22,8 @@ from nerfbake.formats import _colmap_binary, _colmap_text
 from nerfbake.formats._capture import Folder, names_of, opengl, room_for
 from nerfbake.formats._colmap import Model, Shot
 from nerfbake.scene import lens
-from nerfbake.scene.camera import MAX_EDGE, MAX_PLACE, Camera, Cameras
+from nerfbake.scene.base import MAX_WORLD
+from nerfbake.scene.camera import MAX_EDGE, Camera, Cameras
 
 # Where a capture keeps its model: COLMAP's own places, then nerfstudio's and instant-ngp's.
 _PLACES = ("", "sparse/0/", "sparse/", "colmap/sparse/0/", "colmap_sparse/0/", "colmap_text/")
@@ -113,8 +114,8 @@ def _pose(shot: Shot, name: str) -> npt.NDArray[np.float64]:
             [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
         ]
     )
-    if not all(abs(value) <= MAX_PLACE for value in shot.shift):
-        raise InvalidFile(Problem(f"image {name}", f"has the shift {shot.shift}", f"up to {MAX_PLACE:g} world units"))
+    if not all(abs(value) <= MAX_WORLD for value in shot.shift):
+        raise InvalidFile(Problem(f"image {name}", f"has the shift {shot.shift}", f"up to {MAX_WORLD:g} world units"))
     pose = np.eye(4)
     pose[:3, :3] = turn.T
     pose[:3, 3] = -(turn.T * np.array(shot.shift)).sum(axis=1)

@@ -17,10 +17,10 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._capture import PICTURES, Folder, names_of, room_for
 from nerfbake.formats._npy import read_header
+from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
 
 _NAME, _SHARED = "poses_bounds.npy", "hwf_cxcy.npy"
-_MOST = 1e15
 
 
 def recognise(files: Folder) -> bool:
@@ -84,6 +84,6 @@ def _array(files: Folder, name: str) -> npt.NDArray[np.float64]:
         raise InvalidFile(Problem(name, found, "as many numbers as there are"))
     memory.hold(name, 8 * size)
     flat = np.frombuffer(view, dtype, offset=stream.tell()).astype(np.float64)
-    if not (np.abs(flat) <= _MOST).all():
-        raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {_MOST:g}"))
+    if not (np.abs(flat) <= MAX_WORLD).all():
+        raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {MAX_WORLD:g}"))
     return flat.reshape(shape, order="F" if fortran else "C")

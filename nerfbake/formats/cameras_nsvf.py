@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._capture import Folder, PictureSizes, Size, names_of, opengl, room_for
+from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
 
 _INSIDE = "intrinsics.txt"
 _POSES = ("pose", "poses")
 _MAX_SIZE = 1 << 16  # bytes of a file of a few numbers
-_MOST = 1e15
 
 _Rows = list[list[float]]
 
@@ -77,8 +77,8 @@ def _rows(files: Folder, name: str) -> _Rows:
         rows = [list(map(float, line.split())) for line in bytes(view).decode().splitlines()]
     except ValueError:
         raise InvalidFile(Problem(name, "holds what is no number", "lines of numbers")) from None
-    if not all(abs(value) <= _MOST for row in rows for value in row):
-        raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {_MOST:g}"))
+    if not all(abs(value) <= MAX_WORLD for row in rows for value in row):
+        raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {MAX_WORLD:g}"))
     return [row for row in rows if len(row) not in (0, 2)]
 
 

@@ -12,12 +12,11 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.topology import plural
-from nerfbake.scene.base import Scene
+from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.lens import Lens
 
 MAX_EDGE = 16384  # pixels
 FOCAL = (1e-6, 1e9)  # pixels
-MAX_PLACE = 1e15  # world units: so that the squares of all that comes of it are numbers, too
 MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
 MIN_VOLUME = 1e-12  # of the box that they span
 ORTHOGONAL = 1e-3  # how far a rotation's axes may be from it, for a writer's rounding
@@ -196,8 +195,8 @@ def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
     if last != [0, 0, 0, 1]:
         return f"has a pose whose last row is {last}", "0, 0, 0, 1"
-    if (most := max(abs(x), abs(y), abs(z))) > MAX_PLACE:
-        return f"stands {most:g} away", f"up to {MAX_PLACE:g} world units"
+    if (most := max(abs(x), abs(y), abs(z))) > MAX_WORLD:
+        return f"stands {most:g} away", f"up to {MAX_WORLD:g} world units"
     if (most := max(abs(value) for row in rows[:3] for value in row[:3])) > MAX_AXIS:
         return f"has a pose with an axis of {most:g}", f"a rotation, or axes up to {MAX_AXIS:g}"
     if not abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) > MIN_VOLUME:
