@@ -9,8 +9,6 @@ Source: NSVF's data_utils.py; spec/inputs.md, 9.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -49,14 +47,14 @@ def decode(files: Folder, *, member: str = "") -> Cameras:
 
 def _inside(rows: _Rows) -> tuple[float, float, float, float]:
     """fx, fy, cx, cy."""
-    numbers = [value for row in rows for value in row]
-    if len(numbers) in (9, 16):
-        K = np.array(numbers).reshape(math.isqrt(len(numbers)), -1)
+    edges = [len(row) for row in rows]
+    if edges in ([16], [4] * 4, [3] * 3):
+        K = np.array(rows).reshape(-1, 3 if len(edges) == 3 else 4)
         if K[0, 1] != 0:
             raise InvalidFile(Problem(f"{_INSIDE}: skew", f"is {K[0, 1]:g}", "0"))
         return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-    if not rows or len(rows[0]) not in (3, 4):
-        raise InvalidFile(Problem(_INSIDE, f"has {len(numbers)} numbers", "4 x 4, 3 x 3, or a first line f cx cy _"))
+    if not edges or edges[0] not in (3, 4):
+        raise InvalidFile(Problem(_INSIDE, f"has lines of {edges} numbers", "4 x 4, 3 x 3, or a first line f cx cy _"))
     f, cx, cy = rows[0][:3]
     return f, f, cx, cy
 
