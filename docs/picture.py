@@ -19,7 +19,7 @@ def main() -> None:
     """Four pictures side by side."""
     octree = build_octree(sample_n3tree(resolution=256))
     framed = orbit(octree, width=420, height=360).cameras[0]
-    camera = replace(framed, focal=1.3 * framed.focal)  # the scene is flatter than the ball around it
+    camera = replace(framed, focal=1.3 * framed.fx)  # the scene is flatter than the ball around it
     pictures = [render(cut_octree(octree, level=level), camera) for level in LEVELS]
     colour, alpha, depth = (
         np.concatenate([getattr(picture, name) for picture in pictures], axis=1)

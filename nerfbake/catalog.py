@@ -25,6 +25,8 @@ class Format(NamedTuple):
     profiles: tuple[str, ...] = ()  # what encode's `profile` takes, the one it writes unless told otherwise first
     readable: bool = True  # False: written for people to look at, without decode() and recognise()
     key: str = ""  # of a folder: the file by which it is known
+    members: tuple[str, ...] = ()  # of a folder: files that stand for it, as they mean nothing without the others
+    beside: bool = False  # decode() takes the folder where the file stands, too
 
     def load_module(self) -> Any:
         return import_module(self.module)
@@ -50,7 +52,7 @@ FORMATS = (
     Format("png", "Image", ".png", "nerfbake.formats.image_png", "picture"),
     Format("gif", "Animation", ".gif", "nerfbake.formats.animation_gif", "moving picture", readable=False),
     Format("html", "Comparison", ".html", "nerfbake.formats.comparison_html", "page of a comparison", readable=False),
-    Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)"),
+    Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)", beside=True),
     Format("vdb", "Volume", ".vdb", "nerfbake.formats.vdb_openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "nerfbake.formats.vdb_nanovdb", "NanoVDB grid"),
     Format("obj", "Meshes", ".obj", "nerfbake.formats.meshes_obj", "Wavefront mesh"),
@@ -63,6 +65,36 @@ FOLDERS = (
     Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas", key="atlas.json"),
     Format(
         "thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "the thesis' atlas", key="octahedron_maps.png"
+    ),
+    Format(
+        "transforms", "Cameras", "", "nerfbake.formats.cameras_transforms", "capture's cameras", key="transforms.json"
+    ),
+    Format(
+        "colmap",
+        "Cameras",
+        "",
+        "nerfbake.formats.cameras_colmap",
+        "COLMAP model",
+        key="sparse/0/images.bin",
+        members=("cameras.bin", "images.bin", "cameras.txt", "images.txt"),
+    ),
+    Format(
+        "llff",
+        "Cameras",
+        "",
+        "nerfbake.formats.cameras_llff",
+        "LLFF's poses",
+        key="poses_bounds.npy",
+        members=("poses_bounds.npy",),
+    ),
+    Format(
+        "nsvf",
+        "Cameras",
+        "",
+        "nerfbake.formats.cameras_nsvf",
+        "NSVF's capture",
+        key="intrinsics.txt",
+        members=("intrinsics.txt",),
     ),
 )
 
@@ -188,15 +220,20 @@ def folders_of(scene: str) -> list[Format]:
     return [form for form in FOLDERS if form.scene == scene]
 
 
-def folder_of_content(files: Mapping[str, memoryview]) -> Format:
-    """The kind of folder that these files are. Raises InvalidFile."""
-    for form in FOLDERS:
+def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> Format:
+    """The kind of folder that these files are; of several the first that holds a wanted scene. Raises InvalidFile."""
+    for form in sorted(FOLDERS, key=lambda form: form.scene not in wanted):
         if form.load_module().recognise(files):
             return form
-    names = [form.key for form in FOLDERS]
+    names = [form.key for form in FOLDERS if not wanted or form.scene in wanted] or [form.key for form in FOLDERS]
     raise InvalidFile(
         f"is a folder that nerfbake does not know; allowed: a file, or a folder with {' or '.join(names)}"
     )
+
+
+def folder_of_member(name: str) -> Format | None:
+    """The kind of folder that a file of this name stands for, if there is one."""
+    return next((form for form in FOLDERS if name in form.members), None)
 
 
 def format_of_content(path: str, head: bytes) -> Format:

@@ -12,7 +12,7 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Command, Input, Resolution, max_memory, reads, speaks
+from nerfbake.cli.params import CAPTURE, Command, Input, Resolution, max_memory, read_cameras, reads, speaks
 from nerfbake.cli.words import Words
 from nerfbake.errors import OutputError, UsageError
 
@@ -142,7 +142,7 @@ def atlas(folder: str, rounds: int, target: Target, words: Words) -> None:
 @bench.command()
 @reads
 @click.option("--resolution", type=Resolutions(), help="For a PlenOctree: voxels an axis.  [default: 128,320,512]")
-@click.option("--rays", metavar="TRANSFORMS", help="Count the samples along these cameras' rays, at 400x400.")
+@click.option("--rays", metavar="CAPTURE", help="Count the samples along these cameras' rays, at 400x400.")
 @reports(rounds=3, chart="time against memory")
 @speaks
 def access(
@@ -168,7 +168,7 @@ def access(
             Path(source.path).name,
             resolutions=resolution,
             rounds=rounds,
-            cameras=io.load(rays, nerfbake.Cameras).cameras if rays else (),
+            cameras=read_cameras(words, rays).cameras if rays else (),
             progress=words.phase,
         )
     target.write([report], benchmark.chart)
@@ -176,7 +176,7 @@ def access(
 
 @bench.command()
 @reads
-@click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: 8 views around IN]")
+@click.option("--cameras", metavar="CAPTURE", help=f"{CAPTURE}.  [default: 8 views around IN]")
 @reports(rounds=3, chart="time a frame against memory")
 @speaks
 def render(source: Input, cameras: str | None, rounds: int, target: Target, words: Words) -> None:
@@ -188,7 +188,7 @@ def render(source: Input, cameras: str | None, rounds: int, target: Target, word
     from nerfbake.bench import render as benchmark
 
     scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
-    views = io.load(cameras, nerfbake.Cameras) if cameras else None
+    views = read_cameras(words, cameras) if cameras else None
     name = Path(source.path).name
     with source.blamed(words, "rendering"):
         found = benchmark.compare(scene, name, views, rounds=rounds, progress=words.phase)

@@ -10,19 +10,23 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import BUDGET_EDGE, BUDGET_FRAMES, Input, PixelSize, as_json, reads, speaks
+from nerfbake.cli.params import BUDGET_EDGE, BUDGET_FRAMES, CAPTURE, Input, PixelSize, as_json, reads, speaks
 from nerfbake.cli.words import Words
 
 
 @click.command()
 @reads
 @click.argument("other", metavar="IN2", type=click.Path())
-@click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: 8 views around IN]")
+@click.option("--cameras", metavar="CAPTURE", help=f"{CAPTURE}.  [default: 8 views around IN]")
 @click.option("--truth", type=click.Path(), help="Folder with a photograph, NAME.png, for each of the cameras.")
 @click.option("--size", type=PixelSize(), help="Pixels.  [default: the truth's or the cameras', 400x400 for an orbit]")
 @click.option("--min-psnr", type=float, help="Exit 3 if IN2's mean PSNR against IN, in dB, is lower.")
 @click.option("--max-error", type=float, help="Exit 3 if a pixel's channel differs by more (0..1).")
-@click.option("--sheet", type=click.Path(), help="Write the pictures as a PNG: truth, IN, IN2, 8 times the difference.")
+@click.option(
+    "--sheet",
+    type=click.Path(),
+    help="Write the pictures as a PNG: truth, IN, IN2, and 8 times what is between each two.",
+)
 @click.option("--html", type=click.Path(), help="Write a page with everything: budgets, figures, sizes, pictures.")
 @click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
 @as_json
@@ -68,7 +72,7 @@ def compare(
             views = nerfbake.Cameras(tuple(v.resized(*p.size) for v, p in zip(views.cameras, photographs, strict=True)))
     with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
         if sheet or html:
-            views.require_memory(pictures=4)
+            views.require_memory(pictures=6 if truth else 4)
         found = nerfbake.compare(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
     if sheet:
         io.save(sheet, found.sheet, force=force)

@@ -21,11 +21,13 @@ from nerfbake.errors import format_size
 def info(source: Input, as_json: bool, words: Words) -> None:
     """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
 
+    Of cameras: dialect, how many, picture sizes, focal lengths, lenses, where they stand and what is up.
+
     \b
       nerfbake info chair.npz
       nerfbake info chair.svo.pb --json | jq .nodes
     """
-    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes)
+    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes, nerfbake.Cameras)
     scene, form, size = source.read_with_format(words, *kinds)
     facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:

@@ -19,6 +19,8 @@ from nerfbake.errors import UsageError, format_size
 BUDGET_FRAMES, BUDGET_EDGE = 8, 400  # the views around a scene that a budget is judged from
 FORMATS = ", ".join(form.name for form in catalog.FORMATS)
 
+CAPTURE = "A transforms.json, or a folder with one, a COLMAP model, LLFF's poses or NSVF's"
+
 
 class Size(click.ParamType[int]):
     """A number of bytes: 512MB, 4GiB, 1000000."""
@@ -86,7 +88,7 @@ class Input:
             width, height = size or (edge, edge)
             with self.blamed(words, "framing"):
                 return nerfbake.orbit(scene, frames=frames, width=width, height=height)
-        read = io.load(cameras, nerfbake.Cameras)
+        read = read_cameras(words, cameras)
         return nerfbake.Cameras(tuple(camera.resized(*size) for camera in read.cameras)) if size else read
 
     @contextmanager
@@ -94,6 +96,17 @@ class Input:
         """A step of the work whose errors are this file's."""
         with words.phase(phase), io.blame(io.reading_name(self.path)):
             yield
+
+
+def read_cameras(words: Words, path: str) -> Any:
+    """The cameras of a file or a folder; says which file of a folder it took, and what it took for granted."""
+    with words.phase(f"reading {path}"):
+        read = io.load(path, nerfbake.Cameras)
+    if read.source:
+        words.say(f"{path}: {read} from {read.source}")
+    for note in read.notes:
+        words.say(f"{path}: {note}")
+    return read
 
 
 @dataclass(frozen=True)
@@ -254,9 +267,7 @@ def judges(function: Command) -> Command:
     """Adds --min-psnr and --cameras; the command gets `budget`."""
 
     @click.option("--min-psnr", type=float, help="Exit 3 and call OUT OUT.rejected if its pictures have less, in dB.")
-    @click.option(
-        "--cameras", metavar="TRANSFORMS", help="transforms.json to judge with.  [default: 8 views around IN]"
-    )
+    @click.option("--cameras", metavar="CAPTURE", help=f"Whose views judge. {CAPTURE}.  [default: 8 views around IN]")
     @functools.wraps(function)
     def command(*args: Any, min_psnr: float | None, cameras: str | None, **others: Any) -> Any:
         return function(*args, budget=Budget(min_psnr, cameras), **others)

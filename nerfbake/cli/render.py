@@ -10,7 +10,7 @@ import click
 
 import nerfbake
 from nerfbake import catalog, io
-from nerfbake.cli.params import Input, PixelSize, reads, speaks
+from nerfbake.cli.params import CAPTURE, Input, PixelSize, reads, speaks
 from nerfbake.cli.words import Words
 
 
@@ -31,7 +31,7 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
 
 @click.command()
 @reads
-@click.option("--cameras", metavar="TRANSFORMS", help="A transforms.json.  [default: an orbit that frames the scene]")
+@click.option("--cameras", metavar="CAPTURE", help=f"{CAPTURE}.  [default: an orbit around the scene]")
 @click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Which of the cameras.")
 @click.option("--all", "every", is_flag=True, help="All cameras.")
 @click.option("--turntable", type=click.IntRange(2, 1000), help="So many pictures around the scene.")
@@ -123,6 +123,11 @@ def render(
     chosen = views if several else views[frame : frame + 1]
     if not chosen:
         raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")
+    with io.blame(cameras or io.reading_name(source.path)):
+        nerfbake.Cameras(chosen).require_covered()
+    paths = [str(Path(out) / f"{view.name}.png") if several else out for view in chosen]
+    if not together:
+        io.require_room([target for path in paths for target in (path, *_beside(path, depth, alpha))], force=force)
     picture: Callable[..., Any] = nerfbake.render
     if mesh:
         picture = nerfbake.composite
@@ -131,13 +136,12 @@ def render(
         with io.blame(out):
             nerfbake.Cameras(chosen).require_memory()
     images = []
-    for view in chosen:
+    for view, path in zip(chosen, paths, strict=True):
         with source.blamed(words, f"rendering {view.name}"):
             image = picture(scene, camera=view, **options)
         if together:
             images.append(image)
             continue
-        path = str(Path(out) / f"{view.name}.png") if several else out
         io.save(path, image, force=force, parents=several)
         for beside in _beside(path, depth, alpha):
             plane = image.mask if beside.endswith(".alpha.png") else nerfbake.Depth(image.depth)

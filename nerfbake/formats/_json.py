@@ -26,7 +26,7 @@ _CHUNK = 1 << 18
 _PER_VALUE = 32  # bytes of a parsed number and its slot in a list
 _PER_CONTAINER = 128
 _BOM = b"\xef\xbb\xbf"
-_COMMENT = re.compile(rb'("(?:[^"\\]|\\.)*+")|//[^\n]*|/\*.*?\*/', re.DOTALL)
+_COMMENT = re.compile(rb'("(?:[^"\\]|\\.)*+")|//[^\n]*|/\*(?:.*?\*/|.*)', re.DOTALL)
 
 
 def parse(view: memoryview | bytes, name: str, *, comments: bool = False) -> Any:
@@ -76,7 +76,7 @@ def number(
     value = fields.get(key, default)
     if type(value) not in (int, float) or not low <= value <= high:
         found = "is missing" if value is None else f"is {shown(value)}"
-        raise InvalidFile(Problem(_within(place, key), found, f"a number from {low:g} to {high:g}"))
+        raise InvalidFile(Problem(within(place, key), found, f"a number from {low:g} to {high:g}"))
     return float(value)
 
 
@@ -87,7 +87,7 @@ def whole(
     value = fields.get(key, default)
     if type(value) is not int or not low <= value <= high:
         found = "is missing" if value is None else f"is {shown(value)}"
-        raise InvalidFile(Problem(_within(place, key), found, f"a whole number from {low:,} to {high:,}"))
+        raise InvalidFile(Problem(within(place, key), found, f"a whole number from {low:,} to {high:,}"))
     return value
 
 
@@ -138,7 +138,8 @@ def collector_paused() -> Iterator[None]:
             gc.enable()
 
 
-def _within(place: str, key: str) -> str:
+def within(place: str, key: str) -> str:
+    """A key as a message names it, in the object at this place."""
     if place.endswith(".json"):
         return f"{place}: {key}"
     return f"{place}.{key}" if place else key

@@ -40,3 +40,9 @@ def png_of(picture: Image.Image) -> bytes:
     file = io.BytesIO()
     picture.save(file, "PNG", compress_level=COMPRESSION)
     return file.getvalue()
+
+
+def size_of(head: bytes, name: str) -> tuple[int, int]:
+    """Width and height of a PNG or JPEG from its first bytes. Raises InvalidFile."""
+    with opened(memoryview(head), name, "PNG", "JPEG", bytes_per_pixel=0) as picture:
+        return picture.size

@@ -1,79 +1,170 @@
-"""Cameras as NeRF's captures have them (transforms.json).
+"""Cameras as transforms.json has them, in the dialects of NeRF-Synthetic, instant-ngp and nerfstudio.
 
-camera_angle_x   radians, or fl_x in pixels      w, h   pixels; absent in the Blender scenes
-frames           [{file_path, transform_matrix: 4 x 4, camera to world, OpenGL axes}, ...]
+frames            [{file_path, transform_matrix: 4 x 4, camera to world, OpenGL axes}, ...]; of a moving camera
+                  transform_matrix_start and _end, of which the first is taken
+x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_angle_y: radians; y as x unless told
+cx, cy, w, h      pixels; the principal point in the middle, and the size of the pictures, unless told
+camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
+All but the frames may stand in a frame, too, which then counts. An instant-ngp file may have comments. What instant-ngp
+and nerfstudio make of the world while they train (scale, offset, aabb_scale, applied_transform) is not in the poses.
+Sources: instant-ngp's nerf_loader.cu and colmap2nerf.py; nerfstudio's nerfstudio_dataparser.py; spec/inputs.md, 9.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from pathlib import PurePosixPath
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats._json import parse_object
-from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.formats._capture import DEFAULT_EDGE, Folder, PictureSizes, Size, default_note, names_of, room_for
+from nerfbake.formats._json import number, shown, within
+from nerfbake.formats._lens_json import LENS_KEYS, lens_fields, lens_of
+from nerfbake.formats._transforms import parse, pose_of
+from nerfbake.scene.camera import FOCAL, MAX_EDGE, Camera, Cameras
 
-DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
-MAX_FRAMES = 100_000
+# What would change rays, and is read by nobody here: a file that has one of these, other than 0 or false, is refused.
+_UNKNOWN = (
+    "latlong", "equirectangular", "orthographic", "ftheta_p0", "ftheta_p1", "ftheta_p2", "ftheta_p3", "ftheta_p4",
+    "ftheta_w", "ftheta_h", "s1", "s2", "s3", "s4", "sx1", "sy1", "tau_x", "tau_y", "omega", "skew", "sk_x",
+    "normal_mts_args", "from_na",
+)  # fmt: skip
+_FOCAL = ("{}_fov", "fl_{}", "camera_angle_{}")
+_OWN = {*_UNKNOWN, *LENS_KEYS, *(name.format(axis) for name in _FOCAL for axis in "xy"), "cx", "cy", "w", "h"}
+_NERFSTUDIO = ("camera_model", "applied_transform", "applied_scale", "train_filenames", "ply_file_path")
+_NGP = ("aabb_scale", "x_fov", "is_fisheye", "transform_matrix_start", "fl_x", "k1")
+
+Fields = Mapping[str, Any]
+Intrinsics = dict[str, Any]  # what a Camera takes beside pose and name
 
 
 def recognise(head: bytes) -> bool:
     """True for the first bytes of a transforms.json."""
-    return head.lstrip()[:1] == b"{" and (b"camera_angle_x" in head or b"fl_x" in head or b"frames" in head)
+    start = head.lstrip()[:2]
+    told = any(key in head for key in (b"camera_angle_x", b"fl_x", b"frames", b"camera_model", b"aabb_scale"))
+    return (start[:1] == b"{" or start in (b"//", b"/*")) and told
 
 
-def decode(view: memoryview) -> Cameras:
-    fields = parse_object(view, "the JSON", comments=True)
-    frames = fields.get("frames")
-    if not isinstance(frames, list) or len(frames) > MAX_FRAMES:
-        raise InvalidFile(Problem("frames", "are no list", f"1 to {MAX_FRAMES:,} frames"))
-    width = int(_number(fields, "w", DEFAULT_EDGE))
-    height = int(_number(fields, "h", width))
-    if "fl_x" in fields:
-        focal = _number(fields, "fl_x")
-    else:
-        angle = _number(fields, "camera_angle_x")
-        if not 0 < angle < np.pi:
-            raise InvalidFile(Problem("camera_angle_x", f"is {angle:g}", "radians between 0 and pi"))
-        focal = 0.5 * width / np.tan(angle / 2)
-    return Cameras(tuple(_camera(frame, i, width, height, focal) for i, frame in enumerate(frames)))
+def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
+    """The cameras in the order of their frames. beside: the folder where the file and its pictures stand."""
+    fields, frames = parse(view)
+    room_for(len(frames))
+    sizes = PictureSizes(beside)
+    paths = [path if isinstance(path := frame.get("file_path"), str) else None for frame in frames]
+    first = next((size for path in paths if (size := sizes.of(path))), None) if _unsized(fields, frames) else None
+    shared: dict[Size | None, Intrinsics] = {}
+    cameras, guessed = [], 0
+    for i, (frame, path, name) in enumerate(zip(frames, paths, names_of(paths), strict=True)):
+        _refuse_rolling(fields, frame, i)
+        size = None if first is None else sizes.of(path) or first
+        if _OWN.isdisjoint(frame):
+            if size not in shared:
+                shared[size] = _intrinsics({}, fields, size, "")
+            own = shared[size]
+        else:
+            own = _intrinsics(frame, fields, size, f"frames[{i}]")
+        guessed += own["guessed"]
+        cameras.append(Camera(pose=pose_of(frame, i), name=name, **{k: v for k, v in own.items() if k != "guessed"}))
+    return Cameras(tuple(cameras), _dialect(fields, frames), notes=(default_note(guessed),) if guessed else ())
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:
-    first = cameras.cameras[0]
-    frames = [{"file_path": camera.name, "transform_matrix": camera.pose.tolist()} for camera in cameras.cameras]
-    angle = 2 * np.arctan(0.5 * first.width / first.focal)
-    fields = {
-        "camera_angle_x": float(angle),
-        "w": first.width,
-        "h": first.height,
-        "fl_x": first.focal,
-        "frames": frames,
-    }
-    yield json.dumps(fields, indent=1).encode() + b"\n"
+    """Read by instant-ngp and nerfstudio, too: what all cameras have in common once, else each frame its own."""
+    owns = [_fields(camera) for camera in cameras.cameras]
+    common = {key: value for key, value in owns[0].items() if all(key in own and own[key] == value for own in owns)}
+    whole = all(own == common for own in owns)
+    frames = [
+        {"file_path": camera.name, **({} if whole else own), "transform_matrix": camera.pose.tolist()}
+        for camera, own in zip(cameras.cameras, owns, strict=True)
+    ]
+    yield json.dumps({**(common if whole else {}), "frames": frames}, indent=1).encode() + b"\n"
 
 
-def _camera(frame: Any, index: int, width: int, height: int, focal: float) -> Camera:
-    where = f"frames[{index}].transform_matrix"
-    matrix = frame.get("transform_matrix") if isinstance(frame, dict) else None
-    try:
-        pose = np.array(matrix, np.float64)
-    except (TypeError, ValueError):
-        raise InvalidFile(Problem(where, "is no matrix", "4 x 4 numbers")) from None
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not abs(np.linalg.det(pose[:3, :3])) > 1e-12:
-        found = f"has shape {pose.shape}" if pose.shape != (4, 4) else "is singular or not finite"
-        raise InvalidFile(Problem(where, found, "4 x 4 finite numbers, an invertible rotation"))
-    path = frame.get("file_path")
-    return Camera(width, height, focal, pose, PurePosixPath(path).stem if isinstance(path, str) else f"{index:04d}")
+def _fields(camera: Camera) -> dict[str, Any]:
+    """A camera's own, but for its pose."""
+    fields: dict[str, Any] = {}
+    if camera.lens is None or camera.lens.model != "fisheye":
+        fields |= {
+            "camera_angle_x": float(2 * np.arctan(0.5 * camera.width / camera.fx)),
+            "camera_angle_y": float(2 * np.arctan(0.5 * camera.height / camera.fy)),
+        }
+    fields |= {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
+    return fields | {"cx": camera.cx, "cy": camera.cy} | lens_fields(camera.lens)
 
 
-def _number(fields: dict[str, Any], name: str, default: float | None = None) -> float:
-    value = fields.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value) or not 0 < value < 1e9:
-        found = "is missing" if value is None else f"is {str(value)[:40]}"
-        raise InvalidFile(Problem(name, found, "a finite number above 0"))
-    return float(value)
+def _unsized(fields: Fields, frames: list[dict[str, Any]]) -> bool:
+    return not {"w", "h"} <= fields.keys() and not all({"w", "h"} <= frame.keys() for frame in frames)
+
+
+def _dialect(fields: Fields, frames: list[dict[str, Any]]) -> str:
+    for name, keys in (("nerfstudio", _NERFSTUDIO), ("instant-ngp", _NGP)):
+        if any(key in fields or key in frames[0] for key in keys):
+            return name
+    return "NeRF-Synthetic"
+
+
+def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> Intrinsics:
+    """A Camera's size, focal lengths, centre and lens, and whether its size is a guess."""
+    both = {**shared, **{key: own[key] for key in _OWN & own.keys()}}
+    for key in _UNKNOWN:
+        if both.get(key) not in (None, 0, False):
+            raise InvalidFile(
+                Problem(within(where, key), f"is {shown(both[key])}", "perspective, or a fisheye's k1 to k4")
+            )
+    guessed = size is None and not {"w", "h"} & both.keys()
+    told = size or (DEFAULT_EDGE, DEFAULT_EDGE)
+    width, height = (
+        _pixels(both, key, default if size or guessed else None, where) for key, default in zip("wh", told, strict=True)
+    )
+    found = _focal(own, width, height, where) or _focal(shared, width, height, "")
+    if found is None:
+        raise InvalidFile(Problem(within(where, "camera_angle_x"), "is missing", "it, or fl_x, or x_fov"))
+    centre = None
+    if {"cx", "cy"} & both.keys():
+        centre = number(both, "cx", where, default=width / 2), number(both, "cy", where, default=height / 2)
+    lens = lens_of(both, where)
+    return {"width": width, "height": height, "focal": found, "centre": centre, "lens": lens, "guessed": guessed}
+
+
+def _pixels(fields: Fields, key: str, default: int | None, where: str) -> int:
+    value = number(fields, key, where, default=default, low=1, high=MAX_EDGE)  # a float, where instant-ngp wrote it
+    if value != int(value):
+        raise InvalidFile(Problem(within(where, key), f"is {value:g}", "a whole number of pixels"))
+    return int(value)
+
+
+def _focal(fields: Fields, width: int, height: int, where: str) -> tuple[float, float] | None:
+    """(fx, fy) as these fields have them; where they have one of the two, it is both."""
+    fx, fy = _focal_along("x", width, fields, where), _focal_along("y", height, fields, where)
+    if fx is None and fy is None:
+        return None
+    return (fx or fy or 0.0), (fy or fx or 0.0)
+
+
+def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | None:
+    degrees, pixels, radians = (name.format(axis) for name in _FOCAL)
+    if degrees not in fields and pixels in fields:
+        return number(fields, pixels, where, low=FOCAL[0], high=FOCAL[1])
+    key, unit, most = (degrees, "degrees", 180.0) if degrees in fields else (radians, "radians", np.pi)
+    if key not in fields:
+        return None
+    angle = number(fields, key, where)
+    if not 0 < angle < most:
+        raise InvalidFile(Problem(within(where, key), f"is {angle:g}", f"{unit} between 0 and {most:.4g}"))
+    return float(0.5 * edge / np.tan((np.radians(angle) if unit == "degrees" else angle) / 2))
+
+
+def _refuse_rolling(fields: Fields, frame: Fields, index: int) -> None:
+    """A shutter that opens row by row gives each row a pose of its own."""
+    start, end = (frame.get(f"transform_matrix_{which}") for which in ("start", "end"))
+    shutter = frame.get("rolling_shutter", fields.get("rolling_shutter"))
+    if end is not None and start != end and shutter and shutter != [0] * 4:
+        raise InvalidFile(
+            Problem(
+                within(f"frames[{index}]", "transform_matrix_end"),
+                "is seen through a rolling_shutter",
+                "cameras that stand still",
+            )
+        )

@@ -30,7 +30,9 @@ _BUDGETS = {
     "--max-error": ("largest error", ".4f", "", "at most"),
 }
 _VALUES = {"sigma": "density, 1/world unit", "dc": "colour, first coefficient", "higher": "colour, higher bands"}
-_PICTURES = {"truth": "truth", "difference": f"difference, {AMPLIFIED} times as strong"}
+_PICTURES = {"truth": "truth"} | {
+    pair: f"{words}: difference, {AMPLIFIED} times as strong" for pair, words in _PAIRS.items()
+}
 _ABOUT = (
     "PSNR, SSIM and errors are of sRGB in 0..1 over white, before it is rounded to 8 bits; 100 dB stands for equal "
     "pictures. All views: the mean PSNR and SSIM, and the largest error of all. Values are compared at the centres of "

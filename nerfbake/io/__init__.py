@@ -20,6 +20,7 @@ from nerfbake.io.targets import rejected_unless_good as rejected_unless_good
 from nerfbake.io.targets import replacing as replacing
 from nerfbake.io.targets import require_absent as require_absent
 from nerfbake.io.targets import require_no_folder as require_no_folder
+from nerfbake.io.targets import require_room as require_room
 from nerfbake.io.writing import format_for as format_for
 from nerfbake.io.writing import save as save
 from nerfbake.io.writing import save_folder as save_folder

@@ -14,6 +14,7 @@ from nerfbake.catalog import (
     Format,
     compressed,
     folder_of_content,
+    folder_of_member,
     folders_of,
     format_of_content,
     load_compression,
@@ -40,8 +41,13 @@ def load_with_format(source: str | Path, *kinds: type[Scene], sound: bool = True
     name = reading_name(source)
     with blame(name):
         with memory.scope():
-            is_folder = str(source) != STREAM and Path(source).is_dir()
-            scene, form, size = _decode_folder(Path(source), kinds) if is_folder else _decode_file(source, kinds)
+            member = folder_of_member(Path(source).name)
+            if str(source) != STREAM and Path(source).is_dir():
+                scene, form, size = _decode_folder(Path(source), kinds)
+            elif member and Path(source).is_file():
+                scene, form, size = _decode_member(Path(source), member, kinds)
+            else:
+                scene, form, size = _decode_file(source, kinds)
         memory.keep(scene, memory.size_of(scene))
         if sound:
             scene.require_sound()
@@ -72,6 +78,8 @@ def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[An
     extra: dict[str, Any] = {}
     if form.companion and path:
         extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
+    if form.beside and path:
+        extra["beside"] = Folder(Path(path).parent, {})
     _require_kind(form, kinds)
     scene = form.load_module().decode(view, **extra)
     return scene, compressed(form) if packed else form, size
@@ -79,10 +87,16 @@ def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[An
 
 def _decode_folder(path: Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
     files = Folder(path, {})
-    form = folder_of_content(files)
+    form = folder_of_content(files, *(kind.__name__ for kind in kinds))
     _require_kind(form, kinds)
     size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
     return form.load_module().decode(files), form, size
+
+
+def _decode_member(path: Path, form: Format, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
+    """A file that means nothing without those beside it: its folder, read from this file."""
+    _require_kind(form, kinds)
+    return form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size
 
 
 def _require_kind(form: Format, kinds: tuple[type[Scene], ...]) -> None:

@@ -7,7 +7,7 @@ import os
 import stat
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -16,6 +16,7 @@ from nerfbake.errors import InvalidFile, NerfbakeError
 
 STREAM = "-"
 _CHUNK = 1 << 20
+_HEAD = 1 << 18  # bytes: a JPEG's thumbnail and colour profile stand before its size
 _HUGE = 1 << 21  # bytes of a large page: one fault instead of 512
 
 
@@ -102,6 +103,21 @@ class Folder(Mapping[str, memoryview]):
 
     def __contains__(self, name: object) -> bool:
         return name in self._more or (isinstance(name, str) and (self._path / name).is_file())
+
+    def names(self, folder: str) -> list[str]:
+        """Of the files in a folder below ('' for this one), sorted; none where there is no such folder."""
+        path = self._path / folder
+        with blame(str(path)):
+            return sorted(entry.name for entry in os.scandir(path) if entry.is_file()) if path.is_dir() else []
+
+    def head(self, name: str) -> bytes:
+        """The first bytes of a file, enough for a picture's header; none where there is no such file."""
+        path = self._path / name
+        with suppress(OSError):
+            if path.is_file():
+                with open(path, "rb", buffering=0) as file:
+                    return file.read(_HEAD)
+        return b""
 
     def __iter__(self) -> Iterator[str]:
         return iter(sorted({path.name for path in self._path.iterdir()} | set(self._more)))

@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -38,6 +38,20 @@ def require_absent(target: str | Path, *, force: bool) -> None:
         raise OutputError("is a folder; allowed: a file", source=str(target))
     if not force and os.path.lexists(target) and _is_regular(Path(target)):
         raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
+
+
+def require_room(targets: Sequence[str], *, force: bool) -> None:
+    """require_absent() for files that are all to be written, which must not replace each other either."""
+    known: set[str] = set()
+    for target in targets:
+        if target in known:
+            raise OutputError("would be written twice; allowed: a name of its own for each picture", source=target)
+        known.add(target)
+        require_absent(target, force=force)
+    for folder in {Path(target).parent for target in targets}:
+        there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), None)
+        if there is not None and not there.is_dir():
+            raise OutputError("is no folder; allowed: a new or another folder", source=str(there))
 
 
 def require_no_folder(target: str | Path, *, force: bool) -> None:

@@ -1,4 +1,4 @@
-"""Triangles seen through a pinhole: which one each pixel's ray meets first, where on it, and how far away.
+"""Triangles seen along rays from one point: which one each pixel's ray meets first, where on it, how far away.
 
 With corners v0, v1, v2 relative to the camera and a ray d, the weights are d . (v1 x v2), d . (v2 x v0), d . (v0 x v1):
 all of one sign where the line of the ray meets the triangle, and then, divided by their sum, its barycentrics. That
@@ -15,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.jit import compiled
 
 Floats = npt.NDArray[np.float64]
 
 NONE = -1
 _ROWS = 16  # of a band: threads share out the bands, and no two write to the same pixel
-_MARGIN = 1e-3  # pixels around a triangle's box, for rounding
+_MARGIN = 1e-3  # of a pixel around a triangle's box, for rounding
 _CLOSE = 1e-9  # to a side, of the corners' distance: rounding may have put it on the other one
 
 
@@ -33,27 +34,40 @@ class GBuffer(NamedTuple):
     distance: Floats  # (H, W) along the ray
 
 
-def gbuffer(
-    positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, focal: float, rays: Floats
-) -> GBuffer:
+def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, rays: Floats) -> GBuffer:
     """The nearest of t triangles for each pixel, whichever side they show; of equally near ones the first.
 
-    positions (v, 3), faces (t, 3); pose (4, 4) camera to world, OpenGL axes; focal in pixels; rays (H, W, 3) the
-    world directions through the pixels' centres, in whose lengths distances are counted.
+    positions (v, 3), faces (t, 3); pose (4, 4) camera to world, OpenGL axes; rays (H, W, 3) the world directions
+    through the pixels' centres, in whose lengths distances are counted: whatever lens bends them, so long as all look
+    ahead and none is far from where its neighbours look. Raises InvalidScene where some do not look ahead.
     """
     H, W, _ = rays.shape
     turn = np.linalg.inv(pose[:3, :3]).T
     points, looks = (positions - pose[:3, 3]) @ turn, rays @ turn
+    if not (looks[..., 2] < 0).all():
+        raise InvalidScene(Problem("the camera", "looks 90 degrees or more to a side", "less, where there are meshes"))
+    columns = _rising(looks[..., 0] / -looks[..., 2])
+    rows = _rising(looks[..., 1].T / looks[..., 2].T)
     found = GBuffer(np.full((H, W), NONE, np.int32), np.zeros((H, W, 3), np.float32), np.full((H, W), np.inf))
     boxes = np.zeros((len(faces), 4), np.int32)
-    _bound(points, faces, focal, W, H, boxes)
+    _bound(points, faces, columns, rows, boxes)
     _fill(points, faces, boxes, looks, *found)
     return found
 
 
+def _rising(at: Floats) -> Floats:
+    """(2, W): how far right, on the plane before the camera, any column up to each one reaches, and how far left any
+    from each one on: (H, W) of pixels' centres. Both rise, so that a search finds which columns may see a place.
+    """
+    most, least = at.max(axis=0), at.min(axis=0)
+    margin = _MARGIN * (most.max() - least.min()) / len(most) + _CLOSE * np.abs(at).max()
+    low = np.minimum.accumulate(least[::-1])[::-1] - margin
+    return np.stack([np.maximum.accumulate(most) + margin, low])
+
+
 @compiled(parallel=True)
 def _bound(
-    points: Floats, faces: npt.NDArray[np.uint32], focal: float, W: int, H: int, boxes: npt.NDArray[np.int32]
+    points: Floats, faces: npt.NDArray[np.uint32], columns: Floats, rows: Floats, boxes: npt.NDArray[np.int32]
 ) -> None:
     """(t, 4) the pixels where each triangle may be seen: left, top, right, bottom, the last two exclusive."""
     for f in prange(len(faces)):
@@ -61,7 +75,7 @@ def _bound(
         for corner in range(3):
             p, q = points[faces[f, corner]], points[faces[f, (corner + 1) % 3]]
             if p[2] < 0:
-                x, y = W / 2 - focal * p[0] / p[2], H / 2 + focal * p[1] / p[2]
+                x, y = -p[0] / p[2], p[1] / p[2]
                 left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
             if (p[2] < 0) != (q[2] < 0):
                 # The edge leaves through the camera's plane, which is seen infinitely far out on that side.
@@ -70,12 +84,11 @@ def _bound(
                 close = _CLOSE * (abs(p[0]) + abs(q[0]) + abs(p[1]) + abs(q[1]))
                 left, right = -np.inf if x < close else left, np.inf if x > -close else right
                 top, bottom = -np.inf if y > -close else top, np.inf if y < close else bottom
-        # Pixel i has its centre at i + 1/2.
         if left <= right:
-            boxes[f, 0] = int(min(max(np.ceil(left - 0.5 - _MARGIN), 0.0), W))
-            boxes[f, 1] = int(min(max(np.ceil(top - 0.5 - _MARGIN), 0.0), H))
-            boxes[f, 2] = int(min(max(np.floor(right + 0.5 + _MARGIN), 0.0), W))
-            boxes[f, 3] = int(min(max(np.floor(bottom + 0.5 + _MARGIN), 0.0), H))
+            boxes[f, 0] = np.searchsorted(columns[0], left, side="left")
+            boxes[f, 1] = np.searchsorted(rows[0], top, side="left")
+            boxes[f, 2] = np.searchsorted(columns[1], right, side="right")
+            boxes[f, 3] = np.searchsorted(rows[1], bottom, side="right")
 
 
 @compiled(parallel=True)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
+
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.topology import count_problem
+
+MAX_WORLD = 1e15  # world units of a place or an edge, and of what one over an edge is: their squares are numbers, too
 
 
 class Scene:
@@ -24,3 +30,14 @@ class Scene:
         """Raises InvalidScene with the first structural problem, if there is one."""
         if problems := self.structure_problems():
             raise InvalidScene(problems[0])
+
+
+def place_problems(name: str, place: npt.NDArray[np.float64]) -> list[Problem]:
+    """Coordinates that are not finite, or too far away to calculate with."""
+    return count_problem(name, ~(np.abs(place) <= MAX_WORLD), place, f"a finite number, up to {MAX_WORLD:g}")
+
+
+def edge_problems(name: str, edges: npt.NDArray[np.float64]) -> list[Problem]:
+    """Lengths (or one over a length) that are not above 0, too short or too long to calculate with."""
+    wrong = ~((edges >= 1 / MAX_WORLD) & (edges <= MAX_WORLD))
+    return count_problem(name, wrong, edges, f"a finite number above 0, {1 / MAX_WORLD:g} to {MAX_WORLD:g}")

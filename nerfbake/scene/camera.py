@@ -1,75 +1,207 @@
-"""A pinhole camera in OpenGL's axes: x to the right, y up, looking down -z; pixel centres at halves."""
+"""A camera in OpenGL's axes: x to the right, y up, looking down -z; pixel centres at halves."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.scene.base import Scene
+from nerfbake.kernels.topology import plural
+from nerfbake.scene.base import MAX_WORLD, Scene
+from nerfbake.scene.lens import Lens
 
 MAX_EDGE = 16384  # pixels
+FOCAL = (1e-6, 1e9)  # pixels
+MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
+MIN_VOLUME = 1e-12  # of the box that they span
+ORTHOGONAL = 1e-3  # how far a rotation's axes may be from it, for a writer's rounding
 WORLD = np.eye(3)
 PICTURE_BYTES = 72  # a pixel of a picture that is kept, put into a sheet, and made into bytes (72 measured)
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """width, height and focal in pixels; pose (4, 4) float64 is camera to world; name is the frame's."""
+    """width, height in pixels; pose (4, 4) float64 is camera to world; name is the frame's.
+
+    focal   in pixels: one for both axes, or (fx, fy)
+    centre  (cx, cy), where the optical axis meets the picture, in pixels from its upper left corner; None: the middle
+    lens    what it does beside perspective; None: a pinhole
+    """
 
     width: int
     height: int
-    focal: float
+    focal: float | tuple[float, float]
     pose: npt.NDArray[np.float64]
     name: str = ""
+    centre: tuple[float, float] | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= MAX_EDGE and 1 <= self.height <= MAX_EDGE):
-            raise InvalidScene(
-                Problem("camera", f"has {self.width}x{self.height} pixels", f"1 to {MAX_EDGE:,} an edge")
-            )
-        if not (np.isfinite(self.focal) and self.focal > 0):
-            raise InvalidScene(Problem("camera", f"has focal length {self.focal:g}", "a finite number above 0"))
-        if self.pose.shape != (4, 4) or not np.isfinite(self.pose).all():
-            found = f"has a pose of shape {self.pose.shape}" if self.pose.shape != (4, 4) else "has a pose with NaN"
-            raise InvalidScene(Problem("camera", found, "4 x 4 finite numbers"))
-        if not abs(np.linalg.det(self.pose[:3, :3])) > 1e-12:
-            raise InvalidScene(Problem("camera", "has a singular pose", "an invertible rotation"))
+            raise self._wrong(f"has {self.width}x{self.height} pixels", f"1 to {MAX_EDGE:,} an edge")
+        for focal in (self.fx, self.fy):
+            if not FOCAL[0] <= focal <= FOCAL[1]:
+                raise self._wrong(f"has focal length {focal:g}", f"{FOCAL[0]:g} to {FOCAL[1]:g} pixels")
+        if not (abs(self.cx) <= FOCAL[1] and abs(self.cy) <= FOCAL[1]):
+            raise self._wrong(f"has its centre at {self.cx:g}, {self.cy:g}", f"up to {FOCAL[1]:g} pixels away")
+        if self.pose.shape != (4, 4):
+            raise self._wrong(f"has a pose of shape {self.pose.shape}", "4 x 4 finite numbers")
+        if found := _pose_problem(self.pose.tolist()):
+            raise self._wrong(*found)
+
+    def _wrong(self, found: str, allowed: str) -> InvalidScene:
+        return InvalidScene(Problem(f"camera {self.name}".strip(), found, allowed))
+
+    @property
+    def fx(self) -> float:
+        """Focal length across, in pixels."""
+        return self.focal[0] if isinstance(self.focal, tuple) else self.focal
+
+    @property
+    def fy(self) -> float:
+        """Focal length down, in pixels."""
+        return self.focal[1] if isinstance(self.focal, tuple) else self.focal
+
+    @property
+    def cx(self) -> float:
+        """Of the optical axis, pixels from the left edge."""
+        return self.width / 2 if self.centre is None else self.centre[0]
+
+    @property
+    def cy(self) -> float:
+        """Of the optical axis, pixels from the upper edge."""
+        return self.height / 2 if self.centre is None else self.centre[1]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view in another number of pixels: the field of view across stays."""
-        return replace(self, width=width, height=height, focal=self.focal * width / self.width)
+        """The same view in another number of pixels: the field of view across stays, and so does a pixel's shape."""
+        focal = self.fx * width / self.width, self.fy * width / self.width
+        centre = None
+        if self.centre is not None:
+            grown = width / self.width
+            centre = width / 2 + (self.cx - self.width / 2) * grown, height / 2 + (self.cy - self.height / 2) * grown
+        return replace(self, width=width, height=height, focal=focal, centre=centre)
 
     def rays(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """The camera's place (3,) and a unit direction for each pixel (height * width, 3), rows from the top."""
+        """The camera's place (3,) and a unit direction for each pixel (height * width, 3), rows from the top.
+
+        Raises InvalidScene where the lens shows nothing at a pixel.
+        """
         right, up, back = self.pose[:3, :3].T
-        x = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
-        y = -(np.arange(self.height) + 0.5 - self.height / 2) / self.focal
-        directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
+        if self.lens is None or not self.lens.bends:
+            x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+            y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
+            directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
+        else:
+            looks, fine = _looks(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.lens)
+            if not fine.all():
+                raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
+            directions = looks[..., :1] * right - looks[..., 1:2] * up - looks[..., 2:] * back
         directions /= np.sqrt(np.einsum("yxc,yxc->yx", directions, directions))[..., None]
         return self.pose[:3, 3], directions.reshape(-1, 3)
+
+    def lens_problems(self) -> list[Problem]:
+        """What rays() would raise, told from the picture's rim: what is seen there, is seen inside it, too."""
+        if self.lens is None or not self.lens.bends:
+            return []
+        pixel = _blind_rim(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.lens)
+        return [] if pixel is None else [self._no_look(pixel, 1)]
+
+    def _no_look(self, pixel: int, times: int) -> Problem:
+        assert self.lens is not None
+        y, x = divmod(pixel, self.width)
+        found = f"shows nothing at pixel {x}, {y}: its {self.lens.model} distortion cannot be undone there"
+        return Problem(f"camera {self.name}".strip(), found, "a lens that covers the picture", times)
 
 
 @dataclass(frozen=True, eq=False)
 class Cameras(Scene):
-    """The cameras of a capture, in order."""
+    """The cameras of a capture, in order.
+
+    dialect  whose conventions their file follows; '' for cameras that were made and not read
+    source   the file or files of a folder that they were read from; '' for a file of its own
+    notes    what was taken for granted, a line each
+    """
 
     cameras: tuple[Camera, ...]
+    dialect: str = ""
+    source: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.cameras:
             raise InvalidScene(Problem("frames", "are none", "at least one camera"))
 
     def __str__(self) -> str:
-        return f"{len(self.cameras)} cameras"
+        return plural(len(self.cameras), "camera") + (f" ({self.dialect})" if self.dialect else "")
+
+    def value_problems(self) -> list[Problem]:
+        """Poses that are no rotation, and lenses that do not cover their picture."""
+        turns = np.stack([camera.pose[:3, :3] for camera in self.cameras])
+        gram = np.einsum("nij,nik->njk", turns, turns)
+        skew = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL) | (np.linalg.det(turns) < 0)
+        problems = []
+        if skew.any():
+            name = self.cameras[int(np.argmax(skew))].name
+            allowed = "right-handed axes of length 1, at right angles"
+            problems.append(
+                Problem(f"camera {name}".strip(), "has a pose that is no rotation", allowed, int(skew.sum()))
+            )
+        blind = [problem for camera in self.cameras for problem in camera.lens_problems()]
+        return problems + [problem._replace(times=len(blind)) for problem in blind[:1]]
+
+    def require_covered(self) -> None:
+        """Raises InvalidScene for the first lens that does not cover its picture: asked before any is rendered."""
+        for camera in self.cameras:
+            for problem in camera.lens_problems():
+                raise InvalidScene(problem)
 
     def require_memory(self, *, pictures: int = 1) -> None:
-        """Raises MemoryLimit if so many pictures of every camera do not fit all at once."""
+        """Raises MemoryLimit if so many pictures of every camera do not fit into memory all at once."""
         need = PICTURE_BYTES * pictures * sum(camera.width * camera.height for camera in self.cameras)
         memory.require(f"keeping {pictures * len(self.cameras):,} pictures at once", need)
+
+
+@lru_cache(maxsize=1)  # frames of one capture share it: the search takes as long as a small picture
+def _looks(
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float, lens: Lens
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """(H, W, 3) where pixels' centres look through a lens, x right, y down, z ahead; (H W,) whether they see."""
+    points = np.empty((height, width, 2))
+    points[..., 0] = (np.arange(width) + 0.5 - cx) / fx
+    points[..., 1] = ((np.arange(height) + 0.5 - cy) / fy)[:, None]
+    looks, fine = lens.looks(points.reshape(-1, 2))
+    return looks.reshape(height, width, 3), fine
+
+
+@lru_cache(maxsize=64)
+def _blind_rim(width: int, height: int, fx: float, fy: float, cx: float, cy: float, lens: Lens) -> int | None:
+    """The first pixel of the picture's rim that sees nothing, if there is one."""
+    x, y = np.arange(width), np.arange(height)
+    columns = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, width - 1)])
+    rows = np.concatenate([np.zeros_like(x), np.full_like(x, height - 1), y, y])
+    _, fine = lens.looks(np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy], axis=1))
+    return None if fine.all() else int((rows * width + columns)[~fine].min())
+
+
+def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:
+    """What is wrong with 4 x 4 numbers, and what is allowed; in plain numbers, since captures have many frames."""
+    if not all(math.isfinite(value) for row in rows for value in row):
+        return "has a pose with NaN or infinity", "4 x 4 finite numbers"
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
+    if last != [0, 0, 0, 1]:
+        return f"has a pose whose last row is {last}", "0, 0, 0, 1"
+    if (most := max(abs(x), abs(y), abs(z))) > MAX_WORLD:
+        return f"stands {most:g} away", f"up to {MAX_WORLD:g} world units"
+    if (most := max(abs(value) for row in rows[:3] for value in row[:3])) > MAX_AXIS:
+        return f"has a pose with an axis of {most:g}", f"a rotation, or axes up to {MAX_AXIS:g}"
+    if not abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) > MIN_VOLUME:
+        return "has a singular pose", "an invertible rotation"
+    return None
 
 
 def look_at(

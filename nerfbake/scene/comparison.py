@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.errors import BudgetMissed, Problem
+from nerfbake.kernels import lettering
 from nerfbake.scene.base import Scene
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import GAP, Image
 
 AMPLIFIED = 8  # times: how much stronger the pictures of differences are
+TITLES = {"truth": "TRUTH", "a": "IN", "b": "IN2"}
+TITLES |= {pair: f"{AMPLIFIED} X {TITLES[pair[0]]}-{TITLES[pair[2:]]}" for pair in ("a_b", "a_truth", "b_truth")}
 
 
 class Verdict(NamedTuple):
@@ -67,15 +71,40 @@ class Comparison(Scene):
                 raise BudgetMissed(verdict.problem)
 
     def rows(self) -> Iterator[dict[str, Image]]:
-        """For each camera its pictures by name, in order: truth (if there is one), a, b, difference."""
+        """For each camera its pictures by name, in order: truth (if there is one), a, b; and how far a is from b and
+        each from the truth, AMPLIFIED: a_b, a_truth, b_truth, as in `views`.
+        """
         for truth, a, b in self.pictures:
-            colour = np.clip(AMPLIFIED * np.abs(a.colour - b.colour), 0, 1)
-            whole = np.ones_like(a.alpha)
-            row = {"a": a, "b": b, "difference": Image(colour, whole, np.zeros_like(whole))}
-            yield row if truth is None else {"truth": truth, **row}
+            if truth is None:
+                yield {"a": a, "b": b, "a_b": _difference(a, b)}
+            else:
+                errors = {"a_b": _difference(a, b), "a_truth": _difference(a, truth), "b_truth": _difference(b, truth)}
+                yield {"truth": truth, "a": a, "b": b, **errors}
 
     @property
     def sheet(self) -> Image:
-        """All pictures, a row for each camera."""
+        """All pictures, a row for each camera, below a line that says what is in each column."""
         rows = list(self.rows())
-        return Image.tiled([image for row in rows for image in row.values()], columns=len(rows[0]))
+        tiled = Image.tiled([image for row in rows for image in row.values()], columns=len(rows[0]))
+        edge = max(image.size[0] for row in rows for image in row.values()) + GAP
+        colour = np.concatenate([_titles(list(rows[0]), edge, tiled.size[0]), tiled.colour])
+        whole = np.ones(colour.shape[:2], np.float32)
+        return Image(colour, whole, np.zeros_like(whole))
+
+
+def _difference(a: Image, b: Image) -> Image:
+    colour = np.clip(AMPLIFIED * np.abs(a.colour - b.colour), 0, 1)
+    whole = np.ones_like(a.alpha)
+    return Image(colour, whole, np.zeros_like(whole))
+
+
+def _titles(names: list[str], edge: int, width: int) -> npt.NDArray[np.float32]:
+    """(h, width, 3) black on white, one name at the left of each column."""
+    texts = [TITLES[name] for name in names]
+    scale = max(1, min((edge - GAP) // (max(map(len, texts)) * lettering.ADVANCE), 3))
+    colour = np.ones((scale * lettering.HEIGHT + 2 * GAP, width, 3), np.float32)
+    for i, text in enumerate(texts):
+        letters = np.kron(lettering.written(text), np.ones((scale, scale), bool))[:, : edge - GAP]
+        letters = letters[:, : width - i * edge]
+        colour[GAP : GAP + len(letters), i * edge : i * edge + letters.shape[1]][letters] = 0
+    return colour

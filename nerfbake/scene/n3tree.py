@@ -12,7 +12,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import as_points, in_chunks, n3tree_cells
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, plural, walk
-from nerfbake.scene.base import Scene
+from nerfbake.scene.base import Scene, edge_problems, place_problems
 from nerfbake.scene.basis import parse_basis
 
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
@@ -123,7 +123,11 @@ class N3Tree(Scene):
 
     # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
-        return self._walk.problems
+        return [
+            *edge_problems("invradius", self.invradius),
+            *place_problems("offset", self.offset),
+            *self._walk.problems,
+        ]
 
     def value_problems(self, *, negative_is_empty: bool = False) -> list[Problem]:
         """Values that no renderer can use; only live leaves count. The structure must be sound."""
@@ -136,9 +140,6 @@ class N3Tree(Scene):
             where = place("data", (*first, self.data_dim - 1))
             allowed = "a density of 0 or more (--sigma-min 0 reads less as empty)"
             problems.append(Problem(where, f"is {sigma[first]:g}", allowed, int(negative.sum())))
-        positive = np.isfinite(self.invradius) & (self.invradius > 0)
-        problems += count_problem("invradius", ~positive, self.invradius, "a finite number above 0")
-        problems += count_problem("offset", ~np.isfinite(self.offset), self.offset, "a finite number")
         if self.extra_data is not None:
             problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
         return problems

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_values
 from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
-from nerfbake.scene.base import Scene
+from nerfbake.scene.base import Scene, edge_problems, place_problems
 from nerfbake.scene.basis import parse_basis
 
 MAX_SIZE = 4096  # voxels along an axis
@@ -199,6 +199,10 @@ class SparseVoxelOctree(Scene):
         return walk(self.n, targets, shape=(8,), name="node_children", max_levels=self.grid_level + 1, later=False)
 
     def structure_problems(self) -> list[Problem]:
+        world = place_problems("origin", self.origin) + edge_problems("voxel_size", self.voxel_size)
+        return world + self._table_problems()
+
+    def _table_problems(self) -> list[Problem]:
         if self._parents is not None:
             levels = len(self._level_ends) - 1
             size = "x".join(map(str, self.size))
@@ -234,9 +238,6 @@ class SparseVoxelOctree(Scene):
         if not all_finite(self.node_data):
             problems += count_problem("node_data", ~np.isfinite(self.node_data), self.node_data, "a finite number")
         problems += count_problem("sigma", self.sigma < 0, self.sigma, "a density of 0 or more")
-        problems += count_problem("origin", ~np.isfinite(self.origin), self.origin, "a finite number")
-        positive = np.isfinite(self.voxel_size) & (self.voxel_size > 0)
-        problems += count_problem("voxel_size", ~positive, self.voxel_size, "a finite number above 0")
         if self.extra_data is not None:
             problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
         return problems

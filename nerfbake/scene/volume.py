@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.topology import count_problem, plural
+from nerfbake.kernels.topology import plural
+from nerfbake.scene.base import MAX_WORLD, place_problems
 from nerfbake.scene.octree import Layout
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 
@@ -80,16 +81,26 @@ class Volume:
             raise InvalidScene(problems[0])
 
     def structure_problems(self) -> list[Problem]:
-        return [problem for grid in self.grids for problem in grid.structure_problems()]
+        return self._world_problems() + [problem for grid in self.grids for problem in grid.structure_problems()]
+
+    def _world_problems(self) -> list[Problem]:
+        """Transforms that nobody can calculate with, or that flatten the world."""
+        if problems := place_problems("transform", self.transform):
+            return problems
+        try:
+            with np.errstate(all="ignore"):
+                back = np.linalg.inv(self.transform[:, :3])
+        except np.linalg.LinAlgError:
+            back = np.full((3, 3), np.inf)
+        if not (np.abs(back) <= MAX_WORLD).all():
+            return [
+                Problem("transform", "cannot be inverted", f"a voxel with a volume, its edges from {1 / MAX_WORLD:g}")
+            ]
+        return []
 
     def value_problems(self) -> list[Problem]:
-        """Values that no renderer can use, and transforms that flatten the world."""
-        problems = [problem for grid in self.grids for problem in grid.value_problems()]
-        if not np.isfinite(self.transform).all():
-            return problems + count_problem("transform", ~np.isfinite(self.transform), self.transform, "finite numbers")
-        if not abs(np.linalg.det(self.transform[:, :3])) > 0:
-            problems.append(Problem("transform", "cannot be inverted", "a voxel with a volume"))
-        return problems
+        """Values that no renderer can use."""
+        return [problem for grid in self.grids for problem in grid.value_problems()]
 
     def problems(self) -> list[Problem]:
         """Everything that is wrong; values are looked at once the structure is sound."""

@@ -51,7 +51,7 @@ def paint(
     shape = (camera.height, camera.width)
     _, directions = camera.rays()
     positions, faces, first = joined(meshes)
-    seen = gbuffer.gbuffer(positions, faces, camera.pose, camera.focal, directions.reshape(*shape, 3))
+    seen = gbuffer.gbuffer(positions, faces, camera.pose, directions.reshape(*shape, 3))
     triangle, weights = seen.triangle.reshape(-1), seen.weights.reshape(-1, 3)
     hit = seen.triangle != gbuffer.NONE
     colour = np.zeros((*shape, 3), np.float32)

@@ -8,17 +8,20 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.camera import Cameras
 from nerfbake.scene.mesh import Meshes, box_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
+from nerfbake.stages._cameras_summary import summary_of_cameras
 
 
-def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes) -> dict[str, Any]:
+def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
-    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles and colours.
+    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles and colours; of
+    cameras their pictures and lenses, and where they stand.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
     """
@@ -26,6 +29,8 @@ def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes) -> dict[str, 
         return _of_volume(scene)
     if isinstance(scene, Meshes):
         return _of_meshes(scene)
+    if isinstance(scene, Cameras):
+        return summary_of_cameras(scene)
     return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
 
 

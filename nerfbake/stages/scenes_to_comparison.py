@@ -26,10 +26,11 @@ def compare(
 
     Without keep_pictures one view's are in memory at a time, and there is nothing to draw. Errors are on sRGB in 0..1,
     before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and for photographs of another
-    number or size than the cameras'.
+    number or size than the cameras', and for lenses that do not cover their pictures.
     """
     if truth is not None and len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
+    cameras.require_covered()
     views, pictures = [], []
     for i, camera in enumerate(cameras.cameras):
         seen = {"a": picture(a, camera), "b": picture(b, camera)}

@@ -99,7 +99,7 @@ def test_the_page_needs_nothing_but_itself() -> None:
     assert b"url(" not in data
     assert b"@import" not in data
     sources = [attributes["src"] or "" for attributes in page.named("img")]
-    assert len(sources) == 2 * 4
+    assert len(sources) == 2 * 6
     assert all(source.startswith("data:image/png;base64,") for source in sources)
 
 
@@ -110,9 +110,13 @@ def test_the_pictures_are_the_pictures() -> None:
     for source, image in zip(sources, expected, strict=True):
         with Pillow.open(io.BytesIO(base64.b64decode(source.partition(",")[2]))) as picture:
             assert np.asarray(picture).tolist() == image.pixels.tolist()
-    assert list(next(found.rows())) == ["truth", "a", "b", "difference"]
-    difference = expected[3].colour
-    assert difference == pytest.approx(np.clip(8 * np.abs(expected[1].colour - expected[2].colour), 0, 1))
+    assert list(next(found.rows())) == ["truth", "a", "b", "a_b", "a_truth", "b_truth"]
+    truth, a, b, *differences = (image.colour for image in expected[:6])
+    for difference, one, other in zip(differences, (a, a, b), (b, truth, truth), strict=True):
+        assert difference == pytest.approx(np.clip(8 * np.abs(one - other), 0, 1))
+    captions = Page(page_of(found)).text
+    for words in ("A and B", "A and truth", "B and truth"):
+        assert captions.count(f"{words}: difference, 8 times as strong") == 2
 
 
 def test_a_hostile_name_is_text() -> None:

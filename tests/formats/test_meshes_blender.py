@@ -50,7 +50,7 @@ print("ALPHA", ",".join(f"{alpha:.3f}" for alpha in pixels[3::4]))
 def test_blenders_meshes_are_seen_where_blender_renders_them(tmp_path: Path) -> None:
     (tmp_path / "render.py").write_text(_SCRIPT)
     view = camera(96, 96, distance=4.0)
-    asked = json.dumps([str(tmp_path), view.pose.tolist(), 2 * np.arctan(0.5 * view.width / view.focal), view.width])
+    asked = json.dumps([str(tmp_path), view.pose.tolist(), 2 * np.arctan(0.5 * view.width / view.fx), view.width])
     said = tool("blender", "--background", "--factory-startup", "--python", tmp_path / "render.py", "--", asked)
     alpha = np.array(said.partition("ALPHA ")[2].splitlines()[0].split(","), float).reshape(96, 96)[::-1]
     for name in ("a.glb", "a.obj"):

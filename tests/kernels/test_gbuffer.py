@@ -17,7 +17,7 @@ from tests.meshes import camera, cube, mesh, sphere, square, straight_down
 def see(view: Camera, *meshes: Mesh) -> GBuffer:
     positions, faces, _ = joined(meshes)
     rays = view.rays()[1].reshape(view.height, view.width, 3)
-    return gbuffer(positions, faces, view.pose, view.focal, rays)
+    return gbuffer(positions, faces, view.pose, rays)
 
 
 def test_one_triangle_by_hand() -> None:

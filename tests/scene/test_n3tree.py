@@ -89,15 +89,18 @@ def test_freed_rows_and_stale_cells_do_not_count() -> None:
 
 
 def test_every_wrong_value_is_named() -> None:
-    tree = n3tree(invradius=np.array([1, 0, np.nan]), offset=np.array([0, np.inf, 0]))
+    tree = n3tree()
     tree.data[0, 0, 1, 0, 2] = np.nan
     tree.data[0, 1, 0, 0, :2] = np.inf
     tree.data[0, 1, 1, 1, -1] = -2
     assert [str(problem) for problem in tree.problems()] == [
         "data[0, 0, 1, 0, 2] is nan; allowed: a finite number (and 2 more)",
         "data[0, 1, 1, 1, 3] is -2; allowed: a density of 0 or more (--sigma-min 0 reads less as empty)",
-        "invradius[1] is 0; allowed: a finite number above 0 (and 1 more)",
-        "offset[1] is inf; allowed: a finite number",
+    ]
+    tree = n3tree(invradius=np.array([1, 0, np.nan]), offset=np.array([0, np.inf, 0]))
+    assert [str(problem) for problem in tree.problems()] == [
+        "invradius[1] is 0; allowed: a finite number above 0, 1e-15 to 1e+15 (and 1 more)",
+        "offset[1] is inf; allowed: a finite number, up to 1e+15",
     ]
 
 

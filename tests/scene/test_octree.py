@@ -116,9 +116,17 @@ def test_values_that_no_renderer_can_use_are_found() -> None:
     octree = build_octree(n3tree())
     octree.node_data[3, 1] = np.nan
     octree.node_data[4, -1] = -1
-    octree.voxel_size[1] = 0
-    assert [str(problem).split(";")[0] for problem in octree.problems()] == [
-        "node_data[3, 1] is nan",
-        "sigma[4] is -1",
-        "voxel_size[1] is 0",
-    ]
+    found = [str(problem).split(";")[0] for problem in octree.problems()]
+    assert found == ["node_data[3, 1] is nan", "sigma[4] is -1"]
+
+
+@pytest.mark.parametrize("value", [0, -1, 1e-300, 1e300, np.inf, np.nan])
+def test_a_world_that_nobody_can_calculate_with_keeps_an_octree_from_being_read(value: float) -> None:
+    octree = build_octree(n3tree())
+    octree.voxel_size[1] = value
+    (problem,) = octree.structure_problems()
+    assert str(problem) == f"voxel_size[1] is {value:g}; allowed: a finite number above 0, 1e-15 to 1e+15"
+    octree = build_octree(n3tree())
+    octree.origin[2] = value if abs(value) > 1 else -1e16
+    (problem,) = octree.structure_problems()
+    assert str(problem).startswith("origin[2] is ")

@@ -51,6 +51,25 @@ def test_budgets() -> None:
         found.require(max_error=error - 0.001)
 
 
+def test_the_error_against_the_truth_is_shown_too() -> None:
+    a, b = scenes()
+    cameras = orbit(a, width=120, height=60)
+    black = np.zeros((60, 120, 3), np.float32)
+    truth = [Image(black, np.ones((60, 120), np.float32), np.zeros((60, 120), np.float32))]
+    found = compare(a, b, cameras, truth=truth)
+    (row,) = found.rows()
+    assert list(row) == ["truth", "a", "b", "a_b", "a_truth", "b_truth"]
+    for name, one, other in (("a_b", "a", "b"), ("a_truth", "a", "truth"), ("b_truth", "b", "truth")):
+        expected = np.minimum(8 * np.abs(row[one].colour - row[other].colour), 1)
+        np.testing.assert_array_equal(row[name].colour, expected)
+    assert list(next(compare(a, b, cameras).rows())) == ["a", "b", "a_b"]
+    # Each column has a title of its own, in black on white.
+    strip = found.sheet.colour[: -60 - 1, :, 0]
+    inked = [(strip[:, i * 124 : i * 124 + 120] == 0).sum() for i in range(6)]
+    assert len({strip[:, i * 124 : i * 124 + 120].tobytes() for i in range(6)}) == 6
+    assert min(inked) > 10
+
+
 def test_a_truth_and_the_sheet() -> None:
     a, b = scenes()
     cameras = orbit(a, frames=2, width=20, height=16)
@@ -58,9 +77,10 @@ def test_a_truth_and_the_sheet() -> None:
     truth = [Image(np.zeros((16, 20, 3), np.float32), clear, clear, None)] * 2
     found = compare(a, b, cameras, truth=truth)
     assert set(found.views[0]) == {"name", "a_b", "a_truth", "b_truth"}
+    titles = 2 * 4 + 7
+    assert found.sheet.size == (6 * 24 - 4, titles + 2 * 20 - 4)
     # The truth, transparent everywhere, counts as white.
-    assert found.sheet.colour[0, 0].tolist() == [1, 1, 1]
-    assert found.sheet.size == (4 * 24 - 4, 2 * 20 - 4)
+    assert found.sheet.colour[titles, 0].tolist() == [1, 1, 1]
     with pytest.raises(InvalidScene, match="truth has 1 pictures; allowed: 2"):
         compare(a, b, cameras, truth=truth[:1])
     with pytest.raises(InvalidScene, match="truth of 0000 has 20x16 pixels; allowed: 30x30"):

@@ -1,0 +1,113 @@
+"""Lens distortion by polynomials, forwards and back, on the plane one unit before the camera.
+
+    s = x^2 + y^2                              scale = (1 + n1 s + n2 s^2 + ...) / (1 + d1 s + d2 s^2 + ...)
+    x' = x scale + 2 p1 x y + p2 (s + 2 x^2)
+    y' = y scale + p1 (s + 2 y^2) + 2 p2 x y   y points down, as OpenCV has it
+
+Source: Brown, "Close-range camera calibration" (1971), as OpenCV's documentation of calib3d writes it. A fisheye lens
+(Kannala and Brandt, 2006) is the same in another plane: there (x, y) is as long as the angle from the optical axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Coefficients = Sequence[float]
+
+EXACT = 1e-12  # how near a point that was found has to come to the one that was asked for
+_STEPS = 20  # of Newton; four are usual
+_ENTRIES = 4096  # of the table that the search starts from
+_CHUNK = 1 << 14  # points at a time: what is in work stays in a core's cache
+
+
+def distort(points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float]) -> Floats:
+    """Where a lens puts points (m, 2): (m, 2)."""
+    x, y = points.T
+    s = x * x + y * y
+    scale, _ = _scale(s, numerator, denominator)
+    return np.stack(_moved(x, y, s, scale, p), axis=1)
+
+
+def undistort(
+    points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float], *, most: float = np.inf
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """The points (m, 2) that a lens puts here, and (m,) bool whether each was found.
+
+    Found is what comes within EXACT, nearer than `most` to the middle, and inside the fold: where a polynomial turns
+    back, it shows nothing that a lens would. Newton's method, from a table of the radial part.
+    """
+    found, fine = np.empty_like(points), np.zeros(len(points), bool)
+    with np.errstate(all="ignore"):  # what overflows is not found
+        start, end = _table(np.sqrt((points**2).sum(axis=1).max(initial=0)), numerator, denominator, most)
+        for first in range(0, len(points), _CHUNK):
+            some = slice(first, first + _CHUNK)
+            found[some], fine[some] = _solve(points[some], numerator, denominator, p, start, end)
+    return found, fine
+
+
+def _table(farthest: float, n: Coefficients, d: Coefficients, most: float) -> tuple[tuple[Floats, Floats], float]:
+    """Radii behind the lens with those before it, rising up to the farthest or to the fold; and where they end."""
+    reach = farthest
+    while True:
+        reach = min(2 * reach, most)
+        r = np.linspace(0, reach, _ENTRIES)
+        behind = r * _scale(r * r, n, d)[0]
+        rising = np.diff(behind) > 0
+        whole = bool(rising.all())
+        if not whole or behind[-1] >= farthest or reach >= min(most, 64 * farthest):
+            last = _ENTRIES if whole else int(np.argmin(rising)) + 1
+            return (behind[:last], r[:last]), float(r[last - 1] if not whole else reach)
+
+
+def _solve(
+    points: Floats, n: Coefficients, d: Coefficients, p: tuple[float, float], start: tuple[Floats, Floats], end: float
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    u, v = points.T
+    far = np.sqrt(u * u + v * v)
+    grown = np.divide(np.interp(far, *start), far, out=np.ones_like(far), where=far > 0)
+    x, y = u * grown, v * grown
+    allowed = EXACT * (1 + far)
+    for step in range(_STEPS + 1):
+        s = x * x + y * y
+        scale, slope = _scale(s, n, d)
+        a, b = _moved(x, y, s, scale, p)
+        a, b = a - u, b - v
+        # The derivatives of (a, b) by x and y; the matrix is symmetric.
+        across = 2 * slope * x * y + 2 * p[0] * x + 2 * p[1] * y
+        xx = scale + 2 * slope * x * x + 2 * p[0] * y + 6 * p[1] * x
+        yy = scale + 2 * slope * y * y + 6 * p[0] * y + 2 * p[1] * x
+        area = xx * yy - across * across
+        away = np.maximum(np.abs(a), np.abs(b))
+        if step == _STEPS or not (away > 1e-3 * allowed).any():
+            break
+        x, y = x - (yy * a - across * b) / area, y - (xx * b - across * a) / area
+    fine = (away <= allowed) & (area > 0) & (s <= (end * (1 + 1 / _ENTRIES)) ** 2)
+    return np.stack([x, y], axis=1), fine
+
+
+def _scale(s: Floats, numerator: Coefficients, denominator: Coefficients) -> tuple[Floats, Floats]:
+    """The radial part, and its derivative by s."""
+    n, dn = _polynomial(s, numerator)
+    if not any(denominator):
+        return n, dn
+    d, dd = _polynomial(s, denominator)
+    return n / d, (dn - n / d * dd) / d
+
+
+def _polynomial(s: Floats, coefficients: Coefficients) -> tuple[Floats, Floats]:
+    """1 + c1 s + c2 s^2 + ..., and its derivative."""
+    value, slope = np.zeros_like(s), np.zeros_like(s)
+    for c in reversed((1.0, *coefficients)):
+        slope = slope * s + value
+        value = value * s + c
+    return value, slope
+
+
+def _moved(x: Floats, y: Floats, s: Floats, scale: Floats, p: tuple[float, float]) -> tuple[Floats, Floats]:
+    p1, p2 = p
+    xy = 2 * x * y
+    return x * scale + p1 * xy + p2 * (s + 2 * x * x), y * scale + p1 * (s + 2 * y * y) + p2 * xy

@@ -1,0 +1,71 @@
+"""What a lens does to a picture beside perspective: the polynomial models that structure from motion fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels import lens
+
+Model = Literal["polynomial", "rational", "fisheye"]
+MOST = 1e6  # of a coefficient
+_COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Distortion on the plane one unit before the camera; kernels.lens has the formulas.
+
+    polynomial  k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, and p1, p2: OpenCV's and COLMAP's models up to k3, nerfstudio's all
+    rational    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and p1, p2: COLMAP's FULL_OPENCV
+    fisheye     the angle from the axis is seen at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye module
+    """
+
+    model: Model
+    k: tuple[float, ...] = ()
+    p: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        while self.k and self.k[-1] == 0:  # one way to say one thing
+            object.__setattr__(self, "k", self.k[:-1])
+        if len(self.k) > _COUNT[self.model]:
+            found = f"has {len(self.k)} coefficients"
+            raise InvalidScene(Problem(f"the {self.model} lens", found, f"{_COUNT[self.model]} at most"))
+        for name, values in (("k", self.k), ("p", self.p)):
+            for i, value in enumerate(values, start=1):
+                if not abs(value) <= MOST:
+                    raise InvalidScene(Problem(f"{name}{i}", f"is {value:g}", f"-{MOST:g} to {MOST:g}"))
+        if self.model == "fisheye" and any(self.p):
+            raise InvalidScene(Problem("p1, p2", "are those of a fisheye lens", "0 there"))
+
+    @property
+    def bends(self) -> bool:
+        """False if it shows what a pinhole does."""
+        return self.model == "fisheye" or any(self.k) or any(self.p)
+
+    def distorted(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """(m, 2) on the plane (of a fisheye: as long as their angle) -> where they are seen; x right, y down."""
+        return lens.distort(points, *self._coefficients, self.p)
+
+    def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """Where to look to see these points (m, 2): (m, 3) unit vectors, x right, y down, z ahead; and which exist."""
+        most = np.pi if self.model == "fisheye" else np.inf
+        plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
+        r = np.sqrt((plane * plane).sum(axis=1))
+        looks = np.empty((len(plane), 3))
+        if self.model == "fisheye":
+            looks[:, :2] = plane * np.divide(np.sin(r), r, out=np.ones_like(r), where=r > 0)[:, None]
+            looks[:, 2] = np.cos(r)
+        else:
+            ahead = 1 / np.sqrt(1 + r * r)
+            looks[:, :2] = plane * ahead[:, None]
+            looks[:, 2] = ahead
+        return looks, fine
+
+    @property
+    def _coefficients(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return (self.k[:3], self.k[3:]) if self.model == "rational" else (self.k, ())
