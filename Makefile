@@ -1,12 +1,12 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup tools demo test lint schemas golden bench clean
+.PHONY: help setup tools demo test test-quick test-slow test-cpus fuzz lint schemas golden bench clean
 
 VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
 
 help:  ## what there is to make
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 $(VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -18,6 +18,7 @@ setup: $(VENV)/ready  ## a virtual environment of our own, with everything that 
 # Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
 READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
 READERS += g++ libnanovdb-dev zlib1g-dev
+READERS += libegl-dev libgl-dev libgl1-mesa-dri
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
 tools:  ## other programs that read our files in tests, OpenVDB to Blender: from Debian, where they are missing and we are root
@@ -49,8 +50,20 @@ lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint tools  ## everything that CI holds us to
-	$(BIN)/pytest
+PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
+
+test: lint tools  ## linters and all tests but the long ones, on two cores
+	$(PYTEST) -m 'not long'
+
+test-quick: setup  ## what is over in two minutes
+	$(PYTEST) -m 'not long and not slow and not tools'
+
+test-slow: tools setup  ## the long ones: fuzzing, random kills, giant scenes
+	$(PYTEST) -m long
+
+MINUTES ?= 30
+fuzz: setup  ## hostile files of every format for MINUTES=30, each a case that can be made again
+	$(BIN)/python -m tests.fuzz --minutes $(MINUTES)
 
 schemas: setup tools  ## each schema through its own compiler; we generate no code
 	mkdir -p build/schemas

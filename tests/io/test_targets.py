@@ -189,7 +189,7 @@ def test_what_is_no_name_of_a_file_is_refused(target: str, tmp_path: Path) -> No
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_random_kills_leave_nothing_half(tmp_path: Path) -> None:
     target = tmp_path / "out.bin"
     writer = "import sys; from pathlib import Path; from tests.io.test_targets import write\nwhile True: "
