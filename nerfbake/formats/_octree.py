@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.kernels.parallel import ahead
 from nerfbake.kernels.topology import all_finite
@@ -203,6 +204,7 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     if isinstance(value, np.ndarray):
         flat = value.reshape(-1)
     elif isinstance(value, list):
+        memory.hold(name, (8 + dtype.itemsize) * len(value))
         try:  # array() takes numbers alone: no text, no None, no lists
             flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")
         except (TypeError, ValueError, OverflowError):
