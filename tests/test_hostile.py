@@ -64,7 +64,7 @@ def drop(*keys: str) -> Callable[[Arrays], None]:
 LIES = {
     "negative offset": (put("child", (1, 0, 0, 0), -3), "child[1, 0, 0, 0] points to node -2; allowed: 0 (no child)"),
     "zero-sum offsets": (put("child", (2, 0, 0, 0), -1), "child[2, 0, 0, 0] points to node 1; allowed: 0 (no child)"),
-    "offset to the root": (put("child", (2, 0, 0, 0), -2), "child[2, 0, 0, 0] points to node -1; allowed"),
+    "offset to the root": (put("child", (2, 0, 0, 0), -2), "child[2, 0, 0, 0] points to node 0; allowed"),
     "offset past the end": (put("child", (0, 1, 0, 0), 9), "child[0, 1, 0, 0] points to node 9; allowed"),
     "shared child": (put("child", (0, 1, 0, 0), 2), "points to node 2, as another cell does; allowed"),
     "no cells": (replace("child", np.zeros((3, 0, 0, 0), np.int32)), "child has shape (3, 0, 0, 0); allowed"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,11 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats._npz_reader import ZIP_MAGIC, NpzReader
 from nerfbake.formats._npz_writer import write_npz
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.n3tree import N3Tree
+
+_CHUNK = 1 << 13  # cells dequantised at a time: all coefficients of these stay in the cache
 
 
 def recognise(head: bytes) -> bool:
@@ -132,8 +136,16 @@ def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:
     cells = sigma.size
     memory.hold("the decoded data", cells * basis.data_dim * np.dtype(dtype).itemsize)
     data = np.empty((cells, basis.data_dim), dtype)
-    data[:, -1] = sigma.reshape(-1)
-    for i in range(basis.size):
-        rgb = retained[i].reshape(-1, 3) if i < r else colors[i - r][codes[i - r].reshape(-1)]
-        data[:, i :: basis.size][:, :3] = rgb
+    sigma, codes, retained = sigma.reshape(-1), codes.reshape(b, cells), retained.reshape(r, cells, 3)
+
+    columns = np.ascontiguousarray(colors.transpose(0, 2, 1))
+
+    def fill(begin: int, end: int) -> None:
+        some, rows = slice(begin, end), data[begin:end]
+        rows[:, -1] = sigma[some]
+        for i, channel in product(range(basis.size), range(3)):
+            column = retained[i, some, channel] if i < r else columns[i - r, channel].take(codes[i - r, some])
+            rows[:, channel * basis.size + i] = column
+
+    over_chunks(fill, cells, _CHUNK)
     return data.reshape(*child.shape, basis.data_dim)

@@ -78,11 +78,10 @@ def read_stream(file: IO[bytes]) -> memoryview:
 
 def _room(size: int) -> memoryview:
     """Memory of the system's own, in large pages where it has them."""
-    if size < _HUGE:
+    if size < _HUGE or not hasattr(mmap, "MADV_HUGEPAGE"):
         return memoryview(bytearray(size))
-    room = mmap.mmap(-1, size)
-    if hasattr(mmap, "MADV_HUGEPAGE"):
-        room.madvise(mmap.MADV_HUGEPAGE)
+    room = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)  # what is shared has small pages only
+    room.madvise(mmap.MADV_HUGEPAGE)
     return memoryview(room)
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.parallel import over_chunks
 
-CHUNK = 1 << 11  # rows at a time: temporaries stay in the second-level cache
+CHUNK = 1 << 12  # rows at a time: temporaries stay in the second-level cache
 
 Floats = npt.NDArray[np.float64]
 

@@ -24,7 +24,7 @@ class Walk(NamedTuple):
 
 def walk(
     n: int,
-    targets: Callable[[Rows], Rows],
+    targets: Callable[[Rows], tuple[Rows, Rows]],
     *,
     shape: tuple[int, ...],
     name: str,
@@ -33,9 +33,9 @@ def walk(
 ) -> Walk:
     """The nodes that the root reaches, with every pointer that cannot be right reported and not followed.
 
-    targets(rows) gives (m, C) absolute rows, 0 for "no child" (nothing can point to the root). A node is
-    entered once, so cycles and shared children end the walk's descent there: time and memory are O(n C)
-    whatever the table holds. With `later` a child must stand behind its parent, as svox writes it.
+    targets(rows) gives which of the (m, C) cells of these rows point to a child, in order, and to which row each. A
+    node is entered once, the root never again, so cycles and shared children end the walk's descent there: time and
+    memory are O(n C) whatever the table holds. With `later` a child must stand behind its parent, as svox writes it.
     `shape` is the shape of one node's cells, for messages; at most max_levels levels are walked.
     """
     cells_per_node = int(np.prod(shape))
@@ -45,11 +45,9 @@ def walk(
     levels, cells, problems = [np.zeros(1, np.int64)], [np.full(1, -1, np.int64)], _Problems(name, shape, n, later)
     while True:
         rows = levels[-1]
-        target = targets(rows).ravel()
-        where = np.flatnonzero(target)
-        target = target[where]
+        where, target = targets(rows)
         cell = rows[where // cells_per_node] * cells_per_node + where % cells_per_node
-        wrong = (target < 0) | (target >= n)
+        wrong = (target < 1) | (target >= n)
         if later:
             wrong |= target <= cell // cells_per_node
         problems.add("points to node {}", cell[wrong], target[wrong])
@@ -117,9 +115,9 @@ def count_problem(name: str, wrong: npt.NDArray[np.bool_], values: npt.NDArray[A
 def all_finite(values: npt.NDArray[Any]) -> bool:
     """No NaN and no infinity, without a mask as large as the array."""
     if values.dtype == np.float16:
-        # 0x7C00 are a half's five bits of exponent, all set in NaN and infinity: seven times as fast as isfinite.
+        # Infinity is 0x7C00 and NaN all above it, below 0 with the sign's 0x8000: ten times as fast as isfinite.
         bits = values.reshape(-1).view(np.uint16)
-        return all(int((part & 0x7C00).max()) < 0x7C00 for part in _parts(bits))
+        return all(int(part.max()) < 0xFC00 and int(part.view(np.int16).max()) < 0x7C00 for part in _parts(bits))
     return all(bool(np.isfinite(part).all()) for part in _parts(values.reshape(-1)))
 
 

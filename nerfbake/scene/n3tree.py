@@ -81,13 +81,10 @@ class N3Tree(Scene):
     def _walk(self) -> Walk:
         flat = self.child.reshape(self.n, -1)
 
-        def targets(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-            offsets = flat[rows].astype(np.int64)
-            # Offset 0 is a leaf. An offset back to row 0 must not read as one: it becomes row -1, which is refused.
-            absolute = offsets + rows[:, None]
-            absolute[absolute == 0] = -1
-            absolute[offsets == 0] = 0
-            return absolute
+        def targets(rows: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+            offsets = flat.take(rows, axis=0).reshape(-1)
+            where = np.flatnonzero(offsets != 0)
+            return where, offsets[where] + rows[where // flat.shape[1]]
 
         max_levels = 1
         while self.N ** (max_levels + 1) <= MAX_CELLS_PER_AXIS:
@@ -121,6 +118,11 @@ class N3Tree(Scene):
         mask: npt.NDArray[np.bool_] = (self.child == 0) & live[:, None, None, None]
         return mask
 
+    @cached_property
+    def sigma(self) -> npt.NDArray[np.float32]:
+        """(n, N, N, N) density in 1/world unit, of which only that of leaves means anything; it lies together."""
+        return np.ascontiguousarray(self.data[..., -1], np.float32)
+
     # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
         return [
@@ -131,7 +133,7 @@ class N3Tree(Scene):
 
     def value_problems(self, *, negative_is_empty: bool = False) -> list[Problem]:
         """Values that no renderer can use; only live leaves count. The structure must be sound."""
-        leaf, sigma, problems = self.leaf_mask, self.data[..., -1], []
+        leaf, sigma, problems = self.leaf_mask, self.sigma, []
         if not all_finite(self.data):
             problems += count_problem("data", ~np.isfinite(self.data) & leaf[..., None], self.data, "a finite number")
         negative = leaf & (sigma < 0)

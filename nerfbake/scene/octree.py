@@ -193,8 +193,10 @@ class SparseVoxelOctree(Scene):
         table = np.zeros((self.n, 8), np.int32)
         table[: self.c] = self.node_children
 
-        def targets(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-            return table[rows].astype(np.int64)
+        def targets(rows: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+            numbers = table.take(rows, axis=0).reshape(-1)
+            where = np.flatnonzero(numbers != 0)
+            return where, numbers[where].astype(np.int64)
 
         return walk(self.n, targets, shape=(8,), name="node_children", max_levels=self.grid_level + 1, later=False)
 

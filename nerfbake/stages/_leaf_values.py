@@ -66,8 +66,10 @@ class LeafValues:
         tree, C = self._tree, self._tree.N**3
         self._means = np.zeros((tree.n + len(voxels.row), self.data_dim), np.float32)
         self._mean_opacity = np.zeros(len(self._means))
-        for rows in reversed(tree.levels):
-            for part in _chunks(rows):
+        for depth in range(len(tree.levels) - 1, -1, -1):
+            if tree.N**depth < max(size):
+                break  # nodes larger than a voxel are no part of any
+            for part in _chunks(tree.levels[depth]):
                 cells = (part[:, None] * C + np.arange(C)).reshape(-1)
                 held = (self._source.density[cells] > 0) | (self._source.link[cells] > 0)
                 link = self._source.link[cells[held]]

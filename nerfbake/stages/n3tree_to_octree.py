@@ -97,7 +97,7 @@ def _finest_width(tree: N3Tree) -> float:
 
 def _source(tree: N3Tree, sigma_min: float) -> Source:
     """The tree for descents: links only to nodes that hold something, densities only where a leaf does."""
-    sigma = tree.data[..., -1].reshape(-1).astype(np.float32)
+    sigma = tree.sigma.reshape(-1)
     density = np.where(tree.leaf_mask.reshape(-1) & (sigma > 0) & (sigma >= sigma_min), sigma, np.float32(0))
     holds = np.any(density.reshape(tree.n, -1) > 0, axis=1)
     link = np.zeros(density.size, np.int32)

@@ -54,9 +54,9 @@ def rewired(cell: tuple[int, int, int, int], offset: int) -> N3Tree:
 @pytest.mark.parametrize(
     ("cell", "offset", "message"),
     [
-        ((1, 1, 1, 1), -1, "child[1, 1, 1, 1] points to node -1"),
+        ((1, 1, 1, 1), -1, "child[1, 1, 1, 1] points to node 0"),
         ((2, 0, 0, 1), -1, "child[2, 0, 0, 1] points to node 1; allowed: 0 (no child)"),
-        ((2, 0, 0, 1), -2, "child[2, 0, 0, 1] points to node -1"),
+        ((2, 0, 0, 1), -2, "child[2, 0, 0, 1] points to node 0"),
         ((0, 1, 0, 0), 99, "child[0, 1, 0, 0] points to node 99; allowed: 0 (no child), a node of 1 to 2"),
         ((0, 1, 0, 0), 2, "points to node 2, as another cell does"),
         ((0, 1, 0, 0), 1, "child[0, 1, 0, 0] points to node 1, as another cell does"),
