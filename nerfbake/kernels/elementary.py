@@ -117,4 +117,4 @@ def arctan(x: npt.ArrayLike) -> Floats:
     for n in range(23, 0, -2):
         series = 1 / n - series * z
     angle = 4 * t * series
-    return np.copysign(np.where(steep, np.pi / 2 - angle, angle), x)
+    return np.asarray(np.copysign(np.where(steep, np.pi / 2 - angle, angle), x))
