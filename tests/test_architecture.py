@@ -44,9 +44,6 @@ OWN_LIBRARY = {
     "atlas": {"sklearn"},  # the contender of bench atlas
     "_texture": {"PIL"},
     "atlas_folder": {"PIL"},  # its version, for atlas.json
-    "shapes_to_stage1": {"threadpoolctl"},
-    "specular_to_atlas": {"threadpoolctl"},
-    "specular_to_identifiers": {"threadpoolctl"},
     "octree_bson": {"bson"},
     "libraries": {"bson", "capnp", "flatbuffers", "google"},
     "_json": {"orjson"},
@@ -59,7 +56,6 @@ HEAVY = {
     "numba",
     "PIL",
     "trimesh",
-    "threadpoolctl",
     "bson",
     "orjson",
     "zstandard",
@@ -169,3 +165,30 @@ def test_the_help_loads_nothing_heavy(arguments: list[str]) -> None:
         print(*sorted({{name.partition('.')[0] for name in sys.modules}} & {HEAVY!r}), file=sys.stderr)"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.split() == []
+
+
+# What NumPy, a BLAS or the C library compute by the CPU that they run on: not to its last bit the same on two of them.
+BY_CPU = {"arccos", "arcsin", "arctan", "arctan2", "cbrt", "cos", "cosh", "dot", "einsum", "exp", "exp2", "expm1"}
+BY_CPU |= {"hypot", "inner", "log", "log10", "log1p", "log2", "matmul", "sin", "sinh", "tan", "tanh", "tensordot"}
+
+
+@pytest.mark.parametrize("layer", ["kernels", "scene", "stages", "formats"])
+def test_what_is_written_does_not_hang_on_the_cpu(layer: str) -> None:
+    found = []
+    for path in sorted((PACKAGE / layer).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())) if "camera" not in path.name else ():
+            place = f"{path.name}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
+                found.append(f"{place} @")
+            if isinstance(node, ast.Attribute):
+                name = ast.unparse(node)
+                if name.removeprefix("np.") in BY_CPU and name.startswith("np."):
+                    found.append(f"{place} {name}")
+                if name.startswith("np.linalg.") and name != "np.linalg.norm":
+                    found.append(f"{place} {name}")
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "np.linalg.norm":
+                # With an axis it is a sum of squares in order; without one it asks the BLAS.
+                found += [] if any(word.arg == "axis" for word in node.keywords) else [f"{place} np.linalg.norm"]
+            if isinstance(node, ast.keyword) and node.arg == "fastmath":
+                found.append(f"{place} fastmath")
+    assert found == []

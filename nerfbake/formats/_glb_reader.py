@@ -13,6 +13,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats._glb_document import Document, malformed, whole
 from nerfbake.formats._texture import decode_texture
+from nerfbake.kernels.affine import combined, determinant, placed
 from nerfbake.kernels.srgb import from_linear
 from nerfbake.scene.mesh import Mesh
 
@@ -68,7 +69,7 @@ def _placed(document: Document) -> Iterator[tuple[Any, Floats]]:
             raise malformed(f"nodes[{index}]", "stands in the scene twice", "a tree of nodes")
         seen.add(index)
         with np.errstate(over="ignore", invalid="ignore"):
-            matrix = above @ _matrix(node, f"nodes[{index}]")
+            matrix = combined(above, _matrix(node, f"nodes[{index}]"))
         if "mesh" in node:
             yield node["mesh"], matrix
         waiting += [(child, matrix) for child in reversed(children[index])]
@@ -117,9 +118,9 @@ def _primitive(
     if not len(faces):
         return
     with np.errstate(over="ignore", invalid="ignore"):
-        if np.linalg.det(matrix[:3, :3]) < 0:
+        if determinant(matrix[:3, :3]) < 0:
             faces = faces[:, ::-1]  # mirrored: counter-clockwise from outside again
-        positions = (points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+        positions = placed(points, matrix).astype(np.float32)
     mesh = Mesh(positions, None, np.ascontiguousarray(faces))
     yield looks.dress(mesh, primitive, attributes, place)
 

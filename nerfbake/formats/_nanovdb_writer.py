@@ -14,6 +14,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._vdb_frame import NAME, frame_text
+from nerfbake.kernels.affine import inverse, placed
 from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, popcount, prefix_counts, slots_of
 from nerfbake.kernels.runs import Spread, reduce_runs, spread_of, spread_over
 from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, root_keys
@@ -101,12 +102,11 @@ def _head(volume: Volume, layout: nano.Layout, starts: _Starts, box: npt.NDArray
         found = f"is {len(name):,} bytes long"
         raise InvalidScene(Problem("the grid's name", found, f"{nano.NAME_SIZE - 1} at most in a .nvdb"))
     mat, vec = volume.transform[:, :3], volume.transform[:, 3]
-    inverse = np.linalg.inv(mat)
     head = np.zeros(1, nano.GRID)
     head["magic"], head["version"], head["grids"], head["name"] = nano.MAGIC, layout.version_number, 1, name
     head["size"] = starts.end
-    head["mat_f"], head["inv_f"], head["vec_f"], head["taper_f"] = mat, inverse, vec, 1
-    head["mat"], head["inv"], head["vec"], head["taper"] = mat, inverse, vec, 1
+    head["mat_f"], head["inv_f"], head["vec_f"], head["taper_f"] = mat, inverse(mat), vec, 1
+    head["mat"], head["inv"], head["vec"], head["taper"] = mat, inverse(mat), vec, 1
     empty = bool(box[0] > box[3])
     stats = nano.FLAG_STATS if layout is nano.FLOAT else 0
     head["flags"] = (0 if empty else nano.FLAG_BOX) | stats | nano.FLAG_BREADTH_FIRST
@@ -127,7 +127,7 @@ def _world_box(transform: npt.NDArray[np.float64], box: npt.NDArray[np.int32], e
         return np.repeat([np.finfo(np.float64).max, np.finfo(np.float64).min], 3)
     ends = np.stack([box[:3], box[3:] + 1])
     corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
-    world = corners @ transform[:, :3].T + transform[:, 3]
+    world = placed(corners, transform)
     return np.concatenate([world.min(axis=0), world.max(axis=0)])
 
 

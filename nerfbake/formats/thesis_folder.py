@@ -40,7 +40,7 @@ def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
     maps = image[::-1].swapaxes(0, 1).reshape(W, R, W, R, 3)
     tiles = maps.transpose(0, 2, 3, 1, 4).reshape(W * W, R, R, 3)[:K]
     texels = decode_texture(files["labels_map.png"], "labels_map.png").astype(np.uint32)
-    labels = (texels @ np.array([1, 256, 65536], np.uint32)).astype(np.uint16)
+    labels = (texels[..., 0] | texels[..., 1] << 8).astype(np.uint16)
     if texels[..., 2].any():
         raise InvalidFile(Problem("labels_map.png", "has labels above 65,535", f"0 to {K - 1}"))
     atlas = OctahedralAtlas("kmeans", np.ascontiguousarray(tiles), labels, border=0)

@@ -22,8 +22,8 @@ def placed(points: npt.NDArray[Any], matrix: Floats) -> Floats:
 
 
 def combined(first: Floats, second: Floats) -> Floats:
-    """first @ second, (3, 3) each."""
-    return turned(second.T, first).T
+    """first @ second, of small matrices."""
+    return np.asarray((first[:, :, None] * second).sum(axis=1), np.float64)
 
 
 def determinant(matrix: Floats) -> float:
@@ -32,7 +32,7 @@ def determinant(matrix: Floats) -> float:
 
 
 def inverse(matrix: Floats) -> Floats:
-    """Of a matrix that has one; of a diagonal one exactly its entries' reciprocals. Gauss and Jordan's, with pivots."""
+    """Of a matrix that has one (else what is not finite); of a diagonal one exactly its entries' reciprocals. Gauss and Jordan's, with pivots."""
     rows = np.column_stack([matrix, np.eye(3)])
     for i in range(3):
         pivot = i + int(np.argmax(np.abs(rows[i:, i])))

@@ -41,7 +41,7 @@ def cells_of(slots: npt.NDArray[np.int32], bits: list[int], *, first: list[int] 
     no power of two.
     """
     below = np.cumsum(np.array(bits[::-1], np.int64))[::-1] - np.array(bits)
-    width = np.float64(radix) ** np.arange(len(bits))[::-1] if radix else np.exp2(below)
+    width = np.int64(radix or 2) ** (np.arange(len(bits))[::-1] if radix else below)
     edge = int(width[0]) * (radix or 1 << bits[0])
     starts = np.zeros(len(bits), np.int64) if first is None else np.array(first, np.int64)
     return Cells(slots.reshape(-1), starts, np.array(bits, np.int64), below, np.asarray(width, np.float64), edge, radix)

@@ -1,4 +1,4 @@
-"""exp, log, sine and cosine with the same last bit on every CPU.
+"""exp, log, sine, cosine and arcus tangent with the same last bit on every CPU.
 
 NumPy and the C library choose their code by the CPU that they run on (AVX-512, FMA or neither), and the last bits of
 what comes out differ. These use sums, products, quotients and table entries alone, each of which IEEE 754 defines to
@@ -32,10 +32,10 @@ _QUARTER = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 def exp_parts(x: Any) -> Any:
     """(s, q) such that e^x = s + s q and e^x - 1 = (s - 1) + s q, for x from -746 to 709; further out, as there.
 
-    An array or, compiled, a number. s is a power of 2^(1/32), q below 1/90. No NaN.
+    An array or, compiled, a number. s is a power of 2^(1/32), q below 1/90.
     """
-    x = np.fmin(np.fmax(x, _LEAST), _MOST)
-    whole = np.rint(x * _PER_STEP)
+    x = np.minimum(np.maximum(x, _LEAST), _MOST)
+    whole = np.fmax(np.rint(x * _PER_STEP), _LEAST * _PER_STEP)  # a place in the table even for NaN, which q passes on
     r = (x - whole * _STEP_HIGH) - whole * _STEP_LOW
     q = r * (1 + r * (1 / 2 + r * (1 / 6 + r * (1 / 24 + r * (1 / 120 + r * (1 / 720))))))
     k = np.int64(whole)
@@ -96,3 +96,25 @@ def sine_cosine(x: npt.ArrayLike) -> tuple[Floats, Floats]:
     odd = (k & 1).astype(bool)
     turned, other = np.where(odd, cosine, sine), np.where(odd, sine, cosine)
     return np.where(k >= 2, -turned, turned), np.where((k == 1) | (k == 2), -other, other)
+
+
+def tangent(x: npt.ArrayLike) -> Floats:
+    """tan x, for angles below a million radians."""
+    sine, cosine = sine_cosine(x)
+    return np.asarray(sine / cosine)
+
+
+def arctan(x: npt.ArrayLike) -> Floats:
+    """The angle from -pi/2 to pi/2 that has this tangent."""
+    x = np.asarray(x, np.float64)
+    t = np.abs(x)
+    steep = t > 1
+    t = np.where(steep, 1 / np.maximum(t, 1), t)
+    for _ in range(2):  # half the angle each time: at most 11 degrees are left
+        t = t / (1 + np.sqrt(1 + t * t))
+    z = t * t
+    series = np.full_like(t, 1 / 25)
+    for n in range(23, 0, -2):
+        series = 1 / n - series * z
+    angle = 4 * t * series
+    return np.asarray(np.copysign(np.where(steep, np.pi / 2 - angle, angle), x))

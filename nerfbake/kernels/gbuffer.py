@@ -16,6 +16,7 @@ import numpy.typing as npt
 from numba import prange
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import inverse, turned
 from nerfbake.kernels.jit import compiled
 
 Floats = npt.NDArray[np.float64]
@@ -42,8 +43,8 @@ def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], p
     ahead and none is far from where its neighbours look. Raises InvalidScene where some do not look ahead.
     """
     H, W, _ = rays.shape
-    turn = np.linalg.inv(pose[:3, :3]).T
-    points, looks = (positions - pose[:3, 3]) @ turn, rays @ turn
+    turn = inverse(pose[:3, :3])
+    points, looks = turned(positions - pose[:3, 3], turn), turned(rays, turn)
     if not (looks[..., 2] < 0).all():
         raise InvalidScene(Problem("the camera", "looks 90 degrees or more to a side", "less, where there are meshes"))
     columns = _rising(looks[..., 0] / -looks[..., 2])

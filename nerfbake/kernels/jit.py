@@ -16,12 +16,16 @@ uncached: list[str] = []  # kernels that are compiled anew in every process
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(*, parallel: bool = False, fastmath: bool = False, inline: bool = False) -> Callable[[Function], Function]:
-    """Compiles a function. fastmath lets sums be reordered, hence vectorised: their inputs must be finite."""
+def compiled(*, parallel: bool = False, inline: bool = False) -> Callable[[Function], Function]:
+    """Compiles a function.
+
+    There is no fastmath: it lets the compiler reorder, fuse and estimate by what the CPU has, and the last bits of what
+    comes out would tell one CPU from another. Where a sum is to be vectorised, the code says which terms go together.
+    """
 
     def compile_(function: Function) -> Function:
         how: Literal["always", "never"] = "always" if inline else "never"
-        options: Any = {"nogil": True, "parallel": parallel, "fastmath": fastmath, "inline": how}
+        options: Any = {"nogil": True, "parallel": parallel, "inline": how}
         try:
             result: Any = numba.njit(function, cache=True, **options)
         except RuntimeError:  # numba found no folder that it may write to

@@ -8,11 +8,13 @@ mean of everything below: a level of detail shows the same as a bake at that res
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import cbrt
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.elementary import expm1
 from nerfbake.kernels.parallel import over_chunks
 
 CHUNK = 1 << 12  # rows at a time: temporaries stay in the second-level cache
@@ -30,12 +32,12 @@ class Weighted(NamedTuple):
 def opacity(sigma: npt.NDArray[Any], length: float) -> Floats:
     """1 - exp(-sigma length), 0 for densities below 0."""
     depth: Floats = np.maximum(sigma, 0, dtype=np.float64) * length
-    return -np.expm1(-depth)
+    return -expm1(-depth)
 
 
 def mean_edge(edges: Floats) -> float:
     """The edge of the cube that has the volume of this box: (3,) -> their geometric mean."""
-    return float(np.prod(edges) ** (1 / 3))
+    return cbrt(float(np.prod(edges)))
 
 
 def mean_of_runs(

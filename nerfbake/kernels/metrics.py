@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.elementary import exp, log
+
 Pixels = npt.NDArray[np.float64]
 
 IDENTICAL = 100.0  # dB: what equal pictures count as, since a mean over views must stay a number
+_LN_10 = 2.302585092994046
 _WINDOW, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
@@ -15,7 +18,7 @@ _C1, _C2 = 0.01**2, 0.03**2
 def psnr(a: Pixels, b: Pixels) -> float:
     """Peak signal-to-noise ratio of (H, W, 3) in 0..1, in dB; IDENTICAL at most."""
     error = float(np.square(a - b).mean())
-    return min(-10 * float(np.log10(error)), IDENTICAL) if error > 0 else IDENTICAL
+    return min(-10 / _LN_10 * float(log(error)), IDENTICAL) if error > 0 else IDENTICAL
 
 
 def ssim(a: Pixels, b: Pixels) -> float:
@@ -25,7 +28,7 @@ def ssim(a: Pixels, b: Pixels) -> float:
     """
     size = min(_WINDOW, *a.shape[:2])
     x = np.arange(size) - (size - 1) / 2
-    window = np.exp(-0.5 * (x / _SIGMA) ** 2)
+    window = exp(-0.5 * (x / _SIGMA) ** 2)
     window /= window.sum()
 
     def blur(values: Pixels) -> Pixels:

@@ -29,7 +29,7 @@ def _cover(points: npt.NDArray[np.float64], faces: npt.NDArray[np.uint32], cover
         for corner in range(3):
             p, q = points[face[corner]], points[face[(corner + 1) % 3]]
             dx, dy = q[0] - p[0], q[1] - p[1]
-            length = max(np.hypot(dx, dy), 1e-12)
+            length = max(np.sqrt(dx * dx + dy * dy), 1e-12)
             # The signed distance of (x, y) from this edge, inside positive: edges . (x, y, 1).
             edges[corner, 0], edges[corner, 1] = -dy / length * side, dx / length * side
             edges[corner, 2] = -(edges[corner, 0] * p[0] + edges[corner, 1] * p[1])

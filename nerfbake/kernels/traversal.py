@@ -12,11 +12,14 @@ import numpy.typing as npt
 from numba import prange
 
 from nerfbake.kernels.cells import EMPTY, Cells, descend, new_path
+from nerfbake.kernels.elementary import exp_parts as _exp_parts
 from nerfbake.kernels.jit import compiled
 
 BLOCK = 256  # rays that one core does before it takes the next
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
+
+exp_parts: Any = compiled()(_exp_parts)
 
 
 @compiled(parallel=True)
@@ -69,7 +72,8 @@ def march(
                     row = -2 - slot
                     sigma = values[row, 3 * B]
                     depth = sigma * (min(ahead, end) - t) * world
-                    kept = np.exp(-depth)
+                    whole, rest = exp_parts(-depth)
+                    kept = whole + whole * rest
                     r, g, b = sums(values, row, basis, ray)
                     weight = through * (1 - kept)
                     red += weight * sigmoid(r)
@@ -87,21 +91,32 @@ def march(
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
 
-@compiled(fastmath=True)
+@compiled()
 def sums(values: Floats, row: int, basis: Floats, ray: int) -> Any:
     """A leaf's coefficients times the basis in a ray's direction, summed up: red, green, blue."""
     B = basis.shape[1]
-    r, g, b = np.float32(0), np.float32(0), np.float32(0)
-    for k in range(B):
-        r += basis[ray, k] * values[row, k]
-        g += basis[ray, k] * values[row, B + k]
-        b += basis[ray, k] * values[row, 2 * B + k]
-    return r, g, b
+    return _sum(values, row, 0, basis, ray), _sum(values, row, B, basis, ray), _sum(values, row, 2 * B, basis, ray)
+
+
+@compiled(inline=True)
+def _sum(values: Floats, row: int, first: int, basis: Floats, ray: int) -> Any:
+    """Four sums at a time, always the same four: as fast as fastmath, and the same bits on every CPU."""
+    B, zero = basis.shape[1], np.float32(0)
+    s0, s1, s2, s3 = zero, zero, zero, zero
+    for k in range(0, B - B % 4, 4):
+        s0 += basis[ray, k] * values[row, first + k]
+        s1 += basis[ray, k + 1] * values[row, first + k + 1]
+        s2 += basis[ray, k + 2] * values[row, first + k + 2]
+        s3 += basis[ray, k + 3] * values[row, first + k + 3]
+    for k in range(B - B % 4, B):
+        s0 += basis[ray, k] * values[row, first + k]
+    return (s0 + s1) + (s2 + s3)
 
 
 @compiled()
 def sigmoid(x: Any) -> Any:
-    return np.float32(1) / (np.float32(1) + np.exp(-x))
+    whole, rest = exp_parts(-np.float64(x))
+    return np.float32(1 / (1 + (whole + whole * rest)))
 
 
 @compiled(inline=True)

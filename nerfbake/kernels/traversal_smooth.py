@@ -15,7 +15,18 @@ from numba import prange
 
 from nerfbake.kernels.cells import EMPTY, Cells, Ints, descend, new_path
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.traversal import BLOCK, Doubles, Floats, beyond, shuffled, sigmoid, span, sums, within
+from nerfbake.kernels.traversal import (
+    BLOCK,
+    Doubles,
+    Floats,
+    beyond,
+    exp_parts,
+    shuffled,
+    sigmoid,
+    span,
+    sums,
+    within,
+)
 
 GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; the other is as far from the end
 
@@ -66,7 +77,8 @@ def march_smooth(
                         at = t + length * (GAUSS if point == 0 else 1 - GAUSS)
                         sigma, r, g, b = _between(corners, o0 + at * d0 - x, o1 + at * d1 - y, o2 + at * d2 - z)
                         if sigma > 0:
-                            kept = np.exp(-sigma * 0.5 * length * world)
+                            whole, rest = exp_parts(-sigma * 0.5 * length * world)
+                            kept = whole + whole * rest
                             lost = through * (1 - kept)
                             red += lost * sigmoid(r / sigma)
                             green += lost * sigmoid(g / sigma)

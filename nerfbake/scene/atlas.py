@@ -172,7 +172,8 @@ def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int3
     fraction = place - low.astype(np.float32)
     order = np.argsort(-fraction, axis=1, kind="stable")
     step = np.array([n * n, n, 1], np.int32)[order]
-    nodes = np.concatenate([low @ np.array([[n * n], [n], [1]], np.int32), step], axis=1).cumsum(axis=1, dtype=np.int32)
+    first = (low * np.array([n * n, n, 1], np.int32)).sum(axis=1, keepdims=True)
+    nodes = np.concatenate([first, step], axis=1).cumsum(axis=1, dtype=np.int32)
     edges = np.pad(np.take_along_axis(fraction, order, axis=1), ((0, 0), (1, 1)), constant_values=((0, 0), (1, 0)))
     return nodes, edges[:, :-1] - edges[:, 1:]
 

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import turned
+from nerfbake.kernels.elementary import sine_cosine
 from nerfbake.kernels.topology import plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.lens import Lens
@@ -101,7 +103,8 @@ class Camera:
             if not fine.all():
                 raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
             directions = looks[..., :1] * right - looks[..., 1:2] * up - looks[..., 2:] * back
-        directions /= np.sqrt(np.einsum("yxc,yxc->yx", directions, directions))[..., None]
+        across, down, along = np.moveaxis(directions, -1, 0)
+        directions /= np.sqrt(across * across + down * down + along * along)[..., None]
         return self.pose[:3, 3], directions.reshape(-1, 3)
 
     def lens_problems(self) -> list[Problem]:
@@ -212,9 +215,10 @@ def look_at(
     axes: npt.NDArray[np.float64] = WORLD,
 ) -> npt.NDArray[np.float64]:
     """(4, 4) pose that looks at a point from so far away; angles in radians, in these axes (rows; the third is up)."""
-    away = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    (across, along), (up, flat) = sine_cosine(azimuth), sine_cosine(elevation)
+    away = np.array([flat * along, flat * across, up])
+    right = np.array([-across, along, 0.0])
     pose = np.eye(4)
-    pose[:3, :3] = axes.T @ np.stack([right, np.cross(away, right), away], axis=1)
-    pose[:3, 3] = centre + distance * (away @ axes)
+    pose[:3, :3] = turned(np.stack([right, np.cross(away, right), away]), axes.T).T
+    pose[:3, 3] = centre + distance * turned(away, axes.T)
     return pose

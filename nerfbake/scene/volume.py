@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import inverse, turned
 from nerfbake.kernels.topology import plural
 from nerfbake.scene.base import MAX_WORLD, place_problems
 from nerfbake.scene.octree import Layout
@@ -73,7 +74,7 @@ class Volume:
     def index_of(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """(..., 3) world coordinates -> voxels, for a grid's sample()."""
         apart = np.asarray(points, np.float64) - self.transform[:, 3]
-        return np.asarray(apart @ np.linalg.inv(self.transform[:, :3]).T, np.float64)
+        return np.asarray(turned(apart, inverse(self.transform[:, :3])), np.float64)
 
     def require_sound(self) -> None:
         """Raises InvalidScene with the first structural problem, if there is one."""
@@ -87,11 +88,8 @@ class Volume:
         """Transforms that nobody can calculate with, or that flatten the world."""
         if problems := place_problems("transform", self.transform):
             return problems
-        try:
-            with np.errstate(all="ignore"):
-                back = np.linalg.inv(self.transform[:, :3])
-        except np.linalg.LinAlgError:
-            back = np.full((3, 3), np.inf)
+        with np.errstate(all="ignore"):
+            back = inverse(self.transform[:, :3])
         if not (np.abs(back) <= MAX_WORLD).all():
             return [
                 Problem("transform", "cannot be inverted", f"a voxel with a volume, its edges from {1 / MAX_WORLD:g}")

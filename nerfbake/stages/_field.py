@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import inverse, placed, turned
 from nerfbake.kernels.cells import EMPTY, Cells, cells_of, rows_at
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.n3tree import N3Tree
@@ -41,11 +42,11 @@ class Field(NamedTuple):
 
     def world(self, points: Points) -> Points:
         """(m, 3) in cells -> the world."""
-        return np.asarray((points - self.place[:, 3]) @ np.linalg.inv(self.place[:, :3]).T, np.float64)
+        return turned(points - self.place[:, 3], inverse(self.place[:, :3]))
 
     def sample(self, points: Points) -> npt.NDArray[np.float32]:
         """(m, 3) in the world -> (m, 3 B + 1) of the leaf around each point, zeros where there is none."""
-        rows = rows_at(self.cells, points @ self.place[:, :3].T + self.place[:, 3])
+        rows = rows_at(self.cells, placed(points, self.place))
         found = np.zeros((len(points), 3 * self.basis.size + 1), np.float32)
         found[rows >= 0] = self.values[rows[rows >= 0]]
         return found

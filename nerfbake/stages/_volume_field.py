@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem, format_size
+from nerfbake.kernels.affine import inverse, turned
 from nerfbake.kernels.bitmask import slots_of
 from nerfbake.kernels.cells import EMPTY, Cells, cells_of
+from nerfbake.kernels.elementary import log
 from nerfbake.kernels.morton import dilate
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
@@ -39,9 +41,9 @@ def field_of_volume(volume: Volume) -> Field:
         values = np.concatenate([colours, density.values.astype(np.float32, copy=False)], axis=1)
     held = values[:, -1] > 0
     cells, low = _cells(topology, held)
-    inverse = np.linalg.inv(volume.transform[:, :3])
+    back = inverse(volume.transform[:, :3])
     # A sample stands at its voxel's centre, half a cell from the cell's corner.
-    place = np.column_stack([inverse, 0.5 - low - inverse @ volume.transform[:, 3]])
+    place = np.column_stack([back, 0.5 - low - turned(volume.transform[:, 3], back)])
     return Field(cells, values[held], place, box_of(cells), basis)
 
 
@@ -67,7 +69,7 @@ def _colours(volume: Volume, topology: VdbTopology) -> tuple[npt.NDArray[np.floa
     if not named:
         return np.zeros((topology.m, 3), np.float32), parse_basis("RGBA")
     colour = np.clip(_values_at(named[0], topology), _EDGE, 1 - _EDGE)
-    return np.log(colour / (1 - colour)), parse_basis("RGBA")
+    return log(colour / (1 - colour)).astype(np.float32), parse_basis("RGBA")
 
 
 def _values_at(grid: VdbTree, topology: VdbTopology) -> npt.NDArray[np.float32]:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.products import product
 from nerfbake.scene.mesh import Mesh
 
 FLOOR = 0.1  # of the mean weight: what no camera saw must not be left to chance
@@ -32,7 +33,7 @@ def weigh_directions(
     for camera in cameras:
         sight = points - camera
         seen = sight[(sight * normals).sum(axis=1) < 0]
-        count += np.bincount(np.argmax(seen @ directions.T, axis=1), minlength=len(directions))
+        count += np.bincount(np.argmax(product(seen, directions.T), axis=1), minlength=len(directions))
     if not count.any():
         raise InvalidScene(Problem("the cameras", "see no front of the mesh", "cameras in the mesh's own world"))
     weights = count / count.mean() + FLOOR

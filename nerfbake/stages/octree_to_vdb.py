@@ -12,8 +12,10 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import combined
 from nerfbake.kernels.bitmask import popcount
 from nerfbake.kernels.bricks import Nodes, bricks_of
+from nerfbake.kernels.elementary import sigmoid
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.kernels.sh import sh_basis
@@ -102,8 +104,7 @@ def _colour(octree: SparseVoxelOctree, node: Nodes) -> npt.NDArray[np.float32]:
     colour = np.empty(first.shape, np.float32)
 
     def work(begin: int, end: int) -> None:
-        # tanh is the sigmoid that never overflows: 1 / (1 + exp(-x)) = (1 + tanh(x / 2)) / 2.
-        colour[begin:end] = 0.5 + 0.5 * np.tanh(0.5 * scale * first[begin:end].astype(np.float64))
+        colour[begin:end] = sigmoid(scale * first[begin:end].astype(np.float64))
 
     over_chunks(work, len(first), _CHUNK)
     return colour
@@ -142,7 +143,7 @@ def _transform(octree: SparseVoxelOctree, up: Up) -> npt.NDArray[np.float64]:
     transform = np.column_stack([np.diag(octree.voxel_size), octree.origin + octree.voxel_size / 2])
     if up == "z":
         return transform
-    return np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]) @ transform
+    return combined(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), transform)
 
 
 # -- what may be asked -----------------------------------------------------------------------------------------

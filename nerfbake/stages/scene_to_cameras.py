@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import length
+from nerfbake.kernels.elementary import sine_cosine
 from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.stages._picture import Scene, frame
 
@@ -21,9 +23,10 @@ def orbit(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800)
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))
     corners, axes = frame(scene)
-    centre, radius = corners.mean(axis=0), float(np.linalg.norm(corners[1] - corners[0])) / 2
-    distance = MARGIN * radius / np.sin(FIELD_OF_VIEW / 2)
-    focal = 0.5 * min(width, height) / np.tan(FIELD_OF_VIEW / 2)
+    centre, radius = corners.mean(axis=0), length(corners[1] - corners[0]) / 2
+    sine, cosine = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
+    distance = MARGIN * radius / sine
+    focal = 0.5 * min(width, height) * cosine / sine
     turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
     poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]
     return Cameras(tuple(Camera(width, height, focal, pose, f"{i:04d}") for i, pose in enumerate(poses)))

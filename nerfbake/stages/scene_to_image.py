@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import placed, turned
 from nerfbake.kernels.sh import sh_basis
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
@@ -57,9 +58,9 @@ def _marched(
 ) -> npt.NDArray[np.float32]:
     origin, looks = camera.rays()
     turn = field.place[:, :3]
-    place = turn @ origin + field.place[:, 3]
+    place = placed(origin, field.place)
     # SH are in the field's own axes.
-    own, size = looks @ field.axes.T, field.basis.size
+    own, size = turned(looks, field.axes), field.basis.size
     rgba = field.basis.kind == "RGBA"
     basis = np.ones((len(looks), 1), np.float32) if rgba else sh_basis(own, size, np.float32)
     out = np.empty((len(looks), 5), np.float32)
@@ -72,5 +73,5 @@ def _marched(
 
         # Positions from centre to centre; what is occupied reaches one further on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
-    march(field.cells, field.values, box, place, looks @ turn.T, stop, basis, cut, out)
+    march(field.cells, field.values, box, place, turned(looks, turn), stop, basis, cut, out)
     return out

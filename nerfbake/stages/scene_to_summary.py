@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.affine import placed
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.mesh import Meshes, box_of
@@ -122,7 +123,7 @@ def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> d
     if box is not None:
         ends = np.stack([box[0] - 0.5, box[1] + 0.5])  # a voxel reaches half its edge around its centre
         corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
-        corners = corners @ transform[:, :3].T + transform[:, 3]
+        corners = placed(corners, transform)
         world = _box(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     return {
         "type": "index" if isinstance(grid, IndexGrid) else "values",

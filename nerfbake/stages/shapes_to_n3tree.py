@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.elementary import exp, log, sine_cosine
 from nerfbake.kernels.sh import band_of, sh_basis
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.n3tree import N3Tree
@@ -81,7 +82,8 @@ def _shapes(random: np.random.Generator) -> list[Shape]:
     balls = []
     for k in range(3):
         angle, radius = turn + k * 2 * np.pi / 3, random.uniform(0.2, 0.28)
-        centre = np.array([0.8 * np.cos(angle), 0.8 * np.sin(angle), radius - 0.89])
+        sine, cosine = sine_cosine(angle)
+        centre = np.array([0.8 * cosine, 0.8 * sine, radius - 0.89])
         balls.append(Shape("ball", centre, np.array([radius]), _colour(random, 0.15 + 0.25 * k), 14.0, 0))
     return [floor, torus, cube, *balls]
 
@@ -89,7 +91,7 @@ def _shapes(random: np.random.Generator) -> list[Shape]:
 def _colour(random: np.random.Generator, hue: float) -> Floats:
     """A clear colour near a hue (0..1 around the wheel)."""
     phase: Floats = 2 * np.pi * (hue + random.uniform(-0.05, 0.05) - np.arange(3) / 3)
-    return 0.5 + 0.36 * np.cos(phase)
+    return 0.5 + 0.36 * sine_cosine(phase)[1]
 
 
 def _centres(cells: npt.NDArray[np.int64], width: float) -> Floats:
@@ -102,14 +104,18 @@ def _distances(shapes: list[Shape], points: Floats) -> Floats:
     for shape in shapes:
         p = points - shape.centre
         if shape.kind == "torus":
-            ring = np.hypot(p[:, 0], p[:, 1]) - shape.size[0]
-            found.append(np.hypot(ring, p[:, 2]) - shape.size[1])
+            ring = _hypotenuse(p[:, 0], p[:, 1]) - shape.size[0]
+            found.append(_hypotenuse(ring, p[:, 2]) - shape.size[1])
         elif shape.kind == "box":
             q = np.abs(p) - shape.size
             found.append(np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0))
         else:
             found.append(np.linalg.norm(p, axis=1) - shape.size[0])
     return np.stack(found)
+
+
+def _hypotenuse(a: Floats, b: Floats) -> Floats:
+    return np.sqrt(a * a + b * b)
 
 
 def _divides(shapes: list[Shape], centres: Floats, width: float, levels_left: int) -> npt.NDArray[np.bool_]:
@@ -133,19 +139,19 @@ def _values(shapes: list[Shape], centres: Floats, width: float, B: int) -> npt.N
     p, which = centres[held], which[held]
     normal = _normals(shapes, p, which)
     colour = np.stack([shape.colour for shape in shapes])[which]
-    stripes = 0.82 + 0.18 * np.sign(np.sin(9 * (p + EDGE)).prod(axis=1, keepdims=True))
-    facing = normal @ _LIGHT
+    stripes = 0.82 + 0.18 * np.sign(sine_cosine(9 * (p + EDGE))[0].prod(axis=1, keepdims=True))
+    facing = (normal * _LIGHT).sum(axis=1)
     lit = np.clip(colour * stripes * (0.45 + 0.55 * np.maximum(facing, 0))[:, None], 0.02, 0.98)
     # The highlight is seen along d where -d is the mirrored light: a lobe of band weights exp(-l (l + 1) / 2 gloss).
     mirrored = _LIGHT - 2 * facing[:, None] * normal
     gloss = np.array([shape.gloss for shape in shapes])[which]
     bands = band_of(B) * (band_of(B) + 1) / 2
-    lobe = sh_basis(mirrored, B) * np.exp(-bands / np.maximum(gloss, 1e-9)[:, None])
+    lobe = sh_basis(mirrored, B) * exp(-bands / np.maximum(gloss, 1e-9)[:, None])
     lobe[:, 0] = 0
     lobe *= (2.2 * (facing > 0) * (gloss > 0))[:, None]
     coefficients = np.repeat(lobe[:, None, :], 3, axis=1)
     # Colours leave through a sigmoid; Y0 is 1 / sqrt(4 pi).
-    coefficients[:, :, 0] += np.log(lit / (1 - lit)) * np.sqrt(4 * np.pi)
+    coefficients[:, :, 0] += log(lit / (1 - lit)) * np.sqrt(4 * np.pi)
     out[held, :-1] = coefficients.reshape(len(p), 3 * B)
     out[held, -1] = sigma[held]
     return out.astype(np.float16)

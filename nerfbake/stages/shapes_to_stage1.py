@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.elementary import sigmoid, sine_cosine
+from nerfbake.kernels.products import product
 from nerfbake.kernels.raster import cover
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
@@ -34,24 +35,24 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
     at = (np.arange(resolution) + 0.5) / resolution
     v, u = np.meshgrid(at, at, indexing="ij")
     _, normals = _torus(u, v)
-    gloss = 0.55 + 0.45 * np.sign(np.sin(14 * np.pi * u) * np.sin(7 * np.pi * v))
+    gloss = 0.55 + 0.45 * np.sign(sine_cosine(14 * np.pi * u)[0] * sine_cosine(7 * np.pi * v)[0])
     features = _features(normals, gloss)
     mesh = _mesh()
     used = cover(mesh.require_uvs(), mesh.faces, resolution, resolution)
     features[~used] = 0
     base = np.array([0.55, 0.13, 0.1]) + np.array([0.12, 0.1, 0.08]) * gloss[..., None]
-    lit = base * (0.45 + 0.55 * np.maximum(normals @ _LIGHT, 0))[..., None]
+    lit = base * (0.45 + 0.55 * np.maximum((normals * _LIGHT).sum(axis=-1), 0))[..., None]
     diffuse = np.where(used[..., None], np.rint(255 * lit), 0).astype(np.uint8)
-    with threadpool_limits(1, user_api="blas"):
-        w0, w1 = _fit(np.random.default_rng(seed))
+    w0, w1 = _fit(np.random.default_rng(seed))
     return Stage1((SpecularField(features, w0, w1, used),), (replace(mesh, texture=diffuse),))
 
 
 def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """Points and unit normals (..., 3) at texture coordinates: u around the axis, v around the tube."""
     around, across = ((2 * np.pi * (t - MARGIN) / (1 - 2 * MARGIN)) for t in (u, v))
-    normals = np.stack([np.cos(around) * np.cos(across), np.sin(across), np.sin(around) * np.cos(across)], axis=-1)
-    middle = np.stack([np.cos(around), np.zeros_like(around), np.sin(around)], axis=-1)
+    (sine, cosine), (up, flat) = sine_cosine(around), sine_cosine(across)
+    normals = np.stack([cosine * flat, up, sine * flat], axis=-1)
+    middle = np.stack([cosine, np.zeros_like(around), sine], axis=-1)
     return RADIUS * middle + THICKNESS * normals, normals
 
 
@@ -78,8 +79,9 @@ def _look(features: Floats, directions: Floats) -> Floats:
     normal = bent / np.maximum(gloss, 1e-6)
     facing = -(directions * normal).sum(axis=1, keepdims=True)
     mirrored = directions + 2 * facing * normal
-    spot = np.maximum(mirrored @ _LIGHT, 0)[:, None] ** 4
-    sheen = (1 - np.abs(facing)) ** 3
+    spot = np.maximum((mirrored * _LIGHT).sum(axis=1), 0)[:, None]
+    spot, sheen = (spot * spot) * (spot * spot), 1 - np.abs(facing)
+    sheen = sheen * sheen * sheen
     return np.asarray(0.02 + gloss * (0.6 * spot * [1, 0.93, 0.8] + 0.2 * sheen * [0.6, 0.8, 1]))
 
 
@@ -92,10 +94,11 @@ def _fit(random: np.random.Generator) -> tuple[npt.NDArray[np.float32], npt.NDAr
         directions *= -np.sign((directions * normals).sum(axis=1, keepdims=True))  # surfaces are seen from outside
         features = 0.5 + 0.5 * normals * random.choice([0.1, 1.0], (_BATCH, 1))
         inputs = np.concatenate([directions, features], axis=1)
-        hidden = np.maximum(inputs @ weights[0], 0)
-        shown = 1 / (1 + np.exp(-hidden @ weights[1]))
+        hidden = np.maximum(product(inputs, weights[0]), 0)
+        shown = sigmoid(product(hidden, weights[1]))
         slope = (shown - _look(features, directions)) * shown * (1 - shown) / _BATCH
-        gradients = [inputs.T @ ((slope @ weights[1].T) * (hidden > 0)), hidden.T @ slope]
+        back = product(slope, weights[1].T) * (hidden > 0)
+        gradients = [product(inputs.T, back), product(hidden.T, slope)]
         for w, gradient, m, s in zip(weights, gradients, first, second, strict=True):
             m += 0.1 * (gradient - m)
             s += 0.001 * (gradient**2 - s)

@@ -1,4 +1,4 @@
-"""exp, log, sine and cosine against x87's 64-bit mantissas, which come out of another unit by other code."""
+"""The elementary functions against x87's 64-bit mantissas, which come out of another unit by other code."""
 
 from __future__ import annotations
 
@@ -47,7 +47,14 @@ def test_sine_and_cosine() -> None:
     sine, cosine = elementary.sine_cosine(x)
     assert np.abs(sine - np.sin(x.astype(np.longdouble))).max() < 3e-16
     assert np.abs(cosine - np.cos(x.astype(np.longdouble))).max() < 3e-16
-    assert elementary.sine_cosine(0.0) == (0, 1)
+    assert [float(part) for part in elementary.sine_cosine(0.0)] == [0, 1]
+
+
+def test_tangent_and_its_inverse() -> None:
+    x = np.concatenate([RANDOM.uniform(-1.5, 1.5, 100_000), [0.0]])
+    assert off(elementary.tangent(x[:-1]), np.tan(x[:-1].astype(np.longdouble))) < 16
+    slopes = np.concatenate([np.tan(x), [np.inf, -np.inf, 1, -1, 1e-300]])
+    assert np.abs(elementary.arctan(slopes) - np.arctan(slopes.astype(np.longdouble))).max() < 5e-16
 
 
 def test_compiled_it_has_the_same_bits() -> None:
