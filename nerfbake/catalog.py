@@ -134,6 +134,7 @@ STAGES = {
     "composite": "nerfbake.stages.scene_and_meshes_to_image",
     "cut_octree": "nerfbake.stages.octree_to_octree",
     "draw": "nerfbake.stages.meshes_to_image",
+    "halve_volume": "nerfbake.stages.vdb_to_vdb",
     "identify": "nerfbake.stages.specular_to_identifiers",
     "measure_error": "nerfbake.stages.atlas_to_error",
     "measure_stage1": "nerfbake.stages.stage1_to_atlas",

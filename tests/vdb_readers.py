@@ -17,7 +17,8 @@ import pytest
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats import _openvdb_writer
 from nerfbake.formats._openvdb_stream import BLOSC
-from nerfbake.scene.vdb import IndexGrid, VdbTree, topology_of
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 
 # Every active voxel, one by one, as the library sees it; tiles would come as boxes of more than one voxel.

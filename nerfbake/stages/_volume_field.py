@@ -12,7 +12,8 @@ from nerfbake.kernels.bitmask import slots_of
 from nerfbake.kernels.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.morton import dilate
 from nerfbake.scene.basis import Basis, parse_basis
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._field import Field, box_of, shown_basis
 

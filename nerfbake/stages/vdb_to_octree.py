@@ -13,7 +13,8 @@ from nerfbake.kernels.means import mean_edge, opacity
 from nerfbake.kernels.morton import dilate
 from nerfbake.kernels.pyramid import INNER, Level, children_table, merge_equal
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.vdb import IndexGrid, VdbTopology
+from nerfbake.scene.vdb import IndexGrid
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._node_values import NodeValues
 

@@ -14,7 +14,8 @@ from nerfbake.errors import InvalidScene
 from nerfbake.kernels.sh import sh_basis
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.vdb import VdbTree, topology_of
+from nerfbake.scene.vdb import VdbTree
+from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.conftest import DATA
 from tests.scenes import n3tree
