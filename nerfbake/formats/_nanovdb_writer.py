@@ -181,15 +181,18 @@ def _put_tiles(grid: VdbTree, upper: Nodes, lower: Nodes) -> None:
 def _put_entries(grid: VdbTree | IndexGrid, entries: Nodes, children: Ints) -> None:
     """The root's entries, by key: nodes, with the offsets of these children, and tiles."""
     topology = grid.topology
-    nodes, tiles = len(topology.root_origin), topology.tile_counts[2]
-    keys = root_keys(np.concatenate([topology.root_origin, *([topology.tiles.root_origin] if topology.tiles else [])]))
-    place = np.argsort(np.argsort(keys))
+    nodes, keys = len(topology.root_origin), root_keys(topology.root_origin)
+    place = np.arange(nodes)
+    if topology.tiles is not None:
+        keys = np.concatenate([keys, root_keys(topology.tiles.root_origin)])
+        place = np.argsort(np.argsort(keys))
     entries["key"][place] = keys
     entries["child"][place[:nodes]] = children
     if isinstance(grid, VdbTree):
+        first = topology.count - topology.tile_counts[2]
         entries["value"][place[:nodes]] = grid.background
-        entries["value"][place[nodes:]] = grid.values[topology.count - tiles :]
-        entries["state"][place[nodes:]] = True if grid.active is None else grid.active[topology.count - tiles :]
+        entries["value"][place[nodes:]] = grid.values[first:]
+        entries["state"][place[nodes:]] = True if grid.active is None else grid.active[first:]
 
 
 def _set_boxes(active: VdbTopology, upper: Nodes, lower: Nodes) -> npt.NDArray[np.int32]:

@@ -25,10 +25,7 @@ class Packer(NamedTuple):
     def __call__(self, data: bytes | memoryview) -> bytes | memoryview:
         if not self.zipped or (self.half and not len(data)):
             return data
-        packed = deflate(data)
-        if len(packed) < len(data):
-            return struct.pack("<q", len(packed)) + packed
-        return struct.pack("<q", -len(data)) + data
+        return _zipped(data)
 
 
 class NodeValues:
@@ -66,3 +63,10 @@ class NodeValues:
             values = values[self._is_active[run]]
         mask = (~(self._held[node] & ~self._active[node])).astype("<u8").tobytes() if code == CHOSEN else b""
         return struct.pack("<B", code) + mask + pack(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
+
+
+def _zipped(data: bytes | memoryview) -> bytes:
+    packed = deflate(data)
+    if len(packed) < len(data):
+        return struct.pack("<q", len(packed)) + packed
+    return struct.pack("<q", -len(data)) + data
