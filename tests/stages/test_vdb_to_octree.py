@@ -157,9 +157,9 @@ def test_a_level_set_is_no_fog() -> None:
 
 
 def test_a_tile_of_sixty_nine_thousand_million_voxels_is_one_leaf() -> None:
-    nothing = [np.zeros((0, width), np.uint64) for width in (512, 64, 8)]
-    one = VdbTiles(nothing[1], nothing[0], np.array([[-4096, 0, 4096]], np.int32))
-    topology = VdbTopology(np.zeros((0, 3), np.int32), *nothing, one)  # type: ignore[arg-type]
+    upper, lower, leaf = (np.zeros((0, width), np.uint64) for width in (512, 64, 8))
+    tile = VdbTiles(lower, upper, np.array([[-4096, 0, 4096]], np.int32))
+    topology = VdbTopology(np.zeros((0, 3), np.int32), upper, lower, leaf, tile)
     grid = VdbTree("density", topology, np.full((1, 1), 0.25, np.float32), np.zeros(1, np.float32))
     volume = Volume((grid,), np.eye(3, 4))
     octree = density_octree(volume)
@@ -167,5 +167,5 @@ def test_a_tile_of_sixty_nine_thousand_million_voxels_is_one_leaf() -> None:
     assert_array_equal(octree.origin, [-4096.5, -0.5, 4095.5])
     views = orbit(volume, frames=1, width=8, height=6).cameras
     for lookup in ("nearest", "trilinear"):
-        pictures = [render(scene, views[0], lookup=lookup).alpha for scene in (volume, octree)]
-        assert_allclose(*pictures, atol=2e-4)  # where a ray ends, it lets 1e-4 through
+        one, other = (render(scene, views[0], lookup=lookup).alpha for scene in (volume, octree))
+        assert_allclose(one, other, atol=2e-4)  # where a ray ends, it lets 1e-4 through
