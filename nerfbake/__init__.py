@@ -57,7 +57,9 @@ if TYPE_CHECKING:
     from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1
     from nerfbake.stages.stage1_to_atlas import measure_stage1 as measure_stage1
     from nerfbake.stages.stage1_to_image import shade as shade
+    from nerfbake.stages.vdb_to_octree import density_octree as density_octree
     from nerfbake.stages.vdb_to_octree import restore_octree as restore_octree
+    from nerfbake.stages.vdb_to_vdb import cast_volume as cast_volume
 
 __version__ = "0.1.0"
 

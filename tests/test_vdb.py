@@ -78,14 +78,29 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
     [
         (["vdb", "a.npz", "b.obj"], 2, "has no ending that a volume is written with; allowed: .vdb.npz, .vdb, .nvdb"),
         (["vdb", "a.npz", "-"], 2, "stdout has no ending that names a format; allowed: --to FORMAT"),
-        (["vdb", "a.npz", "b.vdb", "--grids", "colour"], 1, "a.npz: grids are 'colour'; allowed: some of density"),
-        (["vdb", "a.npz", "b.vdb", "--grids", "index"], 1, "b.vdb: a .vdb has no index grids; allowed"),
-        (["vdb", "a.npz", "b.nvdb", "--grids", "density,Cd"], 1, "b.nvdb: a .nvdb would hold 2 grids; allowed: one"),
-        (["vdb", "a.npz", "b.nvdb", "--grids", "Cd", "--half"], 1, "NanoVDB has no half colours"),
+        (["vdb", "a.npz", "b.vdb", "--grids", "colour"], 2, "--grids are 'colour'; allowed: some of density"),
+        (["vdb", "a.npz", "b.vdb", "--grids", "index"], 2, "a .vdb has no index grids; allowed"),
+        (
+            ["vdb", "a.npz", "b.nvdb", "--grids", "density,Cd"],
+            2,
+            "a .nvdb would hold the grids density,Cd; allowed: one",
+        ),
+        (["vdb", "a.npz", "b.nvdb", "--grids", "Cd", "--half"], 2, "a .nvdb has no half colours"),
         (["vdb", "a.npz", "b.vdb", "--max-memory", "1000"], 1, "a.npz: "),
         (["vdb", "a.npz", "b.vdb.npz", "--codec", "zip"], 2, "a .vdb.npz has no codecs; allowed: no --codec"),
         (["vdb", "a.svo.npz", "b.vdb", "--resolution", "8"], 2, "an octree has its own resolution"),
         (["convert", "a.vdb", "b.svo.npz"], 1, "a.vdb: the volume has the grids density, Cd; allowed: density,sh or"),
+        (["convert", "a.vdb", "b.nvdb"], 1, "b.nvdb: a .nvdb would hold 2 grids; allowed: one of density, Cd"),
+        (["convert", "a.vdb", "b.vdb", "--grid", "2"], 1, "a.vdb: the volume has no grid '2'; allowed: density, Cd"),
+        (["convert", "a.vdb", "b.vdb", "--layout", "full"], 2, "a volume has no child slots; allowed: no --layout"),
+        (["convert", "a.vdb", "b.vdb", "--no-child=-1"], 2, "a volume has no child slots"),
+        (["convert", "a.vdb", "b.vdb.npz", "--codec", "zip"], 2, "a .vdb.npz has no codecs"),
+        (["convert", "a.vdb", "b.svo.npz", "--codec", "zip"], 2, "an octree has no codecs"),
+        (["convert", "a.vdb", "b.svo.npz", "--up", "y"], 2, "the octree in IN stands where it stood"),
+        (["convert", "a.svo.npz", "b.svo.npz", "--half"], 2, "--half is for volumes"),
+        (["convert", "a.svo.npz", "b.svo.npz", "--grid", "density"], 2, "a.svo.npz is no volume; allowed: no --grid"),
+        (["convert", "a.svo.npz", "b.nvdb"], 1, "holds an octree"),
+        (["render", "a.npz", "--out", "b.png", "--up", "y"], 2, "a.npz is no volume; allowed: no --grid and no --up"),
         (["convert", "a.npz", "b.svo.npz"], 1, "makes an octree of it); allowed: an octree or a volume"),
         (
             ["vdb", "a.vdb", "b.nvdb"],
@@ -100,13 +115,52 @@ def test_wrong_usage(shell: Shell, tmp_path: Path, arguments: list[str], code: i
     done = shell(*arguments)
     assert (done.returncode, done.stderr.count(b"\n")) == (code, 1)
     assert said in done.stderr.decode()
-    assert not any((tmp_path / name).exists() for name in ("b.vdb", "b.nvdb", "b.obj", "b.svo.npz"))
+    assert not any((tmp_path / name).exists() for name in ("b.vdb", "b.nvdb", "b.obj", "b.svo.npz", "b.png"))
 
 
 @pytest.mark.usefixtures("tree_file")
 def test_a_half_density_says_what_warp_makes_of_it(shell: Shell) -> None:
     done = shell("vdb", "a.npz", "b.nvdb", "--half")
     assert b"note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros" in done.stderr
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_what_arguments_cannot_hold_is_said_before_in_is_read(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(b"no tree")
+    for wrong in (["b.nvdb", "--grids", "density,Cd"], ["b.vdb", "--grids", "index"], ["b.nvdb", "--grids", "sh"]):
+        assert shell("vdb", "a.npz", *wrong).returncode == 2
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_volumes_are_converted_without_loss(shell: Shell, tmp_path: Path) -> None:
+    """.vdb -> .nvdb -> .vdb.npz -> .vdb, halves too; --half rounds as `vdb --half` does."""
+    shell("vdb", "a.npz", "a.vdb", "--grids", "density")
+    shell("vdb", "a.npz", "half.vdb", "--grids", "density", "--half")
+    for first in ("a", "half"):
+        for one, other in ((f"{first}.vdb", "b.nvdb"), ("b.nvdb", "b.vdb.npz"), ("b.vdb.npz", "b.vdb")):
+            done = shell("convert", one, other, "--force")
+            assert (done.returncode, done.stderr.count(b"\n")) == (0, 1)
+        ours, theirs = (load(tmp_path / name, Volume).grids[0] for name in (f"{first}.vdb", "b.vdb"))
+        assert ours.topology.same_as(theirs.topology)
+        assert theirs.values.dtype == np.float32
+        assert np.array_equal(ours.values.astype(np.float32), theirs.values)
+    shell("convert", "a.vdb", "c.vdb", "--half", "--codec", "none")
+    shell("vdb", "a.npz", "d.vdb", "--grids", "density", "--half", "--codec", "none")
+    values = [load(tmp_path / name, Volume).grids[0].values for name in ("c.vdb", "d.vdb")]
+    assert values[0].tobytes() == values[1].tobytes()
+    assert shell("convert", "a.vdb", "index.vdb.npz", "--grid", "1").returncode == 1
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_y_up_is_judged_and_turned_back(shell: Shell, tmp_path: Path) -> None:
+    done = shell("vdb", "a.npz", "y.vdb", "--grids", "density,sh", "--up", "y", "--min-psnr", "60")
+    assert done.returncode == 0, done.stderr
+    shell("vdb", "a.npz", "z.vdb", "--grids", "density,sh")
+    shell("convert", "y.vdb", "back.vdb", "--up", "y")
+    assert np.array_equal(load(tmp_path / "back.vdb", Volume).transform, load(tmp_path / "z.vdb", Volume).transform)
+    for name, options in (("y", ["--up", "y"]), ("z", [])):
+        assert shell("render", f"{name}.vdb", "--out", f"{name}.png", "--size", "24x20", *options).returncode == 0
+    assert (tmp_path / "y.png").read_bytes() == (tmp_path / "z.png").read_bytes()
 
 
 @pytest.mark.data

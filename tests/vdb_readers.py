@@ -15,9 +15,10 @@ import numpy.typing as npt
 import pytest
 
 from nerfbake.formats import _nanovdb_nodes as nano
-from nerfbake.formats import _openvdb_writer
+from nerfbake.formats import _openvdb_packer, _openvdb_writer
 from nerfbake.formats._openvdb_stream import BLOSC
-from nerfbake.scene.vdb import IndexGrid, VdbTree, topology_of
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 
 # Every active voxel, one by one, as the library sees it; tiles would come as boxes of more than one voxel.
@@ -97,7 +98,7 @@ def blosc_for_zip() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_openvdb_writer, "ZIP", BLOSC)
-        patch.setattr(_openvdb_writer, "_zipped", pack)
+        patch.setattr(_openvdb_packer, "_zipped", pack)
         yield
 
 

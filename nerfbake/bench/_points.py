@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.scene.camera import Camera, look_at
-from nerfbake.scene.vdb import VdbTopology
+from nerfbake.scene.vdb_topology import VdbTopology
 
 Points = npt.NDArray[np.float32]
 DIAGONAL = 800  # samples, as in PlenVDB's table 3; again and again, since they take microseconds

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from nerfbake.kernels.accessor import Floats, Points, mixed
 from nerfbake.kernels.jit import compiled
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.vdb import VdbTopology
+from nerfbake.scene.vdb_topology import VdbTopology
 
 Size = tuple[int, int, int]
 Ints = npt.NDArray[np.int32]

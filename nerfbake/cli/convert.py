@@ -1,14 +1,16 @@
-"""`nerfbake convert`: the same octree in another format or layout."""
+"""`nerfbake convert`: the same octree, or the same volume, in another format or layout."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import click
 
 import nerfbake
 from nerfbake.cli.params import Input, Output, reads, speaks, writes_octree
+from nerfbake.cli.volumes import WARP_NOTE, Choice, chooses_grids, codec_for, codec_option, form_of, is_volume
 from nerfbake.cli.words import Words
+from nerfbake.errors import InvalidScene, Problem, UsageError
 
 
 @click.command()
@@ -19,22 +21,72 @@ from nerfbake.cli.words import Words
     type=click.Choice(["full", "compact"]),
     help="Child slots for every node, or only above the last level.  [default: as in IN]",
 )
+@chooses_grids
+@codec_option
+@click.option("--half", is_flag=True, help="Store a volume's values as float16.")
 @speaks
 def convert(
-    source: Input, target: Output, layout: Literal["full", "compact"] | None, no_child: int, words: Words
+    source: Input,
+    target: Output,
+    layout: Literal["full", "compact"] | None,
+    no_child: int,
+    choice: Choice,
+    codec: str | None,
+    half: bool,
+    words: Words,
 ) -> None:
-    """Write the octree IN as OUT, in another format or layout, without loss.
+    """Write the octree IN as OUT, in another format or layout; or the volume IN as .vdb, .nvdb or .vdb.npz. No loss.
 
-    IN may also be what `nerfbake vdb` wrote with the grids `index` or `density,sh`.
+    A volume becomes an octree where `nerfbake vdb` wrote it with the grids `index` or `density,sh`; of any other fog
+    the octree has the density alone.
 
     \b
       nerfbake convert chair.svo.pb chair.svo.npz
       nerfbake convert chair.svo.pb - --to svo.npz --layout compact > chair.svo.npz
       nerfbake convert chair.nvdb chair.svo.pb
+      nerfbake convert smoke.vdb smoke.nvdb --grid density
+      nerfbake convert smoke.vdb smoke.svo.npz --grid density --up y
     """
+    if is_volume(target):
+        if layout or no_child:
+            raise UsageError("a volume has no child slots; allowed: no --layout and no --no-child")
+        target.require("Volume")
+        codecs = codec_for(form_of(target), codec)
+        _to_volume(source, target, choice, codecs, half=half, words=words)
+        return
     target.require("SparseVoxelOctree")
+    if codec:
+        raise UsageError("an octree has no codecs; allowed: no --codec, or .zst behind OUT")
     octree = source.read(words, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    if half and not isinstance(octree, nerfbake.Volume):
+        raise UsageError("--half is for volumes; allowed: `nerfbake svo --dtype float16`")
+    octree = choice.of(words, source, octree)
     if isinstance(octree, nerfbake.Volume):
-        with source.blamed(words, "restoring the octree"):
-            octree = nerfbake.restore_octree(octree)
+        octree = _octree(source, octree, choice, half=half, words=words)
     target.write(words, octree.with_layout(layout or octree.layout), no_child=no_child)
+
+
+def _to_volume(
+    source: Input, target: Output, choice: Choice, codecs: dict[str, str], *, half: bool, words: Words
+) -> None:
+    volume = choice.whole(words, source, source.read(words, nerfbake.Volume))
+    if form_of(target) == "nvdb" and half:
+        words.say(WARP_NOTE)
+    if half or form_of(target) == "nvdb":
+        # NanoVDB's halves are codes between a leaf's ends, which lose digits: only for those who ask.
+        with source.blamed(words, "rounding"):
+            volume = nerfbake.cast_volume(volume, dtype="float16" if half else "float32")
+    target.write(words, volume, **codecs)
+
+
+def _octree(source: Input, volume: Any, choice: Choice, *, half: bool, words: Words) -> Any:
+    foreign = volume.frame is None or bool(choice.grids)
+    if not foreign and choice.up:
+        raise UsageError("the octree in IN stands where it stood; allowed: no --up, or --grid for a density alone")
+    with source.blamed(words, "making the octree"):
+        if foreign and len(volume.grids) + len(volume.unread) > 1:
+            found = f"has the grids {', '.join(volume.labels)}"
+            raise InvalidScene(Problem("the volume", found, "--grid NAME for an octree of that density alone"))
+        if half:
+            volume = nerfbake.cast_volume(volume, dtype="float16")
+        return nerfbake.density_octree(volume) if foreign else nerfbake.restore_octree(volume)

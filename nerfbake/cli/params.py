@@ -145,14 +145,16 @@ class Budget:
         if self.min_psnr is not None and target.path == io.STREAM:
             raise click.UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
 
-    def judge(self, words: Words, source: Input, scene: Any, target: Output) -> None:
-        """Renders what was written beside the scene it was made from; moves it to OUT.rejected if it costs too much."""
+    def judge(self, words: Words, source: Input, scene: Any, target: Output, *, up: str = "z") -> None:
+        """Renders what was written beside the scene it was made from; moves it to OUT.rejected if it costs too much.
+        up: the axis of a volume's world that the scene's z became."""
         if self.min_psnr is None:
             return
         views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
         written = Input(target.path)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
-            found = nerfbake.compare(scene, written.read(words), views, keep_pictures=False)
+            made = written.read(words)
+            found = nerfbake.compare(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
             found.require(min_psnr=self.min_psnr)
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 

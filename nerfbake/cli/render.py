@@ -11,6 +11,7 @@ import click
 import nerfbake
 from nerfbake import catalog, io
 from nerfbake.cli.params import CAPTURE, Input, PixelSize, reads, speaks
+from nerfbake.cli.volumes import Choice, chooses_grids
 from nerfbake.cli.words import Words
 
 
@@ -74,10 +75,12 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
     show_default=True,
     help="With --mesh: rays stop at it, or the whole picture is laid over it where its depth is nearer.",
 )
+@chooses_grids
 @click.option("--force", is_flag=True, help="Replace what exists.")
 @speaks
 def render(
     source: Input,
+    choice: Choice,
     cameras: str | None,
     frame: int,
     every: bool,
@@ -93,11 +96,12 @@ def render(
     words: Words,
     **options: Any,
 ) -> None:
-    """Render the PlenOctree, octree or volume IN as PNG, or as a moving GIF.
+    """Render the PlenOctree, octree or volume IN as PNG, or as a moving GIF. A density without colours is grey.
 
     \b
       nerfbake render chair.npz --out chair.png
       nerfbake render chair.nvdb --out chair.png --lookup trilinear --depth
+      nerfbake render smoke.vdb --grid density --up y --out smoke.png
       nerfbake render chair.npz --turntable 36 --size 400x400 --out chair.gif
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
       nerfbake render chair.svo.pb --mesh room.glb --out room.png
@@ -115,7 +119,7 @@ def render(
         for path in (out, *_beside(out, depth, alpha)):
             io.require_absent(path, force=force)
     others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume)
-    scene = source.read(words, *others, nerfbake.SparseVoxelOctree)
+    scene = choice.of(words, source, source.read(words, *others, nerfbake.SparseVoxelOctree))
     if lod is not None:
         with source.blamed(words, f"cutting at level {lod}"):
             scene = nerfbake.cut_octree(scene, level=lod)

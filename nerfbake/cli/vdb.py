@@ -7,14 +7,13 @@ from typing import Any, Literal
 import click
 
 import nerfbake
-from nerfbake import io
 from nerfbake.cli.params import Budget, Input, Output, Resolution, judges, reads, speaks, writes
+from nerfbake.cli.volumes import WARP_NOTE, codec_for, codec_option, form_of, require_grids
 from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
 
 GRIDS = "density, Cd (colour seen from everywhere on average), sh (coefficients); or index (all behind one topology)."
 DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"}
-DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
 
 
 @click.command()
@@ -22,9 +21,7 @@ DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
 @writes
 @click.option("--grids", help=f"{GRIDS}  [default: density,Cd, but density for .nvdb]")
 @click.option("--half", is_flag=True, help="Store values as float16.")
-@click.option(
-    "--codec", type=click.Choice(["none", "zip"]), help="Of .vdb and .nvdb.  [default: zip for .vdb, none for .nvdb]"
-)
+@codec_option
 @click.option("--resolution", type=Resolution(), help="Voxels an axis, of a PlenOctree.  [default: its finest]")
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
 @click.option("--up", type=click.Choice(["y", "z"]), default="z", show_default=True, help="The axis that z becomes.")
@@ -51,13 +48,10 @@ def vdb(
     """
     target.require("Volume")
     budget.require(target)
-    if budget.min_psnr is not None and up != "z":
-        raise UsageError("--min-psnr looks at IN and OUT with the same cameras; allowed: --up z")
-    form = io.uncompressed(io.format_for(target.path, "Volume", to=target.to).name)
-    codecs = {"codec": codec or DEFAULT_CODEC[form]} if form in DEFAULT_CODEC else {}
-    if codec and not codecs:
-        raise UsageError(f"a .{form} has no codecs; allowed: no --codec, .{form}.zst")
+    form = form_of(target)
+    codecs = codec_for(form, codec)
     wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
+    require_grids(form, wanted, half=half)
     scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
     judged = scene
     options: Any = {"sigma_min": sigma_min}
@@ -68,6 +62,6 @@ def vdb(
             raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
         volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, **options)
     if form == "nvdb" and half and wanted == ("density",):
-        words.say("note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros")
+        words.say(WARP_NOTE)
     target.write(words, volume, **codecs)
-    budget.judge(words, source, judged, target)
+    budget.judge(words, source, judged, target, up=up)

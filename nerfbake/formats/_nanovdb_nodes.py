@@ -6,13 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nerfbake.scene.vdb import GridClass
+
 MAGIC = int.from_bytes(b"NanoVDB0", "little")
 CODECS = {"none": 0, "zip": 1, "blosc": 2}
 BLOSC_CHUNK = 1 << 30  # bytes of a grid in one blosc buffer
 HALF_CHECKSUM = 0xFFFFFFFF  # in place of the second CRC: only the first is kept
 EMPTY_BOX = np.array([2**31 - 1] * 3 + [-(2**31)] * 3, np.int32)
-FOG_VOLUME, INDEX_CLASS, CHANNEL_BLIND = 2, 8, 4
-FLAG_BOX, FLAG_STATS, FLAG_BREADTH_FIRST = 2, 4 | 8 | 16, 32
+CLASSES: dict[GridClass, int] = {"unknown": 0, "level set": 1, "fog volume": 2, "staggered": 3}
+INDEX_CLASS, CHANNEL_BLIND = 8, 4
+FLAG_LONG_NAME, FLAG_BOX, FLAG_STATS, FLAG_BREADTH_FIRST = 1, 2, 4 | 8 | 16, 32
 NAME_SIZE = 256  # with the NUL
 
 Dtype = np.dtype[Any]
@@ -59,6 +62,8 @@ class Layout(NamedTuple):
     upper: Dtype
     lower: Dtype
     leaf: Dtype
+    value: str = "<f4"  # of backgrounds and tiles
+    channels: int = 1
 
     @property
     def version_number(self) -> int:
@@ -96,20 +101,41 @@ _FLOATS = (
     _inner(12, 33856, 1088, "(4,)<f4"),
 )
 FLOAT = Layout("Float", 1, (32, 4, 2), *_FLOATS, _leaf(2144, stats=(80, "(4,)<f4"), values=(96, "(512,1)<f4")))
+DOUBLE = Layout(
+    "Double", 2, (32, 4, 2),
+    _root(96, background=(32, "(1,)<f8")), _tile((24, "(1,)<f8")),
+    _inner(15, 270400, 8256, None), _inner(12, 33856, 1088, None), _leaf(4224, values=(128, "(512,1)<f8")),
+    "<f8",
+)  # fmt: skip
 VEC3F = Layout(
     "Vec3f", 6, (32, 4, 2),
     _root(96, background=(28, "(3,)<f4")), _tile((20, "(3,)<f4")),
     _inner(15, 532544, 8256, None), _inner(12, 66624, 1088, None), _leaf(6272, values=(128, "(512,3)<f4")),
+    channels=3,
 )  # fmt: skip
-FP16 = Layout(
-    "Fp16", 15, (32, 4, 2), *_FLOATS,
-    _leaf(1120, least=(80, "<f4"), quantum=(84, "<f4"), stats=(88, "(4,)<u2"), values=(96, "(512,)<u2")),
-)  # fmt: skip
+
+
+def _quantised(name: str, number: int, size: int, **values: tuple[int, Any]) -> Layout:
+    """Codes between each leaf's least and greatest value: least + code * quantum."""
+    head = {"least": (80, "<f4"), "quantum": (84, "<f4"), "stats": (88, "(4,)<u2")}
+    return Layout(name, number, (32, 4, 2), *_FLOATS, _leaf(size, **head, **values))
+
+
+FP4 = _quantised("Fp4", 13, 352, values=(96, "(256,)u1"))
+FP8 = _quantised("Fp8", 14, 608, values=(96, "(512,)u1"))
+FP16 = _quantised("Fp16", 15, 1120, values=(96, "(512,)<u2"))
+FPN = _quantised("FpN", 16, 96)  # behind each leaf stand 512 codes of 1, 2, 4, 8 or 16 bits
+BITS = {FP4.name: 4, FP8.name: 8, FP16.name: 16}
 ON_INDEX = Layout(
     "OnIndex", 20, (32, 6, 0),
     _root(96, background=(32, "<u8")), _tile((24, "<u8")),
     _inner(15, 270400, 8256, None), _inner(12, 33856, 1088, None), _leaf(96, first=(80, "<u8"), prefix=(88, "<u8")),
 )  # fmt: skip
-LAYOUTS = {layout.number: layout for layout in (FLOAT, VEC3F, FP16, ON_INDEX)}
+LAYOUTS = {layout.number: layout for layout in (FLOAT, DOUBLE, VEC3F, FP4, FP8, FP16, FPN, ON_INDEX)}
+# What grids of other types are called.
+OTHERS = {
+    3: "Int16", 4: "Int32", 5: "Int64", 7: "Vec3d", 8: "Mask", 9: "Half", 10: "UInt32", 11: "Boolean", 12: "RGBA8",
+    17: "Vec4f", 18: "Vec4d", 19: "Index", 21: "IndexMask", 22: "PointIndex", 23: "Vec3u8", 24: "Vec3u16",
+}  # fmt: skip
 # Of blind data: number and size of the types a table may have.
 TABLE_TYPES = {"float32": 1, "float16": 9}

@@ -16,9 +16,10 @@ from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._vdb_frame import NAME, frame_text
 from nerfbake.kernels.affine import inverse, placed
 from nerfbake.kernels.bitmask import Ints, Words, exclusive_sum, popcount, prefix_counts, slots_of
-from nerfbake.kernels.runs import Spread, reduce_runs, spread_of, spread_over
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, root_keys
-from nerfbake.scene.volume import Volume
+from nerfbake.kernels.runs import Spread, reduce_runs, spread_of, spread_over, spread_with
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import Cubes, VdbTopology, root_keys
+from nerfbake.scene.volume import Volume, edges_of
 
 Nodes = npt.NDArray[Any]
 
@@ -35,34 +36,39 @@ def write_grid(volume: Volume) -> GridBytes:
     """The volume's one grid. Raises InvalidScene for a name that is too long, or colours in half."""
     grid = volume.grids[0]
     layout, topology = _layout_of(grid), grid.topology
+    active = grid.active_topology if isinstance(grid, VdbTree) else topology
     blind = _blind(volume)
     starts = _starts(layout, topology, blind)
-    root, tiles = np.zeros(1, layout.root), np.zeros(len(topology.root_origin), layout.tile)
+    root, entries = np.zeros(1, layout.root), np.zeros(_root_entries(topology), layout.tile)
     upper, lower = (_inner(layout.upper, topology.upper_mask), _inner(layout.lower, topology.lower_mask))
-    leaf = _leaves(grid, layout)
-    low, high = topology.leaf_boxes
-    boxes = np.concatenate([low, high], axis=1).astype(np.int32)
-    for nodes, masks in ((lower, topology.lower_mask), (upper, topology.upper_mask)):
-        nodes["box"] = boxes = _boxes(boxes, popcount(masks))
-    box = root["box"][0] = _boxes(boxes, np.array([len(boxes)]))[0]
-    tiles["key"], tiles["child"] = root_keys(topology.root_origin), _at(starts.upper, upper) - starts.root
+    leaf = _leaves(grid, active, layout)
+    if active.tiles is not None:
+        upper["tiles"], lower["tiles"] = active.tiles.upper_mask, active.tiles.lower_mask
+    box = root["box"][0] = _set_boxes(active, upper, lower)
     _link(upper, topology.upper_mask, starts.upper, _at(starts.lower, lower))
     _link(lower, topology.lower_mask, starts.lower, _at(starts.leaf, leaf))
-    root["tiles"] = len(tiles)
+    root["tiles"] = len(entries)
     if isinstance(grid, VdbTree):
-        root["background"] = tiles["value"] = grid.background
-        background = grid.background.tobytes().ljust(8 * upper["table"].shape[2], b"\0")
+        root["background"] = grid.background
         for nodes, masks in ((upper, topology.upper_mask), (lower, topology.lower_mask)):
-            _fill(nodes, masks, np.frombuffer(background, "<i8"))
-    if layout is nano.FLOAT:
+            _fill(nodes, ~masks, _slots(grid.background[None], nodes))
+        _put_tiles(grid, upper, lower)
+    _put_entries(grid, entries, _at(starts.upper, upper) - starts.root)
+    if layout is nano.FLOAT and isinstance(grid, VdbTree):
         _add_stats(grid, leaf, lower, upper, root)
     head = _head(volume, layout, starts, box, bool(blind))
     tree = np.zeros(1, nano.TREE)
     tree["offsets"] = np.array([starts.leaf, starts.lower, starts.upper, starts.root]) - nano.GRID.itemsize
-    tree["counts"], tree["voxels"] = topology.node_counts[::-1], topology.m
-    front = tree.tobytes() + root.tobytes() + tiles.tobytes()
+    tree["counts"], tree["voxels"] = topology.node_counts[::-1], active.voxel_count
+    tree["tiles"] = active.tile_counts
+    front = tree.tobytes() + root.tobytes() + entries.tobytes()
     head["crc"] = zlib.crc32(head.tobytes()[16:] + front), nano.HALF_CHECKSUM
     return GridBytes([head.tobytes() + front, *map(_view, (upper, lower, leaf)), *blind], head[0], box)
+
+
+def _root_entries(topology: VdbTopology) -> int:
+    """Upper nodes, and tiles in their place."""
+    return len(topology.root_origin) + topology.tile_counts[2]
 
 
 def _layout_of(grid: VdbTree | IndexGrid) -> nano.Layout:
@@ -88,7 +94,7 @@ class _Starts(NamedTuple):
 
 def _starts(layout: nano.Layout, topology: VdbTopology, blind: list[bytes | memoryview]) -> _Starts:
     root = nano.GRID.itemsize + nano.TREE.itemsize
-    upper = root + layout.root.itemsize + len(topology.root_origin) * layout.tile.itemsize
+    upper = root + layout.root.itemsize + _root_entries(topology) * layout.tile.itemsize
     lower = upper + len(topology.upper_mask) * layout.upper.itemsize
     leaf = lower + len(topology.lower_mask) * layout.lower.itemsize
     end = leaf + len(topology.leaf_mask) * layout.leaf.itemsize
@@ -101,7 +107,8 @@ def _head(volume: Volume, layout: nano.Layout, starts: _Starts, box: npt.NDArray
     if len(name) >= nano.NAME_SIZE:
         found = f"is {len(name):,} bytes long"
         raise InvalidScene(Problem("the grid's name", found, f"{nano.NAME_SIZE - 1} at most in a .nvdb"))
-    mat, vec = volume.transform[:, :3], volume.transform[:, 3]
+    transform = volume.transform_of(grid)
+    mat, vec = transform[:, :3], transform[:, 3]
     head = np.zeros(1, nano.GRID)
     head["magic"], head["version"], head["grids"], head["name"] = nano.MAGIC, layout.version_number, 1, name
     head["size"] = starts.end
@@ -110,12 +117,12 @@ def _head(volume: Volume, layout: nano.Layout, starts: _Starts, box: npt.NDArray
     empty = bool(box[0] > box[3])
     stats = nano.FLAG_STATS if layout is nano.FLOAT else 0
     head["flags"] = (0 if empty else nano.FLAG_BOX) | stats | nano.FLAG_BREADTH_FIRST
-    head["world"], head["voxel"] = _world_box(volume.transform, box, empty), volume.voxel_size
+    head["world"], head["voxel"] = _world_box(transform, box, empty), edges_of(transform)
     head["type"] = layout.number
     if isinstance(grid, IndexGrid):
         head["grid_class"], head["values"] = nano.INDEX_CLASS, len(grid.table)
-    elif grid.values.shape[1] == 1:
-        head["grid_class"] = nano.FOG_VOLUME
+    else:
+        head["grid_class"] = nano.CLASSES[grid.grid_class or "unknown"]
     if blind:
         head["blind_offset"], head["blind"] = starts.blind, 2 if volume.frame else 1
     return head
@@ -149,11 +156,68 @@ def _link(nodes: Nodes, masks: Words, start: int, children: Ints) -> None:
     nodes["table"][row, slot, 0] = children - _at(start, nodes)[row]
 
 
-def _fill(nodes: Nodes, masks: Words, background: npt.NDArray[np.int64]) -> None:
-    """The background in all slots that have no child; zeros are there already."""
-    if background.any():
-        row, slot = slots_of(~masks)
-        nodes["table"][row, slot] = background
+def _fill(nodes: Nodes, masks: Words, values: npt.NDArray[np.int64]) -> None:
+    """Values (1 or all, slot words) in these slots of all nodes; zeros are there already."""
+    if values.any():
+        row, slot = slots_of(masks)
+        nodes["table"][row, slot] = values
+
+
+def _slots(values: npt.NDArray[np.float32], nodes: Nodes) -> npt.NDArray[np.int64]:
+    """(q, c) -> (q, words) as a table's slots hold them."""
+    wide = np.zeros((len(values), 2 * nodes["table"].shape[2]), "<f4")
+    wide[:, : values.shape[1]] = values
+    return wide.view("<i8")
+
+
+def _put_tiles(grid: VdbTree, upper: Nodes, lower: Nodes) -> None:
+    """The values of tiles in lower and upper nodes."""
+    if (tiles := grid.topology.tiles) is not None:
+        small, middle, _ = np.split(grid.values[grid.topology.m :], np.cumsum(tiles.counts)[:2])
+        _fill(lower, tiles.lower_mask, _slots(small, lower))
+        _fill(upper, tiles.upper_mask, _slots(middle, upper))
+
+
+def _put_entries(grid: VdbTree | IndexGrid, entries: Nodes, children: Ints) -> None:
+    """The root's entries, by key: nodes, with the offsets of these children, and tiles."""
+    topology = grid.topology
+    nodes, keys = len(topology.root_origin), root_keys(topology.root_origin)
+    place = np.arange(nodes)
+    if topology.tiles is not None:
+        keys = np.concatenate([keys, root_keys(topology.tiles.root_origin)])
+        place = np.argsort(np.argsort(keys))
+    entries["key"][place] = keys
+    entries["child"][place[:nodes]] = children
+    if isinstance(grid, VdbTree):
+        first = topology.count - topology.tile_counts[2]
+        entries["value"][place[:nodes]] = grid.background
+        entries["value"][place[nodes:]] = grid.values[first:]
+        entries["state"][place[nodes:]] = True if grid.active is None else grid.active[first:]
+
+
+def _set_boxes(active: VdbTopology, upper: Nodes, lower: Nodes) -> npt.NDArray[np.int32]:
+    """Puts boxes of active voxels and tiles into nodes; gives the whole tree's."""
+    low, high = active.leaf_boxes
+    boxes = np.concatenate([low, high], axis=1).astype(np.int32)
+    boxes[~active.leaf_mask.any(axis=1)] = nano.EMPTY_BOX
+    cubes = iter(active.tile_cubes)
+    for nodes, name in ((lower, "lower_mask"), (upper, "upper_mask")):
+        boxes = _boxes(boxes, popcount(getattr(active, name)))
+        if active.tiles is not None:
+            boxes = _around(boxes, _boxes(_boxes_of(next(cubes)), popcount(getattr(active.tiles, name))))
+        nodes["box"] = boxes
+    outer = np.concatenate([boxes, *(_boxes_of(cube) for cube in cubes)])
+    whole: npt.NDArray[np.int32] = _boxes(outer, np.array([len(outer)]))[0]
+    return whole
+
+
+def _boxes_of(cubes: Cubes) -> npt.NDArray[np.int32]:
+    return np.concatenate([cubes.low, cubes.low + np.int32(cubes.edge - 1)], axis=1)
+
+
+def _around(one: npt.NDArray[np.int32], other: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    low = np.minimum(one[:, :3], other[:, :3])
+    return np.concatenate([low, np.maximum(one[:, 3:], other[:, 3:])], axis=1)
 
 
 def _boxes(boxes: npt.NDArray[np.int32], counts: Ints) -> npt.NDArray[np.int32]:
@@ -162,11 +226,12 @@ def _boxes(boxes: npt.NDArray[np.int32], counts: Ints) -> npt.NDArray[np.int32]:
     return np.concatenate([low, reduce_runs(np.maximum, boxes[:, 3:], counts, nano.EMPTY_BOX[3])], axis=1)
 
 
-def _leaves(grid: VdbTree | IndexGrid, layout: nano.Layout) -> Nodes:
+def _leaves(grid: VdbTree | IndexGrid, active: VdbTopology, layout: nano.Layout) -> Nodes:
     topology = grid.topology
     leaf = np.zeros(len(topology.leaf_mask), layout.leaf)
-    low, high = topology.leaf_boxes
-    leaf["low"], leaf["dif"], leaf["mask"], leaf["flags"] = low, high - low, topology.leaf_mask, 2
+    low, high = active.leaf_boxes
+    leaf["low"], leaf["dif"], leaf["mask"] = low, high - low, active.leaf_mask
+    leaf["flags"] = np.where(active.leaf_mask.any(axis=1), 2, 0)
     if isinstance(grid, IndexGrid):
         # Seven running counts of 9 bits: of the mask's words 0, 0 to 1, ..., 0 to 6.
         counts = prefix_counts(topology.leaf_mask)[:, 1:].astype(np.uint64) << np.arange(0, 63, 9, dtype=np.uint64)
@@ -178,14 +243,14 @@ def _leaves(grid: VdbTree | IndexGrid, layout: nano.Layout) -> Nodes:
         return leaf
     if grid.background.any():
         leaf["values"] = grid.background
-    leaf["values"][row, slot] = grid.values
+    leaf["values"][row, slot] = grid.values[: topology.m]
     return leaf
 
 
 def _quantise(grid: VdbTree, leaf: Nodes, place: Ints) -> None:
     """Codes of 16 bits between each leaf's least and greatest value, background included: min + code * quantum."""
     dense = np.full((len(leaf), 512), grid.background[0], np.float32)
-    dense.reshape(-1)[place] = grid.values[:, 0]
+    dense.reshape(-1)[place] = grid.values[: grid.topology.m, 0]
     least = dense.min(axis=1)
     quantum = (dense.max(axis=1) - least) / np.float32(65535)
     leaf["least"], leaf["quantum"] = least, quantum
@@ -193,19 +258,24 @@ def _quantise(grid: VdbTree, leaf: Nodes, place: Ints) -> None:
     leaf["values"] = np.rint((dense - least[:, None]) * scale[:, None])
 
 
-def _add_stats(grid: VdbTree | IndexGrid, leaf: Nodes, lower: Nodes, upper: Nodes, root: Nodes) -> None:
-    """Least, greatest, mean and deviation of the active values, from the leaves up to the root."""
-    topology = grid.topology
-    spread = spread_of(grid.values[:, 0], popcount(topology.leaf_mask))
+def _add_stats(grid: VdbTree, leaf: Nodes, lower: Nodes, upper: Nodes, root: Nodes) -> None:
+    """Least, greatest, mean and deviation of the active values, from the leaves up to the root; a tile counts as often
+    as it has voxels."""
+    active, values = grid.active_topology, grid.active_values[:, 0]
+    tiles = iter(np.split(values[active.m :], np.cumsum(active.tile_counts)[:2]))
+    spread = spread_of(values[: active.m], popcount(active.leaf_mask))
     _set_stats(leaf, spread)
-    for nodes, counts in (
-        (lower, popcount(topology.lower_mask)),
-        (upper, popcount(topology.upper_mask)),
-        (root, np.array([len(upper)])),
-    ):
-        spread = spread_over(spread, counts)
+    for nodes, name, edge in ((lower, "lower_mask", 8), (upper, "upper_mask", 128)):
+        spread = spread_over(spread, popcount(getattr(active, name)))
+        if active.tiles is not None:
+            own = spread_of(next(tiles), popcount(getattr(active.tiles, name)), weight=edge**3)
+            spread = spread_with(own, spread)
         _set_stats(nodes, spread)
-    if not topology.m:
+    spread = spread_over(spread, np.array([len(upper)]))
+    if active.tile_counts[2]:
+        spread = spread_with(spread_of(next(tiles), np.array([active.tile_counts[2]]), weight=4096**3), spread)
+    _set_stats(root, spread)
+    if not active.count:
         root["stats"][:, :2] = grid.background
 
 

@@ -1,4 +1,4 @@
-"""An OpenVDB file from anywhere, version 222 to 224: float and 3-float grids of active voxels.
+"""An OpenVDB file from anywhere, version 222 to 224: grids of one or three floats, halves or doubles.
 
 A node's values say their own size, so nodes are walked one after the other; values are unpacked once all masks are
 known and what they need may be taken.
@@ -6,18 +6,18 @@ known and what they need may be taken.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
-from nerfbake.errors import InvalidFile, Problem, one_line
-from nerfbake.formats._openvdb_stream import ACTIVE_MASK, ALL_VALUES, MAGIC, PACKED, VERSION, Stream
-from nerfbake.formats._openvdb_values import Kind, read_leaves, require_code
-from nerfbake.formats._openvdb_writer import TYPES
+from nerfbake.errors import InvalidFile, NerfbakeError, Problem, one_line
+from nerfbake.formats._openvdb_stream import ACTIVE_MASK, MAGIC, PACKED, VERSION, Stream
+from nerfbake.formats._openvdb_tree import Tree, read_tree
+from nerfbake.formats._openvdb_values import Kind
 from nerfbake.formats._vdb_frame import NAME, parse_frame
-from nerfbake.kernels.bitmask import Words, popcount
-from nerfbake.kernels.runs import rows_of_runs
-from nerfbake.scene.vdb import VdbTopology, VdbTree
+from nerfbake.scene.vdb import GRID_CLASSES, GridClass, VdbTree
 from nerfbake.scene.volume import OctreeFrame, Volume
 
 OLDEST = 222  # the first version whose nodes are stored as today
@@ -25,62 +25,150 @@ MAX_GRIDS = 1000
 _SCALES, _AFFINE = ("UniformScaleMap", "ScaleMap"), "AffineMap"
 _SCALES_AND_MOVES = ("UniformScaleTranslateMap", "ScaleTranslateMap")
 _MAPS = (*_SCALES, *_SCALES_AND_MOVES, "TranslationMap", _AFFINE)
+_TREES = {"float": (1, "<f4"), "double": (1, "<f8"), "vec3s": (3, "<f4"), "vec3d": (3, "<f8")}
+_HALF = "_HalfFloat"
+READABLE = "float, double, vec3s or vec3d, and their halves"
+SEPARATOR = "\x1e"  # before the number that tells grids of one name apart
 
 
-KINDS = {name: Kind(channels, np.dtype(dtype)) for (channels, dtype), name in TYPES.items()}
+class _Header(NamedTuple):
+    """What stands before a grid: its name, how many of that name stand before it, its type, whose tree it shares."""
+
+    name: str
+    number: int
+    type: str
+    parent: str
+    start: int
+    end: int
+
+    @property
+    def what(self) -> str:
+        return f"grid {self.name[:80]!r}"
+
+
+class _Grid(NamedTuple):
+    header: _Header
+    tree: VdbTree
+    transform: npt.NDArray[np.float64]
+    frame: OctreeFrame | None
 
 
 def read_file(view: memoryview) -> Volume:
-    """The file's grids. Raises InvalidFile, MemoryLimit."""
+    """The file's grids; those of one name by their numbers. Raises InvalidFile, MemoryLimit."""
     stream = Stream(view)
     magic, version, _, _, offsets = stream.numbers("qIIIB", "the file's header")
-    if magic != MAGIC or not OLDEST <= version <= VERSION or not offsets:
-        raise InvalidFile(Problem("the file", f"has version {version}", f"{OLDEST} to {VERSION}, with grid offsets"))
+    if magic != MAGIC:
+        raise InvalidFile(
+            Problem("the file", f"starts with {magic & 0xFFFFFFFF:08x}", f"{MAGIC:08x}, as .vdb files do")
+        )
+    if not OLDEST <= version <= VERSION:
+        raise InvalidFile(Problem("the file", f"has version {version}", f"{OLDEST} to {VERSION}"))
     stream.take(36, "the UUID")
     stream.metadata()
     (count,) = stream.numbers("i", "the number of grids")
     if not 1 <= count <= MAX_GRIDS:
         raise InvalidFile(Problem("the file", f"has {count:,} grids", f"1 to {MAX_GRIDS:,}"))
-    grids, transforms, frame = [], [], None
+    read: dict[str, _Grid] = {}
+    unread: list[Problem] = []
     for _ in range(count):
-        grid, transform, own_frame = _read_grid(stream)
-        grids.append(grid)
-        transforms.append(transform)
-        frame = frame or own_frame
-    if any(transform.tobytes() != transforms[0].tobytes() for transform in transforms):
-        raise InvalidFile(Problem("the file", "has grids of several transforms", "one transform for all"))
-    return Volume(tuple(grids), transforms[0], frame)
+        header, unique = _read_header(stream, seekable=bool(offsets))
+        if (problem := _why_not(header, read)) is not None:
+            if not offsets:
+                raise InvalidFile(problem)  # nothing says where the next grid starts
+            unread.append(problem)
+            stream.at = header.end
+            continue
+        grid = _read_grid(stream, header, read.get(header.parent), seekable=bool(offsets))
+        # Grids of one name without numbers are told apart by their places.
+        read[unique if unique not in read else f"{unique}{SEPARATOR}{len(read)}"] = grid
+    if not read:
+        raise InvalidFile(unread[0])
+    if offsets and stream.at != len(view):
+        raise InvalidFile(Problem("the file", f"goes on for {len(view) - stream.at:,} bytes", "the grids it counts"))
+    return _volume(list(read.values()), unread)
 
 
-def _read_grid(stream: Stream) -> tuple[VdbTree, npt.NDArray[np.float64], OctreeFrame | None]:
-    # Behind a separator OpenVDB numbers the grids that share a name.
-    name = one_line(stream.text("a grid's name").partition("\x1e")[0])
+def _volume(grids: list[_Grid], unread: list[Problem]) -> Volume:
+    names = [grid.header.name for grid in grids]
+    grids = sorted(grids, key=lambda grid: (names.index(grid.header.name), grid.header.number))
+    first = grids[0].transform
+    trees = []
+    for grid in grids:
+        own = None if grid.transform.tobytes() == first.tobytes() else grid.transform
+        trees.append(replace(grid.tree, place=own))
+    frame = next((grid.frame for grid in grids if grid.frame), None)
+    return Volume(tuple(trees), first, frame, unread=tuple(unread))
+
+
+def _read_header(stream: Stream, *, seekable: bool) -> tuple[_Header, str]:
+    """What stands before the next grid, and its name with the number that OpenVDB gave it."""
+    unique = stream.text("a grid's name")
+    name, _, number = unique.partition(SEPARATOR)
+    name = one_line(name)
     what = f"grid {name[:80]!r}"
-    type_name, parent = stream.text(what), stream.text(what)
-    kind = KINDS.get(type_name)
-    if kind is None or parent:
-        raise InvalidFile(Problem(what, f"is a {(parent and 'copy') or one_line(type_name[:60])}", ", ".join(KINDS)))
+    kind, parent = stream.text(what), stream.text(what)
     start, _, end = stream.numbers("3q", what)
-    if start != stream.at or not start < end <= len(stream.view):
+    if seekable and (start != stream.at or not start < end <= len(stream.view)):
         found = f"stands at bytes {start:,} to {end:,}"
         raise InvalidFile(Problem(what, found, f"{stream.at:,} to {len(stream.view):,} at most"))
-    (flags,) = stream.numbers("I", what)
+    place = int(number) if number.isascii() and number.isdecimal() and len(number) < 10 else 0
+    return _Header(name, place, kind, parent, start, end), unique
+
+
+def _why_not(header: _Header, read: dict[str, _Grid]) -> Problem | None:
+    """Why a grid cannot be read, if it cannot."""
+    if _kind_of(header.type) is None:
+        return Problem(header.what, f"is a {one_line(header.type[:60])}", f"trees 5_4_3 of {READABLE}")
+    if header.parent and header.parent not in read:
+        return Problem(header.what, f"shares the voxels of {one_line(header.parent[:60])!r}", "a grid before it")
+    return None
+
+
+def _kind_of(type_name: str) -> Kind | None:
+    """Tree_float_5_4_3_HalfFloat and its like."""
+    half = type_name.endswith(_HALF)
+    inner = type_name.removesuffix(_HALF).removeprefix("Tree_").removesuffix("_5_4_3")
+    if inner not in _TREES or type_name != f"Tree_{inner}_5_4_3{_HALF * half}":
+        return None
+    channels, full = _TREES[inner]
+    return Kind(channels, np.dtype("<f2" if half else full), np.dtype(full))
+
+
+def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekable: bool) -> _Grid:
+    kind = _kind_of(header.type)
+    assert kind is not None
+    (flags,) = stream.numbers("I", header.what)
     if flags & ~(PACKED | ACTIVE_MASK):
-        raise InvalidFile(Problem(what, f"has compression {flags}", "0 to 7: none, zip, active mask, blosc"))
+        raise InvalidFile(Problem(header.what, f"has compression {flags}", "0 to 7: none, zip, active mask, blosc"))
     metadata = stream.metadata()
     transform = _read_map(stream)
-    stored, background = _read_masks(stream, kind, flags, what)
-    memory.hold(what, stored.m * kind.width)
-    values = read_leaves(stream, stored.leaf_mask, kind, flags, what)
-    if stream.at != end:
-        raise InvalidFile(Problem(what, f"ends at byte {stream.at:,}", f"{end:,} as it says"))
-    topology, order = stored.in_order()
-    for problem in topology.structure_problems():
-        raise InvalidFile(problem)
-    if (np.diff(order) < 0).any():
-        values = values[rows_of_runs(popcount(stored.leaf_mask), order)]
+    if parent is None:
+        tree = read_tree(stream, kind, flags, header.what)
+    else:
+        shared = parent.tree
+        active = np.ones(len(shared.values), bool) if shared.active is None else shared.active
+        tree = Tree(shared.topology, shared.values, shared.background, active)
+    if seekable and stream.at != header.end:
+        raise InvalidFile(Problem(header.what, f"ends at byte {stream.at:,}", f"{header.end:,} as it says"))
     frame = parse_frame(metadata[NAME]) if NAME in metadata else None
-    return VdbTree(name, topology, values, background), transform, frame
+    try:
+        grid = VdbTree(
+            header.name,
+            tree.topology,
+            tree.values,
+            tree.background,
+            _class_of(metadata.get("class", b"")),
+            tree.active,
+            stored="double" if kind.dtype == np.float64 else "",
+        )
+    except NerfbakeError as error:
+        raise InvalidFile(error.what) from None
+    return _Grid(header, grid, transform, frame)
+
+
+def _class_of(text: bytes) -> GridClass:
+    """What OpenVDB makes of a class: a word that it does not know is unknown."""
+    return next((known for known in GRID_CLASSES if known.encode() == text.strip().lower()), "unknown")
 
 
 def _read_map(stream: Stream) -> npt.NDArray[np.float64]:
@@ -94,56 +182,3 @@ def _read_map(stream: Stream) -> npt.NDArray[np.float64]:
     moves = stream.array("<f8", 3, kind) if kind not in _SCALES else np.zeros(3)
     scale = stream.array("<f8", 15, kind)[:3] if kind != "TranslationMap" else np.ones(3)
     return np.column_stack([np.diag(scale), moves])
-
-
-# -- the tree --------------------------------------------------------------------------------------------------
-def _read_masks(stream: Stream, kind: Kind, flags: int, what: str) -> tuple[VdbTopology, npt.NDArray[np.float32]]:
-    """The tree with its tiles in the file's order, and the background."""
-    (buffers,) = stream.numbers("I", what)
-    if buffers != 1:
-        raise InvalidFile(Problem(what, f"has {buffers:,} buffers a leaf", "1"))
-    background = stream.array("<f4", kind.channels, what).astype(np.float32)
-    tiles, children = stream.numbers("II", what)
-    for _ in range(tiles):
-        *_, active = stream.numbers(f"3i{kind.channels}fB", what)
-        _require_no_tile(bool(active), what)
-    origins, uppers, lowers, leaves = [], [], [], []
-    for _ in range(children):
-        origins.append(stream.array("<i4", 3, what))
-        upper = _read_node(stream, 4096, kind, flags, what)
-        uppers.append(upper)
-        for _ in range(int(popcount(upper[None])[0])):
-            lower = _read_node(stream, 512, kind, flags, what)
-            lowers.append(lower)
-            leaves.append(stream.array("<u8", 8 * int(popcount(lower[None])[0]), what))
-    origin = np.array(origins, np.int32).reshape(-1, 3)
-    return VdbTopology(origin, _stacked(uppers, 512), _stacked(lowers, 64), _stacked(leaves, 8)), background
-
-
-def _read_node(stream: Stream, size: int, kind: Kind, flags: int, what: str) -> Words:
-    """An inner node's child mask; its values are background, since it may have no active tiles."""
-    children = stream.array("<u8", size // 8, what)
-    _require_no_tile(bool(stream.array("<u8", size // 8, what).any()), what)
-    code = _read_code(stream, size, kind, what)
-    count = size * 8 if code == ALL_VALUES or not flags & ACTIVE_MASK else 0
-    # An empty array of halves has not even a size.
-    if count or kind.dtype != np.float16:
-        stream.skip_packed(count * kind.width, flags, what)
-    return children
-
-
-def _read_code(stream: Stream, mask_size: int, kind: Kind, what: str) -> int:
-    """How a node's values are stored, with the inactive ones read over."""
-    (code,) = stream.numbers("B", what)
-    require_code(code, what)
-    stream.take(kind.beside(code, mask_size), what)
-    return int(code)
-
-
-def _require_no_tile(active: bool, what: str) -> None:
-    if active:
-        raise InvalidFile(Problem(what, "has active tiles", "active voxels only"))
-
-
-def _stacked(rows: list[Words], width: int) -> Words:
-    return np.concatenate(rows or [np.zeros(0, np.uint64)]).astype(np.uint64).reshape(-1, width)

@@ -66,12 +66,3 @@ class Stream:
             name, _ = self.text("metadata"), self.text("metadata")
             entries[name] = self.raw_text(f"metadata {name[:40]!r}")
         return entries
-
-    def skip_packed(self, size: int, flags: int, what: str) -> None:
-        """Reads over what is stored for `size` bytes of a grid with these flags."""
-        stored = -size
-        if flags & PACKED:
-            (stored,) = self.numbers("q", what)
-            if stored <= 0 and -stored != size:
-                raise InvalidFile(Problem(what, f"has {-stored:,} bytes", f"{size:,}"))
-        self.take(abs(stored), what)

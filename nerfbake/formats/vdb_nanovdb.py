@@ -21,6 +21,7 @@ from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._deflate import deflate_all
 from nerfbake.formats._nanovdb_reader import read_file
 from nerfbake.formats._nanovdb_writer import write_grid
+from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
 
 Codec = Literal["none", "zip"]
@@ -34,7 +35,9 @@ def recognise(head: bytes) -> bool:
 def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryview]:
     """The file in pieces. Raises InvalidScene for more than one grid: some readers lose the second."""
     if len(volume.grids) != 1:
-        raise InvalidScene(Problem("a .nvdb", f"would hold {len(volume.grids)} grids", "one: density, Cd or index"))
+        raise InvalidScene(
+            Problem("a .nvdb", f"would hold {len(volume.grids)} grids", f"one of {', '.join(volume.labels)}")
+        )
     pieces, grid, box = write_grid(volume)
     size = sum(map(len, pieces))
     if codec == "zip":
@@ -48,7 +51,9 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
         meta[field] = grid[field]
     meta["grid_size"], meta["file_size"], meta["box"] = size, sum(map(len, pieces)), box
     meta["name_key"], meta["name_size"], meta["codec"] = _name_key(name[:-1]), len(name), nano.CODECS[codec]
-    meta["nodes"], meta["voxels"] = (*first.topology.node_counts[::-1], 1), first.topology.m
+    active = first.active_topology if isinstance(first, VdbTree) else first.topology
+    meta["nodes"], meta["voxels"] = (*first.topology.node_counts[::-1], 1), active.voxel_count
+    meta["tiles"] = active.tile_counts
     yield file.tobytes() + meta.tobytes() + name
     yield from pieces
 

@@ -5,13 +5,14 @@ down three levels with the same three lines and needs no 64-bit numbers:
 
     child = rank[node, slot >> 5] + bitCount(mask[node, slot >> 5] & (1 << (slot & 31)) - 1)
 
-The ranks of leaves count from 1: row 0 of each table is the background, as in NanoVDB's index grids.
+The ranks of leaves count from 1: row 0 of each table is the background, as in NanoVDB's index grids. Tiles, inactive
+values, places of single grids and level sets, which the program itself does not make, are version 2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +21,16 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem, one_line
 from nerfbake.formats._npz_reader import ZIP_MAGIC, NpzReader
 from nerfbake.formats._npz_writer import write_npz
 from nerfbake.formats._vdb_frame import NAME, frame_text, parse_frame
-from nerfbake.kernels.bitmask import Words, exclusive_sum
+from nerfbake.kernels.bitmask import Words, exclusive_sum, popcount
 from nerfbake.kernels.topology import place
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
+from nerfbake.scene.vdb import GRID_CLASSES, IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.volume import Volume
 
-VERSION = 1
+VERSION, FOREIGN = 1, 2  # and that of files which only other programs' grids need
 MAX_GRIDS = 100  # each may bring nine members, and NpzReader takes a thousand
 MAX_NAME = 9_999  # characters that it takes in a text
-CLASSES = ("fog volume", "unknown", "index")  # what OpenVDB calls densities and colours; and IndexGrid
+INDEX = "index"  # the class of an IndexGrid; the others are OpenVDB's
 _LEVELS = (("upper", 512, 0), ("lower", 64, 0), ("leaf", 8, 1))  # 64-bit words of a mask, and the first rank
 
 
@@ -47,7 +49,7 @@ def encode(volume: Volume) -> Iterator[bytes | memoryview]:
     trees: list[VdbTopology] = []
     numbers = [_number_of(grid.topology, trees) for grid in volume.grids]
     arrays: dict[str, npt.ArrayLike] = {
-        "vdb_version": np.int64(VERSION),
+        "vdb_version": np.int64(FOREIGN if any(map(_is_foreign, volume.grids)) else VERSION),
         "transform": volume.transform,
         "grid_name": np.array(names),
         "grid_class": np.array([_class_of(grid) for grid in volume.grids]),
@@ -60,16 +62,21 @@ def encode(volume: Volume) -> Iterator[bytes | memoryview]:
         for level, _, first in _LEVELS:
             words = _words32(getattr(tree, f"{level}_mask"))
             arrays[f"tree_{k}_{level}_mask"], arrays[f"tree_{k}_{level}_rank"] = words, _ranks(words, first)
+        arrays |= _tile_arrays(tree, k)
     for k, grid in enumerate(volume.grids):
         arrays[f"grid_{k}_table"] = grid.table if isinstance(grid, IndexGrid) else _table(grid)
+        if isinstance(grid, VdbTree) and grid.active is not None:
+            arrays[f"grid_{k}_active"] = grid.active.astype(np.uint8)
+        if isinstance(grid, VdbTree) and grid.place is not None:
+            arrays[f"grid_{k}_transform"] = grid.place
     return write_npz(arrays)
 
 
 def decode(view: memoryview) -> Volume:
     npz = NpzReader(view)
     npz.require("vdb_version", "transform", "grid_name", "grid_class", "grid_tree")
-    if (version := npz.scalar("vdb_version")) != VERSION:
-        raise InvalidFile(Problem("vdb_version", f"is {version}", f"{VERSION}"))
+    if (version := npz.scalar("vdb_version")) not in (VERSION, FOREIGN):
+        raise InvalidFile(Problem("vdb_version", f"is {version}", f"{VERSION}, {FOREIGN}"))
     names = npz.shaped("grid_name", "U", (None,))
     if not 1 <= len(names) <= MAX_GRIDS:
         raise InvalidFile(Problem("grid_name", f"has {len(names):,} names", f"1 to {MAX_GRIDS}"))
@@ -85,20 +92,33 @@ def decode(view: memoryview) -> Volume:
 
 
 def _read_grid(npz: NpzReader, k: int, name: str, grid_class: str, tree: VdbTopology) -> VdbTree | IndexGrid:
-    if grid_class not in CLASSES:
-        raise InvalidFile(Problem(f"grid_class[{k}]", f"is {one_line(grid_class[:60])!r}", ", ".join(CLASSES)))
     table = npz.shaped(f"grid_{k}_table", "f", (None, None))
-    if grid_class == "index":
+    if grid_class == INDEX:
         return IndexGrid(name, tree, table)
+    known = next((known for known in GRID_CLASSES if known == grid_class), None)
+    if known is None:
+        allowed = ", ".join((*GRID_CLASSES, INDEX))
+        raise InvalidFile(Problem(f"grid_class[{k}]", f"is {one_line(grid_class[:60])!r}", allowed))
     if not len(table):
         raise InvalidFile(Problem(f"grid_{k}_table", "has no rows", "the background, then a row a voxel"))
-    return VdbTree(name, tree, table[1:], table[0].astype(np.float32))
+    active, own = None, None
+    if (key := f"grid_{k}_active") in npz:
+        active = npz.shaped(key, "u", (len(table) - 1,)) != 0
+    if (key := f"grid_{k}_transform") in npz:
+        own = npz.shaped(key, "f", (3, 4)).astype(np.float64)
+    return VdbTree(name, tree, table[1:], table[0].astype(np.float32), known, active, own)
 
 
-def _class_of(grid: VdbTree | IndexGrid) -> Literal["fog volume", "unknown", "index"]:
+def _class_of(grid: VdbTree | IndexGrid) -> str:
+    return INDEX if isinstance(grid, IndexGrid) else str(grid.grid_class)
+
+
+def _is_foreign(grid: VdbTree | IndexGrid) -> bool:
+    """Whether a reader of version 1 would misread it."""
     if isinstance(grid, IndexGrid):
-        return "index"
-    return "fog volume" if grid.values.shape[1] == 1 else "unknown"
+        return False
+    plain = grid.active is None and grid.place is None and grid.topology.tiles is None
+    return not plain or grid.grid_class in ("level set", "staggered")
 
 
 def _table(grid: VdbTree) -> npt.NDArray[Any]:
@@ -117,19 +137,49 @@ def _number_of(tree: VdbTopology, trees: list[VdbTopology]) -> int:
 
 
 def _read_tree(npz: NpzReader, k: int) -> VdbTopology:
-    masks = []
-    for level, width, first in _LEVELS:
-        mask, rank = (f"tree_{k}_{level}_{what}" for what in ("mask", "rank"))
-        words = npz.shaped(mask, "u", (None, 2 * width))
-        if words.dtype != np.uint32:
-            raise InvalidFile(Problem(mask, f"has dtype {words.dtype}", "uint32"))
-        ranks, right = npz.shaped(rank, "u", words.shape), _ranks(words, first)
-        if (wrong := ranks != right).any():
-            at = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
-            found = f"is {ranks[at]}"
-            raise InvalidFile(Problem(place(rank, at), found, f"{right[at]}, by the bits set before that word"))
-        masks.append(np.ascontiguousarray(words, "<u4").view("<u8").astype(np.uint64))
-    return VdbTopology(npz.shaped(f"tree_{k}_root_origin", "i", (None, 3)), *masks)
+    masks = [_read_mask(npz, f"tree_{k}_{level}_mask", f"tree_{k}_{level}_rank", *rest) for level, *rest in _LEVELS]
+    upper, lower, leaf = masks
+    origin = npz.shaped(f"tree_{k}_root_origin", "i", (None, 3))
+    return VdbTopology(origin, upper, lower, leaf, _read_tiles(npz, k, upper, lower, leaf))
+
+
+def _read_tiles(npz: NpzReader, k: int, upper: Words, lower: Words, leaf: Words) -> VdbTiles | None:
+    if f"tree_{k}_root_tile" not in npz:
+        return None
+    rows, masks = 1 + int(popcount(leaf).sum()), []
+    for level, like in (("lower", lower), ("upper", upper)):
+        masks.append(_read_mask(npz, f"tree_{k}_{level}_tile", f"tree_{k}_{level}_tile_rank", like.shape[1], rows))
+        if masks[-1].shape != like.shape:
+            found = f"has {len(masks[-1]):,} rows"
+            raise InvalidFile(Problem(f"tree_{k}_{level}_tile", found, f"{len(like):,}, as the level's mask"))
+        rows += int(popcount(masks[-1]).sum())
+    return VdbTiles(masks[0], masks[1], npz.shaped(f"tree_{k}_root_tile", "i", (None, 3)))
+
+
+def _tile_arrays(tree: VdbTopology, k: int) -> dict[str, npt.ArrayLike]:
+    if tree.tiles is None:
+        return {}
+    lower, upper = _words32(tree.tiles.lower_mask), _words32(tree.tiles.upper_mask)
+    first = 1 + tree.m
+    return {
+        f"tree_{k}_root_tile": tree.tiles.root_origin,
+        f"tree_{k}_upper_tile": upper,
+        f"tree_{k}_upper_tile_rank": _ranks(upper, first + tree.tile_counts[0]),
+        f"tree_{k}_lower_tile": lower,
+        f"tree_{k}_lower_tile_rank": _ranks(lower, first),
+    }
+
+
+def _read_mask(npz: NpzReader, mask: str, rank: str, width: int, first: int) -> Words:
+    words = npz.shaped(mask, "u", (None, 2 * width))
+    if words.dtype != np.uint32:
+        raise InvalidFile(Problem(mask, f"has dtype {words.dtype}", "uint32"))
+    ranks, right = npz.shaped(rank, "u", words.shape), _ranks(words, first)
+    if (wrong := ranks != right).any():
+        at = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+        found = f"is {ranks[at]}"
+        raise InvalidFile(Problem(place(rank, at), found, f"{right[at]}, by the bits set before that word"))
+    return np.ascontiguousarray(words, "<u4").view("<u8").astype(np.uint64)
 
 
 def _words32(masks: Words) -> npt.NDArray[np.uint32]:

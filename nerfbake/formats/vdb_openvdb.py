@@ -38,7 +38,7 @@ def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator
         if isinstance(grid, IndexGrid):
             raise InvalidScene(Problem("a .vdb", "has no index grids", "density, Cd, sh; or a .nvdb"))
         # The frame stands in the first grid: tools that copy grids keep what a grid says.
-        written = write_grid(grid, volume.transform, volume.frame if k == 0 else None, zipped=codec == "zip")
+        written = write_grid(grid, volume.transform_of(grid), volume.frame if k == 0 else None, zipped=codec == "zip")
         name = text(grid.name) + text(TYPES[grid.values.shape[1], grid.values.dtype.name]) + text("")
         start = at + len(name) + 24
         buffers = start + sum(map(len, written.front))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 Ints = npt.NDArray[np.int64]
 Words = npt.NDArray[np.uint64]
+Bits = npt.NDArray[np.bool_]
 
 
 def group_bits(keys: Ints, bits: int) -> tuple[Ints, Words]:
@@ -38,6 +39,17 @@ def slots_of(masks: Words) -> tuple[Ints, Ints]:
     return np.divmod(np.flatnonzero(np.unpackbits(octets, bitorder="little")), max(masks.shape[1] * 64, 1))
 
 
+def bits_of(masks: Words) -> Bits:
+    """(..., w) words -> (..., 64 w) whether each slot's bit is set."""
+    octets = np.ascontiguousarray(masks, "<u8").view(np.uint8)
+    return np.unpackbits(octets, axis=-1, bitorder="little").view(np.bool_)
+
+
+def words_of(bits: Bits) -> Words:
+    """(..., 64 w) -> (..., w) words, the way back."""
+    return np.packbits(bits, axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
+
+
 def popcount(masks: Words) -> Ints:
     """(p,) set bits of each row."""
     counts: Ints = np.bitwise_count(masks).sum(axis=1, dtype=np.int64)
@@ -53,3 +65,20 @@ def prefix_counts(masks: Words) -> Ints:
 def exclusive_sum(counts: Ints) -> Ints:
     """What stands before each: [3, 1, 2] -> [0, 3, 4]."""
     return np.cumsum(counts) - counts
+
+
+def numbers_of(masks: Words, row: Ints, slot: Ints) -> Ints:
+    """(q,) how many bits of all rows are set before this slot's, where it is set; -1 where it is not, or row is -1."""
+    words = np.append(masks.reshape(-1), np.uint64(0))  # nothing stands in the row of what is nowhere
+    ranks = exclusive_sum(np.bitwise_count(words).astype(np.int64))
+    place = np.where(row < 0, len(words) - 1, row * masks.shape[1] + (slot >> 6))
+    word, bit = words[place], (slot & 63).astype(np.uint64)
+    below = np.bitwise_count(word & ((np.uint64(1) << bit) - np.uint64(1)))
+    return np.where(word >> bit & np.uint64(1), ranks[place] + below, -1)
+
+
+def bits_kept(masks: Words, keep: Bits) -> Words:
+    """The same masks without some of their set bits: keep is (all set bits,), row after row, slots rising."""
+    bits = bits_of(masks)
+    bits[bits] = keep
+    return words_of(bits)

@@ -42,13 +42,19 @@ class Spread(NamedTuple):
         return np.sqrt(self.squares / np.maximum(self.size, 1))
 
 
-def spread_of(values: npt.NDArray[np.float32], counts: Ints) -> Spread:
-    """Of runs of numbers: values (m,)."""
+def spread_of(values: npt.NDArray[np.float32], counts: Ints, *, weight: int = 1) -> Spread:
+    """Of runs of numbers: values (m,), each of which counts `weight` times."""
     exact = values.astype(np.float64)
     mean = reduce_runs(np.add, exact, counts, 0) / np.maximum(counts, 1)
-    squares = reduce_runs(np.add, (exact - np.repeat(mean, counts)) ** 2, counts, 0)
+    squares = weight * reduce_runs(np.add, (exact - np.repeat(mean, counts)) ** 2, counts, 0)
     low = reduce_runs(np.minimum, values, counts, np.inf)
-    return Spread(counts, low, reduce_runs(np.maximum, values, counts, -np.inf), mean, squares)
+    return Spread(weight * counts, low, reduce_runs(np.maximum, values, counts, -np.inf), mean, squares)
+
+
+def spread_with(one: Spread, other: Spread) -> Spread:
+    """Of each run of the one with the same run of the other: what spread_of() would say of both."""
+    arrays: zip[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = zip(one, other, strict=True)
+    return spread_over(Spread(*(np.stack(both, axis=1).reshape(-1) for both in arrays)), np.full(len(one.size), 2))
 
 
 def spread_over(parts: Spread, counts: Ints) -> Spread:

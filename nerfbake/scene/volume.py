@@ -1,8 +1,10 @@
-"""What a .vdb or .nvdb file holds: grids in one place of the world, and what an octree needs to come back."""
+"""What a .vdb or .nvdb file holds: grids with their places in the world, and what an octree needs to come back."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +18,8 @@ from nerfbake.scene.octree import Layout
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 
 Up = Literal["y", "z"]
+Transform = npt.NDArray[np.float64]
+_TURN_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # (x, y, z) -> (x, -z, y): what y was is z
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,50 +36,95 @@ class OctreeFrame:
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """Grids of one world transform.
+    """Grids of one world.
 
     grids      VdbTree and IndexGrid, each with its own topology
-    transform  (3, 4) float64: world = transform @ (x, y, z, 1), of a voxel's CENTRE (VDB's samples stand there)
+    transform  (3, 4) float64: world = transform @ (x, y, z, 1), of a voxel's CENTRE (VDB's samples stand there), for
+               all grids that have no `place` of their own
     frame      what turns the voxels back into the octree they came from; None in files of other programs
     checksum   what the file said of itself: 'none', 'half' or 'full'
+    unread     grids of the file that are not here: what each is instead of what it might be
     """
 
     grids: tuple[VdbTree | IndexGrid, ...]
-    transform: npt.NDArray[np.float64]
+    transform: Transform
     frame: OctreeFrame | None = None
     checksum: str = "none"
+    unread: tuple[Problem, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.transform.shape != (3, 4) or self.transform.dtype != np.float64:
-            found = f"has shape {self.transform.shape}, dtype {self.transform.dtype}"
-            raise InvalidScene(Problem("transform", found, "(3, 4) float64"))
+        for transform in (self.transform, *self.transforms):
+            if transform.shape != (3, 4) or transform.dtype != np.float64:
+                found = f"has shape {transform.shape}, dtype {transform.dtype}"
+                raise InvalidScene(Problem("transform", found, "(3, 4) float64"))
         if not self.grids:
             raise InvalidScene(Problem("the volume", "has no grids", "one or more"))
 
     def __str__(self) -> str:
         first = self.grids[0]
-        names = ", ".join(grid.name for grid in self.grids)
         kind = "index grid" if isinstance(first, IndexGrid) else plural(len(self.grids), "grid").removeprefix("1 ")
-        return f"VDB {kind} ({names}), {plural(first.topology.m, 'voxel')}, {first.values.dtype}"
+        tiles = sum(first.topology.tile_counts)
+        held = plural(first.topology.m, "voxel") + (f" and {plural(tiles, 'tile')}" if tiles else "")
+        return f"VDB {kind} ({', '.join(self.labels)}), {held}, {first.values.dtype}"
 
+    # -- grids by name -----------------------------------------------------------------------------------------
     @property
-    def voxel_size(self) -> npt.NDArray[np.float64]:
-        """(3,) lengths of a voxel's edges in the world."""
-        lengths: npt.NDArray[np.float64] = np.sqrt((self.transform[:, :3] ** 2).sum(axis=0))
-        return lengths
+    def labels(self) -> list[str]:
+        """What each grid is called: its name, or where it has none, or others have the same, name[i] as OpenVDB's
+        tools number them."""
+        names = [grid.name for grid in self.grids]
+        held, met, labels = Counter(names), Counter[str](), []
+        for name in names:
+            labels.append(name if name and held[name] == 1 else f"{name}[{met[name]}]")
+            met[name] += 1
+        return labels
 
     def grid(self, name: str) -> VdbTree | IndexGrid:
         """The first grid of this name. Raises InvalidScene if there is none."""
         for grid in self.grids:
             if grid.name == name:
                 return grid
-        raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(grid.name for grid in self.grids)))
+        raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(self.labels)))
+
+    def only(self, wanted: Sequence[str]) -> Volume:
+        """These grids alone, each given by its label or by its number in the file, from 0. Raises InvalidScene."""
+        labels, grids = self.labels, []
+        for name in wanted:
+            if name not in labels and not (name.isascii() and name.isdecimal() and int(name[:9]) < len(labels)):
+                raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(labels)))
+            grids.append(self.grids[labels.index(name) if name in labels else int(name)])
+        return replace(self, grids=tuple(grids), unread=())
+
+    # -- places ------------------------------------------------------------------------------------------------
+    @property
+    def transforms(self) -> list[Transform]:
+        """(3, 4) of each grid."""
+        return [self.transform_of(grid) for grid in self.grids]
+
+    def transform_of(self, grid: VdbTree | IndexGrid) -> Transform:
+        place = grid.place if isinstance(grid, VdbTree) else None
+        return self.transform if place is None else place
+
+    @property
+    def voxel_size(self) -> npt.NDArray[np.float64]:
+        """(3,) lengths of a voxel's edges in the world."""
+        return edges_of(self.transform)
 
     def index_of(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """(..., 3) world coordinates -> voxels, for a grid's sample()."""
         apart = np.asarray(points, np.float64) - self.transform[:, 3]
         return np.asarray(turned(apart, inverse(self.transform[:, :3])), np.float64)
 
+    # -- other volumes -----------------------------------------------------------------------------------------
+    def turned(self) -> Volume:
+        """A volume whose y axis is up, with z up as here: (x, y, z) becomes (x, -z, y) in the transforms alone."""
+        grids = tuple(
+            replace(grid, place=_TURN_UP @ grid.place) if isinstance(grid, VdbTree) and grid.place is not None else grid
+            for grid in self.grids
+        )
+        return replace(self, grids=grids, transform=_TURN_UP @ self.transform)
+
+    # -- soundness ---------------------------------------------------------------------------------------------
     def require_sound(self) -> None:
         """Raises InvalidScene with the first structural problem, if there is one."""
         if problems := self.structure_problems():
@@ -86,20 +135,27 @@ class Volume:
 
     def _world_problems(self) -> list[Problem]:
         """Transforms that nobody can calculate with, or that flatten the world."""
-        if problems := place_problems("transform", self.transform):
-            return problems
-        with np.errstate(all="ignore"):
-            back = inverse(self.transform[:, :3])
-        if not (np.abs(back) <= MAX_WORLD).all():
-            return [
-                Problem("transform", "cannot be inverted", f"a voxel with a volume, its edges from {1 / MAX_WORLD:g}")
-            ]
-        return []
+        problems = []
+        for transform in {each.tobytes(): each for each in self.transforms}.values():
+            with np.errstate(all="ignore"):
+                back = inverse(transform[:, :3])
+            astray = place_problems("transform", transform)
+            if not astray and not (np.abs(back) <= MAX_WORLD).all():
+                allowed = f"a voxel with a volume, its edges from {1 / MAX_WORLD:g}"
+                astray = [Problem("transform", "cannot be inverted", allowed)]
+            problems += astray
+        return problems
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
         return [problem for grid in self.grids for problem in grid.value_problems()]
 
     def problems(self) -> list[Problem]:
-        """Everything that is wrong; values are looked at once the structure is sound."""
-        return self.structure_problems() or self.value_problems()
+        """Everything that is wrong; values are looked at once the structure is sound. Grids that are not here, too."""
+        return [*self.unread, *(self.structure_problems() or self.value_problems())]
+
+
+def edges_of(transform: Transform) -> npt.NDArray[np.float64]:
+    """(3,) lengths of a voxel's edges in the world."""
+    lengths: npt.NDArray[np.float64] = np.sqrt((transform[:, :3] ** 2).sum(axis=0))
+    return lengths

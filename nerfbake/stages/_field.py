@@ -84,12 +84,12 @@ def box_of(cells: Cells, limit: npt.ArrayLike = np.inf) -> Points:
 @lru_cache(maxsize=2)
 def field_of(scene: Radiance) -> Field:
     """The scene made ready; kept for the next picture. Raises InvalidScene for what cannot be shown."""
-    for problem in scene.problems():
+    for problem in scene.structure_problems() or scene.value_problems():
         raise InvalidScene(problem)
     if isinstance(scene, N3Tree):
         return _of_n3tree(scene, shown_basis(scene.data_format))
     if isinstance(scene, SparseVoxelOctree):
-        return _of_octree(scene, shown_basis(scene.data_format))
+        return _of_octree(scene)
     # Imported here: it imports this module's Field.
     from nerfbake.stages._volume_field import field_of_volume
 
@@ -123,7 +123,10 @@ def _of_n3tree(tree: N3Tree, basis: Basis) -> Field:
     return Field(cells, data[held].astype(np.float32), place, box_of(cells), basis)
 
 
-def _of_octree(octree: SparseVoxelOctree, basis: Basis) -> Field:
+def _of_octree(octree: SparseVoxelOctree) -> Field:
+    # A density alone is grey, as it is in a volume.
+    alone = octree.data_dim == 1 and not octree.data_format
+    basis = parse_basis("RGBA") if alone else shown_basis(octree.data_format)
     leaves = octree.childless & (octree.sigma > 0)
     number = np.full(octree.n, EMPTY, np.int32)
     number[leaves] = -2 - np.arange(int(leaves.sum()), dtype=np.int32)
@@ -139,4 +142,7 @@ def _of_octree(octree: SparseVoxelOctree, basis: Basis) -> Field:
     scale = (cells.edge >> octree.grid_level) / octree.voxel_size
     place = np.column_stack([np.diag(scale), -octree.origin * scale])
     box = box_of(cells, np.array(octree.size) * (cells.edge >> octree.grid_level))
-    return Field(cells, octree.node_data[leaves].astype(np.float32), place, box, basis)
+    values = octree.node_data[leaves].astype(np.float32)
+    if alone:
+        values = np.concatenate([np.zeros((len(values), 3), np.float32), values], axis=1)
+    return Field(cells, values, place, box, basis)

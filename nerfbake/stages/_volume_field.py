@@ -7,18 +7,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import InvalidScene, Problem, format_size
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.affine import inverse, turned
 from nerfbake.kernels.bitmask import slots_of
 from nerfbake.kernels.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.elementary import log
 from nerfbake.kernels.morton import dilate
 from nerfbake.scene.basis import Basis, parse_basis
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._field import Field, box_of, shown_basis
+from nerfbake.stages._fog import density_of
 
-MAX_CELLS = 4 << 30  # bytes: sixteen times what masks take, and files may declare many of those
 _EDGE = 1e-6  # how near to 0 and 1 a colour may be, for its sigmoid to be undone
 Ints = npt.NDArray[np.int64]
 
@@ -26,7 +28,9 @@ Ints = npt.NDArray[np.int64]
 def field_of_volume(volume: Volume) -> Field:
     """An index grid with the coefficients of an octree; or density, with sh_0, sh_1, ..., with Cd (or color), or grey.
 
-    Raises InvalidScene where there is no density, or an index of unknown columns.
+    Tiles are cells as large as they are. A density without colours is grey, 0.5 of white: what it hides shows on a
+    white background as well as on a black one. Raises InvalidScene where there is no density, or an index of unknown
+    columns.
     """
     first = volume.grids[0]
     if isinstance(first, IndexGrid):
@@ -35,65 +39,80 @@ def field_of_volume(volume: Volume) -> Field:
         if values.shape[1] != 3 * basis.size + 1:
             found = f"has {values.shape[1]} columns"
             raise InvalidScene(Problem(f"table of {first.name!r}", found, f"{3 * basis.size + 1} for {basis}"))
+        transform = volume.transform
     else:
-        density = _density(volume)
-        topology, (colours, basis) = density.topology, _colours(volume, density.topology)
+        density = density_of(volume)
+        topology, (colours, basis) = density.topology, _colours(volume, density)
         values = np.concatenate([colours, density.values.astype(np.float32, copy=False)], axis=1)
+        transform = volume.transform_of(density)
     held = values[:, -1] > 0
     cells, low = _cells(topology, held)
-    back = inverse(volume.transform[:, :3])
+    back = inverse(transform[:, :3])
     # A sample stands at its voxel's centre, half a cell from the cell's corner.
-    place = np.column_stack([back, 0.5 - low - turned(volume.transform[:, 3], back)])
+    place = np.column_stack([back, 0.5 - low - turned(transform[:, 3], back)])
     return Field(cells, values[held], place, box_of(cells), basis)
 
 
-def _density(volume: Volume) -> VdbTree:
-    for grid in volume.grids:
-        if isinstance(grid, VdbTree) and grid.name == "density" and grid.values.shape[1] == 1:
-            return grid
-    names = ", ".join(grid.name for grid in volume.grids)
-    raise InvalidScene(Problem("the volume", f"has the grids {names}", "density among them, or index"))
-
-
-def _colours(volume: Volume, topology: VdbTopology) -> tuple[npt.NDArray[np.float32], Basis]:
-    """(m, 3 B): all coefficients of red, then of green, then of blue, for each of these voxels."""
+def _colours(volume: Volume, density: VdbTree) -> tuple[npt.NDArray[np.float32], Basis]:
+    """(count, 3 B): all coefficients of red, then of green, then of blue, for each voxel and tile of the density."""
     grids = {grid.name: grid for grid in volume.grids if isinstance(grid, VdbTree) and grid.values.shape[1] == 3}
     count = next(k for k in range(len(grids) + 1) if f"sh_{k}" not in grids)
+    topology = density.topology
     if count:
         basis = shown_basis(volume.frame.data_format if volume.frame else f"SH{count}")
         if basis.size != count:
             raise InvalidScene(Problem("the volume", f"has {count} grids sh_k", f"{basis.size} for {basis}"))
-        coefficients = [_values_at(grids[f"sh_{k}"], topology) for k in range(count)]
-        return np.stack(coefficients, axis=2).reshape(topology.m, -1), basis
+        coefficients = [_values_at(volume, grids[f"sh_{k}"], density) for k in range(count)]
+        return np.stack(coefficients, axis=2).reshape(topology.count, -1), basis
     named = [grids[name] for name in ("Cd", "color") if name in grids]
     if not named:
-        return np.zeros((topology.m, 3), np.float32), parse_basis("RGBA")
-    colour = np.clip(_values_at(named[0], topology), _EDGE, 1 - _EDGE)
+        return np.zeros((topology.count, 3), np.float32), parse_basis("RGBA")
+    colour = np.clip(_values_at(volume, named[0], density), _EDGE, 1 - _EDGE)
     return log(colour / (1 - colour)).astype(np.float32), parse_basis("RGBA")
 
 
-def _values_at(grid: VdbTree, topology: VdbTopology) -> npt.NDArray[np.float32]:
-    return (
-        grid.values.astype(np.float32, copy=False) if grid.topology.same_as(topology) else grid.sample(topology.coords)
-    )
+def _values_at(volume: Volume, grid: VdbTree, density: VdbTree) -> npt.NDArray[np.float32]:
+    """(count, 3) of another grid where the density has values. Raises InvalidScene where it has more than one."""
+    if not np.array_equal(volume.transform_of(grid), volume.transform_of(density)):
+        allowed = "one transform; --grid for the density alone"
+        raise InvalidScene(Problem(f"grid {grid.name!r}", "lies otherwise than the density", allowed))
+    if grid.topology.same_as(density.topology):
+        return grid.values.astype(np.float32, copy=False)
+    parts, first = [grid.sample(density.topology.coords)], density.topology.m
+    for level, (low, _) in reversed(list(enumerate(density.topology.tile_cubes[::-1]))):
+        # Below a node the other grid's values may differ from voxel to voxel.
+        finer = (grid.topology.nodes_at(low)[level] >= 0) & (density.values[first : first + len(low), 0] > 0)
+        if finer.any():
+            place = ", ".join(map(str, low[int(np.argmax(finer))]))
+            text = f"has voxels where the density has one tile, at ({place})"
+            raise InvalidScene(Problem(f"grid {grid.name!r}", text, "tiles there, too; --grid for the density alone"))
+        parts.append(grid.sample(low))
+        first += len(low)
+    return np.concatenate(parts)
 
 
 def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, npt.NDArray[np.int64]]:
-    """The tree, with row i for the i-th held voxel, and the voxel (3,) at its lowest corner."""
-    need = sum(4 * nodes << 3 * width for nodes, width in zip(topology.node_counts, (5, 4, 3), strict=True))
-    if need > MAX_CELLS:
-        raise InvalidScene(Problem("the volume", f"needs {format_size(need)} as cells", format_size(MAX_CELLS)))
-    tiles = topology.root_origin.astype(np.int64) >> 12
-    low = tiles.min(axis=0, initial=1 << 31)
-    levels = _tile_levels(tiles - low)
+    """The tree, with row i for the i-th held voxel or tile, and the voxel (3,) at its lowest corner."""
+    need = sum(4 * max(nodes, 1) << 3 * width for nodes, width in zip(topology.node_counts, (5, 4, 3), strict=True))
+    memory.require("the volume as cells", need)
+    number = np.where(held, -1 - np.cumsum(held), EMPTY)  # -2 for the first
+    of_voxels, *of_tiles = np.split(number, np.cumsum([topology.m, *topology.tile_counts])[:3])
+    tiles = topology.tiles
+    outer = topology.root_origin if tiles is None else np.concatenate([topology.root_origin, tiles.root_origin])
+    places = outer.astype(np.int64) >> 12
+    low = places.min(axis=0, initial=1 << 31)
+    levels = _tile_levels(places - low, np.concatenate([np.arange(len(topology.root_origin)), of_tiles[2]]))
     bits = [1] * len(levels)
-    for masks, width in ((topology.upper_mask, 5), (topology.lower_mask, 4), (topology.leaf_mask, 3)):
-        node, slot = slots_of(masks)
-        below = np.arange(len(node))
-        if width == 3:
-            below = np.where(held, -1 - np.cumsum(held), EMPTY)  # -2 for the first
-        table = np.full((max(len(masks), 1), 1 << 3 * width), EMPTY, np.int32)
-        table[node, slot] = below
+    masks = topology.upper_mask, topology.lower_mask, topology.leaf_mask
+    of_nodes = tiles and [(tiles.upper_mask, of_tiles[1]), (tiles.lower_mask, of_tiles[0])]
+    for level, (mask, width) in enumerate(zip(masks, (5, 4, 3), strict=True)):
+        table = np.full((max(len(mask), 1), 1 << 3 * width), EMPTY, np.int32)
+        node, slot = slots_of(mask)
+        table[node, slot] = of_voxels if width == 3 else np.arange(len(node))
+        if of_nodes and width > 3:
+            table[slots_of(of_nodes[level][0])] = of_nodes[level][1]
+        if not level and not len(mask) and len(of_tiles[2]) == 1:
+            table[:] = of_tiles[2][0]  # the root is one tile: no level of root tiles says so
         levels.append(table)
         bits.append(width)
     first = np.cumsum([0, *(level.size for level in levels[:-1])]).tolist()
@@ -101,16 +120,17 @@ def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, n
     return cells, low * 4096
 
 
-def _tile_levels(tiles: Ints) -> list[npt.NDArray[Any]]:
-    """Octree levels (nodes, 8) down to root tiles (u, 3) from 0 on; none where there is one tile."""
+def _tile_levels(tiles: Ints, number: Ints) -> list[npt.NDArray[Any]]:
+    """Octree levels (nodes, 8) down to root tiles (u, 3) from 0 on, with the number of each; none where there is
+    one tile."""
     height = int(tiles.max(initial=0)).bit_length()
     x, y, z = (dilate(tiles[:, axis]) for axis in range(3))
-    below, number = x << 2 | y << 1 | z, np.arange(len(tiles), dtype=np.int32)
+    below = x << 2 | y << 1 | z
     levels: list[npt.NDArray[Any]] = []
     for _ in range(height):
         above, parent = np.unique(below >> 3, return_inverse=True)
         table = np.full((len(above), 8), EMPTY, np.int32)
         table[parent, below & 7] = number
         levels.insert(0, table)
-        below, number = above, np.arange(len(above), dtype=np.int32)
+        below, number = above, np.arange(len(above))
     return levels

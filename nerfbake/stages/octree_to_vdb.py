@@ -21,7 +21,9 @@ from nerfbake.kernels.runs import rows_of_runs
 from nerfbake.kernels.sh import sh_basis
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree, topology_of_leaves
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTopology
+from nerfbake.scene.vdb_voxels import topology_of_leaves
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
 from nerfbake.stages._half import rounded
 

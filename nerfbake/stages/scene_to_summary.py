@@ -14,7 +14,7 @@ from nerfbake.scene.mesh import Meshes, box_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.volume import Volume
+from nerfbake.scene.volume import Volume, edges_of
 from nerfbake.stages._cameras_summary import summary_of_cameras
 
 
@@ -99,7 +99,11 @@ def _of_volume(volume: Volume) -> dict[str, Any]:
         "voxel_size": volume.voxel_size.tolist(),
         "transform": volume.transform.tolist(),
         "grid_names": [grid.name for grid in volume.grids],
-        "grids": {grid.name: _of_grid(grid, volume.transform) for grid in volume.grids},
+        "grids": {
+            label: _of_grid(grid, volume.transform_of(grid))
+            for label, grid in zip(volume.labels, volume.grids, strict=True)
+        },
+        "not_read": [f"{problem.place} {problem.found}" for problem in volume.unread] or None,
         "bytes_in_memory": sum(grid.values.nbytes for grid in volume.grids),
     }
 
@@ -119,22 +123,33 @@ def _of_meshes(scene: Meshes) -> dict[str, Any]:
 
 
 def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> dict[str, Any]:
-    box, world = grid.topology.box, None
+    index = isinstance(grid, IndexGrid)
+    active, values, stored = (
+        (grid.topology, grid.values, "")
+        if isinstance(grid, IndexGrid)
+        else (grid.active_topology, grid.active_values, grid.stored)
+    )
+    box, world = active.box, None
     if box is not None:
         ends = np.stack([box[0] - 0.5, box[1] + 0.5])  # a voxel reaches half its edge around its centre
         corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
         corners = placed(corners, transform)
         world = _box(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     return {
-        "type": "index" if isinstance(grid, IndexGrid) else "values",
+        "type": "index" if index else "values",
+        "class": "index" if isinstance(grid, IndexGrid) else grid.grid_class,
         "dtype": grid.values.dtype.name,
+        "stored_as": stored or None,
         "channels": int(grid.values.shape[1]),
-        "active_voxels": grid.topology.m,
+        "active_voxels": active.voxel_count,
+        "active_tiles": list(active.tile_counts),
+        "inactive_values": len(grid.values) - len(values),
         "nodes_per_level": [1, *grid.topology.node_counts],
+        "voxel_size": edges_of(transform).tolist(),
         "index_box": [corner.tolist() for corner in box] if box is not None else None,
         "world_box": world,
         "background": grid.background.tolist(),
-        "range": _range(grid.values),
+        "range": _range(values),
         "non_finite": _non_finite(grid.values, np.ones(len(grid.values), bool)),
     }
 

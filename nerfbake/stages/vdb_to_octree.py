@@ -1,58 +1,85 @@
-"""VDB grids -> the sparse voxel octree they were made from."""
+"""VDB grids -> sparse voxel octrees: the one they were made from, or one of a fog's density alone."""
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.means import mean_edge, opacity
-from nerfbake.kernels.morton import dilate
-from nerfbake.kernels.pyramid import INNER, Level, children_table, merge_equal
-from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.vdb import IndexGrid, VdbTopology
-from nerfbake.scene.volume import Volume
-from nerfbake.stages._node_values import NodeValues
-
-Ints = npt.NDArray[np.signedinteger[Any]]
+from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
+from nerfbake.scene.vdb import IndexGrid
+from nerfbake.scene.vdb_topology import VdbTopology
+from nerfbake.scene.volume import OctreeFrame, Volume
+from nerfbake.stages._cube_levels import Block, blocks_of, octree_of
+from nerfbake.stages._fog import density_of
 
 
 def restore_octree(volume: Volume) -> SparseVoxelOctree:
     """The octree behind an index grid, or behind density and sh_0, sh_1, ...: its voxels bit for bit.
 
-    Eight equal neighbours are one leaf and voxels of density 0 are no nodes, as build_octree has it, so its octrees
-    come back with the same nodes. What inner nodes hold is not in the grids: it is made anew by build_octree's rule,
-    with the voxel's width for the finest cell's, and is the same to the bit where the octree was baked at its tree's
-    own resolution.
+    Eight equal neighbours are one leaf, a tile is one as it stands, and voxels of density 0 are no nodes, as
+    build_octree has it, so its octrees come back with the same nodes. What inner nodes hold is not in the grids: it is
+    made anew by build_octree's rule, with the voxel's width for the finest cell's, and is the same to the bit where
+    the octree was baked at its tree's own resolution.
 
     Raises InvalidScene where the grids hold no octree: other programs' files, and those without coefficients.
     """
     if volume.frame is None:
         raise InvalidScene(Problem("the volume", "does not say which octree it was", "what `nerfbake vdb` writes"))
     frame, (topology, data) = volume.frame, _data(volume)
-    held = np.flatnonzero(data[:, -1] != 0)  # half a float may be 0 where the voxel was thin
-    coords = topology.coords[held].astype(np.int64)
-    if len(coords) and (coords.min() < 0 or (coords.max(axis=0) >= frame.size).any()):
-        size = "x".join(map(str, frame.size))
-        raise InvalidScene(Problem("the volume", f"has voxels outside {size}", "voxels of its octree"))
-    height = max(edge - 1 for edge in frame.size).bit_length()
-    x, y, z = (dilate(coords[:, axis]) for axis in range(3))
-    codes = x | y << 1 | z << 2
-    order = np.argsort(codes)
-    leaves = _Voxels(data, held[order], mean_edge(frame.voxel_size))
-    levels = merge_equal(_levels(codes[order], height), leaves.same)
-    return SparseVoxelOctree(
-        size=frame.size,
-        node_children=children_table(levels, all_slots=frame.layout == "full"),
-        node_data=NodeValues(levels, leaves),
-        data_format=frame.data_format,
-        origin=frame.origin,
-        voxel_size=frame.voxel_size,
-        extra_data=frame.extra_data,
-    )
+    blocks = blocks_of(topology, data[:, -1] != 0)  # half a float may be 0 where the voxel was thin
+    for low, height, _ in blocks:
+        if low.min() < 0 or (low.max(axis=0) + (1 << height) > frame.size).any():
+            size = "x".join(map(str, frame.size))
+            raise InvalidScene(Problem("the volume", f"has voxels outside {size}", "voxels of its octree"))
+    return octree_of(blocks, data, frame)
+
+
+def density_octree(volume: Volume) -> SparseVoxelOctree:
+    """An octree of the density of a fog volume, whatever program made it: one value a node, no colour.
+
+    The density is the grid `density`, or the only one with one channel. Voxels and tiles above 0 are leaves, each at
+    its own level, in a box of the world's axes around them; a transform may swap and mirror axes. Raises InvalidScene
+    for level sets, for transforms that turn or shear, and for boxes of more than 4096 voxels along an axis.
+    """
+    grid = density_of(volume)
+    for problem in (*grid.structure_problems(), *grid.value_problems()):
+        raise InvalidScene(problem)
+    turn, voxel_size, origin = _axes(volume.transform_of(grid))
+    # Of a mirrored axis a cube's other end is its lowest voxel.
+    blocks = [
+        Block(low @ turn.T - np.where(turn.sum(axis=1) < 0, 1 << height, 0), height, row)
+        for low, height, row in blocks_of(grid.topology, grid.values[:, 0] > 0)
+    ]
+    # What tiles need to be leaves: a box that starts where the largest of them could.
+    step = 1 << max((block.height for block in blocks), default=0)
+    ends = [(block.low.min(axis=0), block.low.max(axis=0) + (1 << block.height)) for block in blocks]
+    low = np.min([low for low, _ in ends] or [np.zeros(3, np.int64)], axis=0) // step * step
+    size = np.max([high for _, high in ends] or [np.ones(3, np.int64)], axis=0) - low
+    if (size > MAX_SIZE).any():
+        found = f"reaches over {'x'.join(f'{int(edge):,}' for edge in size)} voxels"
+        raise InvalidScene(Problem(f"grid {grid.name!r}", found, f"{MAX_SIZE:,} along an axis of an octree"))
+    frame = OctreeFrame((int(size[0]), int(size[1]), int(size[2])), "", "full", origin + low * voxel_size, voxel_size)
+    return octree_of([Block(block.low - low, block.height, block.row) for block in blocks], grid.values, frame)
+
+
+def _axes(transform: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any], npt.NDArray[Any]]:
+    """(3, 3) of 0, 1, -1 from the grid's axes to the world's, a voxel's edges there, and where its voxel (0, 0, 0)
+    starts; mirrored axes are counted from -1 down."""
+    matrix, centre = transform[:, :3], transform[:, 3]
+    if (
+        not np.isfinite(transform).all()
+        or ((matrix != 0).sum(axis=0) != 1).any()
+        or ((matrix != 0).sum(axis=1) != 1).any()
+    ):
+        raise InvalidScene(
+            Problem("the transform", "turns or shears the grid", "axes that are the world's, for an octree")
+        )
+    turn, edges = np.sign(matrix).astype(np.int64), np.abs(matrix).sum(axis=1)
+    # Voxel v of a mirrored axis becomes -v - 1: voxel 0 starts where voxel 0 did, half an edge above its centre.
+    return turn, edges, centre - np.where(turn.sum(axis=1) < 0, -edges / 2, edges / 2)
 
 
 def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
@@ -63,7 +90,8 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
     density = volume.grid("density")
     coefficients = [volume.grid(f"sh_{k}") for k in range(len(volume.grids) - 1) if f"sh_{k}" in _names(volume)]
     if not coefficients:
-        raise InvalidScene(Problem("the volume", f"has the grids {', '.join(_names(volume))}", "density,sh or index"))
+        allowed = "density,sh or index; --grid NAME for an octree of that density alone"
+        raise InvalidScene(Problem("the volume", f"has the grids {', '.join(volume.labels)}", allowed))
     for grid in coefficients:
         same = grid.topology.same_as(density.topology)
         if not same or grid.values.shape[1] != 3 or grid.values.dtype != density.values.dtype:
@@ -75,42 +103,3 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
 
 def _names(volume: Volume) -> list[str]:
     return [grid.name for grid in volume.grids]
-
-
-def _levels(codes: npt.NDArray[np.int64], height: int) -> list[Level]:
-    """All levels above sorted Morton codes of voxels; voxel i is leaf i."""
-    rows = [codes]
-    for _ in range(height):
-        above = rows[-1] >> 3
-        rows.append(above[np.diff(above, prepend=-1) != 0])
-    if not len(codes):
-        return [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32))]
-    levels = [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32))]
-    for above, below in pairwise(rows[::-1]):
-        parent = np.searchsorted(above, below >> 3).astype(np.int32)
-        levels.append(Level(parent, (below & 7).astype(np.uint8), np.full(len(below), INNER, np.int32)))
-    levels[-1].leaf[:] = np.arange(len(codes), dtype=np.int32)
-    return levels
-
-
-class _Voxels:
-    """The octree's leaves by number: voxels in Morton order."""
-
-    def __init__(self, data: npt.NDArray[Any], order: Ints, width: float) -> None:
-        self._data, self._order, self._width = data, order, width
-        self.data_dim, self.dtype = int(data.shape[1]), data.dtype
-
-    def values(self, leaf: Ints) -> npt.NDArray[Any]:
-        return self._data[self._order[leaf]]
-
-    def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
-        return opacity(self._data[self._order[leaf], -1].astype(np.float32), self._width)
-
-    def same(self, leaves: Ints) -> npt.NDArray[np.bool_]:
-        """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
-        sigma = self._data[self._order[leaves.reshape(-1)], -1].reshape(-1, 8)
-        same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)
-        some = np.flatnonzero(same)
-        values = self.values(leaves[some].reshape(-1)).reshape(len(some), 8, self.data_dim)
-        same[some] = (values == values[:, :1]).all(axis=(1, 2))
-        return same

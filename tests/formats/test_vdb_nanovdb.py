@@ -20,7 +20,8 @@ from nerfbake.formats import vdb_nanovdb
 from nerfbake.formats._blosc import unblosc
 from nerfbake.formats._nanovdb_reader import _unblosced
 from nerfbake.memory import memory_limit
-from nerfbake.scene.vdb import IndexGrid, VdbTopology, VdbTree
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from tests.scenes import assert_same_octree, n3tree
 from tests.vdb_readers import SCENES, bloscked, by_coords, index, pyopenvdb, tool, transform, tree, volume

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import io
 import re
 from collections.abc import Callable
@@ -16,10 +17,11 @@ from nerfbake.formats import vdb_npz
 from nerfbake.formats._npz_writer import write_npz
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTiles
 from nerfbake.scene.volume import Volume
 from tests.conftest import REPOSITORY
 from tests.scenes import assert_same_octree, n3tree
-from tests.vdb_readers import SCENES, index, tree, volume
+from tests.vdb_readers import SCENES, index, transform, tree, volume
 
 PAGE = (REPOSITORY / "schemas" / "vdb_npz.md").read_text()
 GRIDS: dict[str, Callable[..., Any]] = {
@@ -105,12 +107,11 @@ def test_the_pages_lookup_finds_every_voxel_and_nothing_else(scene: str, kind: s
         assert_array_equal(value_of(npz, 1, *place), np.asarray(expected, grid.values.dtype), str(place))
 
 
-def test_the_page_lists_every_key_with_its_type_and_shape() -> None:
-    octree = build_octree(n3tree(splits=[(0, (1, 0, 1))]))
-    arrays = arrays_of(encoded(build_vdb(octree)))
-    told = re.findall(r"^\| `([a-z_{}]+)` \| ([^|]+) \| \(([^|]*)\) \|", PAGE, re.MULTILINE)
+TOLD = re.findall(r"^\| `([a-z_{}]+)` \| ([^|]+) \| \(([^|]*)\) \|", PAGE, re.MULTILINE)
+
+
+def assert_told(arrays: dict[str, Any], sizes: dict[str, int], told: list[tuple[str, str, str]]) -> None:
     assert {re.sub(r"_\d+_", "_{}_", key) for key in arrays} == {re.sub(r"{.}", "{}", key) for key, *_ in told}
-    sizes = {"any": len(arrays["nerfbake"]), "g": 2, "m + 1": 1 + build_vdb(octree).grids[0].topology.m, "channels": 1}
     sizes |= {
         letter: len(arrays[f"tree_0_{level}_mask"])
         for letter, level in {"u": "upper", "k": "lower", "l": "leaf"}.items()
@@ -122,6 +123,38 @@ def test_the_page_lists_every_key_with_its_type_and_shape() -> None:
         assert list(array.shape) == [sizes[edge] if edge in sizes else int(edge) for edge in edges], key
 
 
+def test_the_page_lists_every_key_with_its_type_and_shape() -> None:
+    octree = build_octree(n3tree(splits=[(0, (1, 0, 1))]))
+    arrays = arrays_of(encoded(build_vdb(octree)))
+    assert arrays["vdb_version"] == 1
+    sizes = {"any": len(arrays["nerfbake"]), "g": 2, "m + 1": 1 + build_vdb(octree).grids[0].topology.m, "channels": 1}
+    assert_told(arrays, sizes, [row for row in TOLD if not re.search("tile|active|grid_{g}_transform", row[0])])
+
+
+def test_the_page_lists_what_other_programs_need() -> None:
+    """A voxel and a tile of each size, the smallest of them inactive, in a place of their own."""
+    voxel = tree([[3, 5, 6]]).topology
+    lower, upper = (np.zeros_like(mask) for mask in (voxel.lower_mask, voxel.upper_mask))
+    lower[0, 7], upper[0, 9] = 1, 2
+    tiles = VdbTiles(lower, upper, np.array([[4096, 0, 0]], np.int32))
+    values = np.arange(4, dtype=np.float32)[:, None]
+    active = np.array([True, False, True, True])
+    grid = VdbTree("a", dataclasses.replace(voxel, tiles=tiles), values, np.zeros(1, np.float32), "level set", active)
+    made = volume(dataclasses.replace(grid, place=transform(scale=(1, 2, 3))))
+    assert made.problems() == []
+    arrays = arrays_of(encoded(made))
+    assert arrays["vdb_version"] == 2
+    told = [row for row in TOLD if row[0] != "nerfbake"]
+    assert_told(arrays, {"g": 1, "m + 1": 5, "channels": 1, "r": 1, "m + t": 4}, told)
+    assert arrays["tree_0_lower_tile_rank"][0, 14] == 2
+    assert arrays["tree_0_upper_tile_rank"][0, 18] == 3
+    (back,) = decoded(encoded(made)).grids
+    assert isinstance(back, VdbTree)
+    assert back.active is not None
+    assert_array_equal(back.active, active)
+    assert back.topology.same_as(grid.topology)
+
+
 # -- files that lie --------------------------------------------------------------------------------------------
 def flipped(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     array[0, 0] ^= 1
@@ -129,7 +162,7 @@ def flipped(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 LIES: dict[str, tuple[str, Callable[[Any], Any], str]] = {
-    "another version": ("vdb_version", lambda _: 2, "vdb_version is 2; allowed: 1"),
+    "another version": ("vdb_version", lambda _: 3, "vdb_version is 3; allowed: 1, 2"),
     "no grids": ("grid_name", lambda _: np.zeros(0, "U1"), "grid_name has 0 names; allowed: 1 to 100"),
     "too many grids": ("grid_name", lambda _: np.zeros(101, "U1"), "grid_name has 101 names"),
     "fewer classes": ("grid_class", lambda a: a[:1], "grid_class has dtype <U10, shape (1,); allowed: (2) of kind U"),

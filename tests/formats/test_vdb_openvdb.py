@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import build_octree, build_vdb, load, restore_octree, sample_n3tree, save
-from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
+from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.formats import vdb_openvdb
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import VdbTree
@@ -81,21 +82,12 @@ def test_memory_is_bounded_before_values_are_unpacked() -> None:
         vdb_openvdb.decode(memoryview(encoded(volume(tree(SCENES["a full leaf"])))))
 
 
-def test_two_transforms_are_refused() -> None:
-    one, other = (encoded(Volume((tree([]),), transform(scale=(s, s, s)))) for s in (0.5, 0.25))
-    at = len(encoded(volume(tree([])))) - len(one)  # both have one header
-    assert at == 0
-    head = 8 + 12 + 1 + 36 + 4
-    name = len("density") + 4 + len("Tree_float_5_4_3") + 4 + 4
-
-    def moved(grid: bytes, by: int) -> bytes:
-        body = grid[head + 4 :]
-        places = np.frombuffer(body[name : name + 24], "<i8") + by
-        return body[:name] + places.astype("<i8").tobytes() + body[name + 24 :]
-
-    joined = one[:head] + (2).to_bytes(4, "little") + moved(one, 0) + moved(other, len(one) - head - 4)
-    with pytest.raises(InvalidFile, match="has grids of several transforms"):
-        decoded(joined)
+def test_each_grid_keeps_its_transform() -> None:
+    one, other = tree(SCENES["one voxel"]), tree(SCENES["a cloud"], name="other")
+    elsewhere = transform(scale=(0.5, 0.5, 0.5))
+    back = decoded(encoded(Volume((one, dataclasses.replace(other, place=elsewhere)), transform())))
+    assert_array_equal(back.transforms, [transform(), elsewhere])
+    assert_array_equal(back.only(["other"]).transforms, [elsewhere])
 
 
 # -- OpenVDB itself --------------------------------------------------------------------------------------------
@@ -181,15 +173,21 @@ def test_blosc_is_read_as_zip_is(scene: str, kind: str) -> None:
     assert encoded(back) == encoded(made)
 
 
-def test_values_of_inactive_voxels_are_left_out() -> None:
-    """A leaf stored whole (code 6), as OpenVDB writes where inactive values differ."""
+def test_a_leaf_stored_whole_keeps_its_inactive_values() -> None:
+    """Code 6, as OpenVDB writes where inactive values differ; the background among them is background."""
     data = bytearray(encoded(volume(tree([[0, 0, 0], [0, 0, 9]])), codec="none"))
     at = data.rindex((1).to_bytes(64, "little"))  # the first leaf's mask, before its values
-    values = np.arange(1000, 1512, dtype="<f4")
+    values = np.zeros(512, "<f4")
+    values[:300] = np.arange(1000, 1300)
     whole = data[: at + 64] + b"\6" + values.tobytes() + data[at + 64 + 5 :]
     end = data.index(len(data).to_bytes(8, "little"))
     whole[end : end + 8] = len(whole).to_bytes(8, "little")
-    assert_array_equal(decoded(bytes(whole)).grids[0].values[:, 0], [1000, tree([[0, 0, 0], [0, 0, 9]]).values[1, 0]])
+    (grid,) = decoded(bytes(whole)).grids
+    assert isinstance(grid, VdbTree)
+    assert_array_equal(grid.values[:, 0], [*values[:300], tree([[0, 0, 0], [0, 0, 9]]).values[1, 0]])
+    assert grid.active is not None
+    assert_array_equal(np.flatnonzero(grid.active), [0, 300])
+    assert_array_equal(grid.active_topology.coords, [[0, 0, 0], [0, 0, 9]])
 
 
 # -- Blender ---------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from nerfbake.kernels import extremes as module
@@ -8,7 +9,7 @@ from nerfbake.kernels.extremes import extremes
 
 
 def test_by_hand() -> None:
-    values = np.array([[1, np.nan, 5], [-2, np.inf, 6], [9, -np.inf, 7]], np.float16)
+    values: npt.NDArray[np.float16] = np.array([[1, np.nan, 5], [-2, np.inf, 6], [9, -np.inf, 7]], np.float16)
     found = extremes(values, np.array([True, True, False]))
     assert found.range() == [-2, 6]
     assert found.range(slice(0, 1)) == [-2, 1]

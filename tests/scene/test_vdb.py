@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from nerfbake.errors import InvalidScene
-from nerfbake.scene.vdb import IndexGrid, VdbTree, topology_of
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.vdb_readers import SCENES, index, transform, tree
 

@@ -10,11 +10,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Camera, Cameras, Image, SparseVoxelOctree, build_octree, build_vdb, cut_octree, load, orbit, render
-from nerfbake.errors import InvalidScene
+from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels.sh import sh_basis
+from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.vdb import VdbTree, topology_of
+from nerfbake.scene.vdb import VdbTree
+from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.conftest import DATA
 from tests.scenes import n3tree
@@ -261,10 +263,9 @@ def test_colours_of_other_voxels_are_looked_up() -> None:
     assert_allclose(render(pruned, camera).colour, render(octree, camera).colour, atol=2e-4)
 
 
-def test_more_cells_than_memory_has_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerfbake.stages._volume_field.MAX_CELLS", 100_000)
+def test_more_cells_than_memory_has_are_refused() -> None:
     volume = build_vdb(grown())
-    with pytest.raises(InvalidScene, match=r"the volume needs 146.0 KiB as cells; allowed: 97.7 KiB"):
+    with memory_limit(100_000), pytest.raises(MemoryLimit, match=r"the volume as cells needs 146.0 KiB; allowed: 97.7"):
         render(volume, front())
 
 

@@ -1,0 +1,101 @@
+"""What commands that read or write VDB grids share: which grids, how they stand, what a format holds."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import click
+
+import nerfbake
+from nerfbake import catalog, io
+from nerfbake.cli.params import Input, Output
+from nerfbake.cli.words import Words
+from nerfbake.errors import InvalidFile, UsageError
+
+GRIDS = ("density", "Cd", "sh", "index")
+DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
+
+codec_option = click.option(
+    "--codec", type=click.Choice(["none", "zip"]), help="Of .vdb and .nvdb.  [default: zip for .vdb, none for .nvdb]"
+)
+Command = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which grids of a volume, and which axis of its world is up."""
+
+    grids: tuple[str, ...]
+    up: str | None
+
+    def __bool__(self) -> bool:
+        return bool(self.grids or self.up)
+
+    def of(self, words: Words, source: Input, scene: Any) -> Any:
+        """The scene as it was asked for. Raises UsageError where it is no volume and something was asked."""
+        if self and not isinstance(scene, nerfbake.Volume):
+            raise UsageError(f"{io.reading_name(source.path)} is no volume; allowed: no --grid and no --up")
+        if self:
+            with source.blamed(words, "choosing grids"):
+                scene = scene.only(self.grids) if self.grids else scene
+                scene = scene.turned() if self.up == "y" else scene
+        return scene
+
+    def whole(self, words: Words, source: Input, scene: Any) -> Any:
+        """The same; raises InvalidFile where a grid would be left out that nobody left out."""
+        chosen = self.of(words, source, scene)
+        if isinstance(chosen, nerfbake.Volume) and chosen.unread:
+            problem = chosen.unread[0]
+            raise InvalidFile(problem._replace(allowed=f"{problem.allowed}; --grid for the others"), source=source.path)
+        return chosen
+
+
+def chooses_grids(function: Command) -> Command:
+    """Adds --grid and --up; the command gets `choice`."""
+
+    @click.option(
+        "--grid", "grids", multiple=True, metavar="NAME", help="This grid of a volume alone, by name or number from 0."
+    )
+    @click.option("--up", type=click.Choice(["y", "z"]), help="The axis that is up in a volume; y is turned to z.")
+    @functools.wraps(function)
+    def command(*args: Any, grids: tuple[str, ...], up: str | None, **others: Any) -> Any:
+        return function(*args, choice=Choice(grids, up), **others)
+
+    return command
+
+
+def is_volume(target: Output) -> bool:
+    """Whether OUT is to be a volume."""
+    return catalog.is_ending(target.path if target.to is None else f".{target.to.removeprefix('.')}", "Volume")
+
+
+def form_of(target: Output) -> str:
+    """vdb, nvdb or vdb.npz."""
+    return io.uncompressed(io.format_for(target.path, "Volume", to=target.to).name)
+
+
+def codec_for(form: str, codec: str | None) -> dict[str, str]:
+    """What encode() takes. Raises UsageError where the format has no codecs."""
+    if form in DEFAULT_CODEC:
+        return {"codec": codec or DEFAULT_CODEC[form]}
+    if codec:
+        raise UsageError(f"a .{form} has no codecs; allowed: no --codec, .{form}.zst")
+    return {}
+
+
+def require_grids(form: str, grids: tuple[str, ...], *, half: bool) -> None:
+    """Raises UsageError, before any work is done, for grids that this format does not hold."""
+    if not set(grids) <= set(GRIDS) or len(set(grids)) < len(grids) or ("index" in grids and len(grids) > 1):
+        raise UsageError(f"--grids are {','.join(grids)!r}; allowed: some of density, Cd, sh, or index alone")
+    if form == "vdb" and "index" in grids:
+        raise UsageError("a .vdb has no index grids; allowed: density, Cd, sh; or a .nvdb, a .vdb.npz")
+    if form == "nvdb" and (len(grids) > 1 or "sh" in grids):
+        raise UsageError(f"a .nvdb would hold the grids {','.join(grids)}; allowed: one of density, Cd, index")
+    if form == "nvdb" and half and "Cd" in grids:
+        raise UsageError("a .nvdb has no half colours; allowed: no --half, or another grid")
+
+
+WARP_NOTE = "note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros"

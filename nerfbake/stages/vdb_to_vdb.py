@@ -1,0 +1,31 @@
+"""VDB grids -> the same grids with values of another type."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.volume import Volume
+from nerfbake.stages._half import rounded
+
+
+def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volume:
+    """The volume with values of this type; an index' table is not made wider. Raises InvalidScene, naming the grid,
+    where values do not fit."""
+    wanted = np.dtype(dtype)
+
+    def cast(grid: VdbTree | IndexGrid) -> VdbTree | IndexGrid:
+        what = f"grid {grid.name!r}"
+        if isinstance(grid, IndexGrid):
+            return (
+                grid
+                if dtype == "float32"
+                else replace(grid, table=rounded(grid.table, wanted, what=what, asked="--half"))
+            )
+        background = rounded(grid.background, wanted, what=what, asked="--half").astype(np.float32)
+        return replace(grid, values=rounded(grid.values, wanted, what=what, asked="--half"), background=background)
+
+    return replace(volume, grids=tuple(map(cast, volume.grids)))
