@@ -86,6 +86,7 @@ class PictureSizes:
     def __init__(self, folder: Folder | None) -> None:
         self._folder = folder
         self._known: dict[str, Size | None] = {}
+        self._there: dict[str, set[str]] = {}  # the names in each folder: a capture may have 100,000 frames
 
     def of(self, path: str | None) -> Size | None:
         """Width and height of a picture, whose ending may be left out; None if it is not there or cannot be read."""
@@ -101,13 +102,16 @@ class PictureSizes:
         # Imported here: only sizes need Pillow, and most files tell theirs.
         from nerfbake.formats._picture import size_of
 
-        for name in (path, *(path + ending for ending in PICTURES)):
-            if head := self._folder.head(name):
-                try:
-                    return size_of(head, name)
-                except InvalidFile:
-                    return None
-        return None
+        place, _, name = path.rpartition("/")
+        if place not in self._there:
+            self._there[place] = set(self._folder.names(place))
+        endings = (ending for ending in ("", *PICTURES) if name + ending in self._there[place])
+        if (ending := next(endings, None)) is None:
+            return None
+        try:
+            return size_of(self._folder.head(path + ending), path + ending)
+        except InvalidFile:
+            return None
 
 
 def _inside(path: str) -> str | None:

@@ -150,7 +150,7 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
         (capture(frames=[{}]), r"frames\[0\].transform_matrix has shape"),
         (capture(frames=[{"transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]), "singular"),
         (capture(frames=[{"transform_matrix": [[1, 2], [3]]}]), "no table of numbers"),
-        (capture(frames=[{"transform_matrix": np.full((4, 4), 1e308).tolist()}]), "too large"),
+        (capture(frames=[{"transform_matrix": np.full((4, 4), 1e308).tolist()}]), r"transform_matrix.*1e\+15"),
         (capture(frames=[{"transform_matrix": np.eye(3).tolist()}]), "has shape"),
         (capture(frames=[3]), r"frames\[0\] is a number"),
         (capture(camera_angle_x=0), "camera_angle_x is 0"),
