@@ -12,9 +12,12 @@ from PIL import Image as Pillow
 
 from nerfbake import Depth, Meshes, build_octree, build_vdb, load, orbit, save
 from nerfbake.cli.main import run
-from tests.conftest import Shell
+from tests.captures import rig, write_colmap_binary
+from tests.conftest import DATA, Shell
 from tests.meshes import cube
 from tests.scenes import n3tree
+
+HOSTILE = sorted(path.name for path in (DATA / "hostile").glob("*.json") if ".svo." not in path.name)
 
 
 @pytest.fixture
@@ -114,6 +117,93 @@ def test_a_turntable_moves_or_is_a_sheet(shell: Shell, scene: Path) -> None:
     assert (scene / "turn.gif").read_bytes() == before
 
 
+def test_cameras_of_a_folder_say_where_they_are_from(shell: Shell, scene: Path) -> None:
+    write_colmap_binary(scene / "capture", rig(odd=True))
+    (scene / "capture" / "transforms_train.json").write_text("{}")  # no dialect: the folder's first is taken
+    done = shell("render", "a.npz", "--cameras", "capture", "--frame", "2", "--out", "a.png")
+    assert done.returncode == 1
+    assert b"capture: frames are no list" in done.stderr
+    (scene / "capture" / "transforms_train.json").unlink()
+    for given in ("capture", "capture/sparse/0/images.bin"):
+        done = shell("render", "a.npz", "--cameras", given, "--frame", "2", "--out", "a.png", "--force")
+        assert done.returncode == 0, done.stderr
+        source = "sparse/0/images.bin" if given == "capture" else "images.bin"
+        assert done.stderr.decode().splitlines()[0] == f"{given}: 3 cameras (COLMAP) from {source}"
+    with Pillow.open(scene / "a.png") as picture:
+        assert picture.size == (14, 10)
+    quiet = shell("render", "a.npz", "--cameras", "capture", "--out", "a.png", "--force", "-q")
+    assert quiet.stderr == b""
+
+
+def test_what_was_taken_for_granted_is_said(shell: Shell, scene: Path) -> None:
+    frame = {"file_path": "gone", "transform_matrix": np.eye(4).tolist()}
+    (scene / "t.json").write_text(json.dumps({"camera_angle_x": 1, "frames": [frame]}))
+    done = shell("render", "a.npz", "--cameras", "t.json", "--size", "9x9", "--out", "a.png")
+    assert done.returncode == 0
+    note = "t.json: no size is told and no picture is there: 800x800 taken for 1 of its cameras"
+    assert done.stderr.decode().splitlines()[0] == note
+
+
+def test_all_names_are_settled_before_the_first_picture(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene)
+
+    def cameras(*names: str) -> None:
+        frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names]
+        Path("t.json").write_text(json.dumps({"camera_angle_x": 1, "w": 8, "h": 8, "frames": frames}))
+
+    arguments = ["render", "a.npz", "--cameras", "t.json", "--all", "--out", "views", "-q"]
+    cameras("../x", "a\0b", "-rf", "train/v", "test/v", "w.alpha", "w" * 999)
+    assert run(arguments) == 0
+    names = ["_rf", "a_b", "v", "v_0004", "w.alpha", "w" * 120, "x"]
+    assert sorted(path.name for path in Path("views").iterdir()) == sorted(f"{name}.png" for name in names)
+    # A picture's alpha would have the name of another picture.
+    cameras("w", "w.alpha")
+    assert run([*arguments, "--alpha", "--force"]) == 4
+    assert "views/w.alpha.png: would be written twice; allowed: a name of its own" in capsys.readouterr().err
+    assert not Path("views/w.png").exists()
+    # The last one is there, and the first is not made.
+    cameras("new", "v")
+    assert run(arguments) == 4
+    assert not Path("views/new.png").exists()
+    Path("file").write_text("")
+    assert run([*arguments[:-2], "file/deeper", "-q"]) == 4
+    assert "file: is no folder; allowed: a new or another folder" in capsys.readouterr().err
+    Path("turn").mkdir()
+    Path("turn/0003.png").write_text("")
+    assert run(["render", "a.npz", "--turntable", "4", "--size", "8x8", "--out", "turn"]) == 4
+    assert [path.name for path in Path("turn").iterdir()] == ["0003.png"]
+
+
+def test_a_lens_that_does_not_cover_the_picture_is_told_before_the_first(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene)
+    frames = [{"file_path": f"r_{i}", "transform_matrix": np.eye(4).tolist(), "k1": -float(i)} for i in range(2)]
+    Path("t.json").write_text(json.dumps({"fl_x": 8, "w": 8, "h": 8, "frames": frames}))
+    for command in (["render", "a.npz", "--all", "--out", "views"], ["compare", "a.npz", "a.svo.pb"]):
+        assert run([*command, "--cameras", "t.json"]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "camera r_1 shows nothing at pixel 0, 0" in line
+    assert not Path("views").exists()
+    assert run(["check", "t.json"]) == 1
+    assert run(["render", "a.npz", "--cameras", "t.json", "--out", "a.png", "-q"]) == 0  # the first has no fault
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.data
+def test_hostile_cameras_are_one_line(
+    name: str, data: Path, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene)
+    code = run(["render", "a.npz", "--cameras", str(data / "hostile" / name), "--all", "--out", "views", "-q"])
+    said = capsys.readouterr().err.splitlines()
+    assert (code, len(said)) in ((0, 0), (1, 1))
+    made = [path.name for path in Path("views").iterdir()] if Path("views").exists() else []
+    assert len(made) == (3 if code == 0 else 0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
@@ -153,7 +243,7 @@ def test_a_turntable_moves_or_is_a_sheet(shell: Shell, scene: Path) -> None:
     ],
 )
 def test_what_goes_wrong_is_one_line(shell: Shell, scene: Path, arguments: list[str], code: int, said: str) -> None:
-    (scene / "bad.json").write_text(json.dumps({"frames": [{}]}))
+    (scene / "bad.json").write_text(json.dumps({"frames": [{"transform_matrix": np.eye(4).tolist()}]}))
     done = shell("render", *arguments)
     (line,) = done.stderr.decode().splitlines()
     assert said in line

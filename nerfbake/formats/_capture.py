@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 from typing import Protocol
@@ -16,6 +17,7 @@ MAX_FRAMES = 100_000
 DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
 MAX_NAME = 120  # bytes of a name; what stands beside a picture, and a file that is not yet whole, have longer ones
 PICTURES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+_UNSAFE = re.compile(r"[^\w .+()\[\]-]")
 _OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
 _CAMERA_BYTES = 1000  # what Python takes for one
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -71,7 +73,7 @@ def _safe(path: str) -> str:
     name = path.replace("\\", "/").rstrip("/").rpartition("/")[2]
     for ending in (*PICTURES, *_OTHERS):
         name = name.removesuffix(ending)
-    name = "".join(char if char.isalnum() or char in " .-_+()[]" else "_" for char in name[: 2 * MAX_NAME]).strip()
+    name = _UNSAFE.sub("_", name[: 2 * MAX_NAME]).strip()
     if not name.strip("._-"):
         return ""
     name = "_" + name[1:] if name[0] in ".-" else name
@@ -84,6 +86,7 @@ class PictureSizes:
     def __init__(self, folder: Folder | None) -> None:
         self._folder = folder
         self._known: dict[str, Size | None] = {}
+        self._there: dict[str, set[str]] = {}  # the names in each folder: a capture may have 100,000 frames
 
     def of(self, path: str | None) -> Size | None:
         """Width and height of a picture, whose ending may be left out; None if it is not there or cannot be read."""
@@ -99,13 +102,16 @@ class PictureSizes:
         # Imported here: only sizes need Pillow, and most files tell theirs.
         from nerfbake.formats._picture import size_of
 
-        for name in (path, *(path + ending for ending in PICTURES)):
-            if head := self._folder.head(name):
-                try:
-                    return size_of(head, name)
-                except InvalidFile:
-                    return None
-        return None
+        place, _, name = path.rpartition("/")
+        if place not in self._there:
+            self._there[place] = set(self._folder.names(place))
+        endings = (ending for ending in ("", *PICTURES) if name + ending in self._there[place])
+        if (ending := next(endings, None)) is None:
+            return None
+        try:
+            return size_of(self._folder.head(path + ending), path + ending)
+        except InvalidFile:
+            return None
 
 
 def _inside(path: str) -> str | None:

@@ -22,7 +22,7 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._capture import DEFAULT_EDGE, Folder, PictureSizes, Size, default_note, names_of, room_for
 from nerfbake.formats._json import number, shown, within
 from nerfbake.formats._lens_json import LENS_KEYS, lens_fields, lens_of
-from nerfbake.formats._transforms import parse, pose_of
+from nerfbake.formats._transforms import parse, poses_of
 from nerfbake.scene.camera import FOCAL, MAX_EDGE, Camera, Cameras
 
 # What would change rays, and is read by nobody here: a file that has one of these, other than 0 or false, is refused.
@@ -54,6 +54,7 @@ def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
     sizes = PictureSizes(beside)
     paths = [path if isinstance(path := frame.get("file_path"), str) else None for frame in frames]
     first = next((size for path in paths if (size := sizes.of(path))), None) if _unsized(fields, frames) else None
+    poses = poses_of(frames)
     shared: dict[Size | None, Intrinsics] = {}
     cameras, guessed = [], 0
     for i, (frame, path, name) in enumerate(zip(frames, paths, names_of(paths), strict=True)):
@@ -66,7 +67,7 @@ def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
         else:
             own = _intrinsics(frame, fields, size, f"frames[{i}]")
         guessed += own["guessed"]
-        cameras.append(Camera(pose=pose_of(frame, i), name=name, **{k: v for k, v in own.items() if k != "guessed"}))
+        cameras.append(Camera(pose=poses[i], name=name, **{k: v for k, v in own.items() if k != "guessed"}))
     return Cameras(tuple(cameras), _dialect(fields, frames), notes=(default_note(guessed),) if guessed else ())
 
 

@@ -82,7 +82,7 @@ def _array(files: Folder, name: str) -> npt.NDArray[np.float64]:
     if dtype.kind not in "fiu" or size != len(view) - stream.tell():
         found = f"declares {size:,} bytes of {dtype} before {len(view) - stream.tell():,}"
         raise InvalidFile(Problem(name, found, "as many numbers as there are"))
-    memory.hold(name, 8 * size)
+    memory.hold(name, 24 * (size // dtype.itemsize))  # as float64, in parts, and put together as poses
     flat = np.frombuffer(view, dtype, offset=stream.tell()).astype(np.float64)
     if not (np.abs(flat) <= MAX_WORLD).all():
         raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {MAX_WORLD:g}"))

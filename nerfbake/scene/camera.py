@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ from nerfbake.kernels.affine import turned
 from nerfbake.kernels.elementary import sine_cosine
 from nerfbake.kernels.topology import plural
 from nerfbake.scene.base import MAX_WORLD, Scene
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.lens import Lens, Raster, blind_rim, pixel_looks
 
 MAX_EDGE = 16384  # pixels
 FOCAL = (1e-6, 1e9)  # pixels
@@ -88,6 +87,10 @@ class Camera:
             centre = width / 2 + (self.cx - self.width / 2) * grown, height / 2 + (self.cy - self.height / 2) * grown
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
+    def require_memory(self, pixel_bytes: int) -> None:
+        """Raises MemoryLimit if so many bytes for each pixel do not fit."""
+        memory.require(f"a picture of {self.width}x{self.height} pixels", pixel_bytes * self.width * self.height)
+
     def rays(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """The camera's place (3,) and a unit direction for each pixel (height * width, 3), rows from the top.
 
@@ -99,7 +102,7 @@ class Camera:
             y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
             directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
         else:
-            looks, fine = _looks(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.lens)
+            looks, fine = pixel_looks(self._seen, self.lens)
             if not fine.all():
                 raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
             directions = looks[..., :1] * right - looks[..., 1:2] * up - looks[..., 2:] * back
@@ -111,8 +114,12 @@ class Camera:
         """What rays() would raise, told from the picture's rim: what is seen there, is seen inside it, too."""
         if self.lens is None or not self.lens.bends:
             return []
-        pixel = _blind_rim(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.lens)
+        pixel = blind_rim(self._seen, self.lens)
         return [] if pixel is None else [self._no_look(pixel, 1)]
+
+    @property
+    def _seen(self) -> Raster:
+        return Raster(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
     def _no_look(self, pixel: int, times: int) -> Problem:
         assert self.lens is not None
@@ -169,41 +176,19 @@ class Cameras(Scene):
         memory.require(f"keeping {pictures * len(self.cameras):,} pictures at once", need)
 
 
-@lru_cache(maxsize=1)  # frames of one capture share it: the search takes as long as a small picture
-def _looks(
-    width: int, height: int, fx: float, fy: float, cx: float, cy: float, lens: Lens
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """(H, W, 3) where pixels' centres look through a lens, x right, y down, z ahead; (H W,) whether they see."""
-    points = np.empty((height, width, 2))
-    points[..., 0] = (np.arange(width) + 0.5 - cx) / fx
-    points[..., 1] = ((np.arange(height) + 0.5 - cy) / fy)[:, None]
-    looks, fine = lens.looks(points.reshape(-1, 2))
-    return looks.reshape(height, width, 3), fine
-
-
-@lru_cache(maxsize=64)
-def _blind_rim(width: int, height: int, fx: float, fy: float, cx: float, cy: float, lens: Lens) -> int | None:
-    """The first pixel of the picture's rim that sees nothing, if there is one."""
-    x, y = np.arange(width), np.arange(height)
-    columns = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, width - 1)])
-    rows = np.concatenate([np.zeros_like(x), np.full_like(x, height - 1), y, y])
-    _, fine = lens.looks(np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy], axis=1))
-    return None if fine.all() else int((rows * width + columns)[~fine].min())
-
-
 def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:
     """What is wrong with 4 x 4 numbers, and what is allowed; in plain numbers, since captures have many frames."""
     if not all(math.isfinite(value) for row in rows for value in row):
         return "has a pose with NaN or infinity", "4 x 4 finite numbers"
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
-    if last != [0, 0, 0, 1]:
-        return f"has a pose whose last row is {last}", "0, 0, 0, 1"
     if (most := max(abs(x), abs(y), abs(z))) > MAX_WORLD:
         return f"stands {most:g} away", f"up to {MAX_WORLD:g} world units"
     if (most := max(abs(value) for row in rows[:3] for value in row[:3])) > MAX_AXIS:
         return f"has a pose with an axis of {most:g}", f"a rotation, or axes up to {MAX_AXIS:g}"
     if not abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) > MIN_VOLUME:
         return "has a singular pose", "an invertible rotation"
+    if last != [0, 0, 0, 1]:
+        return f"has a pose whose last row is {last}", "0, 0, 0, 1"
     return None
 
 

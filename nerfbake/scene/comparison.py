@@ -101,7 +101,7 @@ def _difference(a: Image, b: Image) -> Image:
 def _titles(names: list[str], edge: int, width: int) -> npt.NDArray[np.float32]:
     """(h, width, 3) black on white, one name at the left of each column."""
     texts = [TITLES[name] for name in names]
-    scale = max(1, min((edge - GAP) // (max(map(len, texts)) * lettering.ADVANCE), 3))
+    scale = max(1, min((edge - GAP) // (max(map(len, texts)) * lettering.ADVANCE), 2))
     colour = np.ones((scale * lettering.HEIGHT + 2 * GAP, width, 3), np.float32)
     for i, text in enumerate(texts):
         letters = np.kron(lettering.written(text), np.ones((scale, scale), bool))[:, : edge - GAP]

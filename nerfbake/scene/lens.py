@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels import lens
+from nerfbake.kernels.elementary import sine_cosine
 
 Model = Literal["polynomial", "rational", "fisheye"]
 MOST = 1e6  # of a coefficient
@@ -55,11 +57,12 @@ class Lens:
         """Where to look to see these points (m, 2): (m, 3) unit vectors, x right, y down, z ahead; and which exist."""
         most = np.pi if self.model == "fisheye" else np.inf
         plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
+        plane[~fine] = 0
         r = np.sqrt((plane * plane).sum(axis=1))
         looks = np.empty((len(plane), 3))
         if self.model == "fisheye":
-            looks[:, :2] = plane * np.divide(np.sin(r), r, out=np.ones_like(r), where=r > 0)[:, None]
-            looks[:, 2] = np.cos(r)
+            sine, looks[:, 2] = sine_cosine(r)
+            looks[:, :2] = plane * np.divide(sine, r, out=np.ones_like(r), where=r > 0)[:, None]
         else:
             ahead = 1 / np.sqrt(1 + r * r)
             looks[:, :2] = plane * ahead[:, None]
@@ -69,3 +72,37 @@ class Lens:
     @property
     def _coefficients(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         return (self.k[:3], self.k[3:]) if self.model == "rational" else (self.k, ())
+
+
+class Raster(NamedTuple):
+    """Where a picture's pixels are on the plane before the camera, but for the lens."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def points(self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """(..., 2) of these pixels' centres, x right, y down."""
+        x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
+        return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+
+@lru_cache(maxsize=1)  # the frames of a capture share it: the search takes as long as a small picture
+def pixel_looks(raster: Raster, lens: Lens) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """(H, W, 3) where pixels' centres look through a lens, x right, y down, z ahead; (H W,) whether they see."""
+    points = raster.points(np.arange(raster.width), np.arange(raster.height)[:, None])
+    looks, fine = lens.looks(points.reshape(-1, 2))
+    return looks.reshape(*points.shape[:2], 3), fine
+
+
+@lru_cache(maxsize=64)
+def blind_rim(raster: Raster, lens: Lens) -> int | None:
+    """The first pixel of the picture's rim that sees nothing, if there is one."""
+    x, y = np.arange(raster.width), np.arange(raster.height)
+    columns = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, raster.width - 1)])
+    rows = np.concatenate([np.zeros_like(x), np.full_like(x, raster.height - 1), y, y])
+    _, fine = lens.looks(raster.points(columns, rows))
+    return None if fine.all() else int((rows * raster.width + columns)[~fine].min())

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numba
 import numpy as np
+import numpy.typing as npt
 import pytest
 
+from nerfbake.errors import InvalidScene
 from nerfbake.kernels.gbuffer import NONE, GBuffer, gbuffer
 from nerfbake.scene.camera import Camera
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.mesh import Mesh, joined
 from tests.meshes import camera, cube, mesh, sphere, square, straight_down
 
@@ -61,6 +64,45 @@ def test_a_cube_is_a_box() -> None:
     near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
     expected = np.where(near <= far, near, np.inf).reshape(64, 64)
     np.testing.assert_allclose(see(view, cube()).distance, expected, rtol=1e-9)
+
+
+LENSES = {
+    "barrel": Lens("polynomial", (-0.3, 0.06)),
+    "pincushion": Lens("polynomial", (0.4,), (0.02, -0.01)),
+    "fisheye": Lens("fisheye", (0.05,)),
+}
+
+
+@pytest.mark.parametrize("bent", LENSES)
+def test_through_a_lens_a_cube_is_a_box(bent: str) -> None:
+    # The cube in small pieces, so that many boxes have to be right, seen off the centre and with oblong pixels.
+    base = camera(64, 48)
+    view = replace(base, focal=(base.fx, 1.3 * base.fx), centre=(20.0, 30.0), lens=LENSES[bent])
+    place, rays = view.rays()
+    with np.errstate(divide="ignore"):
+        low, high = (-0.5 - place) / rays, (0.5 - place) / rays
+    near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
+    expected = np.where(near <= far, near, np.inf).reshape(48, 64)
+    assert 0.05 < np.isfinite(expected).mean() < 0.95
+    whole = cube()
+    a, b, c = (whole.positions[whole.faces[:, i]] for i in range(3))
+    steps = [(i, j) for i in range(8) for j in range(8 - i)]
+
+    def corner(i: int, j: int) -> npt.NDArray[np.float32]:
+        return np.asarray(a + (b - a) * np.float32(i / 8) + (c - a) * np.float32(j / 8))
+
+    pieces = [(corner(i, j), corner(i + 1, j), corner(i, j + 1)) for i, j in steps]
+    pieces += [(corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)) for i, j in steps if i + j < 7]
+    positions = np.concatenate([np.stack(piece, axis=1) for piece in pieces]).reshape(-1, 3)
+    small = mesh(positions, np.arange(len(positions)).reshape(-1, 3))
+    np.testing.assert_allclose(see(view, whole).distance, expected, rtol=1e-9)
+    np.testing.assert_allclose(see(view, small).distance, expected, rtol=1e-6)
+
+
+def test_a_lens_that_looks_to_its_side_sees_no_mesh() -> None:
+    view = replace(camera(64, 48), focal=16.0, lens=Lens("fisheye"))
+    with pytest.raises(InvalidScene, match="looks 90 degrees or more to a side; allowed: less"):
+        see(view, cube())
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,0 +1,94 @@
+"""Cameras: what they refuse, and that nothing changed for those that had one focal length."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from nerfbake import Camera, Cameras
+from nerfbake.errors import InvalidScene
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.lens import Lens
+
+POSE = look_at(np.array([0.3, -0.2, 0.1]), 0.7, 0.4, 3.0)
+
+
+def old_rays(width: int, height: int, focal: float, pose: Any) -> Any:
+    """As they were calculated when a camera had one focal length and its centre in the middle."""
+    right, up, back = pose[:3, :3].T
+    x = (np.arange(width) + 0.5 - width / 2) / focal
+    y = -(np.arange(height) + 0.5 - height / 2) / focal
+    directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
+    directions /= np.sqrt(np.einsum("yxc,yxc->yx", directions, directions))[..., None]
+    return directions.reshape(-1, 3)
+
+
+@pytest.mark.parametrize("size", [(31, 17), (20, 20), (1, 7)])
+def test_a_simple_pinhole_has_the_same_rays_to_the_bit(size: tuple[int, int]) -> None:
+    simple = Camera(*size, 33.3, POSE)
+    spelled = Camera(*size, (33.3, 33.3), POSE, centre=(size[0] / 2, size[1] / 2), lens=Lens("polynomial", (0.0,)))
+    for camera in (simple, spelled):
+        assert camera.rays()[1].tobytes() == old_rays(*size, 33.3, POSE).tobytes()
+        assert camera.resized(9, 8).rays()[1].tobytes() == old_rays(9, 8, 33.3 * 9 / size[0], POSE).tobytes()
+
+
+def test_a_resized_camera_looks_through_the_same_corners() -> None:
+    lens = Lens("polynomial", (-0.1, 0.02), (0.001, 0.002))
+    camera = Camera(30, 20, (25.0, 24.0), POSE, centre=(13.0, 11.5), lens=lens)
+    half = camera.resized(15, 10)
+    assert (half.fx, half.fy, half.cx, half.cy, half.lens) == (12.5, 12.0, 6.5, 5.75, lens)
+    # A pixel of the half picture looks between four of the whole one.
+    whole = camera.rays()[1].reshape(20, 30, 3)
+    between = whole[::2, ::2] + whole[1::2, ::2] + whole[::2, 1::2] + whole[1::2, 1::2]
+    between /= np.linalg.norm(between, axis=2, keepdims=True)
+    assert_allclose(half.rays()[1].reshape(10, 15, 3), between, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"width": 0}, "has 0x3 pixels"),
+        ({"height": 16385}, "has 4x16385 pixels"),
+        ({"focal": 0.0}, "has focal length 0"),
+        ({"focal": (3.0, np.inf)}, "has focal length inf"),
+        ({"focal": np.nan}, "has focal length nan"),
+        ({"centre": (np.nan, 0.0)}, "has its centre at nan, 0"),
+        ({"centre": (0.0, 1e12)}, "has its centre at 0, 1e"),
+        ({"pose": np.eye(3)}, r"has a pose of shape \(3, 3\)"),
+        ({"pose": np.diag([1, 1, np.nan, 1.0])}, "has a pose with NaN"),
+        ({"pose": np.diag([1, 1, 0.0, 1])}, "has a singular pose"),
+        ({"pose": np.diag([1, 1, 1, 2.0])}, "has a pose whose last row is"),
+        ({"pose": np.diag([1e9, 1, 1, 1.0])}, "has a pose with an axis of 1e"),
+        ({"pose": np.block([[np.eye(3), np.full((3, 1), 1e16)], [np.zeros((1, 3)), np.eye(1)]])}, "stands 1e"),
+    ],
+)
+def test_what_is_no_camera_is_refused(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidScene, match=f"^camera r_1 {said}.*allowed"):
+        replace(Camera(4, 3, 5.0, np.eye(4), "r_1"), **wrong)
+
+
+@pytest.mark.parametrize(
+    "turn", [np.diag([1.0, 1, -1]), np.diag([2.0, 2, 2]), np.array([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]])]
+)
+def test_poses_that_are_no_rotation_are_told(turn: Any) -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = turn
+    cameras = Cameras((Camera(4, 3, 5.0, np.eye(4), "a"), Camera(4, 3, 5.0, pose, "b"), Camera(4, 3, 5.0, pose, "c")))
+    (problem,) = cameras.problems()
+    assert str(problem).startswith("camera b has a pose that is no rotation")
+    assert problem.times == 2
+    assert cameras.structure_problems() == []
+
+
+def test_the_extremes_that_are_allowed_have_rays() -> None:
+    far = np.eye(4)
+    far[:3, 3] = 1e15
+    far[:3, :3] *= 1e6
+    for camera in (Camera(3, 2, 1e-6, far), Camera(3, 2, (1e9, 1e-6), far, centre=(1e9, -1e9))):
+        _, directions = camera.rays()
+        assert np.isfinite(directions).all()
+        assert_allclose(np.linalg.norm(directions, axis=1), 1)
