@@ -15,7 +15,7 @@ from nerfbake.errors import InvalidScene, Problem, UsageError
 
 @click.command()
 @reads
-@writes_octree
+@writes_octree("Volume")
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),

@@ -11,7 +11,7 @@ from nerfbake.cli.words import Words
 
 @click.command()
 @reads
-@writes_octree
+@writes_octree()
 @click.option("--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep; 0 is the root alone.")
 @judges
 @speaks

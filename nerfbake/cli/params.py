@@ -17,7 +17,6 @@ from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError, format_size
 
 BUDGET_FRAMES, BUDGET_EDGE = 8, 400  # the views around a scene that a budget is judged from
-FORMATS = ", ".join(form.name for form in catalog.FORMATS)
 
 CAPTURE = "A transforms.json, or a folder with one, a COLMAP model, LLFF's poses or NSVF's"
 
@@ -248,21 +247,25 @@ def bakes_stage1(function: Command) -> Command:
     return command
 
 
-def writes(function: Command) -> Command:
-    """Adds the argument OUT, --to and --force; the command gets `target`, an Output."""
+def writes(*scenes: str) -> Callable[[Command], Command]:
+    """Adds the argument OUT, --to and --force for scenes of these types; the command gets `target`, an Output."""
+    names = ", ".join(form.name for scene in scenes for form in catalog.formats_of(scene))
 
-    @click.argument("target", metavar="OUT", type=click.Path(allow_dash=True))
-    @click.option(
-        "--to",
-        metavar="FORMAT",
-        help=f"Format of OUT, where its ending does not name it: {FORMATS}; .zst behind it compresses.",
-    )
-    @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
-    @functools.wraps(function)
-    def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
-        return function(*args, target=Output(target, to, force), **others)
+    def add(function: Command) -> Command:
+        @click.argument("target", metavar="OUT", type=click.Path(allow_dash=True))
+        @click.option(
+            "--to",
+            metavar="FORMAT",
+            help=f"Format of OUT, where its ending does not name it: {names}; .zst behind it compresses.",
+        )
+        @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+        @functools.wraps(function)
+        def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
+            return function(*args, target=Output(target, to, force), **others)
 
-    return command
+        return command
+
+    return add
 
 
 def judges(function: Command) -> Command:
@@ -292,25 +295,28 @@ def speaks(function: Command) -> Command:
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
-def writes_octree(function: Command) -> Command:
-    """Adds what `writes` adds, and how the octree is spelled: --profile, in `target`, and --no-child."""
+def writes_octree(*others: str) -> Callable[[Command], Command]:
+    """Adds what `writes` adds, for other scenes, too, and how an octree is spelled: --profile and --no-child."""
 
-    @writes
-    @click.option(
-        "--profile",
-        type=click.Choice(["report", "bulk"]),
-        help="Lists of numbers, as TR-24-01 has them, or arrays as blobs.  [default: bulk, but report for svo.pb]",
-    )
-    @click.option(
-        "--no-child",
-        type=click.Choice(["0", "-1"]),
-        default="0",
-        show_default=True,
-        callback=lambda ctx, param, value: int(value),
-        help="How OUT spells 'no child'.",
-    )
-    @functools.wraps(function)
-    def command(*args: Any, target: Output, profile: str | None, **others: Any) -> Any:
-        return function(*args, target=replace(target, profile=profile), **others)
+    def add(function: Command) -> Command:
+        @writes("SparseVoxelOctree", *others)
+        @click.option(
+            "--profile",
+            type=click.Choice(["report", "bulk"]),
+            help="Lists of numbers, as TR-24-01 has them, or arrays as blobs.  [default: bulk, but report for svo.pb]",
+        )
+        @click.option(
+            "--no-child",
+            type=click.Choice(["0", "-1"]),
+            default="0",
+            show_default=True,
+            callback=lambda ctx, param, value: int(value),
+            help="How OUT spells 'no child'.",
+        )
+        @functools.wraps(function)
+        def command(*args: Any, target: Output, profile: str | None, **others: Any) -> Any:
+            return function(*args, target=replace(target, profile=profile), **others)
 
-    return command
+        return command
+
+    return add

@@ -16,7 +16,7 @@ def sample() -> None:
 
 
 @sample.command()
-@writes
+@writes("N3Tree")
 @click.option(
     "--resolution", type=click.IntRange(4, 1024), default=128, show_default=True, help="Cells an axis, a power of two."
 )

@@ -15,7 +15,7 @@ RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its c
 
 @click.command()
 @reads
-@writes_octree
+@writes_octree()
 @click.option("--resolution", type=Resolution(), help="Voxels an axis, 1 to 4096.  [default: the tree's finest]")
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(

@@ -18,7 +18,7 @@ DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"
 
 @click.command()
 @reads
-@writes
+@writes("Volume")
 @click.option("--grids", help=f"{GRIDS}  [default: density,Cd, but density for .nvdb]")
 @click.option("--half", is_flag=True, help="Store values as float16.")
 @codec_option

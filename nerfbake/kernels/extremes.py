@@ -17,7 +17,7 @@ class Extremes(NamedTuple):
     high: npt.NDArray[np.float64]
     non_finite: int  # of all columns together
 
-    def range(self, columns: slice = slice(None)) -> list[float] | None:
+    def range(self, columns: slice | npt.NDArray[np.intp] = slice(None)) -> list[float] | None:
         """[least, greatest] of some columns, None where nothing in them is finite."""
         low, high = self.low[columns].min(initial=np.inf), self.high[columns].max(initial=-np.inf)
         return [float(low), float(high)] if low <= high else None

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.affine import placed
+from nerfbake.kernels.extremes import Extremes, extremes
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.mesh import Meshes, box_of
@@ -38,7 +39,7 @@ def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras) -> 
 def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
     leaves = tree.leaf_mask.reshape(tree.n, -1)
     data = tree.data.reshape(*leaves.shape, tree.data_dim)
-    occupied = leaves & (data[..., -1] > 0)
+    occupied, cells = leaves & (data[..., -1] > 0), data.reshape(-1, tree.data_dim)
     live = sum(map(len, tree.levels))
     with np.errstate(divide="ignore", invalid="ignore"):
         corners = (np.array([[0.0] * 3, [1.0] * 3]) - tree.offset) / tree.invradius
@@ -58,8 +59,8 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
         "occupied_leaves": int(occupied.sum()),
         "occupied_per_level": [0] + [int(occupied[rows].sum()) for rows in tree.levels],
         "world_box": _box(corners),
-        "ranges": _ranges(data, occupied, tree.data_format),
-        "non_finite": _non_finite(data, leaves),
+        "ranges": _ranges(extremes(cells, occupied.reshape(-1)), tree.data_format),
+        "non_finite": extremes(cells, leaves.reshape(-1)).non_finite,
         "bytes_in_memory": tree.child.nbytes + tree.data.nbytes,
     }
 
@@ -85,8 +86,8 @@ def _of_octree(octree: SparseVoxelOctree) -> dict[str, Any]:
         "occupied_per_level": per_level(occupied),
         "world_box": _box(octree.origin + np.array([[0.0] * 3, octree.size]) * octree.voxel_size),
         "voxel_size": octree.voxel_size.tolist(),
-        "ranges": _ranges(octree.node_data, occupied, octree.data_format),
-        "non_finite": _non_finite(octree.node_data, np.ones(octree.n, bool)),
+        "ranges": _ranges(extremes(octree.node_data, occupied), octree.data_format),
+        "non_finite": extremes(octree.node_data).non_finite,
         "bytes_in_memory": octree.node_children.nbytes + octree.node_data.nbytes,
     }
 
@@ -149,8 +150,8 @@ def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> d
         "index_box": [corner.tolist() for corner in box] if box is not None else None,
         "world_box": world,
         "background": grid.background.tolist(),
-        "range": _range(values),
-        "non_finite": _non_finite(grid.values, np.ones(len(grid.values), bool)),
+        "range": extremes(values).range(),
+        "non_finite": extremes(grid.values).non_finite,
     }
 
 
@@ -168,22 +169,13 @@ def _box(corners: npt.NDArray[np.float64]) -> list[list[float]] | None:
     return corners.tolist() if np.isfinite(corners).all() else None
 
 
-def _ranges(data: npt.NDArray[Any], occupied: npt.NDArray[np.bool_], data_format: str) -> dict[str, Any]:
+def _ranges(found: Extremes, data_format: str) -> dict[str, Any]:
     """Density; the first coefficient of each colour ('dc'); all the higher ones ('higher')."""
-    held = data[occupied]
-    B = parse_basis(data_format).size if data_format else 0
-    colours = held[:, : 3 * B].reshape(len(held), 3, B) if B else held[:, :-1, None]
+    C = len(found.low)
+    B = parse_basis(data_format).size if data_format else 1
+    columns = np.arange(C - 1)
     return {
-        "sigma": _range(held[:, -1]),
-        "dc": _range(colours[..., 0]) if colours.size else None,
-        "higher": _range(colours[..., 1:]) if B > 1 else None,
+        "sigma": found.range(np.array([C - 1])),
+        "dc": found.range(columns[columns % B == 0]),
+        "higher": found.range(columns[columns % B != 0]),
     }
-
-
-def _range(values: npt.NDArray[Any]) -> list[float] | None:
-    finite = values[np.isfinite(values)]
-    return [float(finite.min()), float(finite.max())] if finite.size else None
-
-
-def _non_finite(data: npt.NDArray[Any], which: npt.NDArray[np.bool_]) -> int:
-    return int(np.count_nonzero(~np.isfinite(data[which])))
