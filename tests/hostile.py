@@ -9,6 +9,7 @@ import resource
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import numpy as np
 from nerfbake.cli.main import run
 
 LONGEST = 5.0  # seconds a command may take over a broken file
+LONGEST_LINE = 400  # characters of a message, the file's path among them: a screen line or two
 MEMORY = 3 << 30  # address space it may take
 
 
@@ -34,17 +36,31 @@ def damaged(data: bytes, *, flips: int) -> Iterator[tuple[str, bytes]]:
 
 def complaint(arguments: list[str], output: Path | None) -> str | None:
     """What is wrong with the way a command took its input; None if it behaved."""
-    errors, start = io.StringIO(), time.perf_counter()
+    errors, printed, start = io.StringIO(), io.StringIO(), time.perf_counter()
     signal.signal(signal.SIGALRM, _too_long)
     signal.setitimer(signal.ITIMER_REAL, LONGEST)
     try:
-        with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+        with (
+            contextlib.redirect_stderr(errors),
+            contextlib.redirect_stdout(printed),
+            warnings.catch_warnings(record=True) as warned,
+        ):
+            # Not as errors: a SyntaxWarning would become a SyntaxError, which somebody may catch.
+            warnings.simplefilter("always")
             code = run(arguments)
     except BaseException as error:
         return f"{type(error).__name__}: {error} after {time.perf_counter() - start:.1f} s"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
+    if warned:
+        return f"exit {code}, warned: {warned[0].category.__name__}: {warned[0].message} at {warned[0].filename}"
     lines = errors.getvalue().splitlines()
+    told = printed.getvalue().splitlines()
+    for line in lines + told if arguments[0] == "check" else lines:
+        if len(line) > LONGEST_LINE or not line.isprintable():
+            return f"exit {code}, said {len(line):,} characters: {line[:200]!r}"
+    if arguments[0] == "check" and code == 1 and told and not lines:
+        return None  # what is wrong is what `check` prints
     there = output is not None and output.exists()
     if there and output is not None:
         output.unlink()

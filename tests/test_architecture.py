@@ -40,7 +40,6 @@ OWN_LIBRARY = {
     "animation_gif": {"PIL"},
     "depth_png": {"PIL"},
     "image_png": {"PIL"},
-    "_obj": {"trimesh"},
     "atlas": {"sklearn"},  # the contender of bench atlas
     "_texture": {"PIL"},
     "atlas_folder": {"PIL"},  # its version, for atlas.json
@@ -55,7 +54,6 @@ HEAVY = {
     "blosc",
     "numba",
     "PIL",
-    "trimesh",
     "bson",
     "orjson",
     "zstandard",

@@ -225,7 +225,7 @@ OBJ_LIES: dict[str, tuple[bytes, str]] = {
     "a corner too many": (b"v 0 0 0\nf 1 2 3\n", "cannot be read"),
     "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh positions[0, 0] is nan"),
     "no numbers": (b"v a b c\nf 1 2 3\n", "cannot be read"),
-    "bytes": (b"v 0 0 0\n\xff\xfe", "cannot be read"),
+    "bytes": (b"v 0 0 0\n\xff\xfe", "has no faces"),
 }
 
 

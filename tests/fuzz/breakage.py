@@ -1,0 +1,116 @@
+"""A case's number -> its file or folder, broken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+
+import zstandard
+
+from nerfbake import catalog
+from tests.fuzz import corpus, hostile_values
+from tests.fuzz.breaking_bytes import break_bytes, break_words
+from tests.fuzz.breaking_json import break_json
+from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_vdb
+from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
+from tests.fuzz.breaking_zip import break_npy, break_zip
+
+Breaker = Callable[[Random, bytes, bytes], bytes]
+
+# By the ending of a file, the first that fits.
+_BREAKERS: dict[str, Breaker] = {
+    "npz": break_zip,
+    "svo.pb": break_protobuf,
+    "json": break_json,
+    "bson": break_bson,
+    "fb": break_flatbuffers,
+    "capnp": break_capnp,
+    "npy": break_npy,
+    "png": break_png,
+    "jpg": break_bytes,
+    "vdb": break_vdb,
+    "nvdb": break_vdb,
+    "obj": break_obj,
+    "txt": break_obj,
+    "bin": break_words,
+    "mtl": break_obj,
+    "glb": break_glb,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A broken file, or folder: what it is called and what is in it."""
+
+    number: int
+    form: str
+    name: str
+    content: bytes | dict[str, bytes]
+
+
+def case_of(seed: int, number: int) -> Case:
+    """The same for the same seed and number, wherever it is asked for."""
+    form = corpus.names()[number % len(corpus.names())]
+    random = Random(f"{seed}:{number}")
+    if corpus.is_folder(form):
+        return Case(number, form, f"case.{form}", _broken_folder(random, form))
+    suffix = next(each.suffix for each in catalog.FORMATS if each.name == form)
+    files = corpus.files_of(form)
+    data = _broken(random, form, random.choice(files), random.choice(files))
+    if random.random() < 0.1:
+        data, suffix = _compressed(random, data), suffix + ".zst"
+    return Case(number, form, f"case{suffix}", data)
+
+
+def _broken(random: Random, name: str, data: bytes, other: bytes) -> bytes:
+    breaker = next((breaker for ending, breaker in _BREAKERS.items() if name.endswith(ending)), break_bytes)
+    if random.random() < 0.02:
+        name = random.choice([name for name in corpus.names() if not corpus.is_folder(name)])
+        return break_bytes(random, data, random.choice(corpus.files_of(name)))
+    for _ in range(random.choice((1, 1, 1, 2))):
+        try:
+            data = breaker(random, data, other)
+        except Exception:  # it is broken already, more than its breaker understands
+            data = break_bytes(random, data, other)
+    return data
+
+
+def _broken_folder(random: Random, form: str) -> dict[str, bytes]:
+    folders = corpus.folders_of(form)
+    files = dict(random.choice(folders))
+    for _ in range(random.choice((1, 1, 2))):
+        name = random.choice(sorted(files))
+        match random.randrange(10):
+            case 0:
+                del files[name]
+            case 1:
+                files[name] = files[random.choice(sorted(files))]
+            case 2:
+                files[name] = random.choice(folders).get(name, b"")
+            case 3:
+                new = random.choice(("feat1_0.jpg", "feat0_0.jpg", "mlp.json", "atlas.json", "labels_0.png", "x\n"))
+                files[new] = files[name]
+            case _:
+                files[name] = _broken(random, name, files[name], random.choice(folders).get(name, b""))
+        if not files:
+            break
+    return files
+
+
+def _compressed(random: Random, data: bytes) -> bytes:
+    """In a frame, in several, in one that says too much or too little of its size, or damaged."""
+    frame = zstandard.ZstdCompressor(level=1).compress(data)
+    match random.randrange(6):
+        case 0:
+            return break_bytes(random, frame, data)
+        case 1:
+            skippable = b"\x50\x2a\x4d\x18" + (4).to_bytes(4, "little") + hostile_values.word(random, 4)
+            return frame + skippable * random.choice((1, 1000))
+        case 2:
+            half = len(data) // 2
+            return b"".join(zstandard.ZstdCompressor(level=1).compress(part) for part in (data[:half], data[half:]))
+        case 3:
+            return frame + zstandard.ZstdCompressor(level=1).compress(bytes(random.choice((1, 1 << 20, 1 << 26))))
+        case _:
+            return frame

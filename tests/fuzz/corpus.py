@@ -1,0 +1,196 @@
+"""Small sound files of every format, made by our own encoders: what is broken."""
+
+from __future__ import annotations
+
+import json
+import struct
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerfbake import build_octree, build_vdb, catalog
+from nerfbake.formats._texture import encode_texture
+from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
+from nerfbake.scene.camera import Camera, Cameras, look_at
+from nerfbake.scene.depth import Depth
+from nerfbake.scene.image import Image
+from nerfbake.scene.mesh import Meshes
+from tests import captures
+from tests.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
+from tests.formats.octrees import SPELLINGS, small_octree, written
+from tests.formats.test_n3tree_npz import archive, svox
+from tests.meshes import cube, square
+from tests.scenes import n3tree
+from tests.test_hostile import quantised
+
+Files = dict[str, bytes]
+
+_NO_CHECKSUM = struct.pack("<Q", (1 << 64) - 1)
+_CHECKSUM_AT = slice(8, 16)  # in NanoVDB's GridData
+
+
+def names() -> list[str]:
+    """The formats that are read, folders last."""
+    return [form.name for form in (*catalog.FORMATS, *catalog.FOLDERS) if form.readable]
+
+
+@cache
+def files_of(name: str) -> tuple[bytes, ...]:
+    """Files of a format."""
+    scene = next(form.scene for form in catalog.FORMATS if form.name == name)
+    makers: dict[str, Any] = {
+        "SparseVoxelOctree": lambda: _octrees(name),
+        "Volume": lambda: _volumes(name),
+        "N3Tree": _n3trees,
+        "Meshes": lambda: _meshes(name),
+    }
+    if scene in makers:
+        return tuple(makers[scene]())
+    return tuple(_encoded(name, each) for each in _pictures(scene))
+
+
+@cache
+def folders_of(name: str) -> tuple[Files, ...]:
+    """Folders of a kind, by their files' names."""
+    makers = {"stage1": _stage1s, "atlas": _atlases, "thesis": _theses}
+    return tuple(makers[name]() if name in makers else _captures(name))
+
+
+def is_folder(name: str) -> bool:
+    return name in [form.name for form in catalog.FOLDERS]
+
+
+def sound(name: str) -> tuple[bytes, ...] | tuple[Files, ...]:
+    """Files or folders of a format."""
+    return folders_of(name) if is_folder(name) else files_of(name)
+
+
+def _encoded(name: str, scene: Any, **options: Any) -> bytes:
+    module = next(form.load_module() for form in catalog.FORMATS if form.name == name)
+    return b"".join(module.encode(scene, **options))
+
+
+def _octrees(name: str) -> Iterator[bytes]:
+    small = small_octree()
+    lobes = replace(small, data_format="", node_data=small.node_data[:, :7])
+    for spelling, profile in SPELLINGS:
+        if spelling == name:
+            yield written(name, profile, small)
+            yield written(name, profile, small_octree(np.float16).with_layout("compact"), no_child=-1)
+            yield written(name, profile, lobes)
+
+
+def _n3trees() -> Iterator[bytes]:
+    tree = n3tree(splits=[(0, (0, 0, 0)), (1, (1, 1, 1))], data_format="SH4")
+    yield archive(svox(tree))
+    yield archive(svox(n3tree(splits=[(0, (2, 1, 0))], N=3, dtype=np.float32)), deflated=False)
+    yield archive(quantised(), deflated=False)
+
+
+def _volumes(name: str) -> Iterator[bytes]:
+    octree = build_octree(n3tree(splits=[(0, (0, 0, 0)), (0, (1, 0, 1))], data_format="SH4"))
+    kinds: dict[str, list[tuple[str, ...]]] = {
+        "vdb": [("density", "Cd"), ("density", "sh")],
+        "nvdb": [("density",), ("index",), ("Cd",)],
+        "vdb.npz": [("density", "sh"), ("index",)],
+    }
+    for grids in kinds[name]:
+        for half in (False,) if grids == ("Cd",) else (False, True):  # NanoVDB has no half colours
+            volume = build_vdb(octree, grids=grids, half=half)
+            if name == "vdb.npz":
+                yield _encoded(name, volume)
+                continue
+            plain = _encoded(name, volume, codec="none")
+            yield _unchecked(plain) if name == "nvdb" else plain
+            yield _encoded(name, volume, codec="zip")
+
+
+def _unchecked(data: bytes) -> bytes:
+    """Without a checksum, which would find all damage before anything else does."""
+    at = data.index(b"NanoVDB0", 8)
+    return data[: at + _CHECKSUM_AT.start] + _NO_CHECKSUM + data[at + _CHECKSUM_AT.stop :]
+
+
+def _meshes(name: str) -> Iterator[bytes]:
+    plain, flat = cube(), square(half=1.0)
+    coloured = replace(cube(0.3), colours=np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3))
+    yield _encoded(name, Meshes((plain, coloured)))
+    yield _encoded(name, Meshes((flat,)))
+    if name == "glb":
+        yield _encoded(name, Meshes((replace(flat, texture=texture(6, 5)), coloured)))
+
+
+def _pictures(scene: str) -> Iterator[Any]:
+    random = np.random.default_rng(5)
+    colour, alpha = random.random((7, 9, 3), np.float32), random.random((7, 9), np.float32)
+    if scene == "Image":
+        yield Image(colour, np.ones_like(alpha), np.zeros_like(alpha))
+        yield Image(colour * alpha[..., None], alpha, np.zeros_like(alpha), None)
+    elif scene == "Depth":
+        yield Depth(alpha * np.float32(3))
+    else:
+        views = [Camera(40, 30, 50.0, look_at(np.zeros(3), turn, 0.4, 3.0), f"r_{turn}") for turn in range(3)]
+        yield Cameras(tuple(views))
+        yield Cameras((replace(views[0], name="a/b"),))
+
+
+def _stage1s() -> Iterator[Files]:
+    small = {"feat1_0_png": encode_texture(texture(12, 9)), "feat0_0_png": encode_texture(texture(12, 9, seed=1))}
+    transforms = {"transforms_json": _encoded("json", next(iter(_pictures("Cameras"))))}
+    yield _written_folder(**small)
+    yield _written_folder(**small, **transforms, mlp_json=mlp_json(cascade=2), feat1_1_png=small["feat1_0_png"])
+
+
+def _written_folder(**files: bytes) -> Files:
+    return _files_below(lambda folder: stage1_folder(folder / "stage1", **files))
+
+
+def _files_below(write: Callable[[Path], Path]) -> Files:
+    """What a writer of folders leaves, by the paths in the folder that it gives back."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = write(Path(place))
+        return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def _captures(name: str) -> Iterator[Files]:
+    """The cameras of one rig in the dialects of other programs."""
+    writers = {
+        "transforms": (captures.write_nerf_synthetic, captures.write_instant_ngp, captures.write_nerfstudio),
+        "colmap": (captures.write_colmap_binary, captures.write_colmap_text),
+        "llff": (captures.write_llff,),
+        "nsvf": (captures.write_nsvf,),
+    }
+    for odd in (False, True):
+        for write in writers[name]:
+            if not odd or write is not captures.write_nerf_synthetic:
+                yield _files_below(partial(_written_capture, write, odd))
+
+
+def _written_capture(write: Callable[..., Path], odd: bool, place: Path) -> Path:
+    write(place, captures.rig(odd=odd))
+    return place
+
+
+def _atlases() -> Iterator[Files]:
+    module = catalog.folders_of("BakedAtlas")[0].load_module()
+    methods: tuple[Method, ...] = METHODS
+    for method in methods:
+        mesh = replace(square(half=1.0), texture=texture(20, 30)) if method == "affine" else None
+        baked = BakedAtlas((random_atlas(method),), (mesh,), {}, {})
+        yield {name: b"".join(pieces) for name, pieces in module.encode(baked)}
+
+
+def _theses() -> Iterator[Files]:
+    random = np.random.default_rng(2)
+    labels = np.zeros((6, 5, 3), np.uint8)
+    labels[..., 0] = random.integers(0, 3, (6, 5))
+    yield {
+        "results.json": json.dumps({"final_clusters": 3, "mapping_resolution": 4}).encode(),
+        "octahedron_maps.png": encode_texture(random.integers(0, 256, (8, 8, 3), np.uint8)),
+        "labels_map.png": encode_texture(labels),
+    }

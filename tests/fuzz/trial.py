@@ -1,0 +1,228 @@
+"""What commands do with a file, one step after the other, and what counts as a finding.
+
+A finding is any exception but NerfbakeError, any Python warning, a message that is no single line or longer than a
+screen line or two, a load that takes more than MOST_LOADING seconds of CPU or more memory than it was allowed, and a
+file that we wrote and cannot read.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import nerfbake
+from nerfbake import catalog, io
+from nerfbake.errors import NerfbakeError
+from nerfbake.memory import memory_limit
+from nerfbake.scene.camera import Camera
+from nerfbake.stages._picture import picture
+from tests.formats.octrees import small_octree
+from tests.fuzz.breakage import Case
+
+LIMIT = 64 << 20  # --max-memory of every case
+SLACK = 16 << 20  # what the interpreter itself may take meanwhile
+MOST_LOADING, MOST_IN_ALL = 2.0, 10.0  # seconds of CPU
+LONGEST_LINE = 300  # characters, without the file's name
+EDGE = 8  # pixels of a picture
+
+GRIDS: tuple[tuple[str, ...], ...] = (("density", "Cd"), ("density", "sh"), ("index",))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What went wrong and where; `key` is the same for findings that one fault is behind."""
+
+    case: int
+    form: str
+    step: str
+    what: str
+    where: str = ""
+
+    @property
+    def key(self) -> str:
+        return re.sub(
+            r"[0-9][0-9.,]*",
+            "#",
+            f"{self.what[:80]} @ {self.where}" if self.where else f"{self.what[:80]} @ {self.form}",
+        )
+
+
+class _Found(Exception):
+    pass
+
+
+class Trial:
+    """One case, tried in a folder of its own."""
+
+    def __init__(self, case: Case, place: Path) -> None:
+        self.case, self.place = case, place
+        self.step, self.findings = "", list[Finding]()
+
+    def run(self) -> list[Finding]:
+        path = put(self.case, self.place)
+        start = time.process_time()
+        with suppress(_Found), memory_limit(LIMIT):
+            scene = self._loaded(path)
+            if scene is not None:
+                for step, work in steps(scene, self.place):
+                    self._try(step, work)
+        if (took := time.process_time() - start) > MOST_IN_ALL and not self.findings:
+            self._note(f"takes {took:.1f} s of CPU in all")
+        return self.findings
+
+    def _loaded(self, path: Path) -> Any:
+        """The scene, if it is sound."""
+        before = _resident(reset_peak=True)
+        start = time.process_time()
+        scene = self._try("load", lambda: io.load(path, sound=False))
+        took, peak = time.process_time() - start, _peak() - before
+        if took > MOST_LOADING:
+            self._note(f"takes {took:.1f} s of CPU to load")
+        if peak > LIMIT + SLACK:
+            self._note(f"takes {peak >> 20} MiB to load, allowed {LIMIT >> 20}")
+        if scene is None:
+            return None
+        problems = self._try("check", scene.problems)
+        for problem in problems or []:
+            self._hold_to_a_line(str(problem.line))
+        return None if self._try("soundness", lambda: (scene.require_sound(), True)) is None else scene
+
+    def _try(self, step: str, work: Callable[[], Any]) -> Any:
+        """What the work gives; None where it is refused as it should be."""
+        self.step = step
+        with self._watched(), warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            try:
+                return work()
+            except NerfbakeError as error:
+                self._hold_to_a_line(str(error))
+                return None
+            finally:
+                for warning in warned:
+                    where = f"{warning.filename}:{warning.lineno}"
+                    self._note(f"{warning.category.__name__}: {warning.message}", where)
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            frames = traceback.extract_tb(error.__traceback__)
+            ours = [frame for frame in frames if "/nerfbake/" in frame.filename] or frames[-1:]
+            where = f"{ours[-1].filename}:{ours[-1].lineno}" if ours else ""
+            self._note(f"{type(error).__name__}: {error}"[:300], where)
+            raise _Found from None
+
+    def _hold_to_a_line(self, line: str) -> None:
+        text = line.removeprefix(f"{self.place / self.case.name}: ")
+        if not line.isprintable():
+            self._note(f"message with unprintable characters: {text[:100]!r}")
+        if len(text) > LONGEST_LINE:
+            self._note(f"message of {len(text):,} characters: {text[:100]}")
+
+    def _note(self, what: str, where: str = "") -> None:
+        place = re.sub(r".*/(?=nerfbake/|tests/|site-packages/)", "", where)
+        self.findings.append(Finding(self.case.number, self.case.form, self.step, what, place))
+
+
+def put(case: Case, place: Path) -> Path:
+    """The case's file or folder on disk."""
+    path = place / case.name
+    if isinstance(case.content, bytes):
+        path.write_bytes(case.content)
+        return path
+    path.mkdir()
+    for name, content in case.content.items():
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_bytes(content)
+    return path
+
+
+def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """What commands do with a scene: describe it, draw it, write it, make other things of it."""
+    yield "words", lambda: str(scene)
+    kind = type(scene).__name__
+    radiance = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    if isinstance(scene, (*radiance, nerfbake.Meshes)):
+        yield "info", lambda: nerfbake.summarise(scene)
+    if isinstance(scene, (*radiance, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)):
+        yield "render", lambda: _drawn(scene)
+    if isinstance(scene, radiance):
+        yield "trilinear", lambda: nerfbake.render(scene, _view(scene), lookup="trilinear")
+    if isinstance(scene, nerfbake.Cameras):
+        yield "cameras", lambda: [nerfbake.render(_scene(), camera.resized(EDGE, EDGE)) for camera in scene.cameras[:3]]
+        yield "names", lambda: [camera.name.encode() for camera in scene.cameras]
+    for form in catalog.formats_of(kind):
+        yield f"write {form.name}", partial(_written, form, scene, place)
+    if isinstance(scene, nerfbake.N3Tree):
+        yield "svo", lambda: nerfbake.build_octree(scene, resolution=4)
+        yield "vdb", lambda: nerfbake.build_vdb(nerfbake.build_octree(scene, resolution=8))
+    if isinstance(scene, nerfbake.Volume):
+        yield "restore", lambda: nerfbake.restore_octree(scene)
+    if isinstance(scene, nerfbake.SparseVoxelOctree):
+        yield "lod", lambda: nerfbake.cut_octree(scene, level=1)
+        for grids in GRIDS:
+            for form in catalog.formats_of("Volume"):
+                if len(grids) == 1 or form.name != "nvdb":
+                    yield f"vdb {form.name}", partial(_volume, form, scene, grids, place)
+
+
+@cache
+def _scene() -> nerfbake.SparseVoxelOctree:
+    return small_octree()
+
+
+def _view(scene: Any) -> Camera:
+    return nerfbake.orbit(scene, width=EDGE, height=EDGE).cameras[0]
+
+
+def _drawn(scene: Any) -> Any:
+    return picture(scene, _view(scene)).pixels
+
+
+def _written(form: catalog.Format, scene: Any, place: Path) -> None:
+    """What is written must be readable, and the same."""
+    path = place / f"out{form.suffix}"
+    io.save(path, scene, force=True)
+    again: Any = io.load(path)
+    if _told(again) != _told(scene):
+        raise AssertionError(f"was {_told(scene)}, comes back as {_told(again)}")
+
+
+def _told(scene: Any) -> str:
+    """What a format keeps of a scene: of depth not all digits, of meshes no vertices that nothing uses."""
+    if isinstance(scene, nerfbake.Cameras):
+        return f"{len(scene.cameras)} cameras"
+    if isinstance(scene, nerfbake.Meshes):
+        return f"{len(scene.meshes)} meshes, {sum(len(mesh.faces) for mesh in scene.meshes)} triangles"
+    return str(scene.distance.shape) if isinstance(scene, nerfbake.Depth) else str(scene)
+
+
+def _volume(form: catalog.Format, octree: Any, grids: tuple[str, ...], place: Path) -> None:
+    if form.name == "vdb" and "index" in grids:
+        return
+    half = bool(octree.n & 1)
+    _written(form, nerfbake.build_vdb(octree, grids=grids, half=half), place)
+
+
+def _resident(*, reset_peak: bool) -> int:
+    """Bytes of memory that this process holds now; from here on, peaks are counted anew."""
+    if reset_peak:
+        with open("/proc/self/clear_refs", "w") as file:
+            file.write("5")
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _peak() -> int:
+    with open("/proc/self/status") as file:
+        return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmHWM"))

@@ -1,0 +1,58 @@
+"""Tries cases and prints their findings, a line of JSON each: `python -m tests.fuzz.worker SEED STATE`.
+
+Cases' numbers come on stdin, a line each. Before a case is tried its number is written to the file STATE, so that who
+watches knows which one a process died of.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import resource
+import shutil
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from tests.fuzz import corpus
+from tests.fuzz.breakage import Case, case_of
+from tests.fuzz.trial import Finding, Trial
+
+ADDRESS_SPACE = 6 << 30  # bytes: nothing gets near it but what runs away
+
+
+def tried(case: Case) -> list[Finding]:
+    """The findings of a case, in a folder that is gone afterwards."""
+    place = Path(tempfile.mkdtemp(prefix="nerfbake-fuzz-"))
+    try:
+        return Trial(case, place).run()
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def warm_up() -> None:
+    """Every sound file once: what is imported and compiled on first use counts for no case."""
+    for form in corpus.names():
+        for content in corpus.sound(form):
+            for finding in tried(Case(-1, form, f"case.{form}", content)):
+                if "s of CPU" not in finding.what and "MiB" not in finding.what:
+                    raise AssertionError(f"a sound file of {form}: {finding}")
+
+
+def main(seed: int, state: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
+    warm_up()
+    with open(state, "r+b", buffering=0) as file:
+        for line in sys.stdin:
+            number = int(line)
+            os.pwrite(file.fileno(), number.to_bytes(8, "little"), 0)
+            found = tried(case_of(seed, number))
+            print(json.dumps({"case": number, "findings": [asdict(each) for each in found]}), flush=True)
+            if number % 64 == 0:
+                gc.collect()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,68 @@
+"""Every file that broke an earlier version: read without a word, or refused in one line, soon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nerfbake import build_octree, catalog, load, save
+from nerfbake.errors import NerfbakeError
+from nerfbake.memory import memory_limit
+from tests.conftest import DATA
+from tests.hostile import complaint
+from tests.scenes import n3tree
+
+HOSTILE = DATA / "hostile"
+FILES = sorted(path for path in HOSTILE.glob("*") if path.name != "README.md")
+OCTREES = tuple(form.suffix for form in catalog.FORMATS if form.scene == "SparseVoxelOctree")
+VOLUMES = tuple(form.suffix for form in catalog.FORMATS if form.scene == "Volume")
+
+
+def commands(path: Path, tmp_path: Path) -> list[list[str]]:
+    """What people would try with a file of this name."""
+    source, small, name = str(path), ["--size", "16x16"], path.name.removesuffix(".zst")
+    picture = ["--out", str(tmp_path / "out.png"), *small]
+    tried = [["check", source], ["info", source]]
+    if name.endswith(OCTREES + VOLUMES):
+        tried += [["convert", source, str(tmp_path / f"out{suffix}")] for suffix in OCTREES]
+        tried += [["render", source, *picture]]
+    if name.endswith(OCTREES) or (name.endswith(".npz") and not name.endswith(VOLUMES)):
+        tried += [["vdb", source, str(tmp_path / f"out{suffix}")] for suffix in VOLUMES]
+        tried += [["vdb", source, str(tmp_path / "index.nvdb"), "--grids", "index", "--half"]]
+    if name.endswith(".npz") and not name.endswith(OCTREES + VOLUMES):
+        tried += [["svo", source, str(tmp_path / "out.svo.npz")], ["render", source, *picture]]
+        tried += [["svo", source, str(tmp_path / "out.svo.pb"), "--resolution", "3"]]
+    scene = str(tmp_path / "scene.svo.npz")
+    if name.endswith((".obj", ".glb")):
+        tried += [["render", scene, "--mesh", source, *picture]]
+    if name.endswith(".json") and not name.endswith(OCTREES):
+        tried += [["render", scene, "--cameras", source, "--all", "--out", str(tmp_path / "views"), *small]]
+        tried += [["render", scene, "--cameras", source, "--out", str(tmp_path / "view.png"), *small]]
+    return [[*arguments, "--max-memory", "64MiB"] for arguments in tried]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_file_that_broke_an_earlier_version(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # whatever a name in a file may lead to
+    save("scene.svo.npz", build_octree(n3tree(splits=[(0, (1, 0, 1))])))
+    found = {" ".join(each): complaint(each, None) for each in commands(path, tmp_path)}
+    assert {command: said for command, said in found.items() if said} == {}
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("path", [path for path in FILES if path.is_file()], ids=lambda path: path.name)
+def test_what_it_holds_is_written_in_every_format_and_read_again(path: Path, tmp_path: Path) -> None:
+    try:
+        with memory_limit(64 << 20):
+            scene: Any = load(path)
+    except NerfbakeError:
+        return
+    for form in catalog.formats_of(type(scene).__name__):
+        try:
+            save(tmp_path / f"out{form.suffix}", scene)
+        except NerfbakeError:
+            continue
+        assert str(load(tmp_path / f"out{form.suffix}", type(scene))) == str(scene)

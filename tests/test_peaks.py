@@ -1,0 +1,158 @@
+"""--max-memory means the peak: no load takes more than it was allowed, whether it is refused or not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+
+from nerfbake import build_octree, build_vdb, sample_n3tree, save
+from nerfbake.formats._glb import Part, encode_glb
+from nerfbake.scene.depth import Depth
+from nerfbake.scene.mesh import Mesh
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from tests.formats.test_n3tree_npz import svox
+from tests.peaks import measured
+
+SLACK = 16 << 20  # what the interpreter itself may take meanwhile
+
+Maker = Callable[[Path], Any]
+
+
+def chain(n: int = 400_000, data_dim: int = 4) -> SparseVoxelOctree:
+    """All eight children of every node, as far as there are nodes."""
+    parents = -(-(n - 1) // 8)
+    children = np.zeros((n, 8), np.int32)
+    children.reshape(-1)[: n - 1] = np.arange(1, n)
+    assert children[parents:].sum() == 0
+    return SparseVoxelOctree((512,) * 3, children, np.ones((n, data_dim), np.float32), "RGBA")
+
+
+def octree(name: str, **options: Any) -> Maker:
+    return lambda path: save(path, replace(chain(), data_format="" if name == "npz" else "RGBA"), **options)
+
+
+def shuffled(path: Path) -> None:
+    """Nodes in another order, -1 for no child: both are made right after reading."""
+    whole = chain()
+    order = np.concatenate([[0], 1 + np.random.default_rng(0).permutation(whole.n - 1)])
+    rank = np.argsort(order)
+    children = np.where(whole.node_children > 0, rank[whole.node_children], -1)[order].astype(np.int32)
+    save(path, whole)
+    with np.load(path) as old:
+        np.savez(path, **{**old, "node_children": children})
+
+
+def tree(path: Path, *, child: Any = np.int8, deflated: bool = False, **dtypes: Any) -> None:
+    """Eight nodes below the root and their own: offsets that fit into a byte are widened on reading."""
+    n = 600_000
+    arrays = svox(
+        N3Tree(np.zeros((n, 2, 2, 2), np.int32), np.ones((n, 2, 2, 2, 4), np.float16), [0.5] * 3, [1] * 3, "RGBA")
+    )
+    arrays["child"] = arrays["child"].astype(child)
+    arrays |= {key: arrays[key].astype(dtype) for key, dtype in dtypes.items()}
+    (np.savez_compressed if deflated else np.savez)(path, **arrays)
+
+
+def quantised(path: Path) -> None:
+    n, B = 100_000, 9
+    shape = (n, 2, 2, 2)
+    codes = np.random.default_rng(0).integers(0, 256, (B, *shape)).astype(np.uint16)
+    np.savez(
+        path, child=np.zeros(shape, np.int32), invradius3=np.ones(3, np.float32), offset=np.zeros(3, np.float32),
+        data_format=np.array("SH9"), quant_colors=np.ones((B, 256, 3), np.float16), quant_map=codes,
+        sigma=np.ones(shape, np.float16),
+    )  # fmt: skip
+
+
+def picture(mode: str, edge: int = 3000) -> Maker:
+    def make(path: Path) -> None:
+        pixels = np.random.default_rng(0).integers(0, 8, (edge, edge), np.uint8)
+        grey = Pillow.fromarray(pixels.astype(np.uint16)) if mode == "I;16" else Pillow.fromarray(pixels)
+        (grey if mode == "I;16" else grey.convert(mode)).save(path, "PNG", compress_level=1)
+
+    return make
+
+
+def polygons(path: Path) -> None:
+    """A corner in every two bytes."""
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + (b"f" + b" 1 2 3" * 20 + b"\n") * 20_000)
+
+
+def vertices(path: Path) -> None:
+    path.write_bytes(b"v 0 0 0\n" * 400_000 + b"f 1 2 3\n" * 200_000)
+
+
+def fan(path: Path) -> None:
+    n = 500_000
+    corners = np.arange(n, dtype=np.uint32)
+    faces = np.stack([np.zeros(n - 2, np.uint32), corners[1:-1], corners[2:]], axis=1)
+    mesh = Mesh(np.ones((n, 3), np.float32), None, faces, colours=np.ones((n, 3), np.float32))
+    path.write_bytes(b"".join(encode_glb([Part("a", mesh, {})], "test")))
+
+
+def mixed_json(path: Path) -> None:
+    """Whole numbers among the floats, each as short as can be."""
+    whole = chain(100_000)
+    fields = {"width": 512, "height": 512, "depth": 512, "node_children": whole.node_children.reshape(-1).tolist()}
+    path.write_text(json.dumps(fields | {"node_data": [1] * 400_000}, separators=(",", ":")))
+
+
+def volume(**options: Any) -> Maker:
+    grids = options.pop("grids")
+
+    def make(path: Path) -> None:
+        made = build_vdb(build_octree(sample_n3tree(resolution=128, basis="SH4")), grids=grids)
+        save(path, made, **options)
+
+    return make
+
+
+FILES: dict[str, Maker] = {
+    "full.svo.npz": octree("svo.npz"),
+    "shuffled.svo.npz": shuffled,
+    "report.svo.pb": octree("svo.pb", profile="report", no_child=-1),
+    "bulk.svo.pb": octree("svo.pb", profile="bulk"),
+    "report.svo.json": octree("svo.json", profile="report"),
+    "bulk.svo.json": octree("svo.json", profile="bulk"),
+    "mixed.svo.json": mixed_json,
+    "report.svo.bson": octree("svo.bson", profile="report"),
+    "bulk.svo.bson": octree("svo.bson", profile="bulk"),
+    "report.svo.fb": octree("svo.fb", profile="report"),
+    "bulk.svo.capnp": octree("svo.capnp", profile="bulk", no_child=-1),
+    "full.svo.pb.zst": octree("svo.pb"),
+    "stored.npz": tree,
+    "bytes.npz": lambda path: tree(path, child=np.int8),
+    "deflated.npz": lambda path: tree(path, deflated=True),
+    "swapped.npz": lambda path: tree(path, child=">i4", data=">f2"),
+    "quantised.npz": quantised,
+    "grey.png": picture("L"),
+    "palette.png": picture("P"),
+    "colour.png": picture("RGB"),
+    "alpha.png": picture("RGBA"),
+    "grey.depth.png": picture("I;16"),
+    "plain.depth.npy": lambda path: save(path, Depth(np.ones((3000, 3000), np.float32))),
+    "polygons.obj": polygons,
+    "vertices.obj": vertices,
+    "fan.glb": fan,
+    "sh.vdb": volume(grids=("density", "sh")),
+    "index.nvdb": volume(grids=("index",)),
+    "zip.nvdb": volume(grids=("index",), codec="zip"),
+    "sh.vdb.npz": volume(grids=("density", "sh")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_no_load_takes_more_than_it_may(name: str, tmp_path: Path) -> None:
+    FILES[name](tmp_path / name)
+    found = measured(tmp_path / name)
+    assert not found[-1][2], "is refused whatever it may take"
+    assert [(limit >> 20, peak >> 20) for limit, peak, _ in found if peak > limit + SLACK] == []
