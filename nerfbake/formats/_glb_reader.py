@@ -15,11 +15,12 @@ from nerfbake.formats._glb_document import Document, malformed, whole
 from nerfbake.formats._texture import decode_texture
 from nerfbake.kernels.affine import combined, determinant, placed
 from nerfbake.kernels.srgb import from_linear
-from nerfbake.scene.mesh import Mesh
+from nerfbake.scene.mesh import Mesh, require_few
 
 _MATERIALS = "KHR_materials_"  # extensions of this name change how light is reflected, which is not looked at
 _KNOWN = "KHR_mesh_quantization"
-MAX_MESHES = 10_000
+MAX_NODES = 50_000
+_MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 Floats = npt.NDArray[np.float64]
@@ -44,8 +45,7 @@ def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
                 raise malformed(place, f"is a {type(primitive).__name__}", "an object")
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN):
                 found += _primitive(document, looks, primitive, matrix, place)
-            if len(found) > MAX_MESHES:
-                raise malformed("the scene", f"shows more than {MAX_MESHES:,} meshes", "one a material")
+            require_few(len(found))
     if not found:
         raise malformed("the mesh", "has no faces", "at least one triangle")
     return tuple(found)
@@ -54,6 +54,8 @@ def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
 def _placed(document: Document) -> Iterator[tuple[Any, Floats]]:
     """The mesh of each node of the scene, and where it stands."""
     nodes = _list(document.root, "nodes", "JSON")
+    if len(nodes) > MAX_NODES:
+        raise malformed("nodes", f"are {len(nodes):,}", f"{MAX_NODES:,} at most")
     children = [_list(document.item("nodes", i), "children", f"nodes[{i}]") for i in range(len(nodes))]
     if _list(document.root, "scenes", "JSON"):
         roots = _list(document.item("scenes", document.root.get("scene", 0)), "nodes", "scenes")
@@ -68,8 +70,10 @@ def _placed(document: Document) -> Iterator[tuple[Any, Floats]]:
         if index in seen:
             raise malformed(f"nodes[{index}]", "stands in the scene twice", "a tree of nodes")
         seen.add(index)
-        with np.errstate(over="ignore", invalid="ignore"):
-            matrix = combined(above, _matrix(node, f"nodes[{index}]"))
+        matrix = above
+        if not _MOVES.isdisjoint(node):
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrix = combined(above, _matrix(node, f"nodes[{index}]"))
         if "mesh" in node:
             yield node["mesh"], matrix
         waiting += [(child, matrix) for child in reversed(children[index])]

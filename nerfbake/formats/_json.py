@@ -36,7 +36,9 @@ def parse(view: memoryview | bytes, name: str, *, comments: bool = False) -> Any
 
     Its memory is taken until the end of the file's reading. Raises InvalidFile, MemoryLimit.
     """
-    memory.hold(f"{name}, parsed,", parsed_size(view))
+    size = parsed_size(view)
+    memory.require(f"{name}, parsed,", size + len(view))  # orjson works on a copy of the text
+    memory.hold(f"{name}, parsed,", size)
     text: memoryview | bytes = view[3:] if bytes(view[:3]) == _BOM else view
     with collector_paused():
         try:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import io
+import math
 import re
 from typing import Any, Protocol
 
@@ -14,6 +14,15 @@ from nerfbake.errors import InvalidFile, Problem
 
 MAX_HEADER = 10_000
 MAX_DIMENSIONS = 8
+MAX_BYTES = 1 << 48
+
+# A dict literal of these three, in any order; whole numbers as Python 2 wrote them, too: 12L. Nothing backtracks (*+).
+_NUMBER = re.compile(r"[0-9]+")
+_TUPLE = r"\(\s*+(?:[0-9]{1,15}+L?\s*+(?:,\s*+|(?=\))))*+\)"
+_VALUE = rf"True|False|'[^'\\]*+'|\"[^\"\\]*+\"|\[[^\]]*+\]|{_TUPLE}"
+_ITEM = re.compile(rf"['\"](descr|fortran_order|shape)['\"]\s*+:\s*+({_VALUE})")
+_HEADER = re.compile(rf"\s*+\{{\s*+(?:{_ITEM.pattern}\s*+(?:,\s*+|(?=\}})))*+\}}\s*+")
+_DTYPE = re.compile(r"[<>|=]?(f[248]|[iu][1248]|U[1-9][0-9]{0,3})")
 
 
 class _Stream(Protocol):
@@ -29,20 +38,21 @@ def read_header(key: str, stream: _Stream) -> tuple[tuple[int, ...], bool, np.dt
     if size > MAX_HEADER:
         raise InvalidFile(Problem(key, f"has a header of {size:,} bytes", f"{MAX_HEADER:,} at most"))
     text = stream.read(size).decode("latin-1")
-    try:
-        header = ast.literal_eval(text.strip())
-        shape, fortran, descr = header["shape"], header["fortran_order"], header["descr"]
-    except (ValueError, TypeError, SyntaxError, KeyError, MemoryError, RecursionError):
-        raise InvalidFile(Problem(key, f"has the header {text[:60]!r}", "descr, fortran_order and shape")) from None
-    if isinstance(descr, str) and "O" in descr:
+    items = dict(_ITEM.findall(text)) if _HEADER.fullmatch(text) else {}
+    if set(items) != {"descr", "fortran_order", "shape"}:
+        raise InvalidFile(Problem(key, f"has the header {text[:60]!r}", "descr, fortran_order and shape"))
+    descr, shape = items["descr"].strip("'\""), tuple(map(int, _NUMBER.findall(items["shape"])))
+    if "O" in descr:
         raise InvalidFile(Problem(key, "holds Python objects (pickle)", "numbers or text; nerfbake never unpickles"))
-    if not (isinstance(descr, str) and re.fullmatch(r"[<>|=]?(f[248]|[iu][1248]|U[0-9]{1,4})", descr)):
-        raise InvalidFile(Problem(key, f"has dtype {str(descr)[:60]}", "whole numbers, floats or text"))
-    if not (isinstance(shape, tuple) and all(type(edge) is int and 0 <= edge < 1 << 48 for edge in shape)):
-        raise InvalidFile(Problem(key, f"has shape {str(shape)[:60]}", "whole numbers from 0"))
+    if not _DTYPE.fullmatch(descr):
+        raise InvalidFile(Problem(key, f"has dtype {descr[:60]}", "whole numbers, floats or text"))
     if len(shape) > MAX_DIMENSIONS:
         raise InvalidFile(Problem(key, f"has {len(shape)} dimensions", f"{MAX_DIMENSIONS} at most"))
-    return shape, fortran is True, np.dtype(descr)
+    dtype = np.dtype(descr)
+    # NumPy multiplies all edges but those of 0.
+    if dtype.itemsize * math.prod(edge for edge in shape if edge) > MAX_BYTES:
+        raise InvalidFile(Problem(key, f"has shape {shape}", f"{MAX_BYTES:,} bytes at most, edges of 0 left out"))
+    return shape, items["fortran_order"] == "True", dtype
 
 
 def npy_pieces(array: npt.NDArray[Any]) -> tuple[bytes, memoryview]:

@@ -73,6 +73,15 @@ class NpzReader:
             raise InvalidFile(Problem(key, f"has dtype {array.dtype}, shape {array.shape}", allowed))
         return array
 
+    def single(self, key: str) -> npt.NDArray[np.float32]:
+        """A member of floats, as float32. Infinite is what that cannot hold."""
+        array = self.array(key)
+        if array.dtype.kind != "f":
+            raise InvalidFile(Problem(key, f"has dtype {array.dtype}", "float16, float32 or float64"))
+        memory.hold(key, 4 * array.size)
+        with np.errstate(over="ignore"):
+            return array.astype(np.float32)
+
     def _read(self, key: str, info: zipfile.ZipInfo, limit: int | None) -> npt.NDArray[Any]:
         if limit is not None and info.file_size > limit:
             raise InvalidFile(Problem(key, f"has {info.file_size:,} bytes", f"{limit:,} at most"))
@@ -87,7 +96,10 @@ class NpzReader:
             raise InvalidFile(Problem(key, found, f"{len(raw):,} bytes as the zip directory says"))
         array = np.frombuffer(raw[stream.taken :], dtype) if size else np.empty(0, dtype)
         array = array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
-        return array.astype(dtype.newbyteorder("="), copy=False)
+        if dtype.isnative:
+            return _sound_text(key, array)
+        memory.hold(key, size)
+        return _sound_text(key, array.astype(dtype.newbyteorder("=")))
 
     def _unpacked(self, key: str, info: zipfile.ZipInfo) -> memoryview:
         """A member's bytes, of which none is missing or wrong."""
@@ -125,6 +137,15 @@ class NpzReader:
             found = f"declares {info.file_size:,} bytes from {info.compress_size:,}"
             raise InvalidFile(Problem(key, found, f"{MAX_INFLATION} times as many, deflate's bound"))
         return packed
+
+
+def _sound_text(key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The array. Raises InvalidFile for text that is no Unicode, of which Python makes strings that break later."""
+    if array.dtype.kind == "U":
+        points = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
+        if ((points > 0x10FFFF) | ((points >= 0xD800) & (points < 0xE000))).any():
+            raise InvalidFile(Problem(key, "holds what is no Unicode", "text"))
+    return array
 
 
 class _ViewFile(io.RawIOBase):

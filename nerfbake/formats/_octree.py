@@ -145,7 +145,7 @@ def octree_of(fields: Mapping[str, Any]) -> SparseVoxelOctree:
         size=(_whole(fields, "width"), _whole(fields, "height"), _whole(fields, "depth")),
         children=children.reshape(-1, 8),
         data=data.reshape(n, data_dim),
-        data_format=data_format or guess_data_format(data_dim),
+        data_format=data_format,
         origin=_three(fields, "origin", 0.0),
         voxel_size=_three(fields, "voxel_size", 1.0),
         extra_data=_lobes(fields, data_format),
@@ -166,16 +166,20 @@ def assemble(
     voxel_size: npt.NDArray[Any],
     extra_data: npt.NDArray[np.float32] | None,
 ) -> SparseVoxelOctree:
-    """An octree from a file's arrays: -1 read as 0, nodes in another order sorted breadth-first.
+    """An octree from a file's arrays: -1 read as 0, nodes in another order sorted breadth-first, no format guessed.
 
     children (c, 8) integers. What cannot be right is left as it is: the scene reports it when asked.
     """
     if children.dtype != np.int32:
         if children.size and (abs(int(children.max())) > 2**31 - 1 or abs(int(children.min())) > 2**31 - 1):
             raise InvalidFile(Problem("node_children", "holds numbers beyond 32 bits", "-1 to 2147483647"))
+        memory.hold("node_children", 4 * children.size)
         children = children.astype(np.int32)
+    memory.require("node_children", children.size)
     if children.size and (children == -1).any():
+        memory.hold("node_children", children.nbytes)
         children = np.where(children == -1, np.int32(0), children)
+    data_format = data_format or guess_data_format(data.shape[1])
     octree = SparseVoxelOctree(size, children, data, data_format, origin, voxel_size, extra_data)
     return octree.breadth_first()
 
@@ -206,6 +210,7 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     elif isinstance(value, list):
         memory.hold(name, (8 + dtype.itemsize) * len(value))
         try:  # array() takes numbers alone: no text, no None, no lists
+            memory.hold(name, 9 * len(value))  # it grows by an eighth
             flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")
         except (TypeError, ValueError, OverflowError):
             raise InvalidFile(
@@ -214,7 +219,11 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     else:
         raise InvalidFile(Problem(name, f"is {type(value).__name__}", f"a flat list of {_KINDS[dtype.kind]}"))
     if flat.dtype.itemsize <= dtype.itemsize:
+        if flat.dtype.itemsize < dtype.itemsize:
+            memory.hold(name, flat.size * dtype.itemsize)
         return flat.astype(dtype, copy=False)
+    memory.hold(name, flat.size * (dtype.itemsize + 1))
+    memory.require(name, flat.size)
     with np.errstate(over="ignore", invalid="ignore"):
         narrow = flat.astype(dtype)
     lost = narrow != flat if dtype.kind == "i" else np.isinf(narrow) & np.isfinite(flat)
@@ -254,4 +263,4 @@ def _lobes(fields: Mapping[str, Any], data_format: str) -> npt.NDArray[np.float3
     size = parse_basis(data_format).size
     if values.size % size:
         raise InvalidFile(Problem("extra_data", f"has {values.size:,} numbers", f"a multiple of {size}"))
-    return values.reshape(size, -1).astype(np.float32)
+    return values.reshape(size, -1)

@@ -21,7 +21,7 @@ _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, Typ
 def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> Iterator[Image.Image]:
     """The picture, not yet decoded; decode it inside. Raises InvalidFile, and MemoryLimit."""
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), memory.lent(name, len(view)):  # Pillow reads from a copy
             warnings.simplefilter("ignore")  # large images are ours to refuse
             with Image.open(io.BytesIO(view), formats=kinds) as picture:
                 width, height = picture.size

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from nerfbake.formats._obj import decode_obj, encode_obj
+from nerfbake.formats._obj_reader import decode_obj
+from nerfbake.formats._obj_writer import encode_obj
 from nerfbake.formats._texture import decode_texture, encode_texture
 from nerfbake.scene.mesh import Mesh, joined
 from nerfbake.scene.stage1 import diffuse_name

@@ -31,7 +31,10 @@ def encode(depth: Depth) -> Iterator[bytes]:
 
 
 def decode(view: memoryview) -> Depth:
-    with opened(view, "PNG", "PNG", bytes_per_pixel=12) as picture:
+    with opened(view, "PNG", "PNG", bytes_per_pixel=13) as picture:
         if not picture.mode.startswith("I"):
             raise InvalidFile(Problem("PNG", f"holds {picture.mode} pixels", "16 bits of grey"))
-        return Depth((np.asarray(picture).astype(np.float64) / STEPS).astype(np.float32))
+        steps = np.asarray(picture)
+    distance = np.empty(steps.shape, np.float32)
+    np.divide(steps, float(STEPS), out=distance, casting="same_kind")  # in float64, then rounded once
+    return Depth(distance)

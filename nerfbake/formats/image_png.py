@@ -22,9 +22,13 @@ def encode(image: Image) -> Iterator[bytes]:
 
 def decode(view: memoryview) -> Image:
     """The picture; colours premultiplied by alpha where it has one."""
-    with opened(view, "PNG", "PNG", bytes_per_pixel=24) as picture:
+    with opened(view, "PNG", "PNG", bytes_per_pixel=28) as picture:
         transparent = picture.mode in ("RGBA", "LA") or "transparency" in picture.info
-        pixels = np.asarray(picture.convert("RGBA")).astype(np.float32) / np.float32(255)
-    alpha = pixels[..., 3]
-    colour = pixels[..., :3] * alpha[..., None] if transparent else pixels[..., :3]
+        pixels = np.asarray(picture.convert("RGBA"))
+    colour, alpha = np.empty((*pixels.shape[:2], 3), np.float32), np.empty(pixels.shape[:2], np.float32)
+    # Into its place: eleven bytes less for each pixel, of which there may be 268 million, and half the time.
+    np.divide(pixels[..., 3], np.float32(255), out=alpha)
+    np.divide(pixels[..., :3], np.float32(255), out=colour)
+    if transparent:
+        colour *= alpha[..., None]
     return Image(colour, alpha, np.zeros_like(alpha), None if transparent else (1.0, 1.0, 1.0))

@@ -10,7 +10,8 @@ import re
 from collections.abc import Iterator
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.formats._obj import decode_obj, encode_obj
+from nerfbake.formats._obj_reader import decode_obj
+from nerfbake.formats._obj_writer import encode_obj
 from nerfbake.scene.mesh import Meshes
 
 _KEYWORD = re.compile(rb"^(v|vt|vn|mtllib|o|g|usemtl) ", re.MULTILINE)

@@ -36,6 +36,9 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
         raise InvalidFile(Problem("child", f"has dtype {child.dtype}, shape {child.shape}", "int32 (n, N, N, N)"))
     if child.size and max(abs(int(child.min())), abs(int(child.max()))) >= 1 << 31:
         raise InvalidFile(Problem("child", "holds numbers beyond 32 bits", "offsets within the table"))
+    if child.dtype != np.int32:
+        memory.hold("child", 4 * child.size)
+        child = child.astype(np.int32)
     data = _dequantise(npz, child) if quantised else npz.array("data")
     data_dim = data.shape[-1] if data.ndim else 0
     if "data_dim" in npz and (declared := npz.scalar("data_dim")) != data_dim:
@@ -43,9 +46,9 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
     dialect = "svox" if radius == "invradius3" else "legacy"
     if quantised:
         dialect = "quantised+retained" if "data_retained" in npz else "quantised"
-    extra = _floats(npz, "extra_data").astype(np.float32) if "extra_data" in npz else None
+    extra = npz.single("extra_data") if "extra_data" in npz else None
     return N3Tree(
-        child=child.astype(np.int32, copy=False),
+        child=child,
         data=data,
         offset=_world(npz, "offset"),
         invradius=_world(npz, radius),
@@ -100,8 +103,10 @@ def _world(npz: NpzReader, key: str) -> npt.NDArray[np.float64]:
     array = _floats(npz, key)
     if array.size not in (1, 3):
         raise InvalidFile(Problem(key, f"has shape {array.shape}", "(3,)" + " or one value" * (key == "invradius")))
-    # float32 is what svox computes with; legacy files hold the same number as float64.
-    return np.broadcast_to(array.reshape(-1).astype(np.float32), 3).astype(np.float64)
+    # float32 is what svox computes with; legacy files hold the same number as float64. What float32 cannot hold
+    # becomes infinite, of which the tree's value_problems() tell.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.broadcast_to(array.reshape(-1).astype(np.float32), 3).astype(np.float64)
 
 
 def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:

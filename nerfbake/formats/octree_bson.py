@@ -140,6 +140,10 @@ def _numbers(document: memoryview, name: str) -> npt.NDArray[Any] | list[Any]:
     body = document[4:-1]
     kind = body[0] if len(body) else 0
     if kind in _NUMBERS:
+        # All numbers, in parts and then together.
+        size = len(body) // _record(1, kind).itemsize * np.dtype(_NUMBERS[kind]).itemsize
+        memory.hold(name, size)
+        memory.require(name, size)
         parts, at, index = [], 0, 0
         for digits, rows in _runs(len(body)):  # more than there can be
             record = _record(digits, kind)

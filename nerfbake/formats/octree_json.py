@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._json import parse_object
 from nerfbake.formats._octree import Blob, Profile, blob_of, children_with, octree_of, require_finite, small_fields
@@ -82,6 +83,7 @@ def _read_blob(name: str, blob: dict[str, Any]) -> Blob:
     whole = isinstance(shape, list) and all(type(edge) is int for edge in shape)
     if not (isinstance(dtype, str) and whole and isinstance(text, str)):
         raise InvalidFile(Problem(name, "is no blob", "dtype as text, shape as whole numbers, data as base64"))
+    memory.hold(name, len(text) * 3 // 4)
     try:
         return Blob(dtype, tuple(shape or ()), memoryview(a2b_base64(text, strict_mode=True)))
     except (Base64Error, ValueError) as error:

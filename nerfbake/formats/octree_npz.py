@@ -62,5 +62,5 @@ def decode(view: memoryview) -> SparseVoxelOctree:
         data_format=str(npz.scalar("data_format")),
         origin=npz.shaped("origin", "f", (3,)),
         voxel_size=npz.shaped("voxel_size", "f", (3,)),
-        extra_data=npz.shaped("extra_data", "f", (None, None)).astype(np.float32) if "extra_data" in npz else None,
+        extra_data=npz.single("extra_data") if "extra_data" in npz else None,
     )

@@ -82,9 +82,7 @@ def decode(view: memoryview) -> SparseVoxelOctree:
     """The octree of a message. Fields 7 and up may be absent: the report's own files have none of them."""
     message = _Message(view)
     packed_children = message.packed(5)
-    # Most varints here are one byte long and become four.
-    memory.require("node_children", 4 * len(packed_children))
-    children: Any = decode_varints(packed_children)
+    children: Any = _whole_numbers(packed_children, "node_children")
     if len(bulk := message.last(13)):
         if len(packed_children):
             raise InvalidFile(Problem("message", "has fields 5 and 13", "the children once"))
@@ -100,7 +98,7 @@ def decode(view: memoryview) -> SparseVoxelOctree:
             "node_data": _floats(message.last(6), "node_data", dtype),
             "data_format": message.text(7),
             "data_dim": message.number(8),
-            "level_sizes": decode_varints(message.packed(9)),
+            "level_sizes": _whole_numbers(message.packed(9), "level_sizes"),
             "origin": _floats(message.packed(10), "origin", "<f8"),
             "voxel_size": _floats(message.packed(11), "voxel_size", "<f8"),
             "extra_data": _floats(message.packed(12), "extra_data", "<f4"),
@@ -173,7 +171,14 @@ class _Message:
     def packed(self, number: int) -> npt.NDArray[np.uint8]:
         """A packed array's bytes; a writer may have cut it into several runs."""
         runs = [np.frombuffer(run, np.uint8) for run in self._of(number, _BYTES)]
+        memory.hold(f"field {number}", sum(map(len, runs)) if len(runs) > 1 else 0)
         return runs[0] if len(runs) == 1 else np.concatenate(runs or [np.empty(0, np.uint8)])
+
+
+def _whole_numbers(packed: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.int32]:
+    memory.require(name, len(packed))
+    memory.hold(name, 4 * int(np.count_nonzero(packed < 0x80)))  # so many numbers end
+    return decode_varints(packed)
 
 
 def _floats(raw: memoryview | npt.NDArray[np.uint8], name: str, dtype: str) -> npt.NDArray[Any]:

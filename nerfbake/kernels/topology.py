@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import Problem
 
 Rows = npt.NDArray[np.int64]
 _CHUNK = 1 << 18
+_PER_CELL, _PER_POINTER = 5, 80  # bytes that a walk takes for each cell of a level, and for each that points somewhere
 
 
 class Walk(NamedTuple):
@@ -45,7 +47,9 @@ def walk(
     levels, cells, problems = [np.zeros(1, np.int64)], [np.full(1, -1, np.int64)], _Problems(name, shape, n, later)
     while True:
         rows = levels[-1]
+        memory.require(f"the walk over {name}", _PER_CELL * cells_per_node * len(rows))
         where, target = targets(rows)
+        memory.require(f"the walk over {name}", _PER_POINTER * len(where))
         cell = rows[where // cells_per_node] * cells_per_node + where % cells_per_node
         wrong = (target < 1) | (target >= n)
         if later:
@@ -119,6 +123,14 @@ def all_finite(values: npt.NDArray[Any]) -> bool:
         bits = values.reshape(-1).view(np.uint16)
         return all(int(part.max()) < 0xFC00 and int(part.view(np.int16).max()) < 0x7C00 for part in _parts(bits))
     return all(bool(np.isfinite(part).all()) for part in _parts(values.reshape(-1)))
+
+
+def all_within(values: npt.NDArray[Any], most: float) -> bool:
+    """No NaN, and nothing above `most` in size, without a mask as large as the array."""
+    if most >= np.finfo(values.dtype).max:
+        return all_finite(values)
+    # Both are False for NaN.
+    return all(bool(-most <= part.min() and part.max() <= most) for part in _parts(values.reshape(-1)))
 
 
 def _parts(flat: npt.NDArray[Any]) -> Iterator[npt.NDArray[Any]]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.topology import count_problem
+from nerfbake.kernels.topology import all_within, count_problem
 
 MAX_WORLD = 1e15  # world units of a place or an edge, and of what one over an edge is: their squares are numbers, too
+
+MAX_NUMBER = 1e15  # of a density, a coefficient, a corner: squares and sums of millions are numbers in float32, too
 
 
 class Scene:
@@ -41,3 +45,17 @@ def edge_problems(name: str, edges: npt.NDArray[np.float64]) -> list[Problem]:
     """Lengths (or one over a length) that are not above 0, too short or too long to calculate with."""
     wrong = ~((edges >= 1 / MAX_WORLD) & (edges <= MAX_WORLD))
     return count_problem(name, wrong, edges, f"a finite number above 0, {1 / MAX_WORLD:g} to {MAX_WORLD:g}")
+
+
+def number_problems(
+    name: str, values: npt.NDArray[Any], *, where: npt.NDArray[np.bool_] | None = None, most: float = MAX_NUMBER
+) -> list[Problem]:
+    """Of all values, or of those `where` (broadcast to them) is True: NaN and infinity, and what is above `most`."""
+    if all_within(values, most):
+        return []
+    finite = np.isfinite(values)
+    large = finite & (np.abs(values) > min(most, float(np.finfo(values.dtype).max)))
+    if where is not None:
+        finite, large = finite | ~where, large & where
+    too_much = count_problem(name, large, values, f"a number up to {most:g}")
+    return count_problem(name, ~finite, values, "a finite number") + too_much

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.scene.base import Scene
+from nerfbake.kernels.topology import count_problem
+from nerfbake.scene.base import Scene, number_problems
+from nerfbake.scene.camera import MAX_EDGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +21,15 @@ class Depth(Scene):
     distance: npt.NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        if self.distance.ndim != 2 or self.distance.dtype != np.float32:
-            found = f"has shape {self.distance.shape}, dtype {self.distance.dtype}"
-            raise InvalidScene(Problem("depth", found, "(H, W) float32"))
-        if not (np.isfinite(self.distance) & (self.distance >= 0)).all():
-            raise InvalidScene(Problem("depth", "has distances that are none", "finite numbers from 0"))
+        shape = self.distance.shape
+        if len(shape) != 2 or self.distance.dtype != np.float32 or not all(1 <= edge <= MAX_EDGE for edge in shape):
+            found = f"has shape {shape}, dtype {self.distance.dtype}"
+            raise InvalidScene(Problem("depth", found, f"(H, W) float32, 1 to {MAX_EDGE:,} pixels an edge"))
+        memory.require("depth", self.distance.size)
+        for problem in number_problems("depth", self.distance):
+            raise InvalidScene(problem)
+        for problem in count_problem("depth", self.distance < 0, self.distance, "a distance from 0"):
+            raise InvalidScene(problem)
 
     def __str__(self) -> str:
         met = self.distance[self.distance > 0]

@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.topology import count_problem
-from nerfbake.scene.base import Scene
+from nerfbake.scene.base import Scene, number_problems
 
+MAX_MESHES = 10_000
+MAX_UV = 1e6  # float32 has no digits for texels beyond it
 UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for a writer's rounding
 
 
@@ -51,10 +53,10 @@ class Mesh:
                 found = f"has shape {shape}, dtype {self.texture.dtype}"
                 raise InvalidScene(Problem("mesh texture", found, "(H, W, 3) uint8"))
             self.require_uvs()
-        problems = count_problem("mesh positions", ~np.isfinite(self.positions), self.positions, "a finite number")
+        problems = number_problems("mesh positions", self.positions)
         problems += count_problem("mesh faces", self.faces >= v, self.faces, f"a vertex, 0 to {v - 1:,}")
         if self.uvs is not None:
-            problems += count_problem("mesh uvs", ~np.isfinite(self.uvs), self.uvs, "a finite number")
+            problems += number_problems("mesh uvs", self.uvs, most=MAX_UV)
         if self.colours is not None:
             outside = ~((self.colours >= 0) & (self.colours <= 1))
             problems += count_problem("mesh colours", outside, self.colours, "0 to 1")
@@ -76,6 +78,12 @@ class Mesh:
         return uvs
 
 
+def require_few(count: int) -> None:
+    """Raises InvalidScene for more meshes than a file may show: each has arrays of its own."""
+    if count > MAX_MESHES:
+        raise InvalidScene(Problem("the scene", f"shows {count:,} meshes or more", f"{MAX_MESHES:,}, one a material"))
+
+
 @dataclass(frozen=True, eq=False)
 class Meshes(Scene):
     """Everything that a mesh file shows, a mesh for each material."""
@@ -85,6 +93,7 @@ class Meshes(Scene):
     def __post_init__(self) -> None:
         if not self.meshes:
             raise InvalidScene(Problem("the mesh", "has no faces", "at least one triangle"))
+        require_few(len(self.meshes))
 
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)

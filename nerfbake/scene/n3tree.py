@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import as_points, in_chunks, n3tree_cells
-from nerfbake.kernels.topology import Walk, all_finite, count_problem, place, plural, walk
-from nerfbake.scene.base import Scene, edge_problems, place_problems
+from nerfbake.kernels.topology import Walk, place, plural, walk
+from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
 
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
@@ -134,8 +134,7 @@ class N3Tree(Scene):
     def value_problems(self, *, negative_is_empty: bool = False) -> list[Problem]:
         """Values that no renderer can use; only live leaves count. The structure must be sound."""
         leaf, sigma, problems = self.leaf_mask, self.sigma, []
-        if not all_finite(self.data):
-            problems += count_problem("data", ~np.isfinite(self.data) & leaf[..., None], self.data, "a finite number")
+        problems += number_problems("data", self.data, where=leaf[..., None])
         negative = leaf & (sigma < 0)
         if negative.any() and not negative_is_empty:
             first = np.unravel_index(int(np.argmax(negative)), negative.shape)
@@ -143,7 +142,7 @@ class N3Tree(Scene):
             allowed = "a density of 0 or more (--sigma-min 0 reads less as empty)"
             problems.append(Problem(where, f"is {sigma[first]:g}", allowed, int(negative.sum())))
         if self.extra_data is not None:
-            problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
+            problems += number_problems("extra_data", self.extra_data)
         return problems
 
     # -- reading -----------------------------------------------------------------------------------------------

@@ -9,12 +9,14 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_values
-from nerfbake.kernels.topology import Walk, all_finite, count_problem, plural, walk
-from nerfbake.scene.base import Scene, edge_problems, place_problems
+from nerfbake.kernels.topology import Walk, count_problem, plural, walk
+from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
 
+_PER_CHILD = 32  # bytes that the proof of an order takes for each child
 MAX_SIZE = 4096  # voxels along an axis
 Layout = Literal["full", "compact"]
 Lookup = Literal["nearest", "trilinear"]
@@ -173,6 +175,7 @@ class SparseVoxelOctree(Scene):
         table sound.
         """
         flat = self.node_children.reshape(-1)
+        memory.require("node_children's order", flat.size + _PER_CHILD * int(np.count_nonzero(flat)))
         slots = np.flatnonzero(flat != 0)  # ten times as fast as flatnonzero(flat)
         parents, children = slots >> 3, flat[slots]
         numbered = len(children) == self.n - 1 and bool((children == np.arange(1, self.n, dtype=np.int32)).all())
@@ -227,6 +230,7 @@ class SparseVoxelOctree(Scene):
         order = np.concatenate(self._walk.levels)
         if len(order) < self.n:
             return self
+        memory.require("nodes in another order", self.node_data.nbytes + 5 * 4 * 8 * self.n)
         table = np.zeros((self.n, 8), np.int32)
         table[: self.c] = self.node_children
         rank = np.zeros(self.n, np.int32)
@@ -236,12 +240,10 @@ class SparseVoxelOctree(Scene):
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
-        problems = []
-        if not all_finite(self.node_data):
-            problems += count_problem("node_data", ~np.isfinite(self.node_data), self.node_data, "a finite number")
+        problems = number_problems("node_data", self.node_data)
         problems += count_problem("sigma", self.sigma < 0, self.sigma, "a density of 0 or more")
         if self.extra_data is not None:
-            problems += count_problem("extra_data", ~np.isfinite(self.extra_data), self.extra_data, "a finite number")
+            problems += number_problems("extra_data", self.extra_data)
         return problems
 
     # -- layouts -----------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lookup import as_points
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.topology import all_finite, count_problem
+from nerfbake.scene.base import number_problems
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.vdb_topology import VdbTopology
 
@@ -86,7 +86,7 @@ class VdbTree:
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
-        return _finite_problems(self.name, self.values) + _finite_problems("background", self.background)
+        return number_problems(self.name, self.values) + number_problems("background", self.background)
 
     @cached_property
     def rows(self) -> Rows:
@@ -156,7 +156,7 @@ class IndexGrid:
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
-        return _finite_problems(self.name, self.table)
+        return number_problems(self.name, self.table)
 
     @cached_property
     def rows(self) -> Rows:
@@ -206,7 +206,3 @@ def _require_lookup(lookup: str) -> None:
 
 def _count_problems(name: str, count: int, rows: int) -> list[Problem]:
     return [] if count == rows else [Problem(f"grid {name!r}", f"has {rows:,} values", f"{count:,}, one a voxel")]
-
-
-def _finite_problems(name: str, values: npt.NDArray[Any]) -> list[Problem]:
-    return [] if all_finite(values) else count_problem(name, ~np.isfinite(values), values, "a finite number")

@@ -58,7 +58,7 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
         "leaves_per_level": [0] + [int(leaves[rows].sum()) for rows in tree.levels],
         "occupied_leaves": int(occupied.sum()),
         "occupied_per_level": [0] + [int(occupied[rows].sum()) for rows in tree.levels],
-        "world_box": _box(corners),
+        "world_box": _numbers(corners),
         "ranges": _ranges(extremes(cells, occupied.reshape(-1)), tree.data_format),
         "non_finite": extremes(cells, leaves.reshape(-1)).non_finite,
         "bytes_in_memory": tree.child.nbytes + tree.data.nbytes,
@@ -84,7 +84,7 @@ def _of_octree(octree: SparseVoxelOctree) -> dict[str, Any]:
         "leaves_per_level": per_level(octree.childless),
         "occupied_leaves": int(occupied.sum()),
         "occupied_per_level": per_level(occupied),
-        "world_box": _box(octree.origin + np.array([[0.0] * 3, octree.size]) * octree.voxel_size),
+        "world_box": _numbers(octree.origin + np.array([[0.0] * 3, octree.size]) * octree.voxel_size),
         "voxel_size": octree.voxel_size.tolist(),
         "ranges": _ranges(extremes(octree.node_data, occupied), octree.data_format),
         "non_finite": extremes(octree.node_data).non_finite,
@@ -116,7 +116,7 @@ def _of_meshes(scene: Meshes) -> dict[str, Any]:
         "meshes": len(scene.meshes),
         "triangles": sum(len(mesh.faces) for mesh in scene.meshes),
         "vertices": sum(len(mesh.positions) for mesh in scene.meshes),
-        "world_box": _box(box_of(scene.meshes)),
+        "world_box": _numbers(box_of(scene.meshes)),
         "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
         "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
         "bytes_in_memory": sum(array.nbytes for parts in arrays for array in parts if array is not None),
@@ -135,7 +135,7 @@ def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> d
         ends = np.stack([box[0] - 0.5, box[1] + 0.5])  # a voxel reaches half its edge around its centre
         corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
         corners = placed(corners, transform)
-        world = _box(np.stack([corners.min(axis=0), corners.max(axis=0)]))
+        world = _numbers(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     return {
         "type": "index" if index else "values",
         "class": "index" if isinstance(grid, IndexGrid) else grid.grid_class,
@@ -149,7 +149,7 @@ def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> d
         "voxel_size": edges_of(transform).tolist(),
         "index_box": [corner.tolist() for corner in box] if box is not None else None,
         "world_box": world,
-        "background": grid.background.tolist(),
+        "background": _numbers(grid.background),
         "range": extremes(values).range(),
         "non_finite": extremes(grid.values).non_finite,
     }
@@ -165,8 +165,9 @@ def _values(data_format: str, dtype: np.dtype[Any]) -> dict[str, Any]:
     }
 
 
-def _box(corners: npt.NDArray[np.float64]) -> list[list[float]] | None:
-    return corners.tolist() if np.isfinite(corners).all() else None
+def _numbers(values: npt.NDArray[Any]) -> Any:
+    """Lists of the numbers; None where some are not finite, which JSON cannot say."""
+    return values.tolist() if np.isfinite(values).all() else None
 
 
 def _ranges(found: Extremes, data_format: str) -> dict[str, Any]:

@@ -28,6 +28,8 @@ def restore_octree(volume: Volume) -> SparseVoxelOctree:
     """
     if volume.frame is None:
         raise InvalidScene(Problem("the volume", "does not say which octree it was", "what `nerfbake vdb` writes"))
+    for problem in volume.value_problems():
+        raise InvalidScene(problem)
     frame, (topology, data) = volume.frame, _data(volume)
     blocks = blocks_of(topology, data[:, -1] != 0)  # half a float may be 0 where the voxel was thin
     for low, height, _ in blocks:
