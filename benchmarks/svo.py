@@ -91,7 +91,7 @@ def tree_rows(folder: Path) -> list[str]:
     measure([sys.executable, "-c", PACK, str(sample), str(sh16)])
     bare = measure([sys.executable, "-c", "import numpy, click, nerfbake.cli.main"]).peak
     rows = [
-        f"A process that only imports NumPy and click peaks at {bare / 1e6:.0f} MB; in brackets the ratio without that.",
+        f"A process that imports NumPy and click alone peaks at {bare / 1e6:.0f} MB; in brackets without that.",
         "",
         "| tree | decoded MB | resolution | svo s, median [min..max] | np.load s | ratio of pairs | peak MB "
         "| peak / decoded | file MB |",
