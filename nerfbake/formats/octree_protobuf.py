@@ -30,6 +30,7 @@ from nerfbake.formats._octree import (
     require_size,
     value_pieces,
 )
+from nerfbake.kernels.parallel import ahead
 from nerfbake.kernels.varint import decode_varints, encode_varints, varint_sizes
 from nerfbake.scene.octree import SparseVoxelOctree
 
@@ -61,8 +62,7 @@ def encode(
         yield _varint(number << 3 | _VARINT) + _varint(edge)
     if children_size and profile == "report":
         yield _varint(5 << 3 | _BYTES) + _varint(children_size)
-        for chunk in chunks:
-            yield encode_varints(children_with(chunk, no_child))
+        yield from ahead(encode_varints(children_with(chunk, no_child)) for chunk in chunks)
     yield _varint(6 << 3 | _BYTES) + _varint(octree.node_rows.nbytes)
     yield from value_pieces(octree)
     if octree.data_format:

@@ -152,14 +152,14 @@ def _follow(source: Source, size: tuple[int, int, int], node_bytes: int) -> list
     levels, nodes = [level], 1
     while len(levels) < size[0].bit_length() and len(row):
         cell = (row.astype(np.int64)[:, None] * 8 + cell_of_octant).reshape(-1)
-        link = source.link[cell]
-        held = np.flatnonzero((link > 0) | (source.density[cell] > 0))
+        link = source.link.take(cell)
+        held = np.flatnonzero((link > 0) | (source.density.take(cell) > 0))
         _require_room(nodes := nodes + len(held), size, node_bytes)
-        parent = np.flatnonzero(level.leaf == INNER).astype(np.int32)[held >> 3]
-        leaf = np.where(link[held] > 0, np.int64(INNER), cell[held])
-        level = Level(parent, (held & 7).astype(np.uint8), leaf.astype(np.int32))
+        link, parent = link.take(held), np.flatnonzero(level.leaf == INNER).astype(np.int32).take(held >> 3)
+        leaf = np.where(link > 0, np.int32(INNER), cell.take(held).astype(np.int32))
+        level = Level(parent, (held & 7).astype(np.uint8), leaf)
         levels.append(level)
-        row = link[held[leaf == INNER]]
+        row = link[link > 0]
     _number(level, source.link.size + row.astype(np.int64), source)
     return levels
 

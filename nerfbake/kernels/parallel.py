@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from threading import Thread
 from typing import TypeVar
 
@@ -38,7 +38,7 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
         raise errors[0]
 
 
-def ahead(items: Iterable[Item]) -> Iterator[Item]:
+def ahead(items: Iterable[Item]) -> Generator[Item]:
     """The same items, each made while the one before it is used."""
     source, made = iter(items), list[Item]()
     errors: list[BaseException] = []

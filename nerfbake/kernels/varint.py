@@ -20,8 +20,10 @@ CHUNK = 1 << 18  # bytes decoded at a time
 
 def varint_sizes(values: npt.NDArray[np.int32]) -> int:
     """Bytes that these numbers take as varints."""
-    size = values.size + (MAX_BYTES - 1) * int(np.count_nonzero(values < 0))
-    for bits in (7, 14, 21, 28):
+    size, low, high = values.size, int(values.min(initial=0)), int(values.max(initial=0))
+    if low < 0:
+        size += (MAX_BYTES - 1) * int(np.count_nonzero(values < 0))
+    for bits in range(7, high.bit_length(), 7):
         size += int(np.count_nonzero(values >= 1 << bits))
     return size
 

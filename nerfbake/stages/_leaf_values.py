@@ -48,7 +48,7 @@ class LeafValues:
     def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
         """What each weighs in a mean."""
         own = opacity(self._pick(leaf, self._source.density, self._means[:, -1]), self._length)
-        mean = leaf >= len(self._cells)
+        mean = np.flatnonzero(leaf >= len(self._cells))
         own[mean] = self._mean_opacity[leaf[mean] - len(self._cells)]
         return own
 
@@ -102,8 +102,8 @@ class LeafValues:
         return values
 
     def _pick(self, leaf: Ints, cells: npt.NDArray[Any], means: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        picked = cells[np.minimum(leaf, len(cells) - 1)]
-        mean = leaf >= len(cells)
+        mean = np.flatnonzero(leaf >= len(cells))
+        picked = cells.take(leaf, mode="clip")
         picked[mean] = means[leaf[mean] - len(cells)]
         return picked
 

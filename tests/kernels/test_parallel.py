@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -27,3 +29,29 @@ def test_an_error_in_any_thread_is_raised() -> None:
 
     with pytest.raises(ValueError, match="30 to 40"):
         parallel.over_chunks(work, 100, 10)
+
+
+def test_items_made_ahead_come_in_order_with_the_error_behind_them() -> None:
+    def items() -> Iterator[int]:
+        yield from range(5)
+        raise ValueError("behind 4")
+
+    seen: list[int] = []
+    with pytest.raises(ValueError, match="behind 4"):
+        seen.extend(parallel.ahead(items()))
+    assert seen == [0, 1, 2, 3, 4]
+    assert list(parallel.ahead([])) == []
+
+
+def test_no_more_than_one_item_is_made_ahead() -> None:
+    made = []
+
+    def items() -> Iterator[int]:
+        for item in range(100):
+            made.append(item)
+            yield item
+
+    ahead = parallel.ahead(items())
+    assert [next(ahead), next(ahead)] == [0, 1]
+    ahead.close()
+    assert made == [0, 1, 2]
