@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels import lens
+from nerfbake.kernels.elementary import sine_cosine
 
 Model = Literal["polynomial", "rational", "fisheye"]
 MOST = 1e6  # of a coefficient
@@ -58,8 +59,9 @@ class Lens:
         r = np.sqrt((plane * plane).sum(axis=1))
         looks = np.empty((len(plane), 3))
         if self.model == "fisheye":
-            looks[:, :2] = plane * np.divide(np.sin(r), r, out=np.ones_like(r), where=r > 0)[:, None]
-            looks[:, 2] = np.cos(r)
+            sine, cosine = sine_cosine(r)
+            looks[:, :2] = plane * np.divide(sine, r, out=np.ones_like(r), where=r > 0)[:, None]
+            looks[:, 2] = cosine
         else:
             ahead = 1 / np.sqrt(1 + r * r)
             looks[:, :2] = plane * ahead[:, None]
