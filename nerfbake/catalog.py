@@ -103,6 +103,8 @@ COMPRESSED = ".zst"
 COMPRESSION = "nerfbake.formats._zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+
 SCENES = {
     "Animation": "nerfbake.scene.animation",
     "BakedAtlas": "nerfbake.scene.atlas",
@@ -236,6 +238,12 @@ def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> Format:
 def folder_of_member(name: str) -> Format | None:
     """The kind of folder that a file of this name stands for, if there is one."""
     return next((form for form in FOLDERS if name in form.members), None)
+
+
+def require_content(head: bytes) -> None:
+    """Raises InvalidFile for what stands in a checkout for a file that was not fetched, whatever its name is."""
+    if head.startswith(LFS_POINTER):
+        raise InvalidFile("is a Git-LFS pointer, not the file itself; allowed: the file, which `git lfs pull` fetches")
 
 
 def format_of_content(path: str, head: bytes) -> Format:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import build_octree, io, load, sample_n3tree, save
+from nerfbake import build_octree, catalog, io, load, sample_n3tree, save
 from nerfbake.errors import InvalidFile, OutputError, UsageError
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -187,3 +187,20 @@ def test_a_forward_facing_scene_is_known_by_its_companion(tmp_path: Path) -> Non
     assert not load(tmp_path / "fern.npz", N3Tree).ndc
     np.save(tmp_path / "fern_poses_bounds.npy", np.zeros((1, 17)))
     assert load(tmp_path / "fern.npz", N3Tree).ndc
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 132735\n"
+
+
+@pytest.mark.parametrize("suffix", [form.suffix for form in catalog.FORMATS if form.readable] + ["", ".npz.zst"])
+def test_a_git_lfs_pointer_is_called_by_its_name(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(POINTER)
+    with pytest.raises(InvalidFile, match="is a Git-LFS pointer, not the file itself; allowed: the file, which"):
+        load(path)
+
+
+def test_a_git_lfs_pointer_in_a_folder_is_named(tmp_path: Path) -> None:
+    (tmp_path / "mlp.json").write_bytes(POINTER)
+    with pytest.raises(InvalidFile, match=r"mlp\.json: is a Git-LFS pointer"):
+        load(tmp_path)

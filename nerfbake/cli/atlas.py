@@ -9,7 +9,17 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Budget, Input, Output, Stage1Input, as_json, bakes_stage1, judges, speaks
+from nerfbake.cli.params import (
+    Budget,
+    Input,
+    Output,
+    Stage1Input,
+    as_json,
+    bakes_stage1,
+    judges,
+    speaks,
+    without_effect,
+)
 from nerfbake.cli.words import Words
 
 
@@ -23,8 +33,10 @@ from nerfbake.cli.words import Words
     help="One map for each cluster of colours; four, so that it follows the colour; or maps at the nodes of a grid.",
 )
 @click.option("--clusters", type=click.IntRange(min=1), default=64, show_default=True, help="Of kmeans and affine.")
-@click.option("--nodes", type=int, default=7, show_default=True, help="Of grid, along each axis: 2 to 16.")
-@click.option("--map-size", type=int, default=64, show_default=True, help="Texels along an edge of a map: 2 to 1024.")
+@click.option("--nodes", type=click.IntRange(2, 16), default=7, show_default=True, help="Of grid, along each axis.")
+@click.option(
+    "--map-size", type=click.IntRange(2, 1024), default=64, show_default=True, help="Texels along an edge of a map."
+)
 @click.option(
     "--directions", type=click.IntRange(1, 4096), default=100, show_default=True, help="In which colours are compared."
 )
@@ -64,6 +76,15 @@ def atlas(
       nerfbake atlas mesh_stage1 atlas --clusters 256 --min-psnr 40
       nerfbake atlas atlas --feature feat1_0.jpg --mlp mlp.json --method affine
     """
+    method, even = options["method"], options["direction_set"] == "fibonacci"
+    if method != "grid":
+        without_effect("nodes", here=f"with --method {method}", allowed="--nodes with --method grid")
+    if method == "grid":
+        without_effect("clusters", "seed", here="with --method grid", allowed="--nodes")
+    if method != "kmeans":
+        without_effect("centres", here=f"with --method {method}", allowed="--centres with --method kmeans")
+    if even:
+        without_effect("transforms", here="where all directions count the same", allowed="--direction-set cameras")
     io.require_no_folder(target, force=force)
     stage1 = source.read(words)
     if budget.min_psnr is not None:

@@ -9,7 +9,7 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import as_json, max_memory, speaks
+from nerfbake.cli.params import as_json, max_memory, speaks, without_effect
 from nerfbake.cli.words import Words
 
 
@@ -43,6 +43,8 @@ def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options:
       nerfbake atlas-error atlas mesh_stage1 --held-out
       nerfbake atlas-error thesis_16x64 crop64 --lookup thesis --reproduce-thesis-fault
     """
+    if options["held_out"]:
+        without_effect("directions", here="with --held-out, which has its own", allowed="one of them")
     with words.phase(f"reading {atlas}"):
         baked = io.load_folder(atlas, nerfbake.BakedAtlas)
     with words.phase(f"reading {stage1}"):

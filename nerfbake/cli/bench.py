@@ -12,7 +12,17 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Command, Input, Resolution, max_memory, read_cameras, reads, speaks
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    Input,
+    Resolution,
+    max_memory,
+    read_cameras,
+    reads,
+    speaks,
+    without_effect,
+)
 from nerfbake.cli.words import Words
 from nerfbake.errors import OutputError, UsageError
 
@@ -63,6 +73,8 @@ def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
         @click.option("--force", is_flag=True, help="Replace files that exist.")
         @functools.wraps(function)
         def command(*args: Any, kind: str, output: str | None, plot: str | None, force: bool, **others: Any) -> Any:
+            if not (output or plot):
+                without_effect("force", here="where no file is written", allowed="--force with -o or --plot")
             target = Target(kind, output, plot, force)
             target.require()
             return function(*args, target=target, **others)
@@ -198,6 +210,7 @@ def render(source: Input, cameras: str | None, rounds: int, target: Target, word
 def _octree(source: Input, words: Words, resolution: Any) -> Any:
     scene = source.read(words)
     if isinstance(scene, nerfbake.SparseVoxelOctree):
+        without_effect("resolution", here="on an octree, which has its own", allowed="--resolution with a PlenOctree")
         return scene
     with source.blamed(words, "building the octree"):
         return nerfbake.build_octree(scene, resolution=resolution)

@@ -10,7 +10,17 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import BUDGET_EDGE, BUDGET_FRAMES, CAPTURE, Input, PixelSize, as_json, reads, speaks
+from nerfbake.cli.params import (
+    BUDGET_EDGE,
+    BUDGET_FRAMES,
+    CAPTURE,
+    Input,
+    PixelSize,
+    as_json,
+    reads,
+    speaks,
+    without_effect,
+)
 from nerfbake.cli.words import Words
 
 
@@ -54,6 +64,8 @@ def compare(
       nerfbake compare chair.npz small.svo.pb --min-psnr 30 --html small.html
       nerfbake compare mesh_stage1 atlas_64 --sheet atlas.png
     """
+    if not (sheet or html):
+        without_effect("force", here="where nothing is written", allowed="--force with --sheet or --html")
     for target, kind in ((sheet, "Image"), (html, "Comparison")):
         if target == io.STREAM:
             raise click.UsageError("stdout has the figures; allowed for --sheet and --html: a file")

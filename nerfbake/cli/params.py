@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 import nerfbake
 from nerfbake import catalog, io, memory
@@ -191,6 +192,15 @@ class Stage1Input:
 Command = Callable[..., Any]
 
 
+def without_effect(*names: str, here: str, allowed: str) -> None:
+    """Raises if one of these options was given, be it as its default: it would change nothing here."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name) if option.name in names else None
+        if source not in (None, ParameterSource.DEFAULT, ParameterSource.DEFAULT_MAP):
+            raise click.UsageError(f"{option.opts[-1]} has no effect {here}; allowed: {allowed}")
+
+
 def _limit_memory(ctx: click.Context, param: click.Parameter, value: int) -> None:
     ctx.with_resource(memory.memory_limit(value))
 
@@ -275,6 +285,8 @@ def judges(function: Command) -> Command:
     @click.option("--cameras", metavar="CAPTURE", help=f"Whose views judge. {CAPTURE}.  [default: 8 views around IN]")
     @functools.wraps(function)
     def command(*args: Any, min_psnr: float | None, cameras: str | None, **others: Any) -> Any:
+        if min_psnr is None:
+            without_effect("cameras", here="where nothing is judged", allowed="--cameras with --min-psnr")
         return function(*args, budget=Budget(min_psnr, cameras), **others)
 
     return command
@@ -287,6 +299,8 @@ def speaks(function: Command) -> Command:
     @click.option("-v", "--verbose", is_flag=True, help="Say how long each step took.")
     @functools.wraps(function)
     def command(*args: Any, quiet: bool, verbose: bool, **others: Any) -> Any:
+        if quiet:
+            without_effect("verbose", here="with --quiet", allowed="one of them")
         return function(*args, words=Words(quiet=quiet, verbose=verbose), **others)
 
     return command

@@ -10,7 +10,7 @@ import click
 
 import nerfbake
 from nerfbake import catalog, io
-from nerfbake.cli.params import CAPTURE, Input, PixelSize, reads, speaks
+from nerfbake.cli.params import CAPTURE, Input, PixelSize, reads, speaks, without_effect
 from nerfbake.cli.volumes import Choice, chooses_grids
 from nerfbake.cli.words import Words
 
@@ -108,6 +108,12 @@ def render(
     """
     if turntable and cameras:
         raise click.UsageError("--turntable goes around the scene; allowed: it or --cameras")
+    if turntable or not cameras:
+        without_effect("frame", "every", here="without cameras to choose from", allowed="with --cameras")
+    if every:
+        without_effect("frame", here="with --all", allowed="one of them")
+    if not mesh:
+        without_effect("how", here="without a mesh", allowed="--composite with --mesh")
     several = every or turntable is not None
     if several and out == io.STREAM:
         raise click.UsageError("stdout takes one picture; allowed for several: a .gif, a .png or a folder")

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.kernels.affine import combined
 
 MAX_FRAMES = 100_000
 DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
@@ -48,7 +49,7 @@ def room_for(frames: int) -> None:
 
 def opengl(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Camera to world from OpenCV's axes (x right, y down, z ahead) in OpenGL's (x right, y up, z back)."""
-    return np.asarray(pose @ _OPENCV, np.float64)
+    return combined(pose, _OPENCV)
 
 
 def names_of(paths: Iterable[str | None]) -> list[str]:

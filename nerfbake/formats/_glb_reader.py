@@ -19,6 +19,9 @@ from nerfbake.scene.mesh import Mesh, require_few
 
 _MATERIALS = "KHR_materials_"  # extensions of this name change how light is reflected, which is not looked at
 _KNOWN = "KHR_mesh_quantization"
+# What is beside triangles and their colours: lamps, moves, sounds and words about the file.
+_BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
+_BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld"}
 MAX_NODES = 50_000
 _MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -33,8 +36,12 @@ def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
     """
     document = Document(view)
     for extension in _list(document.root, "extensionsRequired", "JSON"):
-        if not (isinstance(extension, str) and (extension.startswith(_MATERIALS) or extension == _KNOWN)):
-            raise malformed("extensionsRequired", f"has {str(extension)[:40]}", f"{_KNOWN}, {_MATERIALS}*")
+        if not (
+            isinstance(extension, str)
+            and (extension.startswith(_MATERIALS) or extension == _KNOWN or extension in _BESIDE)
+        ):
+            allowed = f"{_KNOWN}, {_MATERIALS}*, and what changes no triangle, such as KHR_lights_punctual"
+            raise malformed("extensionsRequired", f"has {str(extension)[:40]}", allowed)
     looks = _Looks(document)
     found: list[Mesh] = []
     for index, matrix in _placed(document):

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats._json import number, parse_object, table, whole
+from nerfbake.formats._json import number, parse_object, shown, table, whole
 
 MAX_CASCADES = 16
 _NAME = "mlp.json"
@@ -31,7 +31,9 @@ def decode_mlp(view: memoryview) -> Mlp:
     if extra := sorted(
         key for key in content if key.startswith("net.") and key not in ("net.0.weight", "net.1.weight")
     ):
-        raise InvalidFile(Problem(_NAME, f"has {extra[0]}", "two layers without bias: net.0.weight and net.1.weight"))
+        raise InvalidFile(
+            Problem(_NAME, f"has {shown(extra[0])}", "two layers without bias: net.0.weight and net.1.weight")
+        )
     return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), bound, cascades)
 
 

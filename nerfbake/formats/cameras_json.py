@@ -23,6 +23,7 @@ from nerfbake.formats._capture import DEFAULT_EDGE, Folder, PictureSizes, Size, 
 from nerfbake.formats._json import number, shown, within
 from nerfbake.formats._lens_json import LENS_KEYS, lens_fields, lens_of
 from nerfbake.formats._transforms import parse, poses_of
+from nerfbake.kernels.elementary import arctan, tangent
 from nerfbake.scene.camera import FOCAL, MAX_EDGE, Camera, Cameras
 
 # What would change rays, and is read by nobody here: a file that has one of these, other than 0 or false, is refused.
@@ -88,8 +89,8 @@ def _fields(camera: Camera) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     if camera.lens is None or camera.lens.model != "fisheye":
         fields |= {
-            "camera_angle_x": float(2 * np.arctan(0.5 * camera.width / camera.fx)),
-            "camera_angle_y": float(2 * np.arctan(0.5 * camera.height / camera.fy)),
+            "camera_angle_x": float(2 * arctan(0.5 * camera.width / camera.fx)),
+            "camera_angle_y": float(2 * arctan(0.5 * camera.height / camera.fy)),
         }
     fields |= {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
     return fields | {"cx": camera.cx, "cy": camera.cy} | lens_fields(camera.lens)
@@ -154,7 +155,7 @@ def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | No
     angle = number(fields, key, where)
     if not 0 < angle < most:
         raise InvalidFile(Problem(within(where, key), f"is {angle:g}", f"{unit} between 0 and {most:.4g}"))
-    return float(0.5 * edge / np.tan((np.radians(angle) if unit == "degrees" else angle) / 2))
+    return float(0.5 * edge / tangent((np.radians(angle) if unit == "degrees" else angle) / 2))
 
 
 def _refuse_rolling(fields: Fields, frame: Fields, index: int) -> None:

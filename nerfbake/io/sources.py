@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from nerfbake import memory
+from nerfbake.catalog import require_content
 from nerfbake.errors import InvalidFile, NerfbakeError
 
 STREAM = "-"
@@ -57,6 +58,7 @@ def read_file(path: Path) -> memoryview:
             if not count:
                 raise InvalidFile(f"was cut short to {at:,} bytes while it was read; allowed: a file that stays whole")
             at += count
+        require_content(bytes(buffer[:64]))
         return buffer.toreadonly()
 
 
@@ -73,6 +75,7 @@ def read_stream(file: IO[bytes]) -> memoryview:
     while chunk := file.read(_CHUNK):
         memory.hold("the stream", len(chunk))
         data += chunk
+    require_content(bytes(data[:64]))
     return memoryview(data).toreadonly()
 
 

@@ -32,9 +32,9 @@ def determinant(matrix: Floats) -> float:
 
 
 def inverse(matrix: Floats) -> Floats:
-    """Of a matrix that has one (else what is not finite), by Gauss and Jordan with pivots.
+    """Of a matrix that has one, else what is not finite; of a diagonal one exactly its entries' reciprocals.
 
-    Of a diagonal one it is exactly its entries' reciprocals.
+    Gauss and Jordan's elimination, with pivots.
     """
     rows = np.column_stack([matrix, np.eye(3)])
     for i in range(3):

@@ -152,8 +152,9 @@ class Cameras(Scene):
     def value_problems(self) -> list[Problem]:
         """Poses that are no rotation, and lenses that do not cover their picture."""
         turns = np.stack([camera.pose[:3, :3] for camera in self.cameras])
-        gram = np.einsum("nij,nik->njk", turns, turns)
-        skew = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL) | (np.linalg.det(turns) < 0)
+        gram = (turns[:, :, :, None] * turns[:, :, None]).sum(axis=1)
+        handed = (np.cross(turns[:, 0], turns[:, 1]) * turns[:, 2]).sum(axis=1)
+        skew = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL) | (handed < 0)
         problems = []
         if skew.any():
             name = self.cameras[int(np.argmax(skew))].name

@@ -53,7 +53,7 @@ def _lens(camera: Camera) -> str:
 
 def _up(ups: npt.NDArray[np.float64]) -> str | None:
     mean = (ups / np.linalg.norm(ups, axis=1, keepdims=True)).mean(axis=0)
-    length, axis = np.linalg.norm(mean), int(np.argmax(np.abs(mean)))
+    length, axis = np.sqrt((mean * mean).sum()), int(np.argmax(np.abs(mean)))
     if length < AGREE or abs(mean[axis]) < ALONG * length:
         return None
     return f"{'-' if mean[axis] < 0 else ''}{'xyz'[axis]}"

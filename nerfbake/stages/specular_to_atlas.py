@@ -43,7 +43,11 @@ def bake_atlas(
     give the same bytes on every CPU, whatever the number of threads. Raises InvalidScene for sizes out of range and
     more clusters than colours, MemoryLimit for maps that would take too much while they are made.
     """
-    for name, value, low, high in (("map size", map_size, 2, MAX_MAP_SIZE), ("nodes", nodes, 2, MAX_NODES)):
+    for name, value, low, high in (
+        ("map size", map_size, 2, MAX_MAP_SIZE),
+        ("nodes", nodes, 2, MAX_NODES),
+        ("border", border, 0, map_size // 2),
+    ):
         if not low <= value <= high:
             raise InvalidScene(Problem(name, f"is {value}", f"{low} to {high}"))
     if method == "affine" and clusters > MAX_TILES // 4:

@@ -118,7 +118,7 @@ def test_a_picture_cut_anywhere_is_one_line(tmp_path: Path, capsys: pytest.Captu
     [
         (["--clusters", "0"], 2),
         (["--clusters", "100000"], 1),
-        (["--map-size", "1"], 1),
+        (["--map-size", "1"], 2),
         (["--border", "40"], 1),
         (["--map-size", "1024", "--max-memory", "1GB"], 1),
     ],
@@ -163,7 +163,7 @@ def test_the_error_that_is_printed_is_the_error_that_was_written(
     source, out = str(tmp_path / "in"), str(tmp_path / "out")
     assert run(["sample", "nerf2mesh", source, "--resolution", "64"]) == 0
     for method in ("kmeans", "affine", "grid"):
-        assert run(["atlas", source, out, "--method", method, "--map-size", "32", "--nodes", "4", "--force"]) == 0
+        assert run(["atlas", source, out, "--method", method, "--map-size", "32", "--force"]) == 0
         written = json.loads((tmp_path / "out" / "atlas.json").read_text())["errors"]
         capsys.readouterr()
         assert run(["atlas-error", out, source, "--json"]) == 0

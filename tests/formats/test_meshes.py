@@ -219,6 +219,24 @@ LIES: dict[str, tuple[bytes, str]] = {
     "NaN": (glb(document(), NAN), "mesh positions[0, 0] is nan"),
     "far away": (glb(document(nodes=[{"mesh": 0, "scale": [1e300] * 3}]), BODY), "mesh positions[1, 0] is inf"),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["KHR_lights_punctual", "KHR_materials_sheen", "KHR_xmp_json_ld"])
+def test_an_extension_that_changes_no_triangle_may_be_required(name: str) -> None:
+    plain, more = (
+        meshes_glb.decode(memoryview(glb(document(**with_it), BODY)))
+        for with_it in (
+            {},
+            {
+                "extensionsRequired": [name],
+                "extensionsUsed": [name],
+                "extensions": {name: {"lights": [{"type": "sun"}]}},
+            },
+        )
+    )
+    np.testing.assert_array_equal(more.meshes[0].positions, plain.meshes[0].positions)
+
+
 OBJ_LIES: dict[str, tuple[bytes, str]] = {
     "no faces": (b"v 0 0 0\nv 1 0 0\n", "has no faces; allowed: at least one triangle"),
     "only a line": (b"v 0 0 0\nv 1 0 0\nl 1 2\n", "has no faces"),

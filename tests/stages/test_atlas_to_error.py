@@ -9,7 +9,8 @@ import pytest
 
 import nerfbake
 from nerfbake import bake_atlas, measure_error
-from nerfbake.errors import InvalidScene
+from nerfbake.errors import InvalidFile, InvalidScene
+from nerfbake.formats._texture import encode_texture
 from nerfbake.io import load_folder
 from nerfbake.kernels import octahedron
 from nerfbake.kernels.sphere import fibonacci
@@ -30,6 +31,19 @@ def test_the_thesis_own_figures(data: Path, fault: bool, mae: float, mse: float)
     error = measure_error(atlas, scene, directions=DIRECTIONS, lookup="thesis", thesis_fault=fault)
     assert error.mae == pytest.approx(mae, abs=5e-10)
     assert error.mse == pytest.approx(mse, abs=5e-8)
+
+
+@pytest.mark.data
+def test_the_thesis_folder_says_its_sizes_without_results_json(data: Path, tmp_path: Path) -> None:
+    folder = data / "nerf2mesh" / "crop64" / "thesis_16x64"
+    for name in ("octahedron_maps.png", "labels_map.png"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    told, found = (load_folder(path, nerfbake.BakedAtlas).atlases[0] for path in (folder, tmp_path))
+    np.testing.assert_array_equal(found.tiles, told.tiles)
+    np.testing.assert_array_equal(found.labels, told.labels)
+    (tmp_path / "octahedron_maps.png").write_bytes(encode_texture(np.zeros((255, 255, 3), np.uint8)))
+    with pytest.raises(InvalidFile, match="has 255x255 texels; allowed: 4x4 maps for 16 labels, or a"):
+        load_folder(tmp_path, nerfbake.BakedAtlas)
 
 
 def test_maps_that_hold_the_outputs_have_hardly_an_error() -> None:
