@@ -32,7 +32,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
 # The one library that a file is about.
 OWN_LIBRARY = {
     "_blosc": {"blosc"},
-    "_deflate": {"zlib_ng"},
+    "_deflate": {"deflate", "zlib_ng"},
     "_npz_reader": {"deflate"},
     "_npz_writer": {"zlib_ng"},
     "_zstd": {"zstandard"},
@@ -52,6 +52,7 @@ OWN_LIBRARY = {
 }
 HEAVY = {
     "blosc",
+    "deflate",
     "numba",
     "PIL",
     "bson",

@@ -16,8 +16,10 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._nanovdb_values import Codes, Room, root_tiles_of, tiles_of, voxels_of
 from nerfbake.kernels.bitmask import Bits, Ints, slots_of
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology, root_keys
 
+_CHUNK = 1 << 12  # leaves' heads at a time
 Nodes = npt.NDArray[Any]
 
 
@@ -121,8 +123,13 @@ def _leaves(
     at = lower_at + row * lower.dtype.itemsize + lower["table"][row, slot, 0]
     if len(at) != count or (at < 0).any() or (at + size > len(view)).any():
         raise InvalidFile(Problem("the leaves", f"are {len(at):,}, or beyond the grid", f"{count:,} within it"))
-    octets = np.frombuffer(view, np.uint8)
-    leaf = octets[at[:, None] + np.arange(size)].reshape(-1).view(layout.leaf)
+    octets, heads = np.frombuffer(view, np.uint8), np.empty((count, size), np.uint8)
+
+    def copy(begin: int, end: int) -> None:
+        heads[begin:end] = octets[at[begin:end, None] + np.arange(size)]
+
+    over_chunks(copy, count, _CHUNK)
+    leaf = heads.reshape(-1).view(layout.leaf)
     bits = 1 << (leaf["flags"] >> 5).astype(np.int64)
     ends = at + size + 64 * bits
     if (bits > 16).any() or (at[1:] != ends[:-1]).any() or (count and (at[0] != start or ends[-1] > len(view))):

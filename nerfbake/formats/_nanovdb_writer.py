@@ -55,7 +55,8 @@ def write_grid(volume: Volume) -> GridBytes:
         _put_tiles(grid, upper, lower)
     _put_entries(grid, entries, _at(starts.upper, upper) - starts.root)
     if layout is nano.FLOAT and isinstance(grid, VdbTree):
-        _add_stats(grid, leaf, lower, upper, root)
+        with np.errstate(all="ignore"):  # what is not finite is kept, and so are statistics of it
+            _add_stats(grid, leaf, lower, upper, root)
     head = _head(volume, layout, starts, box, bool(blind))
     tree = np.zeros(1, nano.TREE)
     tree["offsets"] = np.array([starts.leaf, starts.lower, starts.upper, starts.root]) - nano.GRID.itemsize
@@ -239,6 +240,8 @@ def _leaves(grid: VdbTree | IndexGrid, active: VdbTopology, layout: nano.Layout)
         return leaf
     row, slot = slots_of(topology.leaf_mask)
     if layout is nano.FP16:
+        for problem in grid.value_problems():
+            raise InvalidScene(problem)  # no codes stand for what is not finite
         _quantise(grid, leaf, row * 512 + slot)
         return leaf
     if grid.background.any():

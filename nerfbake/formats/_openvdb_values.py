@@ -81,11 +81,12 @@ def read_slots(
     require_code(code, what)
     beside = stream.take(kind.beside(code, 8 * len(active)), what)
     whole = code == ALL_VALUES or not flags & ACTIVE_MASK
+    if code == 0 and not whole and not active.any():  # the rule, and there may be a hundred thousand of them
+        _stored(stream, 0, kind, flags, what)
+        return None
     active_bits = bits_of(active)
     count = len(active_bits) if whole else int(active_bits.sum())
     packed, size = _stored(stream, count, kind, flags, what), count * kind.width
-    if not whole and not count and code == 0:
-        return None
     dense = np.empty((1, len(active_bits), kind.channels), kind.held)
     _fill_inactive(dense, [(0, code, bytes(beside))], kind, background)
     data = _unpacker(flags)(packed.view, size, what) if packed.smaller else packed.view

@@ -19,7 +19,6 @@ from nerfbake.scene.vdb import IndexGrid, VdbTree
 
 Up = Literal["y", "z"]
 Transform = npt.NDArray[np.float64]
-_TURN_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # (x, y, z) -> (x, -z, y): what y was is z
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +118,10 @@ class Volume:
     def turned(self) -> Volume:
         """A volume whose y axis is up, with z up as here: (x, y, z) becomes (x, -z, y) in the transforms alone."""
         grids = tuple(
-            replace(grid, place=_TURN_UP @ grid.place) if isinstance(grid, VdbTree) and grid.place is not None else grid
+            replace(grid, place=_turned(grid.place)) if isinstance(grid, VdbTree) and grid.place is not None else grid
             for grid in self.grids
         )
-        return replace(self, grids=grids, transform=_TURN_UP @ self.transform)
+        return replace(self, grids=grids, transform=_turned(self.transform))
 
     # -- soundness ---------------------------------------------------------------------------------------------
     def require_sound(self) -> None:
@@ -159,3 +158,8 @@ def edges_of(transform: Transform) -> npt.NDArray[np.float64]:
     """(3,) lengths of a voxel's edges in the world."""
     lengths: npt.NDArray[np.float64] = np.sqrt((transform[:, :3] ** 2).sum(axis=0))
     return lengths
+
+
+def _turned(transform: Transform) -> Transform:
+    x, y, z = transform
+    return np.stack([x, -z, y])

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.bitmask import Ints
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid
 from nerfbake.scene.vdb_topology import VdbTopology
@@ -49,10 +50,10 @@ def density_octree(volume: Volume) -> SparseVoxelOctree:
     grid = density_of(volume)
     for problem in (*grid.structure_problems(), *grid.value_problems()):
         raise InvalidScene(problem)
-    turn, voxel_size, origin = _axes(volume.transform_of(grid))
+    axis, sign, voxel_size, origin = _axes(volume.transform_of(grid))
     # Of a mirrored axis a cube's other end is its lowest voxel.
     blocks = [
-        Block(low @ turn.T - np.where(turn.sum(axis=1) < 0, 1 << height, 0), height, row)
+        Block(low[:, axis] * sign - np.where(sign < 0, 1 << height, 0), height, row)
         for low, height, row in blocks_of(grid.topology, grid.values[:, 0] > 0)
     ]
     # What tiles need to be leaves: a box that starts where the largest of them could.
@@ -67,21 +68,17 @@ def density_octree(volume: Volume) -> SparseVoxelOctree:
     return octree_of([Block(block.low - low, block.height, block.row) for block in blocks], grid.values, frame)
 
 
-def _axes(transform: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any], npt.NDArray[Any]]:
-    """(3, 3) of 0, 1, -1 from the grid's axes to the world's, a voxel's edges there, and where its voxel (0, 0, 0)
-    starts; mirrored axes are counted from -1 down."""
+def _axes(transform: npt.NDArray[np.float64]) -> tuple[Ints, Ints, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Of each axis of the world (3,): the grid's axis that runs along it, 1 or -1 for which way, a voxel's edge, and
+    where its voxel 0 starts; mirrored axes are counted from -1 down."""
     matrix, centre = transform[:, :3], transform[:, 3]
-    if (
-        not np.isfinite(transform).all()
-        or ((matrix != 0).sum(axis=0) != 1).any()
-        or ((matrix != 0).sum(axis=1) != 1).any()
-    ):
-        raise InvalidScene(
-            Problem("the transform", "turns or shears the grid", "axes that are the world's, for an octree")
-        )
-    turn, edges = np.sign(matrix).astype(np.int64), np.abs(matrix).sum(axis=1)
+    along = matrix != 0
+    if (along.sum(axis=0) != 1).any() or (along.sum(axis=1) != 1).any():
+        allowed = "axes that are the world's, for an octree"
+        raise InvalidScene(Problem("the transform", "turns or shears the grid", allowed))
+    edges, sign = np.abs(matrix).sum(axis=1), np.sign(matrix.sum(axis=1)).astype(np.int64)
     # Voxel v of a mirrored axis becomes -v - 1: voxel 0 starts where voxel 0 did, half an edge above its centre.
-    return turn, edges, centre - np.where(turn.sum(axis=1) < 0, -edges / 2, edges / 2)
+    return along.argmax(axis=1), sign, edges, centre - np.where(sign < 0, -edges / 2, edges / 2)
 
 
 def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
