@@ -31,6 +31,7 @@ _UNKNOWN = (
     "ftheta_w", "ftheta_h", "s1", "s2", "s3", "s4", "sx1", "sy1", "tau_x", "tau_y", "omega", "skew", "sk_x",
     "normal_mts_args", "from_na",
 )  # fmt: skip
+_LEAST_ANGLE = 1e-6  # of a picture, whose focal length is a number that rays can be made with
 _FOCAL = ("{}_fov", "fl_{}", "camera_angle_{}")
 _OWN = {*_UNKNOWN, *LENS_KEYS, *(name.format(axis) for name in _FOCAL for axis in "xy"), "cx", "cy", "w", "h"}
 _NERFSTUDIO = ("camera_model", "applied_transform", "applied_scale", "train_filenames", "ply_file_path")
@@ -152,7 +153,7 @@ def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | No
     if key not in fields:
         return None
     angle = number(fields, key, where)
-    if not 0 < angle < most:
+    if not _LEAST_ANGLE <= angle < most:
         raise InvalidFile(Problem(within(where, key), f"is {angle:g}", f"{unit} between 0 and {most:.4g}"))
     return float(0.5 * edge / np.tan((np.radians(angle) if unit == "degrees" else angle) / 2))
 
