@@ -60,6 +60,8 @@ FORMATS = (
 )
 
 # Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
+# A folder that is of several kinds is read as the first of them that holds what is wanted: of a capture its
+# transforms.json, then COLMAP's model, from which LLFF's poses were made.
 FOLDERS = (
     Format("stage1", "Stage1", "", "nerfbake.formats.stage1_folder", "nerf2mesh's stage 1", key="mlp.json"),
     Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas", key="atlas.json"),

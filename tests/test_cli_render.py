@@ -140,7 +140,9 @@ def test_what_was_taken_for_granted_is_said(shell: Shell, scene: Path) -> None:
     (scene / "t.json").write_text(json.dumps({"camera_angle_x": 1, "frames": [frame]}))
     done = shell("render", "a.npz", "--cameras", "t.json", "--size", "9x9", "--out", "a.png")
     assert done.returncode == 0
-    note = "t.json: no size is told and no picture is there: 800x800 taken for 1 of its cameras"
+    note = (
+        "t.json: no size is told and no picture is there for 1 of its cameras: 800x800 taken, as of the Blender scenes"
+    )
     assert done.stderr.decode().splitlines()[0] == note
 
 

@@ -24,6 +24,7 @@ from nerfbake.scene.volume import Volume
 
 STEP = 0.5  # voxels; so many steps has a ray at most as its way through the box is long, however far it comes from
 ALPHA, CUT = 1e-4, 1e-4
+FARTHEST = 1e15  # voxels from a camera to the first: its steps are whole numbers
 CHUNK = 1 << 12  # rays that a core marches in one go
 
 
@@ -43,12 +44,11 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
     if (box := tree.topology.box) is None:
         return Counts(0, 0, 0)
     place, directions = camera.rays()
-    with np.errstate(all="ignore"):  # what is no number is asked for below
-        start = volume.index_of(place)
-        along = directions @ np.linalg.inv(volume.transform[:, :3]).T  # voxels a world unit
-        length = np.linalg.norm(along, axis=1, keepdims=True)
-        forward, step = along / length * STEP, STEP / length[:, 0]
-    if not (np.isfinite(forward).all() and np.isfinite(start).all()):
+    start = volume.index_of(place)
+    along = directions @ np.linalg.inv(volume.transform[:, :3]).T  # voxels a world unit
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    forward, step = along / length * STEP, STEP / length[:, 0]
+    if not (np.abs(start) <= FARTHEST).all():
         raise InvalidScene(Problem("a camera", "is too far away", "rays that can be told in voxels"))
     low, high = (box[k].astype(np.float64) + side for k, side in ((0, -0.5), (1, 0.5)))
     found = np.zeros((len(directions), 3), np.int64)

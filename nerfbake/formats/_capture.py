@@ -20,6 +20,7 @@ MAX_NAME = 120  # bytes of a name; what stands beside a picture, and a file that
 PICTURES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 _UNSAFE = re.compile(r"[^\w .+()\[\]-]")
 _OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
+_MAX_PART = 240  # bytes of a file's name, before an ending is tried
 _CAMERA_BYTES = 1000  # what Python takes for one
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -120,9 +121,16 @@ def _inside(path: str) -> str | None:
     clean = PurePosixPath(path.replace("\\", "/"))
     if clean.is_absolute() or ".." in clean.parts or not path.isprintable() or len(path) > 1000:
         return None
+    if any(len(part.encode()) > _MAX_PART for part in clean.parts):
+        return None
     return str(clean)
 
 
-def default_note(frames: int) -> str:
-    """What is said where nothing tells how large the pictures are."""
-    return f"no size is told and no picture is there: {DEFAULT_EDGE}x{DEFAULT_EDGE} taken for {frames:,} of its cameras"
+def size_note(frames: int, size: Size | None) -> tuple[str, ...]:
+    """What is said where nothing tells how large the pictures of so many cameras are, and what is taken instead."""
+    if not frames:
+        return ()
+    width, height = size or (DEFAULT_EDGE, DEFAULT_EDGE)
+    whose = "the first" if size else "the Blender scenes"
+    told = f"no size is told and no picture is there for {frames:,} of its cameras"
+    return (f"{told}: {width}x{height} taken, as of {whose}",)

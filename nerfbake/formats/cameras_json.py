@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats._capture import DEFAULT_EDGE, Folder, PictureSizes, Size, default_note, names_of, room_for
+from nerfbake.formats._capture import DEFAULT_EDGE, Folder, PictureSizes, Size, names_of, room_for, size_note
 from nerfbake.formats._json import number, shown, within
 from nerfbake.formats._lens_json import LENS_KEYS, lens_fields, lens_of
 from nerfbake.formats._transforms import parse, poses_of
@@ -32,6 +32,7 @@ _UNKNOWN = (
     "ftheta_w", "ftheta_h", "s1", "s2", "s3", "s4", "sx1", "sy1", "tau_x", "tau_y", "omega", "skew", "sk_x",
     "normal_mts_args", "from_na",
 )  # fmt: skip
+_LEAST_ANGLE = 1e-6  # of a picture, whose focal length is a number that rays can be made with
 _FOCAL = ("{}_fov", "fl_{}", "camera_angle_{}")
 _OWN = {*_UNKNOWN, *LENS_KEYS, *(name.format(axis) for name in _FOCAL for axis in "xy"), "cx", "cy", "w", "h"}
 _NERFSTUDIO = ("camera_model", "applied_transform", "applied_scale", "train_filenames", "ply_file_path")
@@ -54,50 +55,49 @@ def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
     room_for(len(frames))
     sizes = PictureSizes(beside)
     paths = [path if isinstance(path := frame.get("file_path"), str) else None for frame in frames]
-    first = next((size for path in paths if (size := sizes.of(path))), None) if _unsized(fields, frames) else None
+    unsized = not all(_sized(fields, frame) for frame in frames)
+    first = next((size for path in paths if (size := sizes.of(path))), None) if unsized else None
     poses = poses_of(frames)
     shared: dict[Size | None, Intrinsics] = {}
     cameras, guessed = [], 0
     for i, (frame, path, name) in enumerate(zip(frames, paths, names_of(paths), strict=True)):
         _refuse_rolling(fields, frame, i)
-        size = None if first is None else sizes.of(path) or first
+        seen = None if first is None else sizes.of(path)
+        size = seen or first
         if _OWN.isdisjoint(frame):
             if size not in shared:
                 shared[size] = _intrinsics({}, fields, size, "")
             own = shared[size]
         else:
             own = _intrinsics(frame, fields, size, f"frames[{i}]")
-        guessed += own["guessed"]
-        cameras.append(Camera(pose=poses[i], name=name, **{k: v for k, v in own.items() if k != "guessed"}))
-    return Cameras(tuple(cameras), _dialect(fields, frames), notes=(default_note(guessed),) if guessed else ())
+        guessed += seen is None and not _sized(fields, frame)
+        cameras.append(Camera(pose=poses[i], name=name, **own))
+    return Cameras(tuple(cameras), _dialect(fields, frames), notes=size_note(guessed, first))
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:
     """Read by instant-ngp and nerfstudio, too: what all cameras have in common once, else each frame its own."""
     owns = [_fields(camera) for camera in cameras.cameras]
-    common = {key: value for key, value in owns[0].items() if all(key in own and own[key] == value for own in owns)}
-    whole = all(own == common for own in owns)
+    whole = all(own == owns[0] for own in owns)
     frames = [
         {"file_path": camera.name, **({} if whole else own), "transform_matrix": camera.pose.tolist()}
         for camera, own in zip(cameras.cameras, owns, strict=True)
     ]
-    yield json.dumps({**(common if whole else {}), "frames": frames}, indent=1).encode() + b"\n"
+    yield json.dumps({**(owns[0] if whole else {}), "frames": frames}, indent=1).encode() + b"\n"
 
 
 def _fields(camera: Camera) -> dict[str, Any]:
-    """A camera's own, but for its pose."""
+    """A camera's own, but for its pose. An angle only where it is all that there is to say: for older readers."""
     fields: dict[str, Any] = {}
-    if camera.lens is None or camera.lens.model != "fisheye":
-        fields |= {
-            "camera_angle_x": float(2 * arctan(0.5 * camera.width / camera.fx)),
-            "camera_angle_y": float(2 * arctan(0.5 * camera.height / camera.fy)),
-        }
+    middle = camera.width / 2, camera.height / 2
+    if camera.lens is None and (camera.cx, camera.cy) == middle and camera.fx == camera.fy:
+        fields["camera_angle_x"] = float(2 * arctan(0.5 * camera.width / camera.fx))
     fields |= {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
     return fields | {"cx": camera.cx, "cy": camera.cy} | lens_fields(camera.lens)
 
 
-def _unsized(fields: Fields, frames: list[dict[str, Any]]) -> bool:
-    return not {"w", "h"} <= fields.keys() and not all({"w", "h"} <= frame.keys() for frame in frames)
+def _sized(fields: Fields, frame: Fields) -> bool:
+    return bool({"w", "h"} & (fields.keys() | frame.keys()))
 
 
 def _dialect(fields: Fields, frames: list[dict[str, Any]]) -> str:
@@ -108,7 +108,7 @@ def _dialect(fields: Fields, frames: list[dict[str, Any]]) -> str:
 
 
 def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> Intrinsics:
-    """A Camera's size, focal lengths, centre and lens, and whether its size is a guess."""
+    """A Camera's size, focal lengths, centre and lens."""
     both = {**shared, **{key: own[key] for key in _OWN & own.keys()}}
     for key in _UNKNOWN:
         if both.get(key) not in (None, 0, False):
@@ -127,7 +127,7 @@ def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> I
     if {"cx", "cy"} & both.keys():
         centre = number(both, "cx", where, default=width / 2), number(both, "cy", where, default=height / 2)
     lens = lens_of(both, where)
-    return {"width": width, "height": height, "focal": found, "centre": centre, "lens": lens, "guessed": guessed}
+    return {"width": width, "height": height, "focal": found, "centre": centre, "lens": lens}
 
 
 def _pixels(fields: Fields, key: str, default: int | None, where: str) -> int:
@@ -153,7 +153,7 @@ def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | No
     if key not in fields:
         return None
     angle = number(fields, key, where)
-    if not 0 < angle < most:
+    if not _LEAST_ANGLE <= angle < most:
         raise InvalidFile(Problem(within(where, key), f"is {angle:g}", f"{unit} between 0 and {most:.4g}"))
     return float(0.5 * edge / tangent((np.radians(angle) if unit == "degrees" else angle) / 2))
 

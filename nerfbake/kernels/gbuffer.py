@@ -86,10 +86,23 @@ def _bound(
                 left, right = -np.inf if x < close else left, np.inf if x > -close else right
                 top, bottom = -np.inf if y > -close else top, np.inf if y < close else bottom
         if left <= right:
-            boxes[f, 0] = np.searchsorted(columns[0], left, side="left")
-            boxes[f, 1] = np.searchsorted(rows[0], top, side="left")
-            boxes[f, 2] = np.searchsorted(columns[1], right, side="right")
-            boxes[f, 3] = np.searchsorted(rows[1], bottom, side="right")
+            boxes[f, 0], boxes[f, 1] = _below(columns, 0, left, True), _below(rows, 0, top, True)
+            boxes[f, 2], boxes[f, 3] = _below(columns, 1, right, False), _below(rows, 1, bottom, False)
+
+
+@compiled()
+def _below(table: Floats, row: int, value: float, strictly: bool) -> int:
+    """How many of a rising row are below a value, or not above it."""
+    first, count = 0, table.shape[1]
+    while count > 0:
+        half = count >> 1
+        here = table[row, first + half]
+        if here < value or (here == value and not strictly):
+            first += half + 1
+            count -= half + 1
+        else:
+            count = half
+    return first
 
 
 @compiled(parallel=True)

@@ -105,7 +105,9 @@ class Camera:
             looks, fine = pixel_looks(self._seen, self.lens)
             if not fine.all():
                 raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
-            directions = looks[..., :1] * right - looks[..., 1:2] * up - looks[..., 2:] * back
+            directions = np.empty_like(looks)
+            for axis, (r, u, b) in enumerate(zip(right, up, back, strict=True)):
+                directions[..., axis] = looks[..., 0] * r - looks[..., 1] * u - looks[..., 2] * b
         across, down, along = np.moveaxis(directions, -1, 0)
         directions /= np.sqrt(across * across + down * down + along * along)[..., None]
         return self.pose[:3, 3], directions.reshape(-1, 3)

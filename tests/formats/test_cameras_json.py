@@ -39,7 +39,9 @@ def test_a_capture_by_hand() -> None:
     (camera,) = cameras.cameras
     assert (camera.width, camera.height, camera.name) == (800, 800, "r_7")
     assert_allclose(camera.fx, 400 / np.tan(0.35))
-    assert cameras.notes == ("no size is told and no picture is there: 800x800 taken for 1 of its cameras",)
+    assert cameras.notes == (
+        "no size is told and no picture is there for 1 of its cameras: 800x800 taken, as of the Blender scenes",
+    )
     cameras = read(capture(w=640, h=480, fl_x=500))
     (camera,) = cameras.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (640, 480, 500, 500, 320, 240)
@@ -58,6 +60,11 @@ def test_what_is_written_is_read() -> None:
         **{"w": 640, "h": 480, "fl_x": 500, "fl_y": 500, "cx": 320, "cy": 240}
     }
     assert "camera_model" not in written
+    assert_allclose(written["camera_angle_x"], 2 * np.arctan(320 / 500))
+    # A program that knows no more than an angle must not take it for the whole truth.
+    for more in ({"cx": 300}, {"fl_y": 400}, {"k1": 0.1}):
+        (data,) = cameras_json.encode(read(capture(w=640, h=480, fl_x=500, **more)))
+        assert "camera_angle_x" not in json.loads(data)
 
 
 def test_cameras_of_different_kinds_are_written_each_with_its_own() -> None:
@@ -131,14 +138,18 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
         "broken",
         "a\0",
         "x" * 5000,
+        "x" * 300,
+        "x" * 300 + "/a.png",
     ]
     frames = [{"file_path": path, "transform_matrix": EYE} for path in paths]
     (tmp_path / "t.json").write_text(json.dumps(capture(frames=frames)))
     cameras = load(tmp_path / "t.json", Cameras)
     sizes = [(camera.width, camera.height) for camera in cameras.cameras]
     assert sizes[:4] == [(30, 20), (30, 20), (20, 30), (9, 9)]
-    assert sizes[4:] == [(30, 20)] * 6  # what cannot be found or read is as large as the first
-    assert cameras.notes == ()
+    assert sizes[4:] == [(30, 20)] * 8  # what cannot be found or read is as large as the first
+    assert cameras.notes == (
+        "no size is told and no picture is there for 8 of its cameras: 30x20 taken, as of the first",
+    )
 
 
 @pytest.mark.parametrize(
@@ -155,6 +166,7 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
         (capture(frames=[3]), r"frames\[0\] is a number"),
         (capture(camera_angle_x=0), "camera_angle_x is 0"),
         (capture(camera_angle_x=4), "camera_angle_x is 4"),
+        (capture(camera_angle_x=5e-324), "camera_angle_x is 4.94066e-324; allowed: radians between 0 and 3.142"),
         (capture(camera_angle_x="wide"), "camera_angle_x is wide"),
         (capture(camera_angle_x=None), "camera_angle_x is missing"),
         (capture(x_fov=200), "x_fov is 200; allowed: degrees between 0 and 180"),

@@ -101,7 +101,11 @@ def test_the_first_of_several_is_taken_and_said(tmp_path: Path) -> None:
 def test_sizes_that_nobody_tells_are_taken_for_granted_aloud(tmp_path: Path) -> None:
     made = rig(odd=False)
     for write, folder, note in (
-        (write_nerf_synthetic, "test", "no size is told and no picture is there: 800x800 taken for 3 of its cameras"),
+        (
+            write_nerf_synthetic,
+            "test",
+            "no size is told and no picture is there for 3 of its cameras: 800x800 taken, as of the Blender scenes",
+        ),
         (write_nsvf, "rgb", "no picture in rgb: 14x10 taken, around the centre"),
     ):
         for picture in (write(tmp_path, made) / folder).iterdir():

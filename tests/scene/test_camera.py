@@ -23,7 +23,8 @@ def old_rays(width: int, height: int, focal: float, pose: Any) -> Any:
     x = (np.arange(width) + 0.5 - width / 2) / focal
     y = -(np.arange(height) + 0.5 - height / 2) / focal
     directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
-    directions /= np.sqrt(np.einsum("yxc,yxc->yx", directions, directions))[..., None]
+    across, down, along = np.moveaxis(directions, -1, 0)
+    directions /= np.sqrt(across * across + down * down + along * along)[..., None]
     return directions.reshape(-1, 3)
 
 
