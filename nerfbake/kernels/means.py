@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import cbrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,17 +22,17 @@ CHUNK = 1 << 12  # rows at a time: temporaries stay in the second-level cache
 Floats = npt.NDArray[np.float64]
 
 
-class Weighted(NamedTuple):
-    """Rows of values with the mean opacity behind them, which is what they weigh in the next mean."""
-
-    values: npt.NDArray[np.float32]  # (m, D), density last
-    opacity: Floats  # (m,)
-
-
 def opacity(sigma: npt.NDArray[Any], length: float) -> Floats:
     """1 - exp(-sigma length), 0 for densities below 0."""
-    depth: Floats = np.maximum(sigma, 0, dtype=np.float64) * length
-    return -expm1(-depth)
+    flat = np.asarray(sigma).reshape(-1)
+    found = np.empty(len(flat))
+
+    def work(begin: int, end: int) -> None:
+        depth = np.maximum(flat[begin:end], 0, dtype=np.float64) * length
+        found[begin:end] = -expm1(-depth)
+
+    over_chunks(work, len(flat), 1 << 14)
+    return found.reshape(np.shape(sigma))
 
 
 def mean_edge(edges: Floats) -> float:
@@ -45,16 +45,17 @@ def mean_of_runs(
     weight: Floats,
     volume: Floats,
     counts: npt.NDArray[np.int64],
-    data_dim: int,
-) -> Weighted:
+    out: npt.NDArray[Any],
+) -> Floats:
     """Means over runs of consecutive rows: the first run is counts[0] rows, the next counts[1], and so on.
 
-    rows_at(begin, end) gives the values (end - begin, D) of some of the rows 0 .. m, density last; weight (m,)
-    opacities; volume (m,) each row's share of its run's volume (what is left to 1 is empty). Sums run from a run's
-    first row to its last, the same on every machine.
+    They are written to out (p, D); what comes back is the mean opacity behind each, which is what it weighs in the
+    next mean. rows_at(begin, end) gives the values (end - begin, D) of some of the rows 0 .. m, density last;
+    weight (m,) opacities; volume (m,) each row's share of its run's volume (what is left to 1 is empty). Sums run
+    from a run's first row to its last, the same on every machine.
     """
     ends = np.cumsum(counts)
-    out, out_opacity = np.zeros((len(counts), data_dim), np.float32), np.zeros(len(counts))
+    out_opacity = np.zeros(len(counts))
     # Blocks of whole runs, each about as many rows.
     edges = np.flatnonzero(np.diff(ends // CHUNK, prepend=-1, append=-1))
 
@@ -66,12 +67,13 @@ def mean_of_runs(
             rows = rows_at(first, last).astype(np.float32, copy=False)
             pieces = rows * share.astype(np.float32)[:, None]
             pieces[:, -1] = rows[:, -1] * volume[first:last]
-            out[some], out_opacity[some] = _sums(pieces, share, counts[some])
+            total, out_opacity[some] = _sums(pieces, share, counts[some])
             divisor = out_opacity[some].astype(np.float32)
-            out[some, :-1] /= np.where(divisor > 0, divisor, 1)[:, None]
+            total[:, :-1] /= np.where(divisor > 0, divisor, 1)[:, None]
+            out[some] = total
 
     over_chunks(work, len(edges) - 1, 1)
-    return Weighted(out, out_opacity)
+    return out_opacity
 
 
 def _sums(

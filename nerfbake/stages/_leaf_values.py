@@ -87,8 +87,9 @@ class LeafValues:
         def rows_at(begin: int, end: int) -> npt.NDArray[Any]:
             return widened(self._exact(parts[begin:end]))
 
-        mean = mean_of_runs(rows_at, self.opacity(parts), volume, counts, self.data_dim)
-        self._means[where], self._mean_opacity[where] = mean
+        means = np.empty((len(counts), self.data_dim), np.float32)
+        self._mean_opacity[where] = mean_of_runs(rows_at, self.opacity(parts), volume, counts, means)
+        self._means[where] = means
 
     def _exact(self, leaf: Ints) -> npt.NDArray[Any]:
         mean = leaf >= len(self._cells)

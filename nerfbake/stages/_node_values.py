@@ -87,11 +87,9 @@ class NodeValues:
             return self[end + begin : end + stop]
 
         volume = np.broadcast_to(1 / 8, len(weight_below))
-        mean = mean_of_runs(below, weight_below, volume, child_counts(levels, height)[inner], self.shape[1])
         first = np.searchsorted(self._inner, end - len(leaf))
         means = self._means[first : first + len(inner)]
-        means[:] = mean.values
+        weight[inner] = mean_of_runs(below, weight_below, volume, child_counts(levels, height)[inner], means)
         # A mean of something never rounds to nothing: where a level is cut, it is a leaf.
         means[means[:, -1] == 0, -1] = np.nextafter(self.dtype.type(0), self.dtype.type(1))
-        weight[inner] = mean.opacity
         return weight
