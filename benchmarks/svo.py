@@ -30,7 +30,7 @@ CHAIRS = DATA / "plenoctree" / "chair"
 CHAIR = CHAIRS / "chair_sh9.npz"
 QUANTISED = CHAIRS / "chair_sh9_128_quant.npz"
 RESULT = HERE / "results" / "svo.md"
-ROUNDS = 9
+ROUNDS = 7
 
 NERFBAKE = [sys.executable, "-m", "nerfbake"]
 PACK = "import sys, numpy as np\nwith np.load(sys.argv[1]) as npz:\n    np.savez_compressed(sys.argv[2], **npz)"
@@ -164,7 +164,10 @@ def machine() -> str:
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
     libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "deflate", "nerfbake"))
-    return f"{model}, {os.cpu_count()} cores; {platform.system()}; Python {platform.python_version()}, {libraries}"
+    load = f"load average {os.getloadavg()[0]:.1f} before it began"
+    return (
+        f"{model}, {os.cpu_count()} cores, {load}; {platform.system()}; Python {platform.python_version()}, {libraries}"
+    )
 
 
 def main() -> None:
