@@ -63,8 +63,7 @@ def main(path: Path) -> None:
         before, refused = resident(), False
         with memory_limit(limit):
             try:
-                scene = io.load(path)
-                del scene
+                io.load(path)
             except MemoryLimit:
                 refused = True
             except NerfbakeError as error:

@@ -50,12 +50,14 @@ def shuffled(path: Path) -> None:
         np.savez(path, **{**old, "node_children": children})
 
 
-def tree(path: Path, *, child: Any = np.int8, deflated: bool = False, **dtypes: Any) -> None:
-    """Eight nodes below the root and their own: offsets that fit into a byte are widened on reading."""
-    n = 600_000
-    arrays = svox(
-        N3Tree(np.zeros((n, 2, 2, 2), np.int32), np.ones((n, 2, 2, 2, 4), np.float16), [0.5] * 3, [1] * 3, "RGBA")
-    )
+def tree(path: Path, *, child: Any = np.int32, deflated: bool = False, **dtypes: Any) -> None:
+    """Offsets of a whole tree; or none, which fit into a byte and are widened on reading."""
+    n = 500_000
+    offsets = np.zeros(8 * n, np.int32)
+    if child != np.int8:
+        offsets[: n - 1] = np.arange(1, n) - np.arange(n - 1) // 8
+    cells = np.ones((n, 2, 2, 2, 4), np.float16)
+    arrays = svox(N3Tree(offsets.reshape(n, 2, 2, 2), cells, np.full(3, 0.5), np.ones(3), "RGBA"))
     arrays["child"] = arrays["child"].astype(child)
     arrays |= {key: arrays[key].astype(dtype) for key, dtype in dtypes.items()}
     (np.savez_compressed if deflated else np.savez)(path, **arrays)

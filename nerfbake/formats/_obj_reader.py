@@ -202,7 +202,7 @@ class _Text:
         mask = np.repeat(wanted, self._ends - self._starts + 1)
         mask[self._starts[lines] - 1] = False
         mask[self._starts[lines][self._bytes[self._starts[lines] + 1] > ord(" ")]] = False
-        return self._bytes[1 : 1 + len(mask)][mask].tobytes()
+        return bytes(self._bytes[1 : 1 + len(mask)][mask].data)
 
     def _refuse(self, text: bytes, at: int) -> None:
         said = text[at : at + 40].split()[0].decode("latin-1")

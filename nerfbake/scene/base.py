@@ -12,8 +12,6 @@ from nerfbake.kernels.topology import all_within, count_problem
 
 MAX_WORLD = 1e15  # world units of a place or an edge, and of what one over an edge is: their squares are numbers, too
 
-MAX_NUMBER = 1e15  # of a density, a coefficient, a corner: squares and sums of millions are numbers in float32, too
-
 
 class Scene:
     """Shapes and dtypes are checked as a scene is made; a structure or values that cannot be right are told here."""
@@ -48,7 +46,7 @@ def edge_problems(name: str, edges: npt.NDArray[np.float64]) -> list[Problem]:
 
 
 def number_problems(
-    name: str, values: npt.NDArray[Any], *, where: npt.NDArray[np.bool_] | None = None, most: float = MAX_NUMBER
+    name: str, values: npt.NDArray[Any], *, where: npt.NDArray[np.bool_] | None = None, most: float = np.inf
 ) -> list[Problem]:
     """Of all values, or of those `where` (broadcast to them) is True: NaN and infinity, and what is above `most`."""
     if all_within(values, most):

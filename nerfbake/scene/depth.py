@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.topology import count_problem
-from nerfbake.scene.base import Scene, number_problems
+from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 from nerfbake.scene.camera import MAX_EDGE
 
 
@@ -26,7 +26,7 @@ class Depth(Scene):
             found = f"has shape {shape}, dtype {self.distance.dtype}"
             raise InvalidScene(Problem("depth", found, f"(H, W) float32, 1 to {MAX_EDGE:,} pixels an edge"))
         memory.require("depth", self.distance.size)
-        for problem in number_problems("depth", self.distance):
+        for problem in number_problems("depth", self.distance, most=MAX_WORLD):
             raise InvalidScene(problem)
         for problem in count_problem("depth", self.distance < 0, self.distance, "a distance from 0"):
             raise InvalidScene(problem)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.topology import count_problem
-from nerfbake.scene.base import Scene, number_problems
+from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 
 MAX_MESHES = 10_000
 MAX_UV = 1e6  # float32 has no digits for texels beyond it
@@ -53,7 +53,7 @@ class Mesh:
                 found = f"has shape {shape}, dtype {self.texture.dtype}"
                 raise InvalidScene(Problem("mesh texture", found, "(H, W, 3) uint8"))
             self.require_uvs()
-        problems = number_problems("mesh positions", self.positions)
+        problems = number_problems("mesh positions", self.positions, most=MAX_WORLD)
         problems += count_problem("mesh faces", self.faces >= v, self.faces, f"a vertex, 0 to {v - 1:,}")
         if self.uvs is not None:
             problems += number_problems("mesh uvs", self.uvs, most=MAX_UV)

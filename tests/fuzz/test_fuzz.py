@@ -56,8 +56,13 @@ def _warns(*_: Any, **__: Any) -> None:
     warnings.warn("overflow", RuntimeWarning, stacklevel=1)
 
 
+class Talkative(InvalidFile):
+    def __str__(self) -> str:
+        return "x" * 301
+
+
 def _talks(*_: Any, **__: Any) -> None:
-    raise InvalidFile("x" * 301)
+    raise Talkative("")
 
 
 def _takes_memory(*_: Any, **__: Any) -> None:
@@ -67,7 +72,7 @@ def _takes_memory(*_: Any, **__: Any) -> None:
 HARMS: dict[str, tuple[Callable[..., None], str]] = {
     "exception": (_fails, "IndexError: out of range"),
     "warning": (_warns, "RuntimeWarning: overflow"),
-    "long message": (_talks, "message of 3"),
+    "long message": (_talks, "message of 301 characters"),
     "memory": (_takes_memory, "MiB to load, allowed 64"),
 }
 
