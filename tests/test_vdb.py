@@ -53,6 +53,7 @@ def test_options_of_vdb(shell: Shell, tmp_path: Path, out: str, options: list[st
     assert told["grid_names"] == [grid.name for grid in made.grids]
     first = told["grids"][told["grid_names"][0]]
     assert (first["active_voxels"], first["nodes_per_level"]) == (made.grids[0].topology.m, [1, 1, 1, 1])
+    assert first["class"] == ("index" if told["grid_names"] == ["index"] else "fog volume")
     assert told["checksum"] == ("half" if "nvdb" in out else "none")
     assert f"grid {made.grids[0].name}" in shell("info", out).stdout.decode()
 

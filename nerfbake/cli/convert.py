@@ -70,7 +70,7 @@ def _to_volume(
     source: Input, target: Output, choice: Choice, codecs: dict[str, str], *, half: bool, words: Words
 ) -> None:
     volume = choice.whole(words, source, source.read(words, nerfbake.Volume))
-    if form_of(target) == "nvdb" and half:
+    if form_of(target) == "nvdb" and half and not isinstance(volume.grids[0], nerfbake.IndexGrid):
         words.say(WARP_NOTE)
     if half or form_of(target) == "nvdb":
         # NanoVDB's halves are codes between a leaf's ends, which lose digits: only for those who ask.

@@ -58,7 +58,7 @@ class Kind(NamedTuple):
         values = _INACTIVE_VALUES[code] * self.channels * self.full.itemsize
         return values + (mask_size if _SELECTION[code] else 0)
 
-    def read(self, data: bytes | memoryview, dtype: np.dtype[Any]) -> Values:
+    def read(self, data: bytes | bytearray | memoryview, dtype: np.dtype[Any]) -> Values:
         """(q, c) in `held`."""
         values = np.frombuffer(data, dtype.newbyteorder("<")).reshape(-1, self.channels)
         with np.errstate(

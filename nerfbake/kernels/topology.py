@@ -127,7 +127,7 @@ def all_finite(values: npt.NDArray[Any]) -> bool:
 
 def all_within(values: npt.NDArray[Any], most: float) -> bool:
     """No NaN, and nothing above `most` in size, without a mask as large as the array."""
-    if most >= float(np.finfo(values.dtype).max):
+    if most >= float(np.finfo(values.dtype).max):  # a half would be made of `most`, and overflow
         return all_finite(values)
     # Both are False for NaN.
     return all(bool(-most <= part.min() and part.max() <= most) for part in _parts(values.reshape(-1)))

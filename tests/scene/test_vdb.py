@@ -3,13 +3,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from nerfbake import density_octree, orbit, render, summarise
 from nerfbake.errors import InvalidScene
+from nerfbake.formats import vdb_nanovdb, vdb_npz, vdb_openvdb
+from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.vdb_readers import SCENES, index, transform, tree
@@ -94,3 +99,80 @@ def test_an_index_grid_has_the_background_in_row_0() -> None:
     grid = index([[0, 0, 0], [5, 5, 5]])
     assert_array_equal(grid.values, grid.table[1:])
     assert_array_equal(grid.background, 0)
+
+
+# -- tiles -----------------------------------------------------------------------------------------------------
+def with_tiles(coords: npt.ArrayLike = ((3, 5, 6),)) -> VdbTopology:
+    """Voxels, a tile of 8^3 at (8, 0, 0), one of 128^3 at (0, 128, 0), one of 4096^3 at (0, 0, -4096)."""
+    topology = tree(coords).topology
+    lower, upper = np.zeros_like(topology.lower_mask), np.zeros_like(topology.upper_mask)
+    lower[0, 256 >> 6], upper[0, 32 >> 6] = 1, 1 << 32  # slots 1 << 8 and 1 << 5
+    return replace(topology, tiles=VdbTiles(lower, upper, np.array([[0, 0, -4096]], np.int32)))
+
+
+def test_tiles_by_hand() -> None:
+    made = with_tiles()
+    assert made.structure_problems() == []
+    assert (made.m, made.tile_counts, made.count) == (1, (1, 1, 1), 4)
+    assert made.voxel_count == 1 + 8**3 + 128**3 + 4096**3
+    assert [(low.tolist(), edge) for low, edge in made.tile_cubes] == [
+        ([[8, 0, 0]], 8),
+        ([[0, 128, 0]], 128),
+        ([[0, 0, -4096]], 4096),
+    ]
+    assert made.box is not None
+    assert_array_equal(made.box, [[0, 0, -4096], [4095, 4095, 127]])
+    places = [[3, 5, 6], [3, 5, 7], [8, 0, 0], [15, 7, 7], [16, 0, 0], [0, 128, 0], [127, 255, 127], [0, 0, -1]]
+    assert_array_equal(made.rows_at(np.array(places)), [0, -1, 1, 1, -1, 2, 2, 3])
+    assert_array_equal(made.rows_at(np.array([[1 << 40, 0, 0], [-(1 << 33), 0, -1]])), [-1, -1])
+
+
+def test_some_of_the_values_alone() -> None:
+    made = with_tiles()
+    for kept in range(4):
+        alone = made.only(np.arange(4) == kept)
+        assert alone.node_counts == made.node_counts
+        assert (alone.count, alone.structure_problems()) == (1, [])
+        assert alone.voxel_count == [1, 8**3, 128**3, 4096**3][kept]
+    assert made.only(np.ones(4, bool)).same_as(made)
+    assert not made.only(np.arange(4) < 3).same_as(made)
+
+
+def test_what_is_said_of_tiles_is_held_to() -> None:
+    made = with_tiles()
+    assert made.tiles is not None
+    child = replace(made.tiles, lower_mask=made.tiles.lower_mask | made.lower_mask)
+    assert "slots that are child and tile at once" in str(replace(made, tiles=child).structure_problems()[0])
+    for origin in ([[0, 0, 0]], [[0, 0, 1]], [[4096, 0, 0], [4096, 0, 0]]):
+        wrong = replace(made.tiles, root_origin=np.array(origin, np.int32))
+        assert "root tiles overlap or lie astray" in str(replace(made, tiles=wrong).structure_problems()[0])
+    with pytest.raises(InvalidScene, match=r"tiles\.upper_mask has shape \(2, 512\)"):
+        replace(made, tiles=replace(made.tiles, upper_mask=np.zeros((2, 512), np.uint64)))
+    table = IndexGrid("index", made, np.ones((5, 1), np.float32))
+    assert str(table.structure_problems()[0]) == "grid 'index' is an index with tiles; allowed: an index of voxels"
+    nan = VdbTree("density", made, np.array([[1], [np.nan], [1], [np.inf]], np.float32), np.zeros(1, np.float32))
+    assert str(nan.value_problems()[0]) == "density[1, 0] is nan; allowed: a finite number (and 1 more)"
+
+
+def test_a_small_file_of_large_tiles_stays_small() -> None:
+    """Read, told of, shown and converted in a few MB, whatever it would be as voxels."""
+    values = np.full((4, 1), 0.01, np.float32)
+    made = Volume((VdbTree("density", with_tiles(), values, np.zeros(1, np.float32)),), transform())
+    with memory_limit(40 << 20):
+        for module in (vdb_openvdb, vdb_nanovdb, vdb_npz):
+            back = module.decode(memoryview(b"".join(module.encode(made))))
+            assert summarise(back)["grids"]["density"]["active_voxels"] == 1 + 8**3 + 128**3 + 4096**3
+            assert back.problems() == []
+        with pytest.raises(InvalidScene, match="reaches over 4,096x4,096x4,224 voxels; allowed: 4,096 along an axis"):
+            density_octree(back)
+        assert render(back, orbit(back, frames=1, width=4, height=4).cameras[0]).alpha.max() > 0.9
+
+
+def test_colours_finer_than_a_tile_are_refused() -> None:
+    density = VdbTree("density", with_tiles(), np.ones((4, 1), np.float32), np.zeros(1, np.float32))
+    colour = tree([[3, 5, 6], [9, 1, 1]], channels=3, name="Cd")
+    camera = orbit(Volume((density,), transform()), frames=1, width=4, height=4).cameras[0]
+    with pytest.raises(InvalidScene, match=r"grid 'Cd' has voxels where the density has one tile, at \(8, 0, 0\)"):
+        render(Volume((density, colour), transform()), camera)
+    with pytest.raises(InvalidScene, match="grid 'Cd' lies otherwise than the density"):
+        render(Volume((density, replace(colour, place=np.eye(3, 4))), transform()), camera)
