@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ def test_an_atlas_tells_its_errors_and_what_is_no_number_is_left_out() -> None:
     cascade = told["cascades"]["0"]
     assert (cascade["method"], cascade["clusters"], cascade["maps"], cascade["map_size"]) == ("affine", 10, 40, 8)
     assert cascade["errors"] == {"mae": 1.5, "texels": 7}
-    for lie in ({}, {"errors": 3, "bake": []}, {"errors": []}, {"errors": [[]]}):
+    lies: tuple[dict[str, Any], ...] = ({}, {"errors": 3, "bake": []}, {"errors": []}, {"errors": [[]]})
+    for lie in lies:
         told = summarise(BakedAtlas((random_atlas("grid"),), (None,), {}, lie))
         assert (told["bake"], told["cascades"]["0"]["errors"]) == (None, None)
         json.dumps(told)
