@@ -57,6 +57,13 @@ from nerfbake.cli.words import Words
 @click.option(
     "--border", type=click.IntRange(min=0), default=1, show_default=True, help="Gutter around a map, in texels."
 )
+@click.option(
+    "--up",
+    type=click.Choice(["y", "z"]),
+    default="y",
+    show_default=True,
+    help="The mesh's axis that is up in scene.glb, whose own is y; z: nodes turn it, as Blender turns it back.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
 @judges
 @as_json
@@ -66,6 +73,7 @@ def atlas(
     target: str,
     force: bool,
     budget: Budget,
+    up: str,
     as_json: bool,
     words: Words,
     **options: Any,
@@ -93,7 +101,7 @@ def atlas(
     with source.blamed(words, "baking"):
         baked = nerfbake.bake_stage1(stage1, **options)
     with words.phase(f"writing {target}"):
-        sizes = io.save_folder(target, baked, force=force)
+        sizes = io.save_folder(target, baked, force=force, up=up)
     if as_json:
         io.print_text(json.dumps({**baked.facts, "files": sizes}))
     for error in baked.facts["errors"]:

@@ -21,14 +21,16 @@ from nerfbake.errors import format_size
 def info(source: Input, as_json: bool, words: Words) -> None:
     """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
 
-    Of cameras: dialect, how many, picture sizes, focal lengths, lenses, where they stand and what is up.
+    Of folders of nerf2mesh's stage 1 and of atlases: textures, MLP, maps, clusters, errors. Of cameras: dialect, how
+    many, picture sizes, focal lengths, lenses, where they stand and what is up. Of pictures and depth: size, what is
+    opaque or met.
 
     \b
       nerfbake info chair.npz
       nerfbake info chair.svo.pb --json | jq .nodes
+      nerfbake info atlas_64 --json | jq '.cascades[].errors.mae'
     """
-    kinds = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.Meshes, nerfbake.Cameras)
-    scene, form, size = source.read_with_format(words, *kinds)
+    scene, form, size = source.read_with_format(words)
     facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
     if as_json:
         io.print_text(json.dumps(facts))
@@ -38,9 +40,9 @@ def info(source: Input, as_json: bool, words: Words) -> None:
 
 def _table(facts: dict[str, Any]) -> None:
     for name, value in facts.items():
-        if name == "grids":
-            for grid, parts in value.items():
-                io.print_text(f"\ngrid {grid}")
+        if name in ("grids", "cascades"):
+            for part, parts in value.items():
+                io.print_text(f"\n{name[:-1]} {part}")
                 _table(parts)
             io.print_text()
         else:

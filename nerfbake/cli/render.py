@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import click
 
@@ -68,6 +68,13 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
 )
 @click.option("--mesh", type=click.Path(), help="Opaque triangles in the scene's own world: an .obj or .glb.")
 @click.option(
+    "--mesh-up",
+    type=click.Choice(["y", "z"]),
+    default="y",
+    show_default=True,
+    help="With --mesh: the scene's axis that the mesh's y becomes; z: as Blender imports a .glb.",
+)
+@click.option(
     "--composite",
     "how",
     type=click.Choice(["stop", "ztest"]),
@@ -91,6 +98,7 @@ def render(
     alpha: bool,
     lod: int | None,
     mesh: str | None,
+    mesh_up: Literal["y", "z"],
     how: str,
     force: bool,
     words: Words,
@@ -113,7 +121,7 @@ def render(
     if every:
         without_effect("frame", here="with --all", allowed="one of them")
     if not mesh:
-        without_effect("how", here="without a mesh", allowed="--composite with --mesh")
+        without_effect("how", "mesh_up", here="without a mesh", allowed="with --mesh")
     several = every or turntable is not None
     if several and out == io.STREAM:
         raise click.UsageError("stdout takes one picture; allowed for several: a .gif, a .png or a folder")
@@ -141,7 +149,7 @@ def render(
     picture: Callable[..., Any] = nerfbake.render
     if mesh:
         picture = nerfbake.composite
-        options |= {"meshes": io.load(mesh, nerfbake.Meshes), "how": how}
+        options |= {"meshes": io.load(mesh, nerfbake.Meshes).with_up(mesh_up), "how": how}
     if together:
         with io.blame(out):
             nerfbake.Cameras(chosen).require_memory()

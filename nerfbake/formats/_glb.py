@@ -4,7 +4,7 @@
 
 Any viewer shows the diffuse texture. Atlas, labels and features are textures that no standard material slot names;
 their indices stand with the atlas's conventions in the material's extras, under "nerfbake_atlas". Positions are the
-field's own: nothing is turned, whatever axis is up.
+field's own, whatever axis is up there: where it is not glTF's y, the nodes turn it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from nerfbake.scene.mesh import Mesh
 _FLOAT, _UINT32 = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _NEAREST, _LINEAR, _CLAMP, _REPEAT = 9728, 9729, 33071, 10497
+_TURNS: dict[str, dict[str, Any]] = {"y": {}, "z": {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}}
 _SAMPLERS = {"diffuse": 0, "atlas": 1, "labels": 2, "features": 2}
 
 
@@ -35,8 +36,8 @@ class Part(NamedTuple):
     extras: Mapping[str, Any] | None = None
 
 
-def encode_glb(parts: list[Part], generator: str) -> list[bytes | memoryview]:
-    """The file in pieces."""
+def encode_glb(parts: list[Part], generator: str, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:
+    """The file in pieces. up: the axis of the positions that is glTF's y; for z nodes show (x, y, z) at (x, z, -y)."""
     body = _Body()
     for part in parts:
         body.add(part)
@@ -45,7 +46,7 @@ def encode_glb(parts: list[Part], generator: str) -> list[bytes | memoryview]:
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": list(range(len(parts)))}],
-        "nodes": [{"name": part.name, "mesh": i} for i, part in enumerate(parts)],
+        "nodes": [{"name": part.name, "mesh": i, **_TURNS[up]} for i, part in enumerate(parts)],
         "samplers": [
             {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _REPEAT, "wrapT": _REPEAT},
             {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP},

@@ -18,6 +18,7 @@ import json
 import platform
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +40,8 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
     return "atlas.json" in files
 
 
-def encode(baked: BakedAtlas) -> Iterator[tuple[str, list[bytes | memoryview]]]:
-    """The files by name."""
+def encode(baked: BakedAtlas, *, up: Literal["y", "z"] = "y") -> Iterator[tuple[str, list[bytes | memoryview]]]:
+    """The files by name. up: the mesh's axis that points up in scene.glb's world; its vertices stay as they are."""
     parts, cascades = [], []
     files = dict(baked.files)
     for cascade, mesh in enumerate(baked.meshes):
@@ -65,7 +66,7 @@ def encode(baked: BakedAtlas) -> Iterator[tuple[str, list[bytes | memoryview]]]:
     for name, content in files.items():
         yield name, [content]
     if parts:
-        yield "scene.glb", encode_glb(parts, _GENERATOR)
+        yield "scene.glb", encode_glb(parts, _GENERATOR, up=up)
     document = {
         "nerfbake_atlas": _atlas_json.VERSION,
         "generator": _GENERATOR,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from nerfbake.formats._glb import Part, encode_glb
 from nerfbake.formats._glb_reader import decode_glb
 from nerfbake.formats._texture import encode_texture
@@ -13,8 +15,9 @@ def recognise(head: bytes) -> bool:
     return head[:4] == b"glTF"
 
 
-def encode(scene: Meshes) -> list[bytes | memoryview]:
-    return encode_glb([_part(number, mesh) for number, mesh in enumerate(scene.meshes)], "nerfbake")
+def encode(scene: Meshes, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:
+    """up: the scene's axis that points up; glTF's is y."""
+    return encode_glb([_part(number, mesh) for number, mesh in enumerate(scene.meshes)], "nerfbake", up=up)
 
 
 def decode(view: memoryview) -> Meshes:

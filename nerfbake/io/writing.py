@@ -44,14 +44,15 @@ def save(
             return _write_all(file, pieces)
 
 
-def save_folder(target: str | Path, scene: Any, *, force: bool = False) -> dict[str, int]:
+def save_folder(target: str | Path, scene: Any, *, force: bool = False, **options: Any) -> dict[str, int]:
     """Writes a scene as a folder; gives the size in bytes of each file.
 
-    The folder appears whole or not at all. With `force` it replaces one that stands there, whatever is in that.
+    Options go to the format. The folder appears whole or not at all. With `force` it replaces one that stands there,
+    whatever is in that.
     """
     sizes = {}
     with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
-        for name, pieces in folders_of(type(scene).__name__)[0].load_module().encode(scene):
+        for name, pieces in folders_of(type(scene).__name__)[0].load_module().encode(scene, **options):
             with open(folder / name, "xb") as file:
                 sizes[name] = _write_all(file, pieces)
     return sizes

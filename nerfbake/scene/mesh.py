@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.affine import turned
 from nerfbake.kernels.topology import count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 
@@ -94,6 +96,13 @@ class Meshes(Scene):
         if not self.meshes:
             raise InvalidScene(Problem("the mesh", "has no faces", "at least one triangle"))
         require_few(len(self.meshes))
+
+    def with_up(self, up: Literal["y", "z"]) -> Meshes:
+        """The same, turned so that its y, which is up in glTF, is this axis: z puts (x, y, z) at (x, -z, y)."""
+        if up == "y":
+            return self
+        turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float64)
+        return Meshes(tuple(replace(m, positions=turned(m.positions, turn).astype(np.float32)) for m in self.meshes))
 
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)

@@ -9,21 +9,29 @@ import numpy.typing as npt
 
 from nerfbake.kernels.affine import placed
 from nerfbake.kernels.extremes import Extremes, extremes
+from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras
+from nerfbake.scene.depth import Depth
+from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes, box_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume, edges_of
+from nerfbake.stages._atlas_summary import summary_of_atlas, summary_of_stage1
 from nerfbake.stages._cameras_summary import summary_of_cameras
+from nerfbake.stages._picture_summary import summary_of_picture
+
+Known = N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
 
 
-def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras) -> dict[str, Any]:
+def summarise(scene: Known) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
     Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles and colours; of
-    cameras their pictures and lenses, and where they stand.
+    cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
     """
@@ -33,6 +41,12 @@ def summarise(scene: N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras) -> 
         return _of_meshes(scene)
     if isinstance(scene, Cameras):
         return summary_of_cameras(scene)
+    if isinstance(scene, Stage1):
+        return summary_of_stage1(scene)
+    if isinstance(scene, BakedAtlas):
+        return summary_of_atlas(scene)
+    if isinstance(scene, Image | Depth):
+        return summary_of_picture(scene)
     return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
 
 

@@ -194,3 +194,22 @@ def test_a_broken_atlas_is_one_line(
     assert run(["atlas-error", str(out), str(folder)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert named in line
+
+
+def test_info_and_check_of_folders_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = stage1_folder(tmp_path / "in"), tmp_path / "out"
+    assert run(["atlas", str(folder), str(out), "--clusters", "3", "--map-size", "8"]) == 0
+    written = json.loads((out / "atlas.json").read_text())["errors"][0]
+    for path in (folder, out, out / "atlas_0.png"):
+        assert run(["check", str(path)]) == 0
+        assert run(["info", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "cascade 0" in said
+    assert "hidden units        8" in said
+    assert run(["info", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["bytes_on_disk"] == sum(path.stat().st_size for path in out.iterdir())
+    assert told["cascades"]["0"]["errors"] == written
+    (out / "labels_0.png").unlink()
+    assert run(["check", str(out)]) == 1
+    assert "labels_0.png is missing" in capsys.readouterr().out

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nerfbake import Meshes, draw, load
-from tests.meshes import camera
-from tests.vdb_readers import tool
+from nerfbake import Meshes, draw, load, save
+from nerfbake.formats import meshes_glb
+from tests.meshes import camera, cube, mesh
+from tests.vdb_readers import tool, tree, volume
 
 _SCRIPT = """
 import bpy, json, sys
@@ -58,3 +60,52 @@ def test_blenders_meshes_are_seen_where_blender_renders_them(tmp_path: Path) -> 
         assert 0.05 < seen.mean() < 0.9
         assert (seen[alpha > 0.9] == 1).all()
         assert (seen[alpha < 0.1] == 0).all()
+
+
+_PLACES = """
+import bpy, sys
+import numpy
+numpy.bool = bool  # Debian's Blender 3.4 asks its importer's NumPy for an alias that 1.24 dropped
+folder = sys.argv[-1]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_scene.gltf(filepath=folder + "/a.glb")
+bpy.ops.object.volume_import(filepath=folder + "/a.vdb", align="WORLD", location=(0, 0, 0), rotation=(0, 0, 0))
+for thing in bpy.context.scene.objects:
+    if thing.type == "VOLUME":
+        assert thing.data.grids.load()
+bpy.context.view_layer.update()
+for thing in bpy.context.evaluated_depsgraph_get().objects:
+    if thing.type in ("MESH", "VOLUME"):
+        corners = [thing.matrix_world @ type(thing.location)(corner) for corner in thing.bound_box]
+        low, high = ([end(corner[axis] for corner in corners) for axis in range(3)] for end in (min, max))
+        print("BOX", thing.type, ",".join(f"{x:.4f}" for x in low + high))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("blender") is None, reason="no blender: `make tools` installs it")
+@pytest.mark.skipif(os.environ.get("NERFBAKE_BLENDER") == "0", reason="left out: NERFBAKE_BLENDER=0")
+def test_volume_and_mesh_of_one_scene_stand_in_one_place_in_blender(tmp_path: Path) -> None:
+    # A box of whole leaves, no two of its edges or places alike, and the same box as triangles.
+    edges, first = np.array([16, 24, 40]), np.array([8, 16, 32])
+    scene = volume(tree(np.stack(np.unravel_index(np.arange(edges.prod()), edges), axis=1) + first))
+    save(tmp_path / "a.vdb", scene)
+    step, origin = np.diag(scene.transform[:, :3]), scene.transform[:, 3]
+    low, high = origin + (first - 0.5) * step, origin + (first + edges - 0.5) * step
+    box = cube(0.5)
+    positions = ((box.positions + 0.5) * (high - low) + low).astype(np.float32)
+    save(tmp_path / "a.glb", Meshes((replace(box, positions=positions),)), up="z")
+    (tmp_path / "places.py").write_text(_PLACES)
+    said = tool("blender", "--background", "--factory-startup", "--python", tmp_path / "places.py", "--", str(tmp_path))
+    found = dict(line.split()[1:] for line in said.splitlines() if line.startswith("BOX"))
+    boxes = {kind: np.array(numbers.split(","), float) for kind, numbers in found.items()}
+    np.testing.assert_allclose(boxes["MESH"], [*low, *high], atol=1e-3)
+    # Blender's box of a volume goes from the first sample to the last: half a voxel less on each side.
+    np.testing.assert_allclose(boxes["VOLUME"], [*(low + step / 2), *(high - step / 2)], atol=1e-3)
+
+
+def test_a_mesh_that_was_turned_for_gltf_comes_back() -> None:
+    box = Meshes((mesh([[0, 0, 0], [1, 0, 0], [0, 2, 3]], [[0, 1, 2]]),))
+    upright = meshes_glb.decode(memoryview(b"".join(meshes_glb.encode(box, up="z"))))
+    assert upright.meshes[0].positions.tolist() == [[0, 0, 0], [1, 0, 0], [0, 3, -2]]
+    np.testing.assert_array_equal(upright.with_up("z").meshes[0].positions, box.meshes[0].positions)
