@@ -17,11 +17,12 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TypeVar
 
 from nerfbake.errors import MemoryLimit
 
 DEFAULT = 4 << 30
+Scene = TypeVar("Scene")
 
 
 class _Allowance:
@@ -96,12 +97,14 @@ def scope() -> Iterator[None]:
         allowance.scopes -= 1
 
 
-def keep(scene: Any, size: int) -> None:
-    """Counts a scene of so many bytes for as long as it lives, inside of memory_limit()."""
+def kept(scene: Scene) -> Scene:
+    """The same scene, from now on counted for as long as it lives, inside of memory_limit()."""
     allowance = _current.get()
     if allowance.keeps:
+        size = size_of(scene)
         allowance.kept += size
         weakref.finalize(scene, allowance.let_go, size)
+    return scene
 
 
 def size_of(scene: Any) -> int:

@@ -53,7 +53,7 @@ def vdb(
     wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
     require_grids(form, wanted, half=half)
     scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
-    judged = scene
+    judged = None if budget.min_psnr is None else scene  # the tree goes as soon as nobody needs it
     options: Any = {"sigma_min": sigma_min}
     with source.blamed(words, "building the grids"):
         if isinstance(scene, nerfbake.N3Tree):

@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +23,9 @@ from nerfbake.errors import InvalidFile, Problem
 
 MAX_NUMBER = 1e15  # of a length, a pixel or a weight: beyond it double precision has no digits for what it is added to
 _CHUNK = 1 << 18
-# What orjson needs, in bytes, its own tree and Python's objects side by side: 16 a value, 44 for a number with its slot
-# in a list that grows; more for a list, an object, or text (as objects hold it: 1, 2 or 4 a character).
-_PER_VALUE = 60
-_PER_CONTAINER = 144
+# Bytes of Python's objects: 44 for a number with its slot in a list that grows; more for a list, an object, text. And
+# of orjson's own tree, which is there beside them while it parses: 16 a value.
+_PER_VALUE, _PER_CONTAINER, _PER_NODE = 44, 128, 16
 _BOM = b"\xef\xbb\xbf"
 _COMMENT = re.compile(rb'("(?:[^"\\]|\\.)*+")|//[^\n]*|/\*(?:.*?\*/|.*)', re.DOTALL)
 
@@ -36,9 +35,9 @@ def parse(view: memoryview | bytes, name: str, *, comments: bool = False) -> Any
 
     Its memory is taken until the end of the file's reading. Raises InvalidFile, MemoryLimit.
     """
-    size = parsed_size(view)
-    memory.require(f"{name}, parsed,", size + len(view))  # orjson works on a copy of the text
-    memory.hold(f"{name}, parsed,", size)
+    size = size_of_parsed(view)
+    memory.require(f"{name}, parsed,", size.parsing)
+    memory.hold(f"{name}, parsed,", size.parsed)
     text: memoryview | bytes = view[3:] if bytes(view[:3]) == _BOM else view
     with collector_paused():
         try:
@@ -119,8 +118,15 @@ def shown(value: Any) -> str:
     return str(value)[:40] if isinstance(value, str | int | float | bool | None) else kind_of(value)
 
 
-def parsed_size(view: memoryview | bytes) -> int:
-    """Most bytes that parsing this text can take: two copies of it, its text, and what its punctuation announces."""
+class Size(NamedTuple):
+    """Most bytes that a text can take: while it is parsed, and as Python's objects."""
+
+    parsing: int
+    parsed: int
+
+
+def size_of_parsed(view: memoryview | bytes) -> Size:
+    """What the text's punctuation announces, and the text itself, whose characters may take 1, 2 or 4 bytes each."""
     text = np.frombuffer(view, np.uint8)
     counts = np.zeros(256, np.int64)
     for start in range(0, len(text), _CHUNK):
@@ -128,7 +134,8 @@ def parsed_size(view: memoryview | bytes) -> int:
     values = int(counts[[ord(","), ord(":")]].sum())
     containers = int(counts[[ord("["), ord("{"), ord('"')]].sum())
     width = 4 if counts[0xF0:].any() else 2 if counts[0xC4:].any() else 1
-    return (2 + width) * len(text) + _PER_VALUE * values + _PER_CONTAINER * containers
+    parsed = width * len(text) + _PER_VALUE * values + _PER_CONTAINER * containers
+    return Size(parsed + len(text) + _PER_NODE * (values + containers), parsed)
 
 
 @contextmanager

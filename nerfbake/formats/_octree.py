@@ -208,7 +208,6 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     if isinstance(value, np.ndarray):
         flat = value.reshape(-1)
     elif isinstance(value, list):
-        memory.hold(name, (8 + dtype.itemsize) * len(value))
         try:  # array() takes numbers alone: no text, no None, no lists
             memory.hold(name, 9 * len(value))  # it grows by an eighth
             flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")

@@ -48,10 +48,9 @@ def load_with_format(source: str | Path, *kinds: type[Scene], sound: bool = True
                 scene, form, size = _decode_member(Path(source), member, kinds)
             else:
                 scene, form, size = _decode_file(source, kinds)
-        memory.keep(scene, memory.size_of(scene))
         if sound:
             scene.require_sound()
-    return scene, form, size
+    return memory.kept(scene), form, size
 
 
 def check(source: str | Path) -> list[Problem]:
@@ -125,8 +124,7 @@ def decode_files(files: Mapping[str, memoryview], kind: type[Scene]) -> Scene:
     module = next((module for module in modules if module.recognise(files)), modules[0])
     with memory.scope():
         scene: Scene = module.decode(files)
-    memory.keep(scene, memory.size_of(scene))
-    return scene
+    return memory.kept(scene)
 
 
 def load_files(paths: Mapping[str, str | Path]) -> dict[str, memoryview]:

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lockstep import Source, refine
 from nerfbake.kernels.means import mean_edge
@@ -55,7 +56,7 @@ def build_octree(
         leaves.add_means(mixed, size)
     levels = merge_equal(drop_empty(levels, leaves.hold), leaves.same)
     values = NodeValues(levels, leaves)
-    return SparseVoxelOctree(
+    octree = SparseVoxelOctree(
         size=size,
         node_children=children_table(levels, all_slots=layout == "full"),
         # float16 may not hold a value, which is to be said here; float32 holds all, and is made when it is asked for.
@@ -65,6 +66,7 @@ def build_octree(
         voxel_size=1 / (tree.invradius * size),
         extra_data=tree.extra_data,
     )
+    return memory.kept(octree)
 
 
 # -- what may be read ------------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ def build_vdb(
     )
     dtype = np.dtype(np.float16 if half else np.float32)
     made = _grids(octree, grids, sigma, topology, node, dtype)
-    return Volume(tuple(made), _transform(octree, up), frame)
+    return memory.kept(Volume(tuple(made), _transform(octree, up), frame))
 
 
 def _grids(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.bitmask import Ints
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
@@ -37,7 +38,7 @@ def restore_octree(volume: Volume) -> SparseVoxelOctree:
         if low.min() < 0 or (low.max(axis=0) + (1 << height) > frame.size).any():
             size = "x".join(map(str, frame.size))
             raise InvalidScene(Problem("the volume", f"has voxels outside {size}", "voxels of its octree"))
-    return octree_of(blocks, data, frame)
+    return memory.kept(octree_of(blocks, data, frame))
 
 
 def density_octree(volume: Volume) -> SparseVoxelOctree:
@@ -65,7 +66,9 @@ def density_octree(volume: Volume) -> SparseVoxelOctree:
         found = f"reaches over {'x'.join(f'{int(edge):,}' for edge in size)} voxels"
         raise InvalidScene(Problem(f"grid {grid.name!r}", found, f"{MAX_SIZE:,} along an axis of an octree"))
     frame = OctreeFrame((int(size[0]), int(size[1]), int(size[2])), "", "full", origin + low * voxel_size, voxel_size)
-    return octree_of([Block(block.low - low, block.height, block.row) for block in blocks], grid.values, frame)
+    return memory.kept(
+        octree_of([Block(block.low - low, block.height, block.row) for block in blocks], grid.values, frame)
+    )
 
 
 def _axes(transform: npt.NDArray[np.float64]) -> tuple[Ints, Ints, npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from nerfbake import memory
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._half import rounded
@@ -28,4 +29,4 @@ def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volu
         background = rounded(grid.background, wanted, what=what, asked="--half").astype(np.float32)
         return replace(grid, values=rounded(grid.values, wanted, what=what, asked="--half"), background=background)
 
-    return replace(volume, grids=tuple(map(cast, volume.grids)))
+    return memory.kept(replace(volume, grids=tuple(map(cast, volume.grids))))

@@ -72,7 +72,7 @@ def test_no_text_takes_more_than_was_settled(piece: str) -> None:
     code = f"""if True:
         from nerfbake.formats import _json
         text = ("[" + {piece!r} * (4_000_000 // len({piece!r})) + "0]").encode()
-        need = _json.parsed_size(text)
+        need = _json.size_of_parsed(text).parsing
         peak = lambda: int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) * 1024
         before = peak()
         document = _json.parse(text, "it")
