@@ -47,6 +47,7 @@ def test_the_command_bakes_for_the_cameras(tmp_path: Path, capsys: pytest.Captur
     assert "transforms.json is missing" in capsys.readouterr().err
     for content in ("{}", '{"frames": []}', '{"frames": [{"transform_matrix": [[1]]}]}', "["):
         transforms.write_text(content)
-        assert run(["atlas", source, str(tmp_path / "c"), "--transforms", str(transforms)]) == 1
+        by_cameras = ["--direction-set", "cameras", "--transforms", str(transforms)]
+        assert run(["atlas", source, str(tmp_path / "c"), *by_cameras]) == 1
         (line,) = capsys.readouterr().err.splitlines()
         assert "transforms.json" in line
