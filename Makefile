@@ -58,8 +58,20 @@ test: lint tools  ## linters and all tests but the long ones, on two cores
 test-quick: setup  ## what is over in two minutes
 	$(PYTEST) -m 'not long and not slow and not tools'
 
-test-slow: tools setup  ## the long ones: fuzzing, random kills, giant scenes
+test-slow: tools test-cpus  ## the long ones: two other CPUs, fuzzing, random kills
 	$(PYTEST) -m long
+
+CPUS := $(BIN)/python -m tests.cpus
+ON_A_CPU := $(PYTEST) -p no:cacheprovider -m 'not slow and not long' tests/kernels tests/stages
+
+test-cpus: setup  ## the same bytes as two other CPUs would write, and the tests of kernels and stages there
+	mkdir -p build/cpus
+	$(CPUS) write build/cpus/here.json >build/cpus/log
+	$(CPUS) as old $(CPUS) write build/cpus/old.json >build/cpus/log
+	$(CPUS) as haswell $(CPUS) write build/cpus/haswell.json >build/cpus/log
+	$(CPUS) compare build/cpus/here.json build/cpus/old.json build/cpus/haswell.json
+	$(CPUS) as old $(ON_A_CPU)
+	$(CPUS) as haswell $(ON_A_CPU)
 
 MINUTES ?= 30
 fuzz: setup  ## hostile files of every format for MINUTES=30, each a case that can be made again

@@ -1,11 +1,11 @@
 """The same bytes on every CPU: a small scene through every command, and a digest of everything that it writes.
 
     python -m tests.cpus write build/cpus/here.json
+    python -m tests.cpus as old python -m tests.cpus write build/cpus/old.json
     python -m tests.cpus compare build/cpus/here.json build/cpus/old.json ...
 
-`make test-cpus` runs it as other CPUs than this one would: numba compiles for them, and NumPy, OpenBLAS and the C
-library take the code that they would take there (NUMBA_CPU_NAME, NPY_DISABLE_CPU_FEATURES, OPENBLAS_CORETYPE,
-GLIBC_TUNABLES).
+`as` runs a command as another CPU would: numba compiles for it, with a cache of its own, and NumPy, OpenBLAS and the C
+library take the code that they would take there. `make test-cpus` does all of it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 COMMANDS = """
 sample octree scene.npz --resolution 64 --basis SH16
@@ -50,6 +51,31 @@ atlas mesh affine --method affine --clusters 12 --map-size 16
 atlas mesh grid --method grid --nodes 4 --map-size 16
 compare mesh affine --size 100x100 --sheet atlases.png
 """
+
+
+# What there is beyond any x86-64: nothing on the old CPU, no AVX-512 on Haswell. Names as numba's LLVM, NumPy, OpenBLAS
+# and the C library spell them.
+AVX512 = ("AVX512F", "AVX512VL", "AVX512BW", "AVX512DQ")
+CPUS: dict[str, dict[str, Any]] = {
+    "old": {"llvm": "generic", "blas": "Prescott", "keeps": (), "lacks": ("AVX2", "FMA", "FMA4", *AVX512)},
+    "haswell": {"llvm": "haswell", "blas": "Haswell", "keeps": ("X86_V3", "AVX2", "FMA3"), "lacks": AVX512},
+}
+
+
+def run_as(cpu: str, *command: str) -> None:
+    """Runs the command as this CPU; does not come back."""
+    wanted = CPUS[cpu]
+    # NumPy refuses to drop what this machine has not.
+    dropped = [name for name in simd() if name not in wanted["keeps"]]
+    simulated = {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=" + ",".join(f"-{name}" for name in wanted["lacks"]),
+        "NPY_DISABLE_CPU_FEATURES": ",".join(dropped),
+        "NUMBA_CACHE_DIR": f"build/cpus/{cpu}",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CPU_NAME": wanted["llvm"],
+        "OPENBLAS_CORETYPE": wanted["blas"],
+    }
+    os.execvpe(command[0], command, os.environ | simulated)
 
 
 def write(target: Path) -> None:
@@ -97,5 +123,7 @@ def compare(*paths: Path) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[1] == "as":
+        run_as(*sys.argv[2:])
     does: dict[str, Callable[..., None]] = {"write": write, "compare": compare}
     does[sys.argv[1]](*map(Path, sys.argv[2:]))
