@@ -17,7 +17,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._json import parse_object
 
-_COPIES = 20  # bytes for each number of an accessor, while it is turned into a mesh's
+_COPIES = 44  # bytes for each number of an accessor, while it is turned into a mesh's
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 

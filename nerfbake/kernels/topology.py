@@ -13,7 +13,8 @@ from nerfbake.errors import Problem
 
 Rows = npt.NDArray[np.int64]
 _CHUNK = 1 << 18
-_PER_CELL, _PER_POINTER = 5, 80  # bytes that a walk takes for each cell of a level, and for each that points somewhere
+# Bytes that a walk takes for each node, for each cell of a level, and for each of those that points somewhere.
+_PER_NODE, _PER_CELL, _PER_POINTER = 25, 5, 80
 
 
 class Walk(NamedTuple):
@@ -47,9 +48,9 @@ def walk(
     levels, cells, problems = [np.zeros(1, np.int64)], [np.full(1, -1, np.int64)], _Problems(name, shape, n, later)
     while True:
         rows = levels[-1]
-        memory.require(f"the walk over {name}", _PER_CELL * cells_per_node * len(rows))
+        memory.require(f"the walk over {name}", _PER_NODE * n + _PER_CELL * cells_per_node * len(rows))
         where, target = targets(rows)
-        memory.require(f"the walk over {name}", _PER_POINTER * len(where))
+        memory.require(f"the walk over {name}", _PER_NODE * n + _PER_POINTER * len(where))
         cell = rows[where // cells_per_node] * cells_per_node + where % cells_per_node
         wrong = (target < 1) | (target >= n)
         if later:

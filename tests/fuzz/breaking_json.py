@@ -59,7 +59,7 @@ def break_tree(random: Random, tree: Any) -> Any:
         case 1:
             holder.insert(random.randrange(len(holder) + 1), holder[at])
         case 2:
-            holder[at:at] = [holder[at]] * random.choice((1, 10, 1000))
+            holder[at:at] = [holder[at]] * _few(random.choice((1, 10, 1000)), value)
         case 3 if key is not None:
             holder[at] = (random.choice((hostile.text(random), random.choice(holder)[0])), value)
         case _:
@@ -85,7 +85,7 @@ def _instead(random: Random, value: Any) -> Any:
         case 5:
             return Pairs()
         case 6:
-            return [value] * random.choice((1, 3, 100))
+            return [value] * _few(random.choice((1, 3, 100)), value)
         case 7:
             depth = random.choice((10, 200, 1024, 5000, 100_000))
             return Raw("[" * depth + "]" * depth)
@@ -95,6 +95,11 @@ def _instead(random: Random, value: Any) -> Any:
             return Pairs([("a", value)])
         case _:
             return Raw(_number(random, 0))
+
+
+def _few(count: int, value: Any) -> int:
+    """So many copies of a value, or as many as make a megabyte: copies of copies would make files of gigabytes."""
+    return min(count, 1 + (1 << 20) // len(spell(value)))
 
 
 def _number(random: Random, value: float) -> str:
