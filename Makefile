@@ -50,7 +50,7 @@ lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
+PYTEST := $(BIN)/pytest -n 2 --dist loadfile
 
 test: lint tools  ## linters and all tests but the long ones, on two cores
 	$(PYTEST) -m 'not long'

@@ -40,8 +40,8 @@ def test_volumes_have_budgets_too(shell: Shell, tmp_path: Path) -> None:
     assert shell("compare", "a.npz", "good.nvdb", "--cameras", "c.json", "--min-psnr", "60").returncode == 0
     assert shell("vdb", "a.npz", "grey.vdb", "--grids", "density", *budget).returncode == 3
     assert sorted(path.name for path in tmp_path.glob("*vdb*")) == ["good.nvdb", "grey.vdb.rejected"]
-    done = shell("vdb", "a.npz", "y.vdb", "--up", "y", *budget)
-    assert (done.returncode, done.stderr.count(b"allowed: --up z")) == (2, 1)
+    # Judged in the octree's own world, although the file stands in another.
+    assert shell("vdb", "a.npz", "turned.nvdb", "--grids", "index", "--up", "y", *budget).returncode == 0
 
 
 @pytest.mark.usefixtures("tree_file")

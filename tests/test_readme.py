@@ -1,4 +1,4 @@
-"""The README's recipes, run as they stand."""
+"""The recipes of the README and of docs/, run as they stand."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nerfbake import catalog
 from nerfbake.errors import BudgetMissed, InvalidFile, NerfbakeError, OutputError, PipeClosed, UsageError
 from tests.conftest import REPOSITORY
 
-pytestmark = pytest.mark.xdist_group("readme")  # its blocks follow one another in one folder
-
 README = (REPOSITORY / "README.md").read_text()
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 
 
 def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    text = "\n".join(page.read_text() for page in PAGES)
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +54,12 @@ def test_make_recipes_run(rules: str, folder: Path) -> None:
     bash("make octrees && test -s chair.svo.pb && make octrees | grep 'Nothing to be done'", folder)
 
 
-def test_every_make_target_that_the_readme_names_is_there() -> None:
+def test_every_make_target_that_is_named_is_there() -> None:
     makefile = (REPOSITORY / "Makefile").read_text()
-    for target in re.findall(r"\bmake ([a-z-]+)", README):
+    text = "\n".join(page.read_text() for page in PAGES)
+    targets = re.findall(r"(?:`|^    )make ([a-z-]+)", text, re.MULTILINE)
+    assert {"demo", "test", "test-cpus", "fuzz"} <= set(targets)
+    for target in targets:
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
 
 
@@ -74,5 +77,6 @@ def test_every_ending_and_exit_code_is_told() -> None:
 
 
 def test_links_lead_somewhere() -> None:
-    for link in re.findall(r"\]\((?!http)([^)#]+)\)", README):
-        assert (REPOSITORY / link).exists(), link
+    for page in PAGES:
+        for link in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text()):
+            assert (page.parent / link).exists(), (page.name, link)

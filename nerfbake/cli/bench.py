@@ -130,7 +130,7 @@ def formats(
     benchmark.chosen(names)
     found = []
     for path in scenes:
-        octree = _octree(Input(path), words, resolution)
+        octree = _octree(Input(path), words, resolution, only=len(scenes) == 1)
         found.append(benchmark.compare(octree, Path(path).name, rounds=rounds, formats=names, progress=words.phase))
     target.write(found, benchmark.chart)
 
@@ -207,10 +207,13 @@ def render(source: Input, cameras: str | None, rounds: int, target: Target, word
     target.write([found], benchmark.chart)
 
 
-def _octree(source: Input, words: Words, resolution: Any) -> Any:
+def _octree(source: Input, words: Words, resolution: Any, *, only: bool) -> Any:
+    """The octree to measure; only: there is no other scene that --resolution could be for."""
     scene = source.read(words)
     if isinstance(scene, nerfbake.SparseVoxelOctree):
-        without_effect("resolution", here="on an octree, which has its own", allowed="--resolution with a PlenOctree")
+        if only:
+            allowed = "--resolution with a PlenOctree"
+            without_effect("resolution", here="on an octree, which has its own", allowed=allowed)
         return scene
     with source.blamed(words, "building the octree"):
         return nerfbake.build_octree(scene, resolution=resolution)

@@ -48,9 +48,10 @@ def load_with_format(source: str | Path, *kinds: type[Scene], sound: bool = True
                 scene, form, size = _decode_member(Path(source), member, kinds)
             else:
                 scene, form, size = _decode_file(source, kinds)
+        memory.kept(scene)
         if sound:
             scene.require_sound()
-    return memory.kept(scene), form, size
+    return scene, form, size
 
 
 def check(source: str | Path) -> list[Problem]:

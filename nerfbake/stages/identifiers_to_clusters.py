@@ -13,6 +13,8 @@ from nerfbake.stages.specular_to_identifiers import Identifiers
 
 MAX_CLUSTERS = 1 << 16
 COARSE_ROUNDS = 30  # of Lloyd's iteration on the means of small cells of colours, which cost next to nothing
+# Few clusters end in many different places: the best of so many starts has 0.5 % less inertia at 64 (0.1 % at 256).
+STARTS, FEW = 4, 128
 ROUNDS = 12  # on the colours themselves; 20 lower the inertia by another 0.3 %
 _CELL_BITS = 5  # of colour: the cells that prune the assignment
 _GROUPS_PER_CLUSTER = 8
@@ -89,10 +91,16 @@ def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.G
             break
     groups = lloyd.group(identifiers.points, identifiers.counts, start)
     cells = lloyd.bound_cells(groups.mean, _cells(identifiers.codes[start[:-1]], bits - 1))
-    centres = lloyd.seed(groups.mean, groups.weight, clusters, random)
-    for _ in range(COARSE_ROUNDS):
-        centres = lloyd.move(groups.mean, groups.weight, lloyd.assign(groups.mean, cells, centres)[0], centres)
-    return centres
+    least, best = np.inf, None
+    for _ in range(STARTS if clusters <= FEW else 1):
+        centres = lloyd.seed(groups.mean, groups.weight, clusters, random)
+        for _ in range(COARSE_ROUNDS):
+            centres = lloyd.move(groups.mean, groups.weight, lloyd.assign(groups.mean, cells, centres)[0], centres)
+        inertia = float((lloyd.assign(groups.mean, cells, centres)[1] * groups.weight).sum())
+        if best is None or inertia < least:
+            least, best = inertia, centres
+    assert best is not None
+    return best
 
 
 def _cells(codes: npt.NDArray[np.uint32], bits: int) -> npt.NDArray[np.int64]:

@@ -74,7 +74,7 @@ HOSTILE: dict[str, tuple[dict[str, bytes | None], str]] = {
     "an empty picture": ({"feat1_0_png": b""}, "cannot be read"),
     "a bomb": ({"feat1_0_png": bomb(13000, 13000)}, "feat1_0.png needs 483.5 MiB"),
     "a wider bomb": ({"feat1_0_png": bomb(2**30, 2**30)}, "feat1_0.png declares more than 178 million"),
-    "binary mesh": ({"mesh_0_obj": bytes(range(256))}, "mesh_0.obj cannot be read"),
+    "binary mesh": ({"mesh_0_obj": bytes(range(256))}, "mesh_0.obj has no faces"),
     "empty mesh": ({"mesh_0_obj": b""}, "mesh_0.obj"),
     "no coordinates": ({"mesh_0_obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"}, "has no texture coordinates"),
     "corners elsewhere": ({"mesh_0_obj": b"v 0 0 0\nvt 0 0\nf 1/1 2/1 3/1\n"}, "mesh_0.obj"),
