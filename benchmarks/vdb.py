@@ -120,9 +120,9 @@ def rows(folder: Path) -> list[list[Any]]:
         row(".nvdb, write", "nanovdb_convert", nvdb[0], nvdb[3], None, *sizes, same),
         row(".nvdb, build and write", "nanovdb_convert", nvdb[1], nvdb[3], 1.0, *sizes, same),
         row(".nvdb, `nerfbake vdb`", "nanovdb_convert", nvdb[2], nvdb[3], None, *sizes, same),
-        row(".vdb, write", "pyopenvdb", vdb[0], vdb[3], None, *vdb_sizes, same_vdb),
-        row(".vdb, build and write", "pyopenvdb", vdb[1], vdb[3], 1.0, *vdb_sizes, same_vdb),
-        row(".vdb `--codec none`, build and write", "pyopenvdb", vdb[2], vdb[3], 1.0, megabytes("stored.vdb"), *rest),
+        row(".vdb, write", "pyopenvdb", vdb[0], vdb[3], 1.0, *vdb_sizes, same_vdb),
+        row(".vdb, build and write", "pyopenvdb", vdb[1], vdb[3], None, *vdb_sizes, same_vdb),
+        row(".vdb `--codec none`, build and write", "pyopenvdb", vdb[2], vdb[3], None, megabytes("stored.vdb"), *rest),
         row(".vdb (our zip), read", "pyopenvdb, blosc", read[0], read[2], None, *vdb_sizes, same_vdb),
         row(".vdb (their blosc), read", "pyopenvdb, blosc", read[1], read[2], None, *vdb_sizes, same_vdb),
     ]
@@ -145,6 +145,8 @@ def main() -> None:
         "statistics and a partial checksum; ours has the same.",
         "pyopenvdb has the voxels as a dense array, copies it into a grid and writes that (blosc); it reads with "
         "readAll and evalMinMax, since values come when they are asked for. Python's start does not count.",
+        "Building has no aim beside pyopenvdb, which is handed a dense array: ours starts from an octree, and proves "
+        "it sound and its values usable first, which is nearly half of the building.",
     ]
     report = Report("Volumes beside OpenVDB's own programs", head, [Table("Chair", COLUMNS, measured)], notes)
     RESULT.write_text(markdown(report))
