@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats._json import parse_object, shown, table, whole, within
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.octree import MAX_SIZE
 from nerfbake.scene.volume import OctreeFrame
@@ -34,24 +35,25 @@ def parse_frame(text: bytes) -> OctreeFrame:
     """The frame of a file. Raises InvalidFile where it is none."""
     if len(text) > MAX_TEXT:
         raise InvalidFile(Problem(NAME, f"has {len(text):,} bytes", f"{MAX_TEXT:,} at most"))
-    try:
-        fields: dict[str, Any] = json.loads(text)
-        size = tuple(int(edge) for edge in fields["size"])
-        data_format, layout, lobes = str(fields["data_format"]), fields["layout"], fields["extra_data"]
-        frame = OctreeFrame(
-            (size[0], size[1], size[2]),
-            data_format,
-            layout,
-            _floats(fields["origin"], (3,)),
-            _floats(fields["voxel_size"], (3,)),
-            None if lobes is None else _floats(lobes, (parse_basis(data_format).size, -1)).astype(np.float32),
-        )
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as error:
-        raise InvalidFile(Problem(NAME, f"cannot be read ({type(error).__name__})", "the frame of an octree")) from None
-    if layout not in ("full", "compact") or len(size) != 3 or not all(1 <= edge <= MAX_SIZE for edge in size):
-        raise InvalidFile(Problem(NAME, f"says {layout} octree of {size}", f"full or compact, 1 to {MAX_SIZE} voxels"))
-    return frame
+    fields = parse_object(text, NAME)
+    size, data_format, layout = (fields.get(key) for key in ("size", "data_format", "layout"))
+    if not isinstance(size, list) or len(size) != 3 or not isinstance(data_format, str):
+        raise InvalidFile(Problem(NAME, "has no size or no data_format", "the frame of an octree"))
+    if layout not in ("full", "compact"):
+        raise InvalidFile(Problem(within(NAME, "layout"), f"is {shown(layout)}", "full or compact"))
+    edges = dict(zip("xyz", size, strict=True))
+    width, height, depth = (whole(edges, axis, within(NAME, "size"), low=1, high=MAX_SIZE) for axis in "xyz")
+    return OctreeFrame(
+        (width, height, depth),
+        data_format,
+        layout,
+        table(fields.get("origin"), within(NAME, "origin"), (3,)),
+        table(fields.get("voxel_size"), within(NAME, "voxel_size"), (3,)),
+        _lobes(fields.get("extra_data"), data_format),
+    )
 
 
-def _floats(values: Any, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    return np.array(values, np.float64).reshape(shape)
+def _lobes(values: Any, data_format: str) -> npt.NDArray[np.float32] | None:
+    if values is None:
+        return None
+    return table(values, within(NAME, "extra_data"), (parse_basis(data_format).size, None)).astype(np.float32)

@@ -182,7 +182,7 @@ LIES: dict[str, tuple[str, Callable[[Any], Any], str]] = {
     "no table": ("grid_1_table", lambda a: a[:0], "table of 'index' has shape (0, 4)"),
     "two channels": ("grid_0_table", lambda a: np.repeat(a, 2, axis=1), "(m, 1 or 3) float16 or float32"),
     "a flat transform": ("transform", lambda a: a[:2], "transform has dtype float64, shape (2, 4); allowed: (3, 4)"),
-    "a frame that is none": ("nerfbake", lambda _: np.zeros(3, np.uint8), "nerfbake cannot be read"),
+    "a frame that is none": ("nerfbake", lambda _: np.zeros(3, np.uint8), "nerfbake cannot be parsed"),
 }  # fmt: skip
 
 

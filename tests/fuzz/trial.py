@@ -7,7 +7,6 @@ file that we wrote and cannot read.
 
 from __future__ import annotations
 
-import os
 import re
 import time
 import traceback
@@ -27,6 +26,7 @@ from nerfbake.scene.camera import Camera
 from nerfbake.stages._picture import picture
 from tests.formats.octrees import small_octree
 from tests.fuzz.breakage import Case
+from tests.peaks import peak, resident
 
 LIMIT = 64 << 20  # --max-memory of every case
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile
@@ -81,14 +81,14 @@ class Trial:
 
     def _loaded(self, path: Path) -> Any:
         """The scene, if it is sound."""
-        before = _resident(reset_peak=True)
+        before = resident()
         start = time.process_time()
         scene = self._try("load", lambda: io.load(path, sound=False))
-        took, peak = time.process_time() - start, _peak() - before
+        took, most = time.process_time() - start, peak() - before
         if took > MOST_LOADING:
             self._note(f"takes {took:.1f} s of CPU to load")
-        if peak > LIMIT + SLACK:
-            self._note(f"takes {peak >> 20} MiB to load, allowed {LIMIT >> 20}")
+        if most > LIMIT + SLACK:
+            self._note(f"takes {most >> 20} MiB to load, allowed {LIMIT >> 20}")
         if scene is None:
             return None
         problems = self._try("check", scene.problems)
@@ -214,17 +214,3 @@ def _volume(form: catalog.Format, octree: Any, grids: tuple[str, ...], place: Pa
         return
     half = bool(octree.n & 1)
     _written(form, nerfbake.build_vdb(octree, grids=grids, half=half), place)
-
-
-def _resident(*, reset_peak: bool) -> int:
-    """Bytes of memory that this process holds now; from here on, peaks are counted anew."""
-    if reset_peak:
-        with open("/proc/self/clear_refs", "w") as file:
-            file.write("5")
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-def _peak() -> int:
-    with open("/proc/self/status") as file:
-        return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmHWM"))
