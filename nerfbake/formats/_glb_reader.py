@@ -14,6 +14,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats._glb_document import Document, malformed, whole
 from nerfbake.formats._texture import decode_texture
 from nerfbake.kernels.affine import combined, determinant, placed
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.srgb import from_linear
 from nerfbake.scene.mesh import Mesh, require_few
 
@@ -118,7 +119,7 @@ def _primitive(
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict):
         raise malformed(f"{place}.attributes", "are missing", "an object with POSITION")
-    points = document.accessor(attributes.get("POSITION"), ("VEC3",)).astype(np.float64)
+    points = cast(document.accessor(attributes.get("POSITION"), ("VEC3",)), np.float64)
     if "indices" in primitive:
         indices = document.accessor(primitive["indices"], ("SCALAR",)).reshape(-1)
         if indices.dtype.kind != "u":
@@ -165,10 +166,10 @@ class _Looks:
         if "baseColorFactor" in surface:
             light = light * _colour(surface["baseColorFactor"], place)
         if "COLOR_0" in attributes:
-            light = light * self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3].astype(np.float64)
+            light = light * cast(self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3], np.float64)
         info = surface.get("baseColorTexture")
         if isinstance(info, dict) and (key := f"TEXCOORD_{info.get('texCoord', 0)}") in attributes:
-            uvs = self._document.accessor(attributes[key], ("VEC2",)).astype(np.float32)
+            uvs = cast(self._document.accessor(attributes[key], ("VEC2",)), np.float32)
             texture = self._texture(info.get("index"))
         v = len(mesh.positions)
         if len(light) not in (1, v) or (uvs is not None and len(uvs) != v):

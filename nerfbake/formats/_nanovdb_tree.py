@@ -16,6 +16,7 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._nanovdb_values import Codes, Room, root_tiles_of, tiles_of, voxels_of
 from nerfbake.kernels.bitmask import Bits, Ints, slots_of
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology, root_keys
 
@@ -61,8 +62,7 @@ def read_tree(view: memoryview, layout: nano.Layout, *, signed: bool) -> Tree:
     _require_links(upper, own.upper_mask, upper_at, lower_at + np.arange(lowers) * layout.lower.itemsize, "upper")
     _require_links(lower, own.lower_mask, lower_at, codes.at, "lower")
     _require_places(leaf, own)
-    with np.errstate(all="ignore"):  # a double that no float holds is infinite here, as `check` then says
-        background = np.atleast_1d(root["background"]).astype(np.float32)
+    background = cast(np.atleast_1d(root["background"]), np.float32)
     if layout is nano.ON_INDEX:
         return _index(own, leaf, int(tree["voxels"]), upper, lower, entries, is_node)
     room = Room(memory.left())

@@ -11,6 +11,7 @@ from nerfbake.errors import MemoryLimit
 from nerfbake.formats import _nanovdb_nodes as nano
 from nerfbake.formats._vdb_held import Held, differs, joined
 from nerfbake.kernels.bitmask import Bits, Ints, bits_of, words_of
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.parallel import over_chunks
 
 _CHUNK = 256  # leaves at a time by each core
@@ -120,5 +121,4 @@ def _codes(octets: npt.NDArray[np.uint8], width: int) -> npt.NDArray[np.uint16]:
 
 
 def _floats(values: Nodes) -> npt.NDArray[np.float32]:
-    with np.errstate(all="ignore"):
-        return values.astype(np.float32, copy=False)
+    return cast(values, np.float32)

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._npy import read_header
+from nerfbake.kernels.casting import cast
 
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 MAX_INFLATION = 1032  # deflate's own bound: 258 bytes for a quarter of a byte
@@ -79,8 +80,7 @@ class NpzReader:
         if array.dtype.kind != "f":
             raise InvalidFile(Problem(key, f"has dtype {array.dtype}", "float16, float32 or float64"))
         memory.hold(key, 4 * array.size)
-        with np.errstate(over="ignore"):
-            return array.astype(np.float32)
+        return cast(array, np.float32)
 
     def _read(self, key: str, info: zipfile.ZipInfo, limit: int | None) -> npt.NDArray[Any]:
         if limit is not None and info.file_size > limit:

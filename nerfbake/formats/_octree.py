@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.parallel import ahead
 from nerfbake.kernels.topology import all_finite
 from nerfbake.scene.basis import guess_data_format, parse_basis
@@ -223,8 +224,7 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
         return flat.astype(dtype, copy=False)
     memory.hold(name, flat.size * (dtype.itemsize + 1))
     memory.require(name, flat.size)
-    with np.errstate(over="ignore", invalid="ignore"):
-        narrow = flat.astype(dtype)
+    narrow = cast(flat, dtype)
     lost = narrow != flat if dtype.kind == "i" else np.isinf(narrow) & np.isfinite(flat)
     if lost.any():
         raise InvalidFile(Problem(name, f"holds {flat[lost.argmax()].item()}", f"numbers that {dtype.name} can hold"))

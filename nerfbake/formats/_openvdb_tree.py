@@ -13,6 +13,7 @@ from nerfbake.formats._openvdb_stream import Stream
 from nerfbake.formats._openvdb_values import Kind, read_leaves, read_slots
 from nerfbake.formats._vdb_held import Held
 from nerfbake.kernels.bitmask import Words, popcount
+from nerfbake.kernels.casting import cast
 from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 
 
@@ -40,7 +41,7 @@ def read_tree(stream: Stream, kind: Kind, flags: int, what: str) -> Tree:
         raise InvalidFile(problem)
     if rows is not None:
         values, active = values[rows], active[rows]
-    return Tree(topology, values, nodes.background.astype(np.float32), active)
+    return Tree(topology, values, cast(nodes.background, np.float32), active)
 
 
 class _Nodes:

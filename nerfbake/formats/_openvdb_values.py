@@ -26,6 +26,7 @@ from nerfbake.formats._deflate import inflate
 from nerfbake.formats._openvdb_stream import ACTIVE_MASK, ALL_VALUES, BLOSC, PACKED, Stream
 from nerfbake.formats._vdb_held import Held, differs, joined
 from nerfbake.kernels.bitmask import Words, bits_of, exclusive_sum, popcount, words_of
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.parallel import over_chunks
 
 _CHUNK = 256  # leaves unpacked at a time by each core
@@ -61,10 +62,7 @@ class Kind(NamedTuple):
     def read(self, data: bytes | bytearray | memoryview, dtype: np.dtype[Any]) -> Values:
         """(q, c) in `held`."""
         values = np.frombuffer(data, dtype.newbyteorder("<")).reshape(-1, self.channels)
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # a double that no float holds is infinite here, as `check` then says
-            return values.astype(self.held, copy=False)
+        return cast(values, self.held)
 
 
 def require_code(code: int, what: str) -> None:

@@ -17,6 +17,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats._capture import PICTURES, Folder, names_of, room_for
 from nerfbake.formats._npy import read_header
+from nerfbake.kernels.casting import cast
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
 
@@ -83,7 +84,7 @@ def _array(files: Folder, name: str) -> npt.NDArray[np.float64]:
         found = f"declares {size:,} bytes of {dtype} before {len(view) - stream.tell():,}"
         raise InvalidFile(Problem(name, found, "as many numbers as there are"))
     memory.hold(name, 24 * (size // dtype.itemsize))  # as float64, in parts, and put together as poses
-    flat = np.frombuffer(view, dtype, offset=stream.tell()).astype(np.float64)
+    flat = cast(np.frombuffer(view, dtype, offset=stream.tell()), np.float64)
     if not (np.abs(flat) <= MAX_WORLD).all():
         raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {MAX_WORLD:g}"))
     return flat.reshape(shape, order="F" if fortran else "C")

@@ -13,6 +13,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats._npz_reader import ZIP_MAGIC, NpzReader
 from nerfbake.formats._npz_writer import write_npz
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.n3tree import N3Tree
@@ -105,8 +106,7 @@ def _world(npz: NpzReader, key: str) -> npt.NDArray[np.float64]:
         raise InvalidFile(Problem(key, f"has shape {array.shape}", "(3,)" + " or one value" * (key == "invradius")))
     # float32 is what svox computes with; legacy files hold the same number as float64. What float32 cannot hold
     # becomes infinite, of which the tree's value_problems() tell.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.broadcast_to(array.reshape(-1).astype(np.float32), 3).astype(np.float64)
+    return np.broadcast_to(cast(cast(array.reshape(-1), np.float32), np.float64), 3).copy()
 
 
 def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -22,6 +22,7 @@ from nerfbake.formats._npz_reader import ZIP_MAGIC, NpzReader
 from nerfbake.formats._npz_writer import write_npz
 from nerfbake.formats._vdb_frame import NAME, frame_text, parse_frame
 from nerfbake.kernels.bitmask import Words, exclusive_sum, popcount
+from nerfbake.kernels.casting import cast
 from nerfbake.kernels.topology import place
 from nerfbake.scene.vdb import GRID_CLASSES, IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
@@ -88,7 +89,7 @@ def decode(view: memoryview) -> Volume:
         for k, (name, grid_class, number) in enumerate(zip(names.tolist(), classes, numbers, strict=True))
     )
     frame = parse_frame(npz.shaped(NAME, "u", (None,)).astype(np.uint8).tobytes()) if NAME in npz else None
-    return Volume(grids, npz.shaped("transform", "f", (3, 4)).astype(np.float64), frame)
+    return Volume(grids, cast(npz.shaped("transform", "f", (3, 4)), np.float64), frame)
 
 
 def _read_grid(npz: NpzReader, k: int, name: str, grid_class: str, tree: VdbTopology) -> VdbTree | IndexGrid:
@@ -105,8 +106,8 @@ def _read_grid(npz: NpzReader, k: int, name: str, grid_class: str, tree: VdbTopo
     if (key := f"grid_{k}_active") in npz:
         active = npz.shaped(key, "u", (len(table) - 1,)) != 0
     if (key := f"grid_{k}_transform") in npz:
-        own = npz.shaped(key, "f", (3, 4)).astype(np.float64)
-    return VdbTree(name, tree, table[1:], table[0].astype(np.float32), known, active, own)
+        own = cast(npz.shaped(key, "f", (3, 4)), np.float64)
+    return VdbTree(name, tree, table[1:], cast(table[0], np.float32), known, active, own)
 
 
 def _class_of(grid: VdbTree | IndexGrid) -> str:
