@@ -262,4 +262,5 @@ def format_of_content(path: str, head: bytes) -> Format:
     if by_ending:
         return by_ending[0]
     start = head[:8].hex(" ") or "nothing"
-    raise InvalidFile(f"starts with {start}, as no known format does; allowed: the endings that the README lists")
+    endings = ", ".join(form.suffix for form in known)
+    raise InvalidFile(f"starts with {start}, as no known format does; allowed: {endings}")
