@@ -151,11 +151,6 @@ class SparseVoxelOctree(Scene):
         self.require_sound()
         return [int(size) for size in np.diff(self._level_ends, prepend=0)]
 
-    @property
-    def max_level(self) -> int:
-        """Levels below the root."""
-        return len(self.level_sizes) - 1
-
     @cached_property
     def childless(self) -> npt.NDArray[np.bool_]:
         """(n,) bool: the leaves."""
