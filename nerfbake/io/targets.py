@@ -137,12 +137,20 @@ def _locked_part(target: Path, *, folder: bool = False) -> Iterator[Path]:
         else:
             handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
         try:
-            # A sweeper may have come between making and locking: then what is locked here has no name any more.
-            if _lock(handle) and part.exists() and os.path.samestat(part.stat(), os.fstat(handle)):
+            if _is_ours(part, handle):
                 yield part
                 return
         finally:
             os.close(handle)
+
+
+def _is_ours(part: Path, handle: int) -> bool:
+    """Locks a new part. False if a sweeper came between its making and this: then it has no name any more."""
+    try:
+        locked = _lock(handle)
+    except OSError:
+        return True  # a file system without locks, where nobody sweeps
+    return locked and part.exists() and os.path.samestat(part.stat(), os.fstat(handle))
 
 
 def _sweep(target: Path) -> None:
@@ -173,14 +181,12 @@ def _sweep_one(left: Path, target: Path, *, moved_aside: bool) -> None:
 
 
 def _lock(handle: int) -> bool:
-    """Locks an open file or folder, unless another process has done so. True where locks are not to be had."""
+    """Locks an open file or folder; False if another process has done so. Raises OSError where there are no locks."""
     if fcntl is not None:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
-        except OSError:
-            pass  # a file system without locks
     return True
 
 

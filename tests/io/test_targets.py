@@ -148,6 +148,35 @@ def test_without_an_exchange_the_old_folder_comes_back_if_the_writer_dies(
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
+def test_where_there_are_no_locks_nothing_is_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_locks(handle: int) -> bool:
+        raise OSError("no locks here")
+
+    monkeypatch.setattr(targets, "_lock", no_locks)
+    another = tmp_path / ".out.bin.0123456789abcdef.part"
+    another.write_bytes(b"half")  # whoever writes it may be alive
+    write(tmp_path / "out.bin", b"whole")
+    assert (tmp_path / "out.bin").read_bytes() == b"whole"
+    assert another.exists()
+
+
+def test_a_part_that_a_sweeper_took_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lock = targets._lock
+    taken: list[Path] = []
+
+    def swept_once(handle: int) -> bool:
+        if not taken:
+            (part,) = tmp_path.iterdir()
+            part.unlink()
+            taken.append(part)
+        return lock(handle)
+
+    monkeypatch.setattr(targets, "_lock", swept_once)
+    write(tmp_path / "out.bin", b"whole")
+    assert (tmp_path / "out.bin").read_bytes() == b"whole"
+    assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
+
+
 def test_force_keeps_the_mode(tmp_path: Path) -> None:
     for name, mode in (("a.bin", 0o600), ("b.bin", 0o755)):
         write(tmp_path / name, b"old")
