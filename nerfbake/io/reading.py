@@ -67,13 +67,13 @@ def check(source: str | Path) -> list[Problem]:
 def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
     stream = str(source) == STREAM
     view = read_stdin() if stream else read_file(Path(source))
-    if not len(view):
-        raise InvalidFile("is empty; allowed: a file that nerfbake reads")
     path, size = "" if stream else str(source), len(view)
     packed = view[:4] == COMPRESSION_MAGIC
     if packed:
         view = load_compression().decompress(view)
         path = uncompressed(path)
+    if not len(view):
+        raise InvalidFile("is empty; allowed: a file that nerfbake reads")
     form = format_of_content(path, bytes(view[:512]))
     extra: dict[str, Any] = {}
     if form.companion and path:

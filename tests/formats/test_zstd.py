@@ -9,8 +9,10 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nerfbake import catalog
 from nerfbake.errors import InvalidFile, MemoryLimit
 from nerfbake.formats import _zstd
+from nerfbake.io import check
 from nerfbake.memory import memory_limit
 
 
@@ -79,3 +81,11 @@ def test_a_bomb_stays_within_max_memory(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "bad.svo.pb.zst: the decompressed file needs" in done.stderr
+
+
+@pytest.mark.parametrize("form", [form for form in catalog.FORMATS if form.readable], ids=lambda form: form.name)
+def test_nothing_compressed_is_an_empty_file(form: catalog.Format, tmp_path: Path) -> None:
+    path = tmp_path / f"a{form.suffix}.zst"
+    path.write_bytes(packed())
+    (problem,) = check(path)
+    assert problem.line.startswith("file is empty; allowed: ")
