@@ -70,7 +70,7 @@ def run_as(cpu: str, *command: str) -> None:
     simulated = {
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=" + ",".join(f"-{name}" for name in wanted["lacks"]),
         "NPY_DISABLE_CPU_FEATURES": ",".join(dropped),
-        "NUMBA_CACHE_DIR": f"build/cpus/{cpu}",
+        "NUMBA_CACHE_DIR": str(Path("build", "cpus", cpu).absolute()),  # the commands run in another folder
         "NUMBA_CPU_FEATURES": "",
         "NUMBA_CPU_NAME": wanted["llvm"],
         "OPENBLAS_CORETYPE": wanted["blas"],
