@@ -46,10 +46,8 @@ def read_file(path: Path) -> memoryview:
     """
     with open(path, "rb", buffering=0) as file:
         status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            return read_stream(file)
-        if not status.st_size:
-            return read_stream(file)  # empty, or one of /proc's, which do not tell their size
+        if not stat.S_ISREG(status.st_mode) or not status.st_size:
+            return read_stream(file)  # of size 0 are empty files, and /proc's, which do not tell their size
         memory.hold("the file", status.st_size)
         buffer = _room(status.st_size)
         at = 0

@@ -91,16 +91,19 @@ def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.G
             break
     groups = lloyd.group(identifiers.points, identifiers.counts, start)
     cells = lloyd.bound_cells(groups.mean, _cells(identifiers.codes[start[:-1]], bits - 1))
-    least, best = np.inf, None
-    for _ in range(STARTS if clusters <= FEW else 1):
+
+    def end_of_a_start() -> npt.NDArray[np.float32]:
         centres = lloyd.seed(groups.mean, groups.weight, clusters, random)
         for _ in range(COARSE_ROUNDS):
             centres = lloyd.move(groups.mean, groups.weight, lloyd.assign(groups.mean, cells, centres)[0], centres)
-        inertia = float((lloyd.assign(groups.mean, cells, centres)[1] * groups.weight).sum())
-        if best is None or inertia < least:
-            least, best = inertia, centres
-    assert best is not None
-    return best
+        return centres
+
+    def inertia(centres: npt.NDArray[np.float32]) -> float:
+        return float((lloyd.assign(groups.mean, cells, centres)[1] * groups.weight).sum())
+
+    if clusters > FEW:
+        return end_of_a_start()
+    return min((end_of_a_start() for _ in range(STARTS)), key=inertia)
 
 
 def _cells(codes: npt.NDArray[np.uint32], bits: int) -> npt.NDArray[np.int64]:
