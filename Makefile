@@ -61,7 +61,7 @@ test-quick: setup  ## what is over in two minutes
 test-slow: tools test-cpus  ## the long ones: two other CPUs, fuzzing, random kills
 	$(PYTEST) -m long
 
-CPUS := $(BIN)/python -m tests.cpus
+CPUS := $(BIN)/python -m tests.support.cpus
 ON_A_CPU := $(PYTEST) -p no:cacheprovider -m 'not slow and not long' tests/kernels tests/stages
 
 test-cpus: setup  ## the same bytes as two other CPUs would write, and the tests of kernels and stages there

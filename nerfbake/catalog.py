@@ -19,7 +19,7 @@ class Format(NamedTuple):
     name: str  # what --to takes and info prints
     scene: str  # name of the scene type that it holds
     suffix: str  # the ending of its files
-    module: str  # has encode(scene, **options) and decode(view, ...)
+    module: str  # in `formats`: has encode(scene, **options) and decode(view, ...)
     title: str
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
     profiles: tuple[str, ...] = ()  # what encode's `profile` takes, the one it writes unless told otherwise first
@@ -29,7 +29,7 @@ class Format(NamedTuple):
     beside: bool = False  # decode() takes the folder where the file stands, too
 
     def load_module(self) -> Any:
-        return import_module(self.module)
+        return import_module(f"nerfbake.formats.{self.module}")
 
 
 _OCTREE = "SparseVoxelOctree"
@@ -37,72 +37,44 @@ _BULK, _REPORT = ("bulk", "report"), ("report", "bulk")
 
 # Longer endings stand before the endings they contain.
 FORMATS = (
-    Format("svo.npz", _OCTREE, ".svo.npz", "nerfbake.formats.octree_npz", "octree, plain NumPy arrays"),
-    Format(
-        "svo.pb", _OCTREE, ".svo.pb", "nerfbake.formats.octree_protobuf", "octree, Protocol Buffers", profiles=_REPORT
-    ),
-    Format("svo.json", _OCTREE, ".svo.json", "nerfbake.formats.octree_json", "octree, JSON", profiles=_BULK),
-    Format("svo.bson", _OCTREE, ".svo.bson", "nerfbake.formats.octree_bson", "octree, BSON", profiles=_BULK),
-    Format("svo.fb", _OCTREE, ".svo.fb", "nerfbake.formats.octree_flatbuffers", "octree, FlatBuffers", profiles=_BULK),
-    Format("svo.capnp", _OCTREE, ".svo.capnp", "nerfbake.formats.octree_capnp", "octree, Cap'n Proto", profiles=_BULK),
-    Format("vdb.npz", "Volume", ".vdb.npz", "nerfbake.formats.vdb_npz", "VDB grids, plain NumPy arrays"),
-    Format("npz", "N3Tree", ".npz", "nerfbake.formats.n3tree_npz", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
-    Format("depth.png", "Depth", ".depth.png", "nerfbake.formats.depth_png", "depth, thousandths of a world unit"),
-    Format("depth.npy", "Depth", ".depth.npy", "nerfbake.formats.depth_npy", "depth, world units"),
-    Format("png", "Image", ".png", "nerfbake.formats.image_png", "picture"),
-    Format("gif", "Animation", ".gif", "nerfbake.formats.animation_gif", "moving picture", readable=False),
-    Format("html", "Comparison", ".html", "nerfbake.formats.comparison_html", "page of a comparison", readable=False),
-    Format("json", "Cameras", ".json", "nerfbake.formats.cameras_json", "cameras (transforms.json)", beside=True),
-    Format("vdb", "Volume", ".vdb", "nerfbake.formats.vdb_openvdb", "OpenVDB grids"),
-    Format("nvdb", "Volume", ".nvdb", "nerfbake.formats.vdb_nanovdb", "NanoVDB grid"),
-    Format("obj", "Meshes", ".obj", "nerfbake.formats.meshes_obj", "Wavefront mesh"),
-    Format("glb", "Meshes", ".glb", "nerfbake.formats.meshes_glb", "glTF 2.0 mesh"),
+    Format("svo.npz", _OCTREE, ".svo.npz", "octree.npz", "octree, plain NumPy arrays"),
+    Format("svo.pb", _OCTREE, ".svo.pb", "octree.protobuf", "octree, Protocol Buffers", profiles=_REPORT),
+    Format("svo.json", _OCTREE, ".svo.json", "octree.json", "octree, JSON", profiles=_BULK),
+    Format("svo.bson", _OCTREE, ".svo.bson", "octree.bson", "octree, BSON", profiles=_BULK),
+    Format("svo.fb", _OCTREE, ".svo.fb", "octree.flatbuffers", "octree, FlatBuffers", profiles=_BULK),
+    Format("svo.capnp", _OCTREE, ".svo.capnp", "octree.capnp", "octree, Cap'n Proto", profiles=_BULK),
+    Format("vdb.npz", "Volume", ".vdb.npz", "volume.npz", "VDB grids, plain NumPy arrays"),
+    Format("npz", "N3Tree", ".npz", "field.n3tree", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
+    Format("depth.png", "Depth", ".depth.png", "picture.depth_png", "depth, thousandths of a world unit"),
+    Format("depth.npy", "Depth", ".depth.npy", "picture.depth_npy", "depth, world units"),
+    Format("png", "Image", ".png", "picture.png", "picture"),
+    Format("gif", "Animation", ".gif", "picture.gif", "moving picture", readable=False),
+    Format("html", "Comparison", ".html", "page.comparison", "page of a comparison", readable=False),
+    Format("json", "Cameras", ".json", "camera.transforms", "cameras (transforms.json)", beside=True),
+    Format("vdb", "Volume", ".vdb", "volume.openvdb", "OpenVDB grids"),
+    Format("nvdb", "Volume", ".nvdb", "volume.nanovdb", "NanoVDB grid"),
+    Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh"),
+    Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
 )
 
 # Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
 # A folder that is of several kinds is read as the first of them that holds what is wanted: of a capture its
 # transforms.json, then COLMAP's model, from which LLFF's poses were made.
+_COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
+_LLFF, _NSVF = ("poses_bounds.npy",), ("intrinsics.txt",)
 FOLDERS = (
-    Format("stage1", "Stage1", "", "nerfbake.formats.stage1_folder", "nerf2mesh's stage 1", key="mlp.json"),
-    Format("atlas", "BakedAtlas", "", "nerfbake.formats.atlas_folder", "octahedral atlas", key="atlas.json"),
-    Format(
-        "thesis", "BakedAtlas", "", "nerfbake.formats.thesis_folder", "the thesis' atlas", key="octahedron_maps.png"
-    ),
-    Format(
-        "transforms", "Cameras", "", "nerfbake.formats.cameras_transforms", "capture's cameras", key="transforms.json"
-    ),
-    Format(
-        "colmap",
-        "Cameras",
-        "",
-        "nerfbake.formats.cameras_colmap",
-        "COLMAP model",
-        key="sparse/0/images.bin",
-        members=("cameras.bin", "images.bin", "cameras.txt", "images.txt"),
-    ),
-    Format(
-        "llff",
-        "Cameras",
-        "",
-        "nerfbake.formats.cameras_llff",
-        "LLFF's poses",
-        key="poses_bounds.npy",
-        members=("poses_bounds.npy",),
-    ),
-    Format(
-        "nsvf",
-        "Cameras",
-        "",
-        "nerfbake.formats.cameras_nsvf",
-        "NSVF's capture",
-        key="intrinsics.txt",
-        members=("intrinsics.txt",),
-    ),
+    Format("stage1", "Stage1", "", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
+    Format("atlas", "BakedAtlas", "", "atlas.folder", "octahedral atlas", key="atlas.json"),
+    Format("thesis", "BakedAtlas", "", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png"),
+    Format("transforms", "Cameras", "", "camera.transforms_folder", "capture's cameras", key="transforms.json"),
+    Format("colmap", "Cameras", "", "camera.colmap", "COLMAP model", key="sparse/0/images.bin", members=_COLMAP),
+    Format("llff", "Cameras", "", "camera.llff", "LLFF's poses", key="poses_bounds.npy", members=_LLFF),
+    Format("nsvf", "Cameras", "", "camera.nsvf", "NSVF's capture", key="intrinsics.txt", members=_NSVF),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
 COMPRESSED = ".zst"
-COMPRESSION = "nerfbake.formats._zstd"
+COMPRESSION = "nerfbake.formats.wire.zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"

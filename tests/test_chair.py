@@ -13,7 +13,7 @@ from nerfbake import build_octree, cut_octree, load, save, summarise
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from tests.conftest import DATA
-from tests.scenes import assert_same_octree, world_centres
+from tests.support.scenes import assert_same_octree, world_centres
 
 pytestmark = pytest.mark.data
 

@@ -14,8 +14,8 @@ import pytest
 
 from nerfbake import load, save
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.octrees import SPELLINGS, written
-from tests.scenes import assert_same_octree
+from tests.formats.octree.octrees import SPELLINGS, written
+from tests.support.scenes import assert_same_octree
 
 GOLDEN = Path(__file__).parent / "golden"
 

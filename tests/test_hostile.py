@@ -19,11 +19,11 @@ import pytest
 from nerfbake import build_octree, build_vdb, save
 from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
-from tests.formats.octrees import SPELLINGS
-from tests.formats.test_n3tree_npz import archive, svox
-from tests.hostile import complaint
-from tests.scenes import n3tree
-from tests.vdb_readers import blosc_for_zip, bloscked
+from tests.formats.field.test_n3tree import archive, svox
+from tests.formats.octree.octrees import SPELLINGS
+from tests.support.hostile import complaint
+from tests.support.scenes import n3tree
+from tests.support.vdb_readers import blosc_for_zip, bloscked
 
 Arrays = dict[str, Any]
 
@@ -266,7 +266,7 @@ def test_damaged_files(command: str, suffix: str, profile: str | None, tmp_path:
     else:
         options: Any = {"profile": profile} if profile else {}
         save(source, build_octree(tree), **options)
-    arguments = [sys.executable, "-m", "tests.hostile", command, str(source), "2000"]
+    arguments = [sys.executable, "-m", "tests.support.hostile", command, str(source), "2000"]
     done = subprocess.run(arguments, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == []

@@ -11,8 +11,8 @@ from nerfbake import build_octree, catalog, load, save
 from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
 from tests.conftest import DATA
-from tests.hostile import complaint
-from tests.scenes import n3tree
+from tests.support.hostile import complaint
+from tests.support.scenes import n3tree
 
 HOSTILE = DATA / "hostile"
 FILES = sorted(path for path in HOSTILE.glob("*") if path.name != "README.md")

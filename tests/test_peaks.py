@@ -13,13 +13,13 @@ import pytest
 from PIL import Image as Pillow
 
 from nerfbake import build_octree, build_vdb, sample_n3tree, save
-from nerfbake.formats._glb import Part, encode_glb
+from nerfbake.formats.mesh.glb_writer import Part, encode_glb
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.test_n3tree_npz import svox
-from tests.peaks import measured
+from tests.formats.field.test_n3tree import svox
+from tests.support.peaks import measured
 
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile
 

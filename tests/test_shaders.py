@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from nerfbake.formats import _atlas_json, atlas_folder
-from nerfbake.formats._texture import decode_texture
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.formats.atlas import document as atlas_json
+from nerfbake.formats.atlas import folder as atlas_folder
+from nerfbake.formats.wire.texture import decode_texture
+from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method, OctahedralAtlas
-from tests.atlas_scenes import random_atlas
+from tests.support.atlas_scenes import random_atlas
 
 Floats = npt.NDArray[np.float64]
 CALLS = {
@@ -50,7 +51,7 @@ class Twin:
 
     def __init__(self, atlas: OctahedralAtlas) -> None:
         self.pixels = {role: texels / 255 for role, texels in textures(atlas).items()}
-        numbers = _atlas_json.entry(atlas)
+        numbers = atlas_json.entry(atlas)
         self.mapSize, self.border = numbers["map_size"], numbers["border"]
         self.tilesPerRow, self.slope, self.n = numbers["tiles_per_row"], numbers.get("slope", 1), numbers.get("n", 2)
 
@@ -151,7 +152,7 @@ def run_shader(atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions
         }}"""
     vertex = "#version 330\nin vec2 p; void main() { gl_Position = vec4(p, 0, 1); }"
     program = context.program(vertex_shader=vertex, fragment_shader="#version 330\n" + shader + main)
-    numbers = _atlas_json.entry(atlas)
+    numbers = atlas_json.entry(atlas)
     uniforms = {"mapSize": "map_size", "border": "border", "tilesPerRow": "tiles_per_row", "slope": "slope", "n": "n"}
     for name, key in uniforms.items():
         if f"a.{name}" in program:

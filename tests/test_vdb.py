@@ -10,15 +10,15 @@ import pytest
 
 from nerfbake import build_octree, build_vdb, load, restore_octree, save
 from nerfbake.errors import InvalidFile
-from nerfbake.formats import _nanovdb_nodes as nano
-from nerfbake.formats._vdb_frame import parse_frame
+from nerfbake.formats.volume.frame import parse_frame
+from nerfbake.formats.wire import nanovdb_nodes as nano
 from nerfbake.io import check
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.volume import Volume
 from tests.conftest import DATA, Shell
-from tests.hostile import complaint
-from tests.scenes import assert_same_octree, n3tree
-from tests.vdb_readers import SCENES, index, tree, volume
+from tests.support.hostile import complaint
+from tests.support.scenes import assert_same_octree, n3tree
+from tests.support.vdb_readers import SCENES, index, tree, volume
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.accessor import Floats, Tables, child_of, leaf_at, voxel_of
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.vdb.accessor import Floats, Tables, child_of, leaf_at, voxel_of
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume

@@ -24,7 +24,7 @@ from nerfbake import io
 from nerfbake.bench import _structures
 from nerfbake.bench.measure import Work
 from nerfbake.errors import MemoryLimit, NerfbakeError
-from nerfbake.kernels.accessor import Floats, trilinear
+from nerfbake.kernels.vdb.accessor import Floats, trilinear
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.volume import Volume
 

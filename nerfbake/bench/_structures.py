@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.accessor import Floats, Points, mixed
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.vdb.accessor import Floats, Points, mixed
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 

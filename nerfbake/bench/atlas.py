@@ -25,7 +25,7 @@ from nerfbake.bench.measure import Result, Spread, Work, measure
 from nerfbake.bench.plot import Point, scatter
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.stages.specular_to_identifiers import Identifiers
 
 PACKAGES = ("numpy", "numba", "pillow", "scikit-learn")

@@ -22,7 +22,7 @@ from nerfbake.bench.measure import Result, Spread, Work, measure
 from nerfbake.bench.plot import Point, scatter
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
-from nerfbake.kernels.metrics import psnr
+from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree

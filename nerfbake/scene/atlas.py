@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels import octahedron
-from nerfbake.kernels.octahedron import Lookup
+from nerfbake.kernels.surface import octahedron
+from nerfbake.kernels.surface.octahedron import Lookup
 from nerfbake.scene.base import Scene
 from nerfbake.scene.mesh import Mesh
 
@@ -33,7 +33,7 @@ class OctahedralAtlas:
             feature less its cluster's centre, J_i = (byte - 128) / 127 slope slopes[label] / 255
     grid    n^3 nodes in feature space, tile (r n + g) n + b; the tetrahedron's four corners around the texel's feature
 
-    tiles     (T, R, R, 3) uint8, without gutter; kernels.octahedron says what a texel is; linear values
+    tiles     (T, R, R, 3) uint8, without gutter; kernels.surface.octahedron says what a texel is; linear values
     labels    (H, W) uint16; all zeros for grid
     features  (H, W, 3) uint8: nothing (None), offsets, or features, by method; row 0 is the image's top
     border    texels of gutter around each tile in the atlas image

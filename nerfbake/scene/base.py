@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.topology import all_within, count_problem
+from nerfbake.kernels.soundness import all_within, count_problem
 
 MAX_WORLD = 1e15  # world units of a place or an edge, and of what one over an edge is: their squares are numbers, too
 

@@ -10,13 +10,12 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import turned
-from nerfbake.kernels.elementary import sine_cosine
-from nerfbake.kernels.topology import plural
+from nerfbake.kernels.maths.affine import turned
+from nerfbake.kernels.maths.elementary import sine_cosine
+from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.lens import Lens, Raster, blind_rim, pixel_looks
 
-MAX_EDGE = 16384  # pixels
 FOCAL = (1e-6, 1e9)  # pixels
 MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
 MIN_VOLUME = 1e-12  # of the box that they span

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import BudgetMissed, Problem
-from nerfbake.kernels import lettering
+from nerfbake.kernels.picture import lettering
 from nerfbake.scene.base import Scene
 from nerfbake.scene.image import GAP, Image
 

@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.topology import count_problem
+from nerfbake.kernels.soundness import MAX_EDGE, count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
-from nerfbake.scene.camera import MAX_EDGE
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels import lens
-from nerfbake.kernels.elementary import sine_cosine
+from nerfbake.kernels.march import lens
+from nerfbake.kernels.maths.elementary import sine_cosine
 
 Model = Literal["polynomial", "rational", "fisheye"]
 MOST = 1e6  # of a coefficient
@@ -20,7 +20,7 @@ _COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
 
 @dataclass(frozen=True)
 class Lens:
-    """Distortion on the plane one unit before the camera; kernels.lens has the formulas.
+    """Distortion on the plane one unit before the camera; kernels.march.lens has the formulas.
 
     polynomial  k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, and p1, p2: OpenCV's and COLMAP's models up to k3, nerfstudio's all
     rational    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and p1, p2: COLMAP's FULL_OPENCV

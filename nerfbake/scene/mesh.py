@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import turned
-from nerfbake.kernels.topology import count_problem
+from nerfbake.kernels.maths.affine import turned
+from nerfbake.kernels.soundness import count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 
 MAX_MESHES = 10_000

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import as_points, in_chunks, n3tree_cells
-from nerfbake.kernels.topology import Walk, place, plural, walk
+from nerfbake.kernels.octree.lookup import as_points, in_chunks, n3tree_cells
+from nerfbake.kernels.octree.walk import Walk, walk
+from nerfbake.kernels.soundness import place, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
 

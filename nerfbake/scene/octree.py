@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import Points, as_points, in_chunks, octree_values
-from nerfbake.kernels.topology import Walk, count_problem, plural, walk
+from nerfbake.kernels.octree.lookup import Points, as_points, in_chunks, octree_values
+from nerfbake.kernels.octree.walk import Walk, walk
+from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
 

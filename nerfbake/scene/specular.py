@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.topology import count_problem
+from nerfbake.kernels.soundness import count_problem
 
 MAX_WEIGHT = 1e6  # keeps every sum of the MLP finite in float32
 MAX_WIDTH = 1024

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lookup import as_points
+from nerfbake.kernels.octree.lookup import as_points
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.base import number_problems
 from nerfbake.scene.octree import Lookup
@@ -26,8 +26,11 @@ GRID_CLASSES: tuple[GridClass, ...] = ("unknown", "fog volume", "level set", "st
 
 
 class Rows(NamedTuple):
-    """What kernels.accessor reads: table (m + 1, C) float32, row 0 the background; or, dense, a row for each voxel of
-    each leaf and of one that is empty."""
+    """What kernels.vdb.accessor reads.
+
+    table (m + 1, C) float32, row 0 the background; or, dense, a row for each voxel of each leaf and of
+    one that is empty.
+    """
 
     dense: bool
     table: npt.NDArray[np.float32]
@@ -175,7 +178,7 @@ class IndexGrid:
 def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> Rows:
     """One channel is read faster where each leaf has all of its voxels, as NanoVDB has them; where that is much more
     than there is, it stays as it is."""
-    from nerfbake.kernels.accessor import dense_leaves
+    from nerfbake.kernels.vdb.accessor import dense_leaves
 
     if table.shape[1] > 1 or 512 * len(topology.leaf_mask) > MOST_DENSE * len(table):
         return Rows(False, table)
@@ -184,7 +187,7 @@ def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> Rows:
 
 def _sample(topology: VdbTopology, rows: Rows, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:
     # Imported on first use: numba takes half a second, and only reads need it.
-    from nerfbake.kernels.accessor import nearest, trilinear
+    from nerfbake.kernels.vdb.accessor import nearest, trilinear
 
     _require_lookup(lookup)
     array = as_points(points)

@@ -22,9 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.bitmask import Ints, Words, bits_kept, exclusive_sum, numbers_of, popcount, slots_of
-from nerfbake.kernels.runs import rows_of_runs
-from nerfbake.kernels.topology import count_problem, plural
+from nerfbake.kernels.soundness import count_problem, plural
+from nerfbake.kernels.vdb.bitmask import Ints, Words, bits_kept, exclusive_sum, numbers_of, popcount, slots_of
+from nerfbake.kernels.vdb.runs import rows_of_runs
 
 ROOT_BITS = 20  # of a tile's number along an axis
 TILE_EDGES = (8, 128, 4096)  # voxels along a tile in a lower node, in an upper node, in the root
@@ -171,7 +171,7 @@ class VdbTopology:
     @cached_property
     def tables(self) -> Any:
         """The masks with their ranks, for kernels.accessor."""
-        from nerfbake.kernels.accessor import tables_of
+        from nerfbake.kernels.vdb.accessor import tables_of
 
         return tables_of(self.root_origin, self.upper_mask, self.lower_mask, self.leaf_mask)
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.bitmask import Ints, Words, group_bits
+from nerfbake.kernels.vdb.bitmask import Ints, Words, group_bits
 from nerfbake.scene.vdb_topology import ROOT_BITS, VdbTopology, root_keys
 
 LEAF_BITS, LOWER_BITS, UPPER_BITS = 9, 12, 15

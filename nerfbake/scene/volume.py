@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import inverse, turned
-from nerfbake.kernels.topology import plural
+from nerfbake.kernels.maths.affine import inverse, turned
+from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import MAX_WORLD, place_problems
 from nerfbake.scene.octree import Layout
 from nerfbake.scene.vdb import IndexGrid, VdbTree

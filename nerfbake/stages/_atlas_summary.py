@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.kernels import colours
+from nerfbake.kernels.cluster import colours
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.kernels.bitmask import Ints
-from nerfbake.kernels.means import mean_edge, opacity
-from nerfbake.kernels.morton import dilate
-from nerfbake.kernels.pyramid import INNER, Level, children_table, merge_equal
+from nerfbake.kernels.octree.means import mean_edge, opacity
+from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.pyramid import INNER, Level, children_table, merge_equal
+from nerfbake.kernels.vdb.bitmask import Ints
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import inverse, placed, turned
-from nerfbake.kernels.cells import EMPTY, Cells, cells_of, rows_at
+from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of, rows_at
+from nerfbake.kernels.maths.affine import inverse, placed, turned
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.halves import widened
-from nerfbake.kernels.lockstep import Cubes, Source
-from nerfbake.kernels.means import mean_of_runs, opacity
-from nerfbake.kernels.overlap import parts_of
+from nerfbake.kernels.octree.halves import widened
+from nerfbake.kernels.octree.lockstep import Cubes, Source
+from nerfbake.kernels.octree.means import mean_of_runs, opacity
+from nerfbake.kernels.octree.overlap import parts_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.stages._half import rounded
 

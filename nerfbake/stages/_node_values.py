@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.means import mean_of_runs
+from nerfbake.kernels.octree.means import mean_of_runs
+from nerfbake.kernels.octree.pyramid import INNER, Level, child_counts
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.pyramid import INNER, Level, child_counts
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 Floats = npt.NDArray[np.float64]

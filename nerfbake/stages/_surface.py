@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels import gbuffer
+from nerfbake.kernels.surface import gbuffer
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Mesh, joined

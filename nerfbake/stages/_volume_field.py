@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import inverse, turned
-from nerfbake.kernels.bitmask import slots_of
-from nerfbake.kernels.cells import EMPTY, Cells, cells_of
-from nerfbake.kernels.elementary import log
-from nerfbake.kernels.morton import dilate
+from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of
+from nerfbake.kernels.maths.affine import inverse, turned
+from nerfbake.kernels.maths.elementary import log
+from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.vdb.bitmask import slots_of
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology

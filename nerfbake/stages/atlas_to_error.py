@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels import colours, mlp
-from nerfbake.kernels.mlp import Shown
-from nerfbake.kernels.octahedron import Lookup
+from nerfbake.kernels.cluster import colours
+from nerfbake.kernels.surface import mlp
+from nerfbake.kernels.surface.mlp import Shown
+from nerfbake.kernels.surface.octahedron import Lookup
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
 

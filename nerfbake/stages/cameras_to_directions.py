@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.products import product
+from nerfbake.kernels.maths.products import product
 from nerfbake.scene.mesh import Mesh
 
 FLOOR = 0.1  # of the mean weight: what no camera saw must not be left to chance

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels import colours, mlp, octahedron
-from nerfbake.kernels.equations import solve_banded, solve_each
-from nerfbake.kernels.products import product
+from nerfbake.kernels.cluster import colours
+from nerfbake.kernels.maths.equations import solve_banded, solve_each
+from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.surface import mlp, octahedron
 from nerfbake.scene.atlas import ZERO_OFFSET, tetrahedron
 from nerfbake.scene.specular import SpecularField
 from nerfbake.stages.identifiers_to_clusters import FLATNESS, Clusters

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels import colours, lloyd, planes
+from nerfbake.kernels.cluster import colours, lloyd, planes
 from nerfbake.stages.specular_to_identifiers import Identifiers
 
 MAX_CLUSTERS = 1 << 16

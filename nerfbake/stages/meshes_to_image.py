@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.texture import bilinear
+from nerfbake.kernels.surface.texture import bilinear
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes

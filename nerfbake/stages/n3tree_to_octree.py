@@ -8,9 +8,9 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lockstep import Source, refine
-from nerfbake.kernels.means import mean_edge
-from nerfbake.kernels.pyramid import children_table, drop_empty, merge_equal
+from nerfbake.kernels.octree.lockstep import Source, refine
+from nerfbake.kernels.octree.means import mean_edge
+from nerfbake.kernels.octree.pyramid import children_table, drop_empty, merge_equal
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.stages._leaf_values import LeafValues
@@ -33,7 +33,7 @@ def build_octree(
     resolution: one edge or (W, H, D), 1 to 4096; None is the tree's own finest. Where a voxel covers several
     leaves, `nearest` reads the one that holds its centre (on a boundary the upper one, as the report's program
     does), and `mean` takes the mean density of its volume and the opacity-weighted mean of the coefficients
-    (kernels.means says how). Where it covers one, both copy that leaf's values exactly.
+    (kernels.octree.means says how). Where it covers one, both copy that leaf's values exactly.
 
     Leaves whose density is 0 or less, or below sigma_min (1/world unit), are empty space; without a sigma_min a
     density below 0 is an error. Empty regions have no nodes; regions of exactly equal values are one leaf. An

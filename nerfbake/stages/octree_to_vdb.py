@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import combined
-from nerfbake.kernels.bitmask import popcount
-from nerfbake.kernels.bricks import Nodes, bricks_of
-from nerfbake.kernels.elementary import sigmoid
+from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.kernels.maths.affine import combined
+from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.runs import rows_of_runs
-from nerfbake.kernels.sh import sh_basis
+from nerfbake.kernels.vdb.bitmask import popcount
+from nerfbake.kernels.vdb.bricks import Nodes, bricks_of
+from nerfbake.kernels.vdb.runs import rows_of_runs
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid, VdbTree

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import length
-from nerfbake.kernels.elementary import sine_cosine
+from nerfbake.kernels.maths.affine import length
+from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.stages._picture import Scene, frame
 

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.affine import placed, turned
-from nerfbake.kernels.sh import sh_basis
+from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.kernels.maths.affine import placed, turned
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
 from nerfbake.scene.octree import Lookup
@@ -68,11 +68,11 @@ def _marched(
     basis = np.ones((len(looks), 1), np.float32) if rgba else sh_basis(own, size, np.float32)
     out = np.empty((len(looks), 5), np.float32)
     if lookup == "nearest":
-        from nerfbake.kernels.traversal import march
+        from nerfbake.kernels.march.traversal import march
 
         box = field.box
     else:
-        from nerfbake.kernels.traversal_smooth import march_smooth as march
+        from nerfbake.kernels.march.traversal_smooth import march_smooth as march
 
         # Positions from centre to centre; what is occupied reaches one further on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])

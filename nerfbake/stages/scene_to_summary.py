@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.affine import placed
-from nerfbake.kernels.extremes import Extremes, extremes
+from nerfbake.kernels.maths.affine import placed
+from nerfbake.kernels.maths.extremes import Extremes, extremes
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.metrics import psnr, ssim
+from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import Image

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.elementary import exp, log, sine_cosine
-from nerfbake.kernels.sh import band_of, sh_basis
+from nerfbake.kernels.march.sh import band_of, sh_basis
+from nerfbake.kernels.maths.elementary import exp, log, sine_cosine
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.n3tree import N3Tree
 

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.elementary import sigmoid, sine_cosine
-from nerfbake.kernels.products import product
-from nerfbake.kernels.raster import cover
+from nerfbake.kernels.maths.elementary import sigmoid, sine_cosine
+from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.surface.raster import cover
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
 from nerfbake.scene.stage1 import Stage1

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels import colours
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.kernels.cluster import colours
+from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, ZERO_OFFSET, ZERO_SLOPE, Method, OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
 from nerfbake.stages.clusters_to_maps import affine_maps, grid_maps, mean_maps, snapped_maps

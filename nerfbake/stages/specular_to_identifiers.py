@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels import colours, mlp
-from nerfbake.kernels.products import principal_axes, product
+from nerfbake.kernels.cluster import colours
+from nerfbake.kernels.maths.products import principal_axes, product
+from nerfbake.kernels.surface import mlp
 from nerfbake.scene.specular import SpecularField
 
 DIMENSIONS = 32  # of a point: what the principal components leave out is below 0.1 % of the inertia

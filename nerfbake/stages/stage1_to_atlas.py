@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.octahedron import Lookup
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.surface.octahedron import Lookup
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.atlas_to_error import AtlasError, measure_error

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.mlp import evaluate_each
-from nerfbake.kernels.texture import nearest
+from nerfbake.kernels.surface.mlp import evaluate_each
+from nerfbake.kernels.surface.texture import nearest
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.bitmask import Ints
+from nerfbake.kernels.vdb.bitmask import Ints
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid
 from nerfbake.scene.vdb_topology import VdbTopology

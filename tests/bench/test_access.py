@@ -22,9 +22,9 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import VdbTree
 from tests.conftest import Shell
-from tests.formats.octrees import small_octree
-from tests.scenes import n3tree
-from tests.vdb_readers import tree, volume
+from tests.formats.octree.octrees import small_octree
+from tests.support.scenes import n3tree
+from tests.support.vdb_readers import tree, volume
 
 OURS = ("dense array", "dense pointers", "octree", "VDB", "VDB index")
 NANOVDB = ("NanoVDB C++", "NanoVDB C++, no stencil cache")
@@ -224,7 +224,7 @@ def test_a_density_that_float16_cannot_hold_costs_its_rows_only(tmp_path: Path) 
 
 
 def test_a_format_that_is_too_small_costs_its_row_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerfbake.formats.octree_protobuf.MAX_2GIB", 100)
+    monkeypatch.setattr("nerfbake.formats.octree.protobuf.MAX_2GIB", 100)
     tree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     density, index = (build_vdb(tree, grids=(grid,)) for grid in ("density", "index"))
     (refused,) = (what for what, _, size in access._file_rows(tmp_path, 4, tree, density, index) if size is None)

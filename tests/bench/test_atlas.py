@@ -11,7 +11,7 @@ import nerfbake
 from nerfbake import io
 from nerfbake.bench import atlas as benchmark
 from nerfbake.bench.report import markdown
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.kernels.maths.sphere import fibonacci
 
 
 @pytest.mark.slow

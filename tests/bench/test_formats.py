@@ -16,8 +16,8 @@ from nerfbake.cli.main import run
 from nerfbake.cli.words import Words
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
-from tests.formats.octrees import SPELLINGS, small_octree
-from tests.scenes import n3tree
+from tests.formats.octree.octrees import SPELLINGS, small_octree
+from tests.support.scenes import n3tree
 
 
 def quiet(_: str) -> Any:

@@ -13,7 +13,7 @@ import pytest
 from nerfbake import build_octree, orbit, save
 from nerfbake.bench import render
 from tests.conftest import Shell
-from tests.scenes import n3tree
+from tests.support.scenes import n3tree
 
 
 def test_a_row_renders_every_camera_and_says_how_far_it_is_from_the_first(tmp_path: Path) -> None:

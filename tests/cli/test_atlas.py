@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from nerfbake.cli.main import run
-from nerfbake.formats._texture import encode_texture
-from tests.atlas_scenes import mlp_json, stage1_folder, texture
+from nerfbake.formats.wire.texture import encode_texture
+from tests.support.atlas_scenes import mlp_json, stage1_folder, texture
 
 
 def png(mode: str) -> bytes:

@@ -13,8 +13,8 @@ import pytest
 
 from nerfbake import Meshes, Stage1, load, orbit, save
 from nerfbake.cli.main import run
-from tests.atlas_scenes import stage1_folder
-from tests.meshes import cube, sphere
+from tests.support.atlas_scenes import stage1_folder
+from tests.support.meshes import cube, sphere
 
 
 @pytest.fixture(scope="module")

@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 
 from nerfbake import build_octree, build_vdb, catalog
-from nerfbake.formats._texture import encode_texture
+from nerfbake.formats.wire.texture import encode_texture
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
 from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
-from tests import captures
-from tests.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
-from tests.formats.octrees import SPELLINGS, small_octree, written
-from tests.formats.test_n3tree_npz import archive, svox
-from tests.meshes import cube, square
-from tests.scenes import n3tree
+from tests.formats.field.test_n3tree import archive, svox
+from tests.formats.octree.octrees import SPELLINGS, small_octree, written
+from tests.support import captures
+from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
+from tests.support.meshes import cube, square
+from tests.support.scenes import n3tree
 from tests.test_hostile import quantised
 
 Files = dict[str, bytes]

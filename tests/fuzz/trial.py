@@ -24,9 +24,9 @@ from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
 from nerfbake.stages._picture import picture
-from tests.formats.octrees import small_octree
+from tests.formats.octree.octrees import small_octree
 from tests.fuzz.breakage import Case
-from tests.peaks import peak, resident
+from tests.support.peaks import peak, resident
 
 LIMIT = 64 << 20  # --max-memory of every case
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile

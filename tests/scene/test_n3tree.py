@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 from nerfbake.errors import InvalidScene
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.n3tree import N3Tree
-from tests.scenes import n3tree
+from tests.support.scenes import n3tree
 
 
 def test_sampling_by_hand() -> None:

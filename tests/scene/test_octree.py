@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import build_octree
 from nerfbake.errors import InvalidScene
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.scenes import n3tree, octrees, world_centres
+from tests.support.scenes import n3tree, octrees, world_centres
 
 
 def grid_octree(values: npt.NDArray[Any]) -> SparseVoxelOctree:

@@ -11,13 +11,15 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import density_octree, orbit, render, summarise
 from nerfbake.errors import InvalidScene
-from nerfbake.formats import vdb_nanovdb, vdb_npz, vdb_openvdb
+from nerfbake.formats.volume import nanovdb as vdb_nanovdb
+from nerfbake.formats.volume import npz as vdb_npz
+from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
-from tests.vdb_readers import SCENES, index, transform, tree
+from tests.support.vdb_readers import SCENES, index, transform, tree
 
 coordinates = st.integers(-(2**20), 2**20) | st.integers(-9, 9)
 

@@ -12,8 +12,8 @@ from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
 from nerfbake.scene.stage1 import Stage1
-from tests.atlas_scenes import field, random_atlas
-from tests.meshes import cube
+from tests.support.atlas_scenes import field, random_atlas
+from tests.support.meshes import cube
 
 
 def test_stage_1_by_hand() -> None:

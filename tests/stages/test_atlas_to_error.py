@@ -10,12 +10,12 @@ import pytest
 import nerfbake
 from nerfbake import bake_atlas, measure_error
 from nerfbake.errors import InvalidFile, InvalidScene
-from nerfbake.formats._texture import encode_texture
+from nerfbake.formats.wire.texture import encode_texture
 from nerfbake.io import load_folder
-from nerfbake.kernels import octahedron
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.surface import octahedron
 from nerfbake.scene.atlas import OctahedralAtlas
-from tests.atlas_scenes import field
+from tests.support.atlas_scenes import field
 
 DIRECTIONS = fibonacci(100)
 

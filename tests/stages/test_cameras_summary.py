@@ -14,7 +14,7 @@ from nerfbake import Camera, Cameras, load, summarise
 from nerfbake.cli.main import run
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.lens import Lens
-from tests.captures import rig, write_colmap_binary
+from tests.support.captures import rig, write_colmap_binary
 
 
 def around(elevation: float, *, turn: npt.NDArray[np.float64] | None = None) -> Cameras:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nerfbake import Meshes, draw, orbit
-from tests.meshes import camera, cube, sphere, square, straight_down
+from tests.support.meshes import camera, cube, sphere, square, straight_down
 
 TEXELS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
 

@@ -14,8 +14,8 @@ from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout
 from nerfbake.stages.n3tree_to_octree import Resample
-from tests import oracle
-from tests.scenes import assert_same_octree, n3tree, n3trees, sizes, world_centres
+from tests.support import oracle
+from tests.support.scenes import assert_same_octree, n3tree, n3trees, sizes, world_centres
 
 
 def test_one_split_by_hand() -> None:

@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 from nerfbake import build_octree, cut_octree
 from nerfbake.errors import InvalidScene
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.scenes import n3tree, octrees
+from tests.support.scenes import n3tree, octrees
 
 
 @given(octrees(), st.data())

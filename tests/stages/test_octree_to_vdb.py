@@ -11,7 +11,7 @@ from nerfbake import build_octree, build_vdb
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid
-from tests.scenes import n3tree, octrees, world_centres
+from tests.support.scenes import n3tree, octrees, world_centres
 
 
 @given(octrees(dtypes=(np.float32,)))
@@ -36,7 +36,7 @@ def test_a_voxel_stands_at_its_centre_in_the_world() -> None:
 
 def test_the_colour_is_the_sigmoid_of_the_mean_over_directions() -> None:
     octree = build_octree(n3tree(data_format="SH9"))
-    from nerfbake.kernels.sh import sh_basis
+    from nerfbake.kernels.march.sh import sh_basis
 
     random = np.random.default_rng(0).normal(size=(20_000, 3))
     directions = np.concatenate([random, -random, random[:, [1, 2, 0]], random[:, [2, 0, 1]]])

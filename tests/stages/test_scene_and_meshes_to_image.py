@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Meshes, composite, draw, render
 from nerfbake.errors import InvalidScene
-from tests.meshes import mesh
 from tests.stages.test_scene_to_image import front, solid
+from tests.support.meshes import mesh
 
 BLUE = np.tile(np.array([0, 0, 1], np.float32), (4, 1))
 

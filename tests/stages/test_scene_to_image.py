@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Camera, Cameras, Image, SparseVoxelOctree, build_octree, build_vdb, cut_octree, load, orbit, render
 from nerfbake.errors import InvalidScene, MemoryLimit
-from nerfbake.kernels.sh import sh_basis
+from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.n3tree import N3Tree
@@ -19,7 +19,7 @@ from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.conftest import DATA
-from tests.scenes import n3tree
+from tests.support.scenes import n3tree
 
 
 def solid(sigma: float, red: float = 0.0, **fields: Any) -> N3Tree:

@@ -8,7 +8,7 @@ from hypothesis import given
 from nerfbake import build_octree, summarise
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.scenes import n3tree, n3trees, octrees
+from tests.support.scenes import n3tree, n3trees, octrees
 
 
 def test_a_tree_by_hand() -> None:

@@ -8,7 +8,7 @@ import pytest
 from nerfbake import Image, build_octree, compare, orbit
 from nerfbake.errors import BudgetMissed, InvalidScene
 from nerfbake.scene.n3tree import N3Tree
-from tests.scenes import n3tree
+from tests.support.scenes import n3tree
 
 
 def scenes() -> tuple[N3Tree, N3Tree]:

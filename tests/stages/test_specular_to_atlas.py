@@ -16,11 +16,11 @@ import nerfbake
 from nerfbake import bake_atlas, measure_error
 from nerfbake.errors import InvalidScene
 from nerfbake.io import load_folder
-from nerfbake.kernels import mlp, octahedron
-from nerfbake.kernels.sphere import fibonacci
+from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.surface import mlp, octahedron
 from nerfbake.scene.atlas import METHODS, Method, tetrahedron
 from nerfbake.scene.specular import SpecularField
-from tests.atlas_scenes import field
+from tests.support.atlas_scenes import field
 
 DIRECTIONS = fibonacci(100)
 PLAIN_AND_OTHERS: list[tuple[Method, int]] = [("kmeans", 64), ("affine", 16), ("grid", 1)]
@@ -125,7 +125,7 @@ def test_sizes_out_of_range_are_refused(options: dict[str, object], named: str) 
 DIGEST = """
 import hashlib
 from nerfbake import bake_atlas
-from tests.atlas_scenes import field
+from tests.support.atlas_scenes import field
 for method in ("kmeans", "affine", "grid"):
     atlas = bake_atlas(field(90, 120), method=method, clusters=50, map_size=16, nodes=4)
     print(hashlib.sha256(atlas.tiles.tobytes()).hexdigest(), hashlib.sha256(atlas.labels.tobytes()).hexdigest())

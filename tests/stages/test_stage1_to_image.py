@@ -11,12 +11,12 @@ import pytest
 
 from nerfbake import BakedAtlas, Stage1, bake_stage1, compare, draw, orbit, sample_stage1, shade
 from nerfbake.errors import InvalidScene
-from nerfbake.kernels.mlp import evaluate
+from nerfbake.kernels.surface.mlp import evaluate
 from nerfbake.scene.atlas import METHODS, Method
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.stages.stage1_to_image import surfaces
-from tests.atlas_scenes import field, random_atlas, texture
-from tests.meshes import square, straight_down
+from tests.support.atlas_scenes import field, random_atlas, texture
+from tests.support.meshes import square, straight_down
 from tests.test_shaders import expected
 
 BLACK = np.zeros((2, 2, 3), np.uint8)

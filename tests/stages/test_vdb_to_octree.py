@@ -10,14 +10,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import build_octree, build_vdb, density_octree, orbit, render, restore_octree
 from nerfbake.errors import InvalidScene
-from nerfbake.kernels.bitmask import slots_of
+from nerfbake.kernels.vdb.bitmask import slots_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
-from tests.scenes import assert_same_octree, n3tree, n3trees, octrees, world_centres
+from tests.support.scenes import assert_same_octree, n3tree, n3trees, octrees, world_centres
 
 
 @given(n3trees())

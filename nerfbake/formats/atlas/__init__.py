@@ -1,0 +1,1 @@
+"""Octahedral atlases as bytes."""

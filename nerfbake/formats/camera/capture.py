@@ -1,0 +1,136 @@
+"""What all dialects of cameras share: a folder's files, names that are safe as files, sizes told by the pictures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import PurePosixPath
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.kernels.maths.affine import combined
+
+MAX_FRAMES = 100_000
+DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
+MAX_NAME = 120  # bytes of a name; what stands beside a picture, and a file that is not yet whole, have longer ones
+PICTURES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+_UNSAFE = re.compile(r"[^\w .+()\[\]-]")
+_OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
+_MAX_PART = 240  # bytes of a file's name, before an ending is tried
+_CAMERA_BYTES = 1000  # what Python takes for one
+_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+Size = tuple[int, int]
+
+
+class Folder(Protocol):
+    """Files by name, where a name may lead into folders below; nothing is read before it is asked for."""
+
+    def __contains__(self, name: object) -> bool: ...
+
+    def __getitem__(self, name: str) -> memoryview: ...
+
+    def names(self, folder: str) -> list[str]:
+        """Of the files in a folder below ('' for this one), sorted; none where there is no such folder."""
+
+    def head(self, name: str) -> bytes:
+        """The first bytes of a file; none where there is no such file."""
+
+
+def room_for(frames: int) -> None:
+    """Raises InvalidFile for no frames or too many, MemoryLimit where their cameras do not fit."""
+    if not 1 <= frames <= MAX_FRAMES:
+        raise InvalidFile(Problem("the frames", f"are {frames:,}", f"1 to {MAX_FRAMES:,}"))
+    memory.hold(f"{frames:,} cameras", _CAMERA_BYTES * frames)
+
+
+def opengl(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Camera to world from OpenCV's axes (x right, y down, z ahead) in OpenGL's (x right, y up, z back)."""
+    return combined(pose, _OPENCV)
+
+
+def names_of(paths: Iterable[str | None]) -> list[str]:
+    """A name for each frame that a file may have, all different: the last part of its path without a picture's ending.
+
+    What is no letter, digit, space or one of .-_+()[] becomes _; a leading dot or dash, too. What is empty then is its
+    number. Equal ones get their number behind them. A long one is cut.
+    """
+    taken: set[str] = set()
+    found = []
+    for i, path in enumerate(paths):
+        name = plain = _safe(path or "") or f"{i:04d}"
+        step = 0
+        while name in taken:
+            name, step = f"{plain}_{i:04d}" + "_" * step, step + 1
+        taken.add(name)
+        found.append(name)
+    return found
+
+
+def _safe(path: str) -> str:
+    name = path.replace("\\", "/").rstrip("/").rpartition("/")[2]
+    for ending in (*PICTURES, *_OTHERS):
+        name = name.removesuffix(ending)
+    name = _UNSAFE.sub("_", name[: 2 * MAX_NAME]).strip()
+    if not name.strip("._-"):
+        return ""
+    name = "_" + name[1:] if name[0] in ".-" else name
+    return name.encode()[:MAX_NAME].decode(errors="ignore").rstrip()
+
+
+class PictureSizes:
+    """Sizes from the headers of pictures that stand beside a file, each read once."""
+
+    def __init__(self, folder: Folder | None) -> None:
+        self._folder = folder
+        self._known: dict[str, Size | None] = {}
+        self._there: dict[str, set[str]] = {}  # the names in each folder: a capture may have 100,000 frames
+
+    def of(self, path: str | None) -> Size | None:
+        """Width and height of a picture, whose ending may be left out; None if it is not there or cannot be read."""
+        inside = None if self._folder is None or not path else _inside(path)
+        if inside is None:
+            return None
+        if inside not in self._known:
+            self._known[inside] = self._read(inside)
+        return self._known[inside]
+
+    def _read(self, path: str) -> Size | None:
+        assert self._folder is not None
+        # Imported here: only sizes need Pillow, and most files tell theirs.
+        from nerfbake.formats.wire.picture import size_of
+
+        place, _, name = path.rpartition("/")
+        if place not in self._there:
+            self._there[place] = set(self._folder.names(place))
+        endings = (ending for ending in ("", *PICTURES) if name + ending in self._there[place])
+        if (ending := next(endings, None)) is None:
+            return None
+        try:
+            return size_of(self._folder.head(path + ending), path + ending)
+        except InvalidFile:
+            return None
+
+
+def _inside(path: str) -> str | None:
+    """The path as a name in the file's own folder; None for one that leads out of it, or that nothing can have."""
+    clean = PurePosixPath(path.replace("\\", "/"))
+    if clean.is_absolute() or ".." in clean.parts or not path.isprintable() or len(path) > 1000:
+        return None
+    if any(len(part.encode()) > _MAX_PART for part in clean.parts):
+        return None
+    return str(clean)
+
+
+def size_note(frames: int, size: Size | None) -> tuple[str, ...]:
+    """What is said where nothing tells how large the pictures of so many cameras are, and what is taken instead."""
+    if not frames:
+        return ()
+    width, height = size or (DEFAULT_EDGE, DEFAULT_EDGE)
+    whose = "the first" if size else "the Blender scenes"
+    told = f"no size is told and no picture is there for {frames:,} of its cameras"
+    return (f"{told}: {width}x{height} taken, as of {whose}",)

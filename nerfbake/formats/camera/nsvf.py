@@ -1,0 +1,85 @@
+"""A capture as NSVF has them, and Tanks and Temples and BlendedMVS with it.
+
+pose/NAME.txt    4 x 4 camera to world, OpenCV's axes; or in poses/
+intrinsics.txt   4 x 4 or 3 x 3 numbers; or 16 in a line; or a first line `f cx cy _`, behind which other things stand
+rgb/NAME.png     the pictures, whose size nothing else tells
+Lines of two numbers are passed over. All splits (0_, 1_, 2_ before a name) are taken, in the order of their names.
+Source: NSVF's data_utils.py; spec/inputs.md, 9.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats.camera.capture import Folder, PictureSizes, Size, names_of, opengl, room_for
+from nerfbake.scene.base import MAX_WORLD
+from nerfbake.scene.camera import Camera, Cameras
+
+_INSIDE = "intrinsics.txt"
+_POSES = ("pose", "poses")
+_MAX_SIZE = 1 << 16  # bytes of a file of a few numbers
+
+_Rows = list[list[float]]
+
+
+def recognise(files: Folder) -> bool:
+    return _INSIDE in files and any(files.names(folder) for folder in _POSES)
+
+
+def decode(files: Folder, *, member: str = "") -> Cameras:
+    folder = next((folder for folder in _POSES if files.names(folder)), _POSES[0])
+    stems = [name.removesuffix(".txt") for name in files.names(folder) if name.endswith(".txt")]
+    room_for(len(stems))
+    fx, fy, cx, cy = _inside(_rows(files, _INSIDE))
+    sizes = PictureSizes(files)
+    found = [sizes.of(f"rgb/{stem}") for stem in stems]
+    default = next((size for size in found if size), None) or _around(cx, cy)
+    notes = (f"no picture in rgb: {default[0]}x{default[1]} taken, around the centre",) if not any(found) else ()
+    cameras = []
+    for stem, size, name in zip(stems, found, names_of(stems), strict=True):
+        width, height = size or default
+        pose = opengl(_matrix(_rows(files, f"{folder}/{stem}.txt"), f"{folder}/{stem}.txt"))
+        cameras.append(Camera(width, height, (fx, fy), pose, name, (cx, cy)))
+    return Cameras(tuple(cameras), "NSVF", f"{_INSIDE}, {folder}/*.txt", notes)
+
+
+def _inside(rows: _Rows) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy."""
+    edges = [len(row) for row in rows]
+    if edges in ([16], [4] * 4, [3] * 3):
+        K = np.array(rows).reshape(-1, 3 if len(edges) == 3 else 4)
+        if K[0, 1] != 0:
+            raise InvalidFile(Problem(f"{_INSIDE}: skew", f"is {K[0, 1]:g}", "0"))
+        return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+    if not edges or edges[0] not in (3, 4):
+        raise InvalidFile(Problem(_INSIDE, f"has lines of {edges} numbers", "4 x 4, 3 x 3, or a first line f cx cy _"))
+    f, cx, cy = rows[0][:3]
+    return f, f, cx, cy
+
+
+def _matrix(rows: _Rows, name: str) -> npt.NDArray[np.float64]:
+    numbers = [value for row in rows for value in row]
+    if len(numbers) != 16:
+        raise InvalidFile(Problem(name, f"has {len(numbers)} numbers", "4 x 4"))
+    return np.array(numbers).reshape(4, 4)
+
+
+def _rows(files: Folder, name: str) -> _Rows:
+    """The numbers of each line, but for lines of two."""
+    view = files[name]
+    if len(view) > _MAX_SIZE:
+        raise InvalidFile(Problem(name, f"has {len(view):,} bytes", f"{_MAX_SIZE:,}"))
+    try:
+        rows = [list(map(float, line.split())) for line in bytes(view).decode().splitlines()]
+    except ValueError:
+        raise InvalidFile(Problem(name, "holds what is no number", "lines of numbers")) from None
+    if not all(abs(value) <= MAX_WORLD for row in rows for value in row):
+        raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {MAX_WORLD:g}"))
+    return [row for row in rows if len(row) not in (0, 2)]
+
+
+def _around(cx: float, cy: float) -> Size:
+    """The picture whose middle is there."""
+    return max(1, round(2 * cx)), max(1, round(2 * cy))

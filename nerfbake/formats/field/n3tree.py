@@ -1,0 +1,156 @@
+"""svox's N3Tree archive (.npz): svox, legacy and quantised. Keys, dtypes and meaning: spec/n3tree.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.wire.npz_reader import ZIP_MAGIC, NpzReader
+from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.parallel import over_chunks
+from nerfbake.scene.basis import guess_data_format, parse_basis
+from nerfbake.scene.n3tree import N3Tree
+
+_CHUNK = 1 << 13  # cells dequantised at a time: all coefficients of these stay in the cache
+
+
+def recognise(head: bytes) -> bool:
+    """True for the first bytes of a zip archive that does not call itself an octree's."""
+    return head[:4] in ZIP_MAGIC
+
+
+def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
+    """The tree of an archive. `companion`: a _poses_bounds.npy stands beside the file (a forward-facing scene)."""
+    npz = NpzReader(view)
+    quantised = "quant_map" in npz and "data" not in npz
+    radius = "invradius3" if "invradius3" in npz or "invradius" not in npz else "invradius"
+    npz.require("child", "offset", radius, *(("quant_colors", "quant_map", "sigma") if quantised else ("data",)))
+    child = npz.array("child")
+    if child.dtype.kind != "i" or child.ndim != 4:
+        raise InvalidFile(Problem("child", f"has dtype {child.dtype}, shape {child.shape}", "int32 (n, N, N, N)"))
+    if child.size and max(abs(int(child.min())), abs(int(child.max()))) >= 1 << 31:
+        raise InvalidFile(Problem("child", "holds numbers beyond 32 bits", "offsets within the table"))
+    if child.dtype != np.int32:
+        memory.hold("child", 4 * child.size)
+        child = child.astype(np.int32)
+    data = _dequantise(npz, child) if quantised else npz.array("data")
+    data_dim = data.shape[-1] if data.ndim else 0
+    if "data_dim" in npz and (declared := npz.scalar("data_dim")) != data_dim:
+        raise InvalidFile(Problem("data_dim", f"is {declared}", f"{data_dim}, as many values as a cell has"))
+    dialect = "svox" if radius == "invradius3" else "legacy"
+    if quantised:
+        dialect = "quantised+retained" if "data_retained" in npz else "quantised"
+    extra = npz.single("extra_data") if "extra_data" in npz else None
+    return N3Tree(
+        child=child,
+        data=data,
+        offset=_world(npz, "offset"),
+        invradius=_world(npz, radius),
+        data_format=str(npz.scalar("data_format")) if "data_format" in npz else _guess(data_dim),
+        # svox writes an empty array where there are no lobes.
+        extra_data=extra if extra is not None and extra.size else None,
+        dialect=dialect,
+        ndc=companion,
+    )
+
+
+def encode(tree: N3Tree) -> Iterator[bytes | memoryview]:
+    """The archive as svox writes it, stored; `quantised` and `legacy` trees become plain ones."""
+    parent_depth = np.zeros((tree.n, 2), np.int32)
+    for depth, (rows, cells) in enumerate(zip(tree.levels, tree.parent_cells, strict=True)):
+        parent_depth[rows, 0] = np.maximum(cells, 0)
+        parent_depth[rows, 1] = depth
+    arrays: dict[str, npt.ArrayLike] = {
+        "data_dim": np.int64(tree.data_dim),
+        "child": tree.child,
+        "parent_depth": parent_depth,
+        "n_internal": np.int64(tree.n),
+        "n_free": np.int64(tree.n - sum(map(len, tree.levels))),
+        "invradius3": tree.invradius.astype(np.float32),
+        "offset": tree.offset.astype(np.float32),
+        "depth_limit": np.int64(len(tree.levels) - 1),
+        "geom_resize_fact": np.float64(1),
+        "data": tree.data,
+        "data_format": np.array(tree.data_format),
+    }
+    if tree.extra_data is not None:
+        arrays["extra_data"] = tree.extra_data
+    yield from write_npz(arrays)
+
+
+def _guess(data_dim: int) -> str:
+    if guess := guess_data_format(data_dim):
+        return guess
+    raise InvalidScene(
+        Problem("data", f"has {data_dim} values per cell and no data_format", "4 (RGBA), or 3 k + 1 (SHk)")
+    )
+
+
+def _floats(npz: NpzReader, key: str) -> npt.NDArray[Any]:
+    array = npz.array(key)
+    if array.dtype.kind != "f":
+        raise InvalidFile(Problem(key, f"has dtype {array.dtype}", "float16, float32 or float64"))
+    return array
+
+
+def _world(npz: NpzReader, key: str) -> npt.NDArray[np.float64]:
+    array = _floats(npz, key)
+    if array.size not in (1, 3):
+        raise InvalidFile(Problem(key, f"has shape {array.shape}", "(3,)" + " or one value" * (key == "invradius")))
+    # float32 is what svox computes with; legacy files hold the same number as float64. What float32 cannot hold
+    # becomes infinite, of which the tree's value_problems() tell.
+    return np.broadcast_to(cast(cast(array.reshape(-1), np.float32), np.float64), 3).copy()
+
+
+def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The values behind PlenOctree's compression: each coefficient's (R, G, B) is a row of its own codebook.
+
+    quant_colors (b, K, 3), quant_map (b, n, N, N, N), sigma (n, N, N, N), data_retained (r, n, N, N, N, 3):
+    the r retained coefficients come first; b + r = B.
+    """
+    colors, codes, sigma = _floats(npz, "quant_colors"), npz.array("quant_map"), _floats(npz, "sigma")
+    retained = _floats(npz, "data_retained") if "data_retained" in npz else np.empty((0, *child.shape, 3), sigma.dtype)
+    if colors.ndim != 3 or colors.shape[2] != 3 or not colors.shape[1]:
+        raise InvalidFile(Problem("quant_colors", f"has shape {colors.shape}", "(b, K, 3)"))
+    b, codebook, _ = colors.shape
+    for key, array, shape in (
+        ("quant_map", codes, (b, *child.shape)),
+        ("sigma", sigma, child.shape),
+        ("data_retained", retained, (*retained.shape[:1], *child.shape, 3)),
+    ):
+        if array.shape != shape:
+            raise InvalidFile(Problem(key, f"has shape {array.shape}", f"{shape}"))
+    if codes.dtype.kind != "u":
+        raise InvalidFile(Problem("quant_map", f"has dtype {codes.dtype}", "uint16"))
+    if codes.size and codes.max() >= codebook:
+        index = np.unravel_index(int(np.argmax(codes >= codebook)), codes.shape)
+        where = f"quant_map[{', '.join(map(str, index))}]"
+        raise InvalidFile(Problem(where, f"is {codes[index]}", f"0 to {codebook - 1}, the rows of quant_colors"))
+    r = len(retained)
+    basis = parse_basis(f"SH{b + r}") if "data_format" not in npz else parse_basis(str(npz.scalar("data_format")))
+    if basis.size != b + r:
+        raise InvalidFile(Problem("quant_colors", f"has {b} codebooks beside {r} retained", f"{basis.size} together"))
+    dtype = np.float16 if sigma.dtype == colors.dtype == retained.dtype == np.float16 else np.float32
+    cells = sigma.size
+    memory.hold("the decoded data", cells * basis.data_dim * np.dtype(dtype).itemsize)
+    data = np.empty((cells, basis.data_dim), dtype)
+    sigma, codes, retained = sigma.reshape(-1), codes.reshape(b, cells), retained.reshape(r, cells, 3)
+
+    columns = np.ascontiguousarray(colors.transpose(0, 2, 1))
+
+    def fill(begin: int, end: int) -> None:
+        some, rows = slice(begin, end), data[begin:end]
+        rows[:, -1] = sigma[some]
+        for i, channel in product(range(basis.size), range(3)):
+            column = retained[i, some, channel] if i < r else columns[i - r, channel].take(codes[i - r, some])
+            rows[:, channel * basis.size + i] = column
+
+    over_chunks(fill, cells, _CHUNK)
+    return data.reshape(*child.shape, basis.data_dim)

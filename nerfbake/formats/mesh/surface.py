@@ -1,0 +1,41 @@
+"""A cascade's mesh as nerf2mesh's folders have it: mesh_{c}.obj, its mesh_{c}.mtl, and feat0_{c} as diffuse texture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from nerfbake.formats.mesh.obj_reader import decode_obj
+from nerfbake.formats.mesh.obj_writer import encode_obj
+from nerfbake.formats.wire.texture import decode_texture, encode_texture
+from nerfbake.scene.mesh import Mesh, joined
+from nerfbake.scene.stage1 import diffuse_name
+
+_MTL = "newmtl defaultMat\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\nmap_Kd {}\n"
+
+
+def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None:
+    """The mesh with its diffuse texture, if that is there; None where there is no mesh.
+
+    Raises InvalidFile for files that cannot be read, InvalidScene for a mesh without texture coordinates.
+    """
+    name, diffuse = f"mesh_{cascade}.obj", diffuse_name(files, cascade)
+    if name not in files:
+        return None
+    parts = decode_obj(files[name], name)
+    texture = decode_texture(files[diffuse], diffuse, any_mode=True) if diffuse else None
+    positions, faces, _ = joined(parts)
+    return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture)
+
+
+def encode_surface(
+    mesh: Mesh | None, files: Mapping[str, bytes | memoryview], cascade: int
+) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:
+    """The files by name, unless there is no mesh or it came from `files`."""
+    if mesh is None or f"mesh_{cascade}.obj" in files:
+        return
+    yield f"mesh_{cascade}.obj", encode_obj([mesh], f"mesh_{cascade}.mtl")
+    yield f"mesh_{cascade}.mtl", [_MTL.format(f"feat0_{cascade}.png").encode()]
+    if mesh.texture is not None:
+        yield f"feat0_{cascade}.png", [encode_texture(mesh.texture)]

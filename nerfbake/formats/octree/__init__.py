@@ -1,0 +1,1 @@
+"""Octrees as bytes."""

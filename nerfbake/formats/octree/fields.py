@@ -1,0 +1,231 @@
+"""What every octree format shares: the fields of a file, how they become an octree, and what may be wrong with them.
+
+TR-24-01's listing 3 names the fields; 7 and up are nerfbake's and may be absent (schemas/README.md has them all):
+
+    type_url, width, height, depth, node_children, node_data                     listing 3
+    data_format, data_dim, level_sizes, origin, voxel_size, extra_data           what it cannot say
+
+In the `report` profile node_children and node_data are plain lists of numbers; in `bulk` each is a Blob.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.wire.blob import Blob, blob_of
+from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.parallel import ahead
+from nerfbake.kernels.soundness import all_finite
+from nerfbake.scene.basis import guess_data_format, parse_basis
+from nerfbake.scene.octree import SparseVoxelOctree
+
+Profile = Literal["report", "bulk"]
+
+TYPE_URLS = {
+    "float32": "type.googleapis.com/google.protobuf.FloatValue",
+    "float16": "type.googleapis.com/svo.protobuf.Float16Value",
+}
+MAX_2GIB = 2**31 - 1
+SMALL_SIZE = 1 << 20  # more than all small fields and a format's own bytes can take
+_ROWS = 1 << 13  # made at a time: a megabyte or so
+
+
+def value_pieces(octree: SparseVoxelOctree) -> Iterator[memoryview]:
+    """node_data's bytes in order; what is not made yet is made while the part before it is written."""
+    rows = octree.node_rows
+    if isinstance(rows, np.ndarray):
+        yield blob_of(rows).data
+        return
+    starts = range(0, octree.n, _ROWS)
+    yield from ahead(blob_of(rows[start : start + _ROWS]).data for start in starts)
+
+
+def children_with(children: npt.NDArray[np.int32], no_child: int) -> npt.NDArray[np.int32]:
+    """The children table with 0 (as it is in memory) or -1 for "no child"."""
+    return children if no_child == 0 else np.where(children == 0, np.int32(no_child), children)
+
+
+def small_fields(octree: SparseVoxelOctree) -> dict[str, Any]:
+    """Every field but the two large arrays, as Python's own types."""
+    fields = {
+        "type_url": TYPE_URLS[octree.node_rows.dtype.name],
+        **dict(zip(("width", "height", "depth"), octree.size, strict=True)),
+        "data_format": octree.data_format,
+        "data_dim": octree.data_dim,
+        "level_sizes": octree.level_sizes,
+        "origin": octree.origin.tolist(),
+        "voxel_size": octree.voxel_size.tolist(),
+    }
+    if octree.extra_data is not None:
+        fields["extra_data"] = octree.extra_data.ravel().tolist()
+    return fields
+
+
+def require_finite(octree: SparseVoxelOctree, form: str, *, node_data: bool) -> None:
+    """Raises InvalidScene, before anything is written, if the format cannot spell a number. Infinities count."""
+    for name in ("node_data", "origin", "voxel_size", "extra_data"):
+        values = getattr(octree, name)
+        if values is not None and (node_data or name != "node_data") and not all_finite(values):
+            allowed = f"finite numbers in {form}" + (", or the bulk profile" if name == "node_data" else "")
+            raise InvalidScene(Problem(name, "holds NaN or infinity", allowed))
+
+
+def require_size(form: str, size: int, limit: int, whose: str) -> None:
+    """Raises InvalidScene, before anything is written, if the file could not be read again."""
+    if size > limit:
+        raise InvalidScene(Problem(form, f"would take {size:,} bytes", f"{limit:,}, {whose}"))
+
+
+def octree_of(fields: Mapping[str, Any]) -> SparseVoxelOctree:
+    """The octree that a file's fields say. What listing 3 has not may be absent, empty or 0.
+
+    node_children and node_data are a Blob, a list of numbers or a flat array; text is str, small arrays are lists or
+    arrays. Raises InvalidFile for what cannot be; a wrong topology is left for the scene to report.
+    """
+    type_url = _text(fields, "type_url") or TYPE_URLS["float32"]
+    if type_url not in TYPE_URLS.values():
+        raise InvalidFile(Problem("type_url", f"is {type_url[:80]!r}", " or ".join(TYPE_URLS.values())))
+    dtype = np.dtype("<f4" if type_url == TYPE_URLS["float32"] else "<f2")
+    children = _large(fields, "node_children", np.dtype("<i4"))
+    if children.size % 8:
+        raise InvalidFile(Problem("node_children", f"has {children.size:,} numbers", "a multiple of 8"))
+    data = _large(fields, "node_data", dtype)
+    level_sizes = _numbers(fields.get("level_sizes"), "level_sizes", np.dtype(np.int64))
+    n = int(level_sizes.sum()) if level_sizes.size else children.size // 8
+    if n < 1 or (level_sizes < 0).any() or (level_sizes > data.size).any():
+        raise InvalidFile(Problem("level_sizes", f"adds up to {n:,} nodes", f"1 to {data.size:,}"))
+    data_dim, rest = divmod(data.size, n)
+    if rest or not data_dim or (data.ndim == 2 and len(data) != n):
+        found = f"has {data.size:,} values ({data.nbytes:,} bytes) for {n:,} nodes"
+        raise InvalidFile(Problem("node_data", found, f"a multiple of {n:,}, not 0"))
+    if (declared := _whole(fields, "data_dim")) not in (0, data_dim):
+        raise InvalidFile(Problem("data_dim", f"is {declared}", f"{data_dim}, as many values as a node has"))
+    data_format = _text(fields, "data_format")
+    octree = assemble(
+        size=(_whole(fields, "width"), _whole(fields, "height"), _whole(fields, "depth")),
+        children=children.reshape(-1, 8),
+        data=data.reshape(n, data_dim),
+        data_format=data_format,
+        origin=_three(fields, "origin", 0.0),
+        voxel_size=_three(fields, "voxel_size", 1.0),
+        extra_data=_lobes(fields, data_format),
+    )
+    if level_sizes.size and not octree.structure_problems() and octree.level_sizes != level_sizes.tolist():
+        found = f"are {level_sizes.tolist()[:14]}"
+        raise InvalidFile(Problem("level_sizes", found, f"{octree.level_sizes} as node_children says"))
+    return octree
+
+
+def assemble(
+    *,
+    size: tuple[int, int, int],
+    children: npt.NDArray[Any],
+    data: npt.NDArray[Any],
+    data_format: str,
+    origin: npt.NDArray[Any],
+    voxel_size: npt.NDArray[Any],
+    extra_data: npt.NDArray[np.float32] | None,
+) -> SparseVoxelOctree:
+    """An octree from a file's arrays: -1 read as 0, nodes in another order sorted breadth-first, no format guessed.
+
+    children (c, 8) integers. What cannot be right is left as it is: the scene reports it when asked.
+    """
+    if children.dtype != np.int32:
+        if children.size and (abs(int(children.max())) > 2**31 - 1 or abs(int(children.min())) > 2**31 - 1):
+            raise InvalidFile(Problem("node_children", "holds numbers beyond 32 bits", "-1 to 2147483647"))
+        memory.hold("node_children", 4 * children.size)
+        children = children.astype(np.int32)
+    memory.require("node_children", children.size)
+    if children.size and (children == -1).any():
+        memory.hold("node_children", children.nbytes)
+        children = np.where(children == -1, np.int32(0), children)
+    data_format = data_format or guess_data_format(data.shape[1])
+    octree = SparseVoxelOctree(size, children, data, data_format, origin, voxel_size, extra_data)
+    return octree.breadth_first()
+
+
+def _large(fields: Mapping[str, Any], name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    value = fields.get(name)
+    if not isinstance(value, Blob):
+        return _numbers(value, name, dtype)
+    if value.dtype != dtype.str:
+        raise InvalidFile(Problem(name, f"has dtype {value.dtype[:40]!r}", f"{dtype.str!r}"))
+    size = dtype.itemsize
+    for edge in value.shape:  # Python's integers do not overflow
+        size *= edge
+    fits = len(value.shape) == 2 and min(value.shape) >= 0 and size == len(value.data)
+    if not fits or (name == "node_children" and value.shape[1] != 8):
+        found = f"declares shape {value.shape} {value.dtype} over {len(value.data):,} bytes"
+        raise InvalidFile(Problem(name, found, "two dimensions that fill the bytes, 8 columns for node_children"))
+    return np.frombuffer(value.data, dtype).reshape(value.shape)
+
+
+def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """A list of numbers, or an array of them, as a flat array of this dtype. Nothing is rounded to whole numbers,
+    and nothing finite becomes infinite."""
+    if value is None:
+        return np.empty(0, dtype)
+    if isinstance(value, np.ndarray):
+        flat = value.reshape(-1)
+    elif isinstance(value, list):
+        try:  # array() takes numbers alone: no text, no None, no lists
+            memory.hold(name, 9 * len(value))  # it grows by an eighth
+            flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")
+        except (TypeError, ValueError, OverflowError):
+            raise InvalidFile(
+                Problem(name, "holds what is no number", f"a flat list of {_KINDS[dtype.kind]}")
+            ) from None
+    else:
+        raise InvalidFile(Problem(name, f"is {type(value).__name__}", f"a flat list of {_KINDS[dtype.kind]}"))
+    if flat.dtype.itemsize <= dtype.itemsize:
+        if flat.dtype.itemsize < dtype.itemsize:
+            memory.hold(name, flat.size * dtype.itemsize)
+        return flat.astype(dtype, copy=False)
+    memory.hold(name, flat.size * (dtype.itemsize + 1))
+    memory.require(name, flat.size)
+    narrow = cast(flat, dtype)
+    lost = narrow != flat if dtype.kind == "i" else np.isinf(narrow) & np.isfinite(flat)
+    if lost.any():
+        raise InvalidFile(Problem(name, f"holds {flat[lost.argmax()].item()}", f"numbers that {dtype.name} can hold"))
+    return narrow
+
+
+_KINDS = {"i": "whole numbers", "f": "numbers"}
+
+
+def _text(fields: Mapping[str, Any], name: str) -> str:
+    value = fields.get(name, "")
+    if not isinstance(value, str):
+        raise InvalidFile(Problem(name, f"is {type(value).__name__}", "text"))
+    return value
+
+
+def _whole(fields: Mapping[str, Any], name: str) -> int:
+    value = fields.get(name, 0)
+    if type(value) is not int or abs(value) > MAX_2GIB:
+        raise InvalidFile(Problem(name, f"is {str(value)[:40]}", "a whole number of 32 bits"))
+    return value
+
+
+def _three(fields: Mapping[str, Any], name: str, default: float) -> npt.NDArray[np.float64]:
+    values = _numbers(fields.get(name), name, np.dtype(np.float64))
+    if values.size not in (0, 3):
+        raise InvalidFile(Problem(name, f"has {values.size:,} numbers", "3"))
+    return values if values.size else np.full(3, default)
+
+
+def _lobes(fields: Mapping[str, Any], data_format: str) -> npt.NDArray[np.float32] | None:
+    values = _numbers(fields.get("extra_data"), "extra_data", np.dtype(np.float32))
+    if not values.size:
+        return None
+    size = parse_basis(data_format).size
+    if values.size % size:
+        raise InvalidFile(Problem("extra_data", f"has {values.size:,} numbers", f"a multiple of {size}"))
+    return values.reshape(size, -1)

@@ -1,0 +1,1 @@
+"""VDB grids as bytes."""

@@ -1,0 +1,70 @@
+"""NanoVDB (.nvdb), one grid a file: density (Float, Fp16), colour (Vec3f), or an index with its table (OnIndex).
+
+    u64 'NanoVDB0' | u32 version | u16 grids = 1 | u16 codec        16 bytes
+    metadata                                                        176 bytes
+    name and NUL
+    the grid's bytes (nanovdb_writer draws them), or with codec zip: u64 size | one zlib stream of them
+
+Versions are 32.4.2 for values and 32.6.0 for OnIndex, the newest that both old and new readers take. The checksum is
+of the first part of the grid only ("half"): that is what all of them verify alike. Source: spec/vdb.md, 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.formats.volume.nanovdb_reader import read_file
+from nerfbake.formats.volume.nanovdb_writer import write_grid
+from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.formats.wire.deflate import deflate_all
+from nerfbake.scene.vdb import VdbTree
+from nerfbake.scene.volume import Volume
+
+Codec = Literal["none", "zip"]
+
+
+def recognise(head: bytes) -> bool:
+    """True for the first bytes of a NanoVDB file of any version."""
+    return head[:7] == b"NanoVDB"
+
+
+def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryview]:
+    """The file in pieces. Raises InvalidScene for more than one grid: some readers lose the second."""
+    if len(volume.grids) != 1:
+        raise InvalidScene(
+            Problem("a .nvdb", f"would hold {len(volume.grids)} grids", f"one of {', '.join(volume.labels)}")
+        )
+    pieces, grid, box = write_grid(volume)
+    size = sum(map(len, pieces))
+    if codec == "zip":
+        packed = deflate_all(pieces)
+        pieces = [len(packed).to_bytes(8, "little"), packed]
+    first = volume.grids[0]
+    name = first.name.encode() + b"\0"
+    file, meta = np.zeros(1, nano.FILE), np.zeros(1, nano.META)
+    file["magic"], file["version"], file["grids"], file["codec"] = nano.MAGIC, grid["version"], 1, nano.CODECS[codec]
+    for field in ("type", "grid_class", "world", "voxel", "version", "blind"):
+        meta[field] = grid[field]
+    meta["grid_size"], meta["file_size"], meta["box"] = size, sum(map(len, pieces)), box
+    meta["name_key"], meta["name_size"], meta["codec"] = _name_key(name[:-1]), len(name), nano.CODECS[codec]
+    active = first.active_topology if isinstance(first, VdbTree) else first.topology
+    meta["nodes"], meta["voxels"] = (*first.topology.node_counts[::-1], 1), active.voxel_count
+    meta["tiles"] = active.tile_counts
+    yield file.tobytes() + meta.tobytes() + name
+    yield from pieces
+
+
+def decode(view: memoryview) -> Volume:
+    return read_file(view)
+
+
+def _name_key(name: bytes) -> int:
+    """NanoVDB's hash of a grid's name."""
+    key = 0
+    for char in name:
+        key = (key * 67 + char + (key >> 56)) & 0xFFFFFFFFFFFFFFFF
+    return key

@@ -1,0 +1,52 @@
+"""OpenVDB (.vdb), file version 224: any number of grids, float or 3 floats a voxel, or halves.
+
+    i64 0x56444220 | u32 224 | u32 major | u32 minor | u8 1 | 36 characters UUID | metadata | i32 grids
+    per grid: name | type | parent '' | i64 start, buffers, end | at start: openvdb_writer draws the rest
+
+text = u32 length | bytes                       metadata = u32 entries | (name, type, u32 size, value) each
+
+Of each node only active values are stored, each node's as a zlib stream of its own. The UUID is zeros, so that the
+same grids give the same bytes. Source: spec/vdb.md, 3.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import Literal
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.formats.volume.openvdb_reader import read_file
+from nerfbake.formats.volume.openvdb_writer import TYPES, write_grid
+from nerfbake.formats.wire.openvdb_stream import MAGIC, UUID, VERSION, text
+from nerfbake.scene.vdb import IndexGrid
+from nerfbake.scene.volume import Volume
+
+LIBRARY = (10, 0)  # the version of OpenVDB whose files these are like
+
+
+def recognise(head: bytes) -> bool:
+    """True for the first bytes of an OpenVDB file of any version."""
+    return head[:8] == MAGIC.to_bytes(8, "little")
+
+
+def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator[bytes | memoryview]:
+    """The file in pieces. Raises InvalidScene for an index grid, which the format does not have."""
+    yield struct.pack("<qIIIB", MAGIC, VERSION, *LIBRARY, 1) + UUID + struct.pack("<Ii", 0, len(volume.grids))
+    at = 8 + 12 + 1 + len(UUID) + 8
+    for k, grid in enumerate(volume.grids):
+        if isinstance(grid, IndexGrid):
+            raise InvalidScene(Problem("a .vdb", "has no index grids", "density, Cd, sh; or a .nvdb"))
+        # The frame stands in the first grid: tools that copy grids keep what a grid says.
+        written = write_grid(grid, volume.transform_of(grid), volume.frame if k == 0 else None, zipped=codec == "zip")
+        name = text(grid.name) + text(TYPES[grid.values.shape[1], grid.values.dtype.name]) + text("")
+        start = at + len(name) + 24
+        buffers = start + sum(map(len, written.front))
+        at = buffers + sum(map(len, written.buffers))
+        yield name + struct.pack("<3q", start, buffers, at)
+        yield from written.front
+        yield from written.buffers
+
+
+def decode(view: memoryview) -> Volume:
+    return read_file(view)

@@ -1,0 +1,1 @@
+"""Formats of bytes that know no scene: containers, codecs, number encodings."""

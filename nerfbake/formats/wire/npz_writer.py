@@ -1,0 +1,72 @@
+"""NumPy's .npz archives, written so that the same arrays give the same bytes everywhere.
+
+Members are stored, dated 1980, and start at multiples of 64 bytes, so that a reader may map them:
+
+    local header 30 B | name | extra: [zip64 20 B] + padding | .npy header and data
+    ... | central directory | [zip64 end records] | end record 22 B
+
+Sizes and CRCs stand in the local headers, not behind the data: cnpy, which volrend reads with, looks nowhere else.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import numpy.typing as npt
+from zlib_ng import zlib_ng
+
+from nerfbake.formats.wire.npy import npy_pieces
+
+ALIGN = 64
+_ZIP64_FROM = 0xFFFFFFFF  # numbers from here on do not fit the old fields, which then hold just this
+_DATE_1980 = 0x0021  # 1 January 1980 in DOS's bits
+_UNIX, _MODE = 3 << 8, 0o100644 << 16
+
+
+def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryview]:
+    """The archive in pieces; the arrays are handed over as they are, not copied."""
+    directory, at = [], 0
+    for key, value in arrays.items():
+        name = f"{key}.npy".encode()
+        head, body = npy_pieces(np.asarray(value))
+        size = len(head) + len(body)
+        crc = zlib_ng.crc32(body, zlib_ng.crc32(head))
+        zip64 = struct.pack("<HHQQ", 1, 16, size, size) if size >= _ZIP64_FROM else b""
+        version = 45 if zip64 else 20
+        unpadded = at + 30 + len(name) + len(zip64) + 4
+        padding = -unpadded % ALIGN
+        extra = zip64 + struct.pack("<HH", 0xD935, padding) + bytes(padding)
+        common = (0, 0, 0, _DATE_1980, crc, _u32(size), _u32(size), len(name))
+        yield struct.pack("<4s5H3I2H", b"PK\3\4", version, *common, len(extra)) + name + extra
+        yield head
+        yield body
+        directory.append(_central(name, version, common, size, at))
+        at += 30 + len(name) + len(extra) + size
+    entries = b"".join(directory)
+    yield entries + _end(len(directory), len(entries), at)
+
+
+def _central(name: bytes, version: int, common: tuple[int, ...], size: int, at: int) -> bytes:
+    zip64 = b""
+    if size >= _ZIP64_FROM:
+        zip64 += struct.pack("<QQ", size, size)
+    if at >= _ZIP64_FROM:
+        zip64 += struct.pack("<Q", at)
+    extra = struct.pack("<HH", 1, len(zip64)) + zip64 if zip64 else b""
+    made_by = _UNIX | 45
+    entry = struct.pack("<4s6H3I2H", b"PK\1\2", made_by, version, *common, len(extra))
+    return entry + struct.pack("<3H2I", 0, 0, 0, _MODE, _u32(at)) + name + extra
+
+
+def _end(count: int, size: int, at: int) -> bytes:
+    zip64 = b""
+    if at >= _ZIP64_FROM:
+        zip64 = struct.pack("<4sQ2H2I4Q", b"PK\6\6", 44, 45, 45, 0, 0, count, count, size, at)
+        zip64 += struct.pack("<4sIQI", b"PK\6\7", 0, at + size, 1)
+    return zip64 + struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, count, count, size, _u32(at), 0)
+
+
+def _u32(number: int) -> int:
+    return number if number < _ZIP64_FROM else 0xFFFFFFFF

@@ -1,0 +1,121 @@
+"""Lloyd's rounds for clusters that are not points but planes: each follows its members' features.
+
+y = x P_k,  x = (1, f)         P_k (4, p): the weighted least-squares fit to the members of cluster k
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import prange
+
+from nerfbake.kernels.cluster.lloyd import PARTS, Cells, squares
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.maths.equations import solve_each
+
+Array = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float64]
+f32 = np.float32
+
+_FAR = 1e9
+
+
+def nearest_clusters(cells: Cells, centres: Array, count: int) -> npt.NDArray[np.int32]:
+    """(c, count) the clusters whose centres are closest to each cell's mean, in order; of equals the first."""
+    found = np.empty((len(cells.mean), min(count, len(centres))), np.int32)
+    _nearest_clusters(cells.mean, np.ascontiguousarray(centres.T), found)
+    return found
+
+
+def fit(points: Array, features: Array, weight: Floats, label: npt.NDArray[np.int32], K: int, flatness: float) -> Array:
+    """(K, 4, p) the planes of K clusters; flatness pulls their slopes to 0, per unit of weight.
+
+    A cluster without members gets a plane so far away that it stays without.
+    """
+    p = points.shape[1]
+    moments = np.zeros((PARTS, K, 4, 4 + p))
+    _moments(points, features, weight, label, moments)
+    total = moments.sum(axis=0)
+    left, right = total[..., :4], total[..., 4:]
+    empty = left[:, 0, 0] == 0
+    left[empty], right[empty, 0] = np.eye(4), _FAR
+    pull = flatness * left[:, :1, :1] * np.diag([0.0, 1, 1, 1])
+    return solve_each(left + pull, right).astype(np.float32)
+
+
+def assign(
+    points: Array, features: Array, cells: Cells, candidates: npt.NDArray[np.int32], planes: Array
+) -> npt.NDArray[np.int32]:
+    """(m,) which plane comes closest to each point, among its cell's candidates; the first of equals."""
+    label = np.empty(len(points), np.int32)
+    _assign(points, features, cells.start, candidates, planes, label)
+    return label
+
+
+@compiled(parallel=True)
+def _moments(points: Array, features: Array, weight: Floats, label: npt.NDArray[np.int32], moments: Floats) -> None:
+    m, p = points.shape
+    for part in prange(len(moments)):
+        x = np.ones(4)
+        for i in range(m * part // len(moments), m * (part + 1) // len(moments)):
+            total = moments[part, label[i]]
+            for a in range(3):
+                x[a + 1] = features[i, a]
+            for a in range(4):
+                scaled = weight[i] * x[a]
+                for b in range(4):
+                    total[a, b] += scaled * x[b]
+                for t in range(p):
+                    total[a, 4 + t] += scaled * points[i, t]
+
+
+@compiled(parallel=True)
+def _nearest_clusters(mean: Array, across: Array, found: npt.NDArray[np.int32]) -> None:
+    """across (p, K): the centres' dimensions one after the other."""
+    K, count = across.shape[1], found.shape[1]
+    for c in prange(len(mean)):
+        away = np.empty(K, np.float32)
+        squares(mean[c], across, away)
+        own, held = found[c], 0
+        for k in range(K):
+            if held == count and not away[k] < away[own[count - 1]]:
+                continue
+            held = min(held + 1, count)
+            at = held - 1
+            while at > 0 and away[k] < away[own[at - 1]]:
+                own[at] = own[at - 1]
+                at -= 1
+            own[at] = k
+
+
+@compiled(parallel=True)
+def _assign(
+    points: Array,
+    features: Array,
+    start: npt.NDArray[np.int64],
+    candidates: npt.NDArray[np.int32],
+    planes: Array,
+    label: npt.NDArray[np.int32],
+) -> None:
+    p, count = points.shape[1], candidates.shape[1]
+    for c in prange(len(candidates)):
+        # The candidates' planes, dimension by dimension: a vector register holds several of them.
+        near, away = np.empty((p, 4, count), np.float32), np.empty(count, np.float32)
+        for q in range(count):
+            for a in range(4):
+                for t in range(p):
+                    near[t, a, q] = planes[candidates[c, q], a, t]
+        for i in range(start[c], start[c + 1]):
+            r, g, b = features[i, 0], features[i, 1], features[i, 2]
+            for q in range(count):
+                away[q] = 0
+            for t in range(p):
+                for q in range(count):
+                    shown = (near[t, 0, q] + r * near[t, 1, q]) + (g * near[t, 2, q] + b * near[t, 3, q])
+                    apart = points[i, t] - shown
+                    away[q] += apart * apart
+            best, which = f32(np.inf), np.int32(0)
+            for q in range(count):
+                if away[q] < best:
+                    best, which = away[q], candidates[c, q]
+            label[i] = which

@@ -1,0 +1,154 @@
+"""Rays through a tree of cells that are samples of something smooth: values between their centres are interpolated.
+
+Density is trilinear, an empty cell's being 0. Coefficients are trilinear too, weighted by density: what is empty has no
+colour that could show. The ray goes through the cubes between eight centres; along it, density is a cubic there, whose
+integral two Gauss points give exactly. Empty regions are crossed a cell of the tree at a time.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.march.cells import EMPTY, Cells, Ints, descend, new_path
+from nerfbake.kernels.march.traversal import (
+    BLOCK,
+    Doubles,
+    Floats,
+    beyond,
+    exp_parts,
+    shuffled,
+    sigmoid,
+    span,
+    sums,
+    within,
+)
+
+GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; the other is as far from the end
+
+
+@compiled(parallel=True)
+def march_smooth(
+    cells: Cells,
+    values: Floats,
+    box: Doubles,
+    origin: Doubles,
+    directions: Doubles,
+    stop: Doubles,
+    basis: Floats,
+    cut: float,
+    out: Floats,
+) -> None:
+    """As traversal.march, but that positions count from the first cell's centre; the box goes from centre to centre."""
+    low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
+    high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
+    blocks, levels = (len(directions) + BLOCK - 1) // BLOCK, len(cells.bits)
+    for turn in prange(blocks):
+        block = shuffled(turn, blocks)
+        path, corners = new_path(cells), np.zeros((8, 4))
+        for ray in range(block * BLOCK, min((block + 1) * BLOCK, len(directions))):
+            start, end, scale = span(box, origin, directions, ray, stop[ray])
+            d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
+            o0, o1, o2 = origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2
+            through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
+            t, end, world, fresh = 0.0, end - start, 1 / scale, 8
+            x, y, z = within(o0, low0, high0), within(o1, low1, high1), within(o2, low2, high2)
+            while t < end:
+                # The cube from x to x + 1, or all cubes between the centres of an empty cell's own.
+                l0, l1, l2, width = x, y, z, 1
+                if _slot(cells, path, x, y, z) == EMPTY:
+                    edge = int(cells.width[path[levels]])
+                    if edge > 1 and cells.edge > max(x, y, z) and min(x, y, z) >= 0:
+                        e0, e1, e2 = x // edge * edge, y // edge * edge, z // edge * edge
+                        if max(x - e0, y - e1, z - e2) < edge - 1:
+                            l0, l1, l2, width, fresh = e0, e1, e2, edge - 1, 8
+                exit0 = ((l0 + width if d0 > 0 else l0) - o0) / d0 if d0 != 0 else np.inf
+                exit1 = ((l1 + width if d1 > 0 else l1) - o1) / d1 if d1 != 0 else np.inf
+                exit2 = ((l2 + width if d2 > 0 else l2) - o2) / d2 if d2 != 0 else np.inf
+                ahead = max(min(exit0, exit1, exit2), t)
+                if width == 1:
+                    _fetch(cells, path, values, basis, ray, x, y, z, fresh, corners)
+                    length = min(ahead, end) - t
+                    for point in range(2):
+                        at = t + length * (GAUSS if point == 0 else 1 - GAUSS)
+                        sigma, r, g, b = _between(corners, o0 + at * d0 - x, o1 + at * d1 - y, o2 + at * d2 - z)
+                        if sigma > 0:
+                            whole, rest = exp_parts(-sigma * 0.5 * length * world)
+                            kept = whole + whole * rest
+                            lost = through * (1 - kept)
+                            red += lost * sigmoid(r / sigma)
+                            green += lost * sigmoid(g / sigma)
+                            blue += lost * sigmoid(b / sigma)
+                            far += lost * (start + at) * world
+                            through *= kept
+                    if through < cut:
+                        break
+                t = ahead
+                x, y, z, axis = beyond(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+                if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
+                    break
+                if width == 1:
+                    # The corners that the next cube does not share with this one, as bits of their numbers.
+                    upward = d0 > 0 if axis == 0 else d1 > 0 if axis == 1 else d2 > 0
+                    fresh = 4 >> axis if upward else -(4 >> axis)
+            out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
+
+
+@compiled(inline=True)
+def _slot(cells: Cells, path: Ints, x: int, y: int, z: int) -> Any:
+    if 0 <= x < cells.edge and 0 <= y < cells.edge and 0 <= z < cells.edge:
+        return descend(cells, path, x, y, z)
+    path[len(cells.bits)] = 0
+    return np.int64(EMPTY)
+
+
+@compiled(inline=True)
+def _fetch(
+    cells: Cells,
+    path: Ints,
+    values: Floats,
+    basis: Floats,
+    ray: int,
+    x: int,
+    y: int,
+    z: int,
+    fresh: int,
+    corners: Doubles,
+) -> None:
+    """Density, and density times the sums of coefficients, at the corners 4 dx + 2 dy + dz of a cube.
+
+    fresh: 8, all of them; 4, 2 or 1, those on the far side of x, y or z, as the cube before lay below this one; and
+    with a minus sign, as it lay above.
+    """
+    axis = abs(fresh) & 7
+    for corner in range(8):
+        # Shared corners move over before they are overwritten: upward from below, downward from above.
+        number = corner if fresh > 0 else 7 - corner
+        if axis and (number & axis == 0) == (fresh > 0):
+            for k in range(4):  # a loop: slices would be copied first, in case they overlap
+                corners[number, k] = corners[number ^ axis, k]
+            continue
+        slot = _slot(cells, path, x + (number >> 2), y + (number >> 1 & 1), z + (number & 1))
+        sigma, r, g, b = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+        if slot != EMPTY:
+            sigma = values[-2 - slot, 3 * basis.shape[1]]
+            r, g, b = sums(values, -2 - slot, basis, ray)
+        corners[number, 0], corners[number, 1] = sigma, sigma * r
+        corners[number, 2], corners[number, 3] = sigma * g, sigma * b
+
+
+@compiled(inline=True)
+def _between(corners: Doubles, f0: float, f1: float, f2: float) -> Any:
+    """The corners' four values at a place in their cube, 0 to 1 along each axis."""
+    sigma, r, g, b = 0.0, 0.0, 0.0, 0.0
+    for corner in range(8):
+        weight = (f0 if corner & 4 else 1 - f0) * (f1 if corner & 2 else 1 - f1) * (f2 if corner & 1 else 1 - f2)
+        sigma += weight * corners[corner, 0]
+        r += weight * corners[corner, 1]
+        g += weight * corners[corner, 2]
+        b += weight * corners[corner, 3]
+    return sigma, r, g, b

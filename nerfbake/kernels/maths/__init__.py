@@ -1,0 +1,1 @@
+"""Numbers: the same on every processor."""

@@ -1,0 +1,200 @@
+"""An octree over a voxel grid and an N^3 tree over the same cube, descended together.
+
+Everything is compared in whole numbers: coordinate x of a voxel grid of W voxels stands at x / W of the cube, cell i
+of a level of K cells starts at i / K, and x / W < i / K is x K < i W. So no grid size, aligned or not, ever rounds.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.octree.pyramid import INNER, Level
+
+Ints = npt.NDArray[np.int64]
+
+# Octant o = x + 2y + 4z: the steps of each axis.
+STEPS = tuple(np.arange(8) >> axis & 1 for axis in range(3))
+MAX_NUMBER = 2**31 - 1  # of a leaf: 32 bits keep the levels half as large
+CHUNK = 1 << 13  # cubes split at a time: temporaries stay in the cache, and memory bounded
+
+
+class Source(NamedTuple):
+    """The tree to read from, ready for descents; C = N^3 cells a node, flat cells are row * C + cell."""
+
+    N: int
+    cells: Ints  # (levels,) cells along an axis at each depth: N, N^2, ...
+    link: npt.NDArray[np.int32]  # (n C,) row of the child that holds something, 0 = leaf or nothing there
+    density: npt.NDArray[np.float32]  # (n C,) density of leaves, 0 in empty ones and where there is a child
+
+
+class Cubes(NamedTuple):
+    """Octree nodes of one level: where they are, and the deepest source node that contains each."""
+
+    x: Ints
+    y: Ints
+    z: Ints
+    row: Ints
+    depth: Ints
+
+    def take(self, which: npt.NDArray[np.bool_]) -> Cubes:
+        return Cubes(*(array[which] for array in self))
+
+
+def split(parents: Cubes) -> Cubes:
+    """The eight octants of every cube, parent after parent."""
+    place = (((q[:, None] << 1) + step).reshape(-1) for q, step in zip(parents[:3], STEPS, strict=True))
+    x, y, z = place
+    return Cubes(x, y, z, np.repeat(parents.row, 8), np.repeat(parents.depth, 8))
+
+
+def spans(cubes: Cubes, shift: int, size: tuple[int, int, int], *, centres: bool) -> list[tuple[Ints, Ints]]:
+    """Per axis the part of the grid that each cube of 2^shift voxels covers, from a to b, in units of 1 / 2W.
+
+    With `centres` from its first to its last voxel centre, else from edge to edge. Cut at the grid's end.
+    """
+    found = []
+    for q, edge in zip(cubes[:3], size, strict=True):
+        a = q << (shift + 1)
+        b = np.minimum(a + (2 << shift), 2 * edge)
+        found.append((a + 1, b - 1) if centres else (a, b))
+    return found
+
+
+def descend(
+    source: Source, cubes: Cubes, shift: int, size: tuple[int, int, int], *, centres: bool
+) -> tuple[Ints, Cubes]:
+    """Follows the source tree down as long as one of its cells contains the whole cube.
+
+    -> (m,) the flat leaf cell that contains it (density 0: nothing there), or INNER, and the cubes with the deepest
+    source node that contains each. A cube is judged by its span: see spans().
+    """
+    N, cells_per_node = source.N, source.N**3
+    span = spans(cubes, shift, size, centres=centres)
+    exclusive = 0 if centres else 1
+    leaf = np.full(len(cubes.row), INNER, np.int64)
+    row, depth = cubes.row.copy(), cubes.depth.copy()
+    active = np.arange(len(row))
+    while len(active):
+        K = source.cells[depth[active]]
+        cell, same = np.zeros(len(active), np.int64), np.ones(len(active), bool)
+        for (a, b), edge in zip(span, size, strict=True):
+            first = a[active] * K // (2 * edge)
+            same &= first == (b[active] * K - exclusive) // (2 * edge)
+            cell = cell * N + first % N
+        active, cell = active[same], cell[same] + row[active[same]] * cells_per_node
+        below = source.link[cell]
+        at_leaf = below == 0
+        leaf[active[at_leaf]] = cell[at_leaf]
+        active, below = active[~at_leaf], below[~at_leaf]
+        row[active] = below
+        depth[active] += 1
+    return leaf, cubes._replace(row=row, depth=depth)
+
+
+def refine(source: Source, size: tuple[int, int, int], *, centres: bool, node_bytes: int) -> tuple[list[Level], Cubes]:
+    """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
+
+    -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
+    the voxels made of several parts, of which the k-th has the number n C + n + k; all of these may be empty, which
+    only a voxel's parts can tell. With `centres` a voxel covers what its centre hits. Raises MemoryLimit as soon as
+    the nodes, at node_bytes each, take too much.
+    """
+    if _halves_alike(source, size, centres=centres):
+        return _follow(source, size, node_bytes), Cubes(*(np.zeros(0, np.int64) for _ in range(5)))
+    shift = max(edge - 1 for edge in size).bit_length()
+    root = Cubes(*(np.zeros(1, np.int64) for _ in range(5)))
+    level, inner = _keep(source, root, root.row, np.zeros(1, np.uint8), shift, size, centres=centres)
+    if not len(level.leaf):
+        # Nothing anywhere: the root stays, an inner node without children.
+        return [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32))], inner
+    levels, nodes = [level], 1
+    while len(inner.row) and shift:
+        shift -= 1
+        found = []
+        at = np.flatnonzero(level.leaf == INNER)
+        for start in range(0, len(at), CHUNK):
+            some = slice(start, start + CHUNK)
+            cubes = split(Cubes(*(array[some] for array in inner)))
+            parent, octant = np.repeat(at[some], 8), np.tile(np.arange(8, dtype=np.uint8), len(at[some]))
+            found.append(_keep(source, cubes, parent, octant, shift, size, centres=centres))
+            nodes += len(found[-1][0].leaf)
+            _require_room(nodes, size, node_bytes)
+        level = Level(*(np.concatenate(arrays) for arrays in zip(*(piece for piece, _ in found), strict=True)))
+        inner = Cubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
+        levels.append(level)
+    # Whatever is still not within one leaf is a single voxel: a whole node of the source, or parts of several.
+    exact = np.ones(len(inner.row), bool)
+    K = np.concatenate([[1], source.cells])[inner.depth]
+    for (a, b), edge in zip(spans(inner, 0, size, centres=centres), size, strict=True):
+        exact &= (b - a) * K == 2 * edge
+    number = source.link.size + inner.row
+    number[~exact] = source.link.size + source.link.size // source.N**3 + np.arange(np.count_nonzero(~exact))
+    _number(level, number, source)
+    return levels, inner.take(~exact)
+
+
+def _halves_alike(source: Source, size: tuple[int, int, int], *, centres: bool) -> bool:
+    """The octree's cubes are the tree's own cells, all the way down to voxels."""
+    aligned = source.N == 2 and len(set(size)) == 1 and size[0] & (size[0] - 1) == 0
+    return aligned and (not centres or size[0] >= source.cells[-1])  # a larger voxel's centre is in one of its cells
+
+
+def _follow(source: Source, size: tuple[int, int, int], node_bytes: int) -> list[Level]:
+    """What refine() finds where _halves_alike(), in a fifth of its time: the source's own nodes, level by level."""
+    octant = np.arange(8)
+    cell_of_octant = (octant & 1) << 2 | octant & 2 | octant >> 2  # x + 2y + 4z of an octree is 4x + 2y + z of a node
+    level, row = Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32)), np.zeros(1, np.int32)
+    levels, nodes = [level], 1
+    while len(levels) < size[0].bit_length() and len(row):
+        cell = (row.astype(np.int64)[:, None] * 8 + cell_of_octant).reshape(-1)
+        link = source.link.take(cell)
+        held = np.flatnonzero((link > 0) | (source.density.take(cell) > 0))
+        _require_room(nodes := nodes + len(held), size, node_bytes)
+        link, parent = link.take(held), np.flatnonzero(level.leaf == INNER).astype(np.int32).take(held >> 3)
+        leaf = np.where(link > 0, np.int32(INNER), cell.take(held).astype(np.int32))
+        level = Level(parent, (held & 7).astype(np.uint8), leaf)
+        levels.append(level)
+        row = link[link > 0]
+    _number(level, source.link.size + row.astype(np.int64), source)
+    return levels
+
+
+def _number(level: Level, number: Ints, source: Source) -> None:
+    """Numbers the voxels that are not within one leaf."""
+    if max(source.link.size, number.max(initial=0)) > MAX_NUMBER:
+        raise InvalidScene(Problem("the tree", f"has {source.link.size:,} cells", f"{MAX_NUMBER:,} with their voxels"))
+    level.leaf[level.leaf == INNER] = number
+
+
+def _require_room(nodes: int, size: tuple[int, int, int], node_bytes: int) -> None:
+    memory.require(f"an octree of {'x'.join(map(str, size))} voxels", nodes * node_bytes)
+
+
+def _keep(
+    source: Source,
+    cubes: Cubes,
+    parent: Ints,
+    octant: npt.NDArray[np.uint8],
+    shift: int,
+    size: tuple[int, int, int],
+    *,
+    centres: bool,
+) -> tuple[Level, Cubes]:
+    """Of these cubes those in the grid that hold something; and of them again those to be split."""
+    within = np.ones(len(parent), bool)
+    for q, edge in zip(cubes[:3], size, strict=True):
+        within &= q << shift < edge
+    if not within.all():
+        cubes, parent, octant = cubes.take(within), parent[within], octant[within]
+    leaf, cubes = descend(source, cubes, shift, size, centres=centres)
+    held = (leaf == INNER) | (source.density[leaf] > 0)
+    # A leaf may not reach beyond the grid: its values would fill space that is none of its own.
+    for q, edge in zip(cubes[:3], size, strict=True):
+        leaf[(q + 1) << shift > edge] = INNER
+    level = Level(parent[held].astype(np.int32), octant[held], leaf[held].astype(np.int32))
+    return level, cubes.take(held & (leaf == INNER))

@@ -1,0 +1,1 @@
+"""Pixels: metrics, palettes, letters."""

@@ -1,0 +1,1 @@
+"""Triangles, their textures, and directions on the sphere."""

@@ -1,0 +1,144 @@
+"""Triangles seen along rays from one point: which one each pixel's ray meets first, where on it, how far away.
+
+With corners v0, v1, v2 relative to the camera and a ray d, the weights are d . (v1 x v2), d . (v2 x v0), d . (v0 x v1):
+all of one sign where the line of the ray meets the triangle, and then, divided by their sum, its barycentrics. That
+holds for corners behind the camera too, so nothing is clipped. Two triangles get the same numbers with opposite signs
+for the edge that they share, so that no ray passes between them.
+Source: Olano and Greer, "Triangle scan conversion using 2D homogeneous coordinates" (1997).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import prange
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.maths.affine import inverse, turned
+
+Floats = npt.NDArray[np.float64]
+
+NONE = -1
+_ROWS = 16  # of a band: threads share out the bands, and no two write to the same pixel
+_MARGIN = 1e-3  # of a pixel around a triangle's box, for rounding
+_CLOSE = 1e-9  # to a side, of the corners' distance: rounding may have put it on the other one
+
+
+class GBuffer(NamedTuple):
+    """triangle NONE, weights 0 and distance inf where a ray meets nothing."""
+
+    triangle: npt.NDArray[np.int32]  # (H, W)
+    weights: npt.NDArray[np.float32]  # (H, W, 3) of its corners; their sum is 1
+    distance: Floats  # (H, W) along the ray
+
+
+def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, rays: Floats) -> GBuffer:
+    """The nearest of t triangles for each pixel, whichever side they show; of equally near ones the first.
+
+    positions (v, 3), faces (t, 3); pose (4, 4) camera to world, OpenGL axes; rays (H, W, 3) the world directions
+    through the pixels' centres, in whose lengths distances are counted: whatever lens bends them, so long as all look
+    ahead and none is far from where its neighbours look. Raises InvalidScene where some do not look ahead.
+    """
+    H, W, _ = rays.shape
+    turn = inverse(pose[:3, :3])
+    points, looks = turned(positions - pose[:3, 3], turn), turned(rays, turn)
+    if not (looks[..., 2] < 0).all():
+        raise InvalidScene(Problem("the camera", "looks 90 degrees or more to a side", "less, where there are meshes"))
+    columns = _rising(looks[..., 0] / -looks[..., 2])
+    rows = _rising(looks[..., 1].T / looks[..., 2].T)
+    found = GBuffer(np.full((H, W), NONE, np.int32), np.zeros((H, W, 3), np.float32), np.full((H, W), np.inf))
+    boxes = np.zeros((len(faces), 4), np.int32)
+    _bound(points, faces, columns, rows, boxes)
+    _fill(points, faces, boxes, looks, *found)
+    return found
+
+
+def _rising(at: Floats) -> Floats:
+    """(2, W): how far right, on the plane before the camera, any column up to each one reaches, and how far left any
+    from each one on: (H, W) of pixels' centres. Both rise, so that a search finds which columns may see a place.
+    """
+    most, least = at.max(axis=0), at.min(axis=0)
+    margin = _MARGIN * (most.max() - least.min()) / len(most) + _CLOSE * np.abs(at).max()
+    low = np.minimum.accumulate(least[::-1])[::-1] - margin
+    return np.stack([np.maximum.accumulate(most) + margin, low])
+
+
+@compiled(parallel=True)
+def _bound(
+    points: Floats, faces: npt.NDArray[np.uint32], columns: Floats, rows: Floats, boxes: npt.NDArray[np.int32]
+) -> None:
+    """(t, 4) the pixels where each triangle may be seen: left, top, right, bottom, the last two exclusive."""
+    for f in prange(len(faces)):
+        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
+        for corner in range(3):
+            p, q = points[faces[f, corner]], points[faces[f, (corner + 1) % 3]]
+            if p[2] < 0:
+                x, y = -p[0] / p[2], p[1] / p[2]
+                left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
+            if (p[2] < 0) != (q[2] < 0):
+                # The edge leaves through the camera's plane, which is seen infinitely far out on that side.
+                s = p[2] / (p[2] - q[2])
+                x, y = p[0] + s * (q[0] - p[0]), p[1] + s * (q[1] - p[1])
+                close = _CLOSE * (abs(p[0]) + abs(q[0]) + abs(p[1]) + abs(q[1]))
+                left, right = -np.inf if x < close else left, np.inf if x > -close else right
+                top, bottom = -np.inf if y > -close else top, np.inf if y < close else bottom
+        if left <= right:
+            boxes[f, 0], boxes[f, 1] = _below(columns, 0, left, True), _below(rows, 0, top, True)
+            boxes[f, 2], boxes[f, 3] = _below(columns, 1, right, False), _below(rows, 1, bottom, False)
+
+
+@compiled()
+def _below(table: Floats, row: int, value: float, strictly: bool) -> int:
+    """How many of a rising row are below a value, or not above it."""
+    first, count = 0, table.shape[1]
+    while count > 0:
+        half = count >> 1
+        here = table[row, first + half]
+        if here < value or (here == value and not strictly):
+            first += half + 1
+            count -= half + 1
+        else:
+            count = half
+    return first
+
+
+@compiled(parallel=True)
+def _fill(
+    points: Floats,
+    faces: npt.NDArray[np.uint32],
+    boxes: npt.NDArray[np.int32],
+    looks: Floats,
+    triangle: npt.NDArray[np.int32],
+    weights: npt.NDArray[np.float32],
+    distance: Floats,
+) -> None:
+    H = len(looks)
+    for band in prange((H + _ROWS - 1) // _ROWS):
+        for f in range(len(faces)):
+            top, bottom = max(boxes[f, 1], band * _ROWS), min(boxes[f, 3], (band + 1) * _ROWS)
+            if top >= bottom:
+                continue
+            a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+            a0, a1, a2 = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+            b0, b1, b2 = c[1] * a[2] - c[2] * a[1], c[2] * a[0] - c[0] * a[2], c[0] * a[1] - c[1] * a[0]
+            c0, c1, c2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+            for y in range(top, bottom):
+                for x in range(boxes[f, 0], boxes[f, 2]):
+                    d0, d1, d2 = looks[y, x, 0], looks[y, x, 1], looks[y, x, 2]
+                    u = d0 * a0 + d1 * a1 + d2 * a2
+                    v = d0 * b0 + d1 * b1 + d2 * b2
+                    w = d0 * c0 + d1 * c1 + d2 * c2
+                    if not ((u >= 0 and v >= 0 and w >= 0) or (u <= 0 and v <= 0 and w <= 0)):
+                        continue
+                    total = u + v + w
+                    if total == 0:
+                        continue  # seen edge-on
+                    u, v, w = u / total, v / total, w / total
+                    # A mean of the corners, so that rounding never puts it before or behind all of them.
+                    far = (u * a[2] + v * b[2] + w * c[2]) / d2
+                    if 0 < far < distance[y, x]:
+                        distance[y, x], triangle[y, x] = far, f
+                        weights[y, x, 0], weights[y, x, 1], weights[y, x, 2] = u, v, w

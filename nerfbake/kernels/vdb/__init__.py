@@ -1,0 +1,1 @@
+"""Arrays of VDB trees: masks, ranks, bricks."""

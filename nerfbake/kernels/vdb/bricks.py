@@ -1,0 +1,131 @@
+"""An octree's leaves as bricks of 8 x 8 x 8 voxels: which voxels are filled, and by which leaf.
+
+Bricks are nodes of the octree, or parts of larger leaves. In breadth-first order the nodes below a run of bricks are a
+run of each level, and a voxel's slot in its brick follows from the octants on the way down:
+
+    octant  z y x, a bit each     slot  x x x y y y z z z: children set the bits of 4, their children of 2, then of 1
+
+So nothing is sorted here, and whoever needs voxels sorted has to sort bricks only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.vdb.bitmask import Ints, Words
+
+_CHUNK = 512  # bricks at a time: their slots stay in the second-level cache
+_NOBODY = -1
+Nodes = npt.NDArray[np.int32]
+
+
+class Bricks(NamedTuple):
+    """low (p, 3) lowest voxel; mask (p, 8) filled voxels, slot x << 6 | y << 3 | z; node (m,) the leaf that fills
+    each, brick after brick, slots rising."""
+
+    low: Ints
+    mask: Words
+    node: Nodes
+
+
+class _Part(NamedTuple):
+    """Filled leaves of one level: their numbers, where they start (brick << 9 | slot, rising), their edge."""
+
+    node: Nodes
+    cell: Ints
+    edge: int
+
+
+def bricks_of(
+    children: npt.NDArray[np.int32],
+    level_sizes: list[int],
+    filled: npt.NDArray[np.bool_],
+    size: tuple[int, int, int],
+) -> Bricks:
+    """The bricks of a sound octree in breadth-first order, with nothing outside its W x H x D voxels.
+
+    children (c, 8), level_sizes nodes of each level, filled (n,) the leaves that count. Some bricks may be empty.
+    """
+    low, solid, parts = _tree(children, level_sizes, filled, np.array(size))
+    first_solid = len(low) - len(solid)
+    mask = np.zeros((len(low), 8), np.uint64)
+    nodes = [np.zeros(0, np.int32)] * (-(-len(low) // _CHUNK) or 1)
+    ends = np.array(size) - low
+    cut: npt.NDArray[np.bool_] = np.any(ends < 8, axis=1)
+
+    def work(begin: int, end: int) -> None:
+        node = np.full((end - begin, 512), _NOBODY, np.int32)
+        for part in parts:
+            own = slice(*np.searchsorted(part.cell, [begin << 9, end << 9]))
+            cell = part.cell[own] - (begin << 9)
+            node.reshape(-1)[cell[:, None] + _cube(part.edge)] = part.node[own, None]
+        if end > first_solid:
+            node[max(first_solid - begin, 0) :] = solid[max(begin - first_solid, 0) : end - first_solid, None]
+        if len(beyond := np.flatnonzero(cut[begin:end])):
+            node[beyond] = np.where(_inside(ends[begin + beyond]), node[beyond], _NOBODY)
+        held = node != _NOBODY
+        mask[begin:end] = np.packbits(held, axis=1, bitorder="little").view("<u8")
+        nodes[begin // _CHUNK] = node[held]
+
+    over_chunks(work, len(low), _CHUNK)
+    return Bricks(low, mask, np.concatenate(nodes))
+
+
+def _tree(
+    children: npt.NDArray[np.int32], level_sizes: list[int], filled: npt.NDArray[np.bool_], size: Ints
+) -> tuple[Ints, Nodes, list[_Part]]:
+    """(p, 3) bricks, those at the end (s,) filled by one larger leaf each, and the leaves of the others."""
+    inner = len(filled) - level_sizes[-1]
+    slots = np.flatnonzero(children[:inner].reshape(-1) != 0)  # of nodes 1, 2, 3, ...
+    edge = 1 << max(int(side) - 1 for side in size).bit_length()
+    corner, cell = np.zeros((1, 3), np.int64), np.zeros(1, np.int64)
+    low, solid, parts = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)], []
+    step = (np.arange(8) & 1) << 6 | (np.arange(8) >> 1 & 1) << 3 | np.arange(8) >> 2  # to each octant's slot
+    start = above = 0
+    for nodes in level_sizes:
+        if start:
+            own = slots[start - 1 : start - 1 + nodes]
+            parent, octant = (own >> 3) - (start - above), own & 7
+            edge //= 2
+            if edge >= 8:
+                corner, cell = corner[parent] + (octant[:, None] >> np.arange(3) & 1) * edge, np.arange(nodes) << 9
+            else:
+                cell = cell[parent] + (step * edge)[octant]
+        own = np.flatnonzero(filled[start : start + nodes])
+        number = (start + own).astype(np.int32)
+        if edge > 8:
+            pieces, of = _pieces(corner[own], edge, size)
+            low.append(pieces)
+            solid.append(number[of])
+        else:
+            parts.append(_Part(number, cell[own], edge))
+        start, above = start + nodes, nodes
+    bricks = corner if edge <= 8 else corner[:0]
+    return np.concatenate([bricks, *low]), np.concatenate(solid), parts
+
+
+def _pieces(corner: Ints, edge: int, size: Ints) -> tuple[Ints, Ints]:
+    """(s, 3) the bricks of cubes that are larger, as far as they reach into the grid, and (s,) the cube of each."""
+    if not len(corner):
+        return corner, np.zeros(0, np.int64)
+    reach = np.minimum(edge, (size - corner).max(axis=0))
+    steps = np.stack(np.meshgrid(*(np.arange(0, side, 8) for side in reach), indexing="ij"), axis=-1).reshape(-1, 3)
+    low = (corner[:, None] + steps).reshape(-1, 3)
+    held = np.flatnonzero((low < size).all(axis=1))
+    return low[held], held // len(steps)
+
+
+def _cube(edge: int) -> Ints:
+    """(edge^3,) slots of a brick's lowest cube of this edge."""
+    x, y, z = np.indices((edge, edge, edge)).reshape(3, -1)
+    return x << 6 | y << 3 | z
+
+
+def _inside(ends: Ints) -> npt.NDArray[np.bool_]:
+    """(q, 512) the slots before the grid's end, seen from each of (q, 3) bricks."""
+    x, y, z = (np.arange(8) < ends[:, axis, None] for axis in range(3))
+    return (x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]).reshape(-1, 512)

@@ -1,0 +1,108 @@
+"""The octree formats as a shell sees them: profiles, compression, pipes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from nerfbake import load, save
+from nerfbake.cli.main import run
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from tests.conftest import Shell
+from tests.formats.octree.octrees import FORMATS, small_octree
+from tests.support.scenes import assert_same_octree, n3tree
+
+
+@pytest.mark.parametrize("suffix", ["", ".zst"])
+def test_every_format_goes_through_a_pipe(suffix: str, shell: Shell, tmp_path: Path) -> None:
+    octree, name = small_octree(), ""
+    save(tmp_path / "a.svo.npz", octree)
+    stream = (tmp_path / "a.svo.npz").read_bytes()
+    for name in FORMATS:
+        done = shell("convert", "-", "-", "--to", f"{name}{suffix}", "-q", stdin=stream)
+        assert (done.returncode, done.stderr) == (0, b"")
+        stream = done.stdout
+        assert stream.startswith(b"\x28\xb5\x2f\xfd") == bool(suffix)
+        told = json.loads(shell("info", "-", "--json", stdin=stream).stdout)
+        assert (told["format"], told["nodes"], told["bytes_on_disk"]) == (f"{name}{suffix}", octree.n, len(stream))
+    assert shell("check", "-", stdin=stream).returncode == 0
+    (tmp_path / f"b.{name}{suffix}").write_bytes(stream)
+    assert_same_octree(load(tmp_path / f"b.{name}{suffix}", SparseVoxelOctree), octree)
+
+
+@pytest.mark.parametrize("command", ["svo", "convert", "lod"])
+def test_profiles_are_options_of_what_writes_octrees(command: str, tmp_path: Path) -> None:
+    save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
+    save(tmp_path / "a.svo.pb", small_octree())
+    source = str(tmp_path / ("a.npz" if command == "svo" else "a.svo.pb"))
+    options = ["--level", "1"] if command == "lod" else []
+    for profile, kind in (("report", list), ("bulk", dict)):
+        target = tmp_path / f"{profile}.svo.json"
+        assert run([command, source, str(target), "--profile", profile, *options, "-q"]) == 0
+        assert isinstance(json.loads(target.read_text())["node_data"], kind)
+
+
+def test_the_default_of_svo_pb_is_listing_3_and_bulk_elsewhere(tmp_path: Path) -> None:
+    save(tmp_path / "a.svo.npz", small_octree())
+    for name, form in FORMATS.items():
+        for profile in (None, *form.profiles):
+            options = ["--profile", profile] if profile else []
+            target = tmp_path / f"{profile}.{name}"
+            assert run(["convert", str(tmp_path / "a.svo.npz"), str(target), "-q", *options]) == 0
+        if form.profiles:
+            expected = "report" if name == "svo.pb" else "bulk"
+            assert (tmp_path / f"None.{name}").read_bytes() == (tmp_path / f"{expected}.{name}").read_bytes()
+            assert (tmp_path / f"report.{name}").read_bytes() != (tmp_path / f"bulk.{name}").read_bytes()
+
+
+def test_a_profile_of_a_format_that_has_none_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(tmp_path / "a.svo.pb", small_octree())
+    assert run(["convert", str(tmp_path / "a.svo.pb"), str(tmp_path / "b.svo.npz"), "--profile", "bulk"]) == 2
+    assert "svo.npz is written in one way only" in capsys.readouterr().err
+    assert not (tmp_path / "b.svo.npz").exists()
+
+
+def test_a_compressed_file_is_seen_whatever_its_name(tmp_path: Path) -> None:
+    octree = small_octree()
+    save(tmp_path / "a.svo.fb.zst", octree)
+    (tmp_path / "a.svo.fb.zst").rename(tmp_path / "a.svo.fb")
+    assert_same_octree(load(tmp_path / "a.svo.fb", SparseVoxelOctree), octree)
+
+
+def test_what_zstd_itself_compressed_is_read(tmp_path: Path) -> None:
+    octree = small_octree()
+    save(tmp_path / "a.svo.pb", octree)
+    packed = zstandard.ZstdCompressor(level=19).compress((tmp_path / "a.svo.pb").read_bytes())
+    (tmp_path / "b.svo.pb.zst").write_bytes(packed)
+    assert_same_octree(load(tmp_path / "b.svo.pb.zst", SparseVoxelOctree), octree)
+
+
+def test_a_plenoctree_may_be_compressed_too(tmp_path: Path) -> None:
+    assert run(["sample", "octree", str(tmp_path / "a.npz.zst"), "--resolution", "8", "-q"]) == 0
+    (tmp_path / "a_poses_bounds.npy").touch()
+    assert load(tmp_path / "a.npz.zst", N3Tree).ndc
+    assert run(["svo", str(tmp_path / "a.npz.zst"), str(tmp_path / "a.svo.pb"), "-q"]) == 1  # it faces forward
+
+
+def test_a_file_that_is_not_compressed_although_it_says_so_is_read_by_its_content(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(tmp_path / "a.svo.pb", small_octree())
+    (tmp_path / "a.svo.pb").rename(tmp_path / "a.svo.pb.zst")
+    assert_same_octree(load(tmp_path / "a.svo.pb.zst", SparseVoxelOctree), small_octree())
+    (tmp_path / "b.svo.pb.zst").write_bytes(b"neither")
+    assert run(["info", str(tmp_path / "b.svo.pb.zst")]) == 1
+    assert "b.svo.pb.zst: starts with 6e 65" in capsys.readouterr().err
+
+
+def test_same_scene_same_bytes(tmp_path: Path) -> None:
+    for name in FORMATS:
+        for suffix in ("", ".zst"):
+            a, b = tmp_path / f"a.{name}{suffix}", tmp_path / f"b.{name}{suffix}"
+            save(a, small_octree())
+            save(b, small_octree())
+            assert a.read_bytes() == b.read_bytes()

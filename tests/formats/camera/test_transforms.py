@@ -1,0 +1,207 @@
+"""transforms.json in every spelling, and what it must not get away with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image as Pillow
+
+from nerfbake import load
+from nerfbake.errors import InvalidFile, InvalidScene
+from nerfbake.formats.camera import transforms as cameras_json
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.lens import Lens
+
+EYE = np.eye(4).tolist()
+
+
+def capture(**fields: Any) -> dict[str, Any]:
+    frames = [{"file_path": "./train/r_7", "transform_matrix": EYE}]
+    return {"camera_angle_x": 0.7, "frames": frames} | fields
+
+
+def framed(**fields: Any) -> dict[str, Any]:
+    """Two frames, the second with these fields of its own."""
+    return capture(w=64, h=48, frames=[{"transform_matrix": EYE}, {"transform_matrix": EYE, **fields}])
+
+
+def read(fields: Any) -> Cameras:
+    return cameras_json.decode(memoryview(json.dumps(fields).encode()))
+
+
+def test_a_capture_by_hand() -> None:
+    cameras = read(capture())
+    (camera,) = cameras.cameras
+    assert (camera.width, camera.height, camera.name) == (800, 800, "r_7")
+    assert_allclose(camera.fx, 400 / np.tan(0.35))
+    assert cameras.notes == (
+        "no size is told and no picture is there for 1 of its cameras: 800x800 taken, as of the Blender scenes",
+    )
+    cameras = read(capture(w=640, h=480, fl_x=500))
+    (camera,) = cameras.cameras
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (640, 480, 500, 500, 320, 240)
+    assert cameras.notes == ()
+
+
+def test_what_is_written_is_read() -> None:
+    cameras = read(capture(w=640, h=480, fl_x=500))
+    data = b"".join(cameras_json.encode(cameras))
+    again = cameras_json.decode(memoryview(data))
+    assert_array_equal(again.cameras[0].pose, cameras.cameras[0].pose)
+    assert again.cameras[0].fx == 500
+    # What nerfstudio insists on stands there, once for all.
+    written = json.loads(data)
+    assert {key: written[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")} == {
+        **{"w": 640, "h": 480, "fl_x": 500, "fl_y": 500, "cx": 320, "cy": 240}
+    }
+    assert "camera_model" not in written
+    assert_allclose(written["camera_angle_x"], 2 * np.arctan(320 / 500))
+    # A program that knows no more than an angle must not take it for the whole truth.
+    for more in ({"cx": 300}, {"fl_y": 400}, {"k1": 0.1}):
+        (data,) = cameras_json.encode(read(capture(w=640, h=480, fl_x=500, **more)))
+        assert "camera_angle_x" not in json.loads(data)
+
+
+def test_cameras_of_different_kinds_are_written_each_with_its_own() -> None:
+    cameras = read(framed(fl_x=70.5, fl_y=71.25, cx=30, cy=25, k1=0.1, p2=-0.01, w=62))
+    data = b"".join(cameras_json.encode(cameras))
+    assert set(json.loads(data)) == {"frames"}
+    for one, other in zip(cameras.cameras, cameras_json.decode(memoryview(data)).cameras, strict=True):
+        assert (one.fx, one.fy, one.cx, one.cy, one.lens) == (other.fx, other.fy, other.cx, other.cy, other.lens)
+        assert (one.width, one.height) == (other.width, other.height)
+
+
+def test_the_middle_of_the_middle_pixel_looks_ahead() -> None:
+    (camera,) = read(capture(w=5, h=3)).cameras
+    place, directions = camera.rays()
+    assert_allclose(place, 0)
+    assert_allclose(directions[7], [0, 0, -1], atol=1e-12)
+    assert directions[0][0] < 0 < directions[0][1]  # the first pixel: to the left, and up
+
+
+@pytest.mark.parametrize(
+    ("own", "expected"),
+    [
+        ({"fl_x": 50}, (50, 50, 32, 24, 64, 48)),  # the frame's own focal length is that of both axes
+        ({"fl_x": 50, "fl_y": 40, "cx": 30.5, "cy": 20}, (50, 40, 30.5, 20, 64, 48)),
+        ({"fl_y": 40}, (40, 40, 32, 24, 64, 48)),
+        ({"x_fov": 90, "fl_x": 1, "camera_angle_x": 1}, (32, 32, 32, 24, 64, 48)),  # degrees first, as instant-ngp
+        ({"x_fov": 90, "y_fov": 90}, (32, 24, 32, 24, 64, 48)),
+        ({"camera_angle_y": np.pi / 2}, (24, 24, 32, 24, 64, 48)),
+        ({"w": 32.0, "h": 32.0, "x_fov": 90}, (16, 16, 16, 16, 32, 32)),
+    ],
+)
+def test_a_frames_own_fields_count(own: dict[str, Any], expected: tuple[float, ...]) -> None:
+    first, second = read(framed(**own)).cameras
+    assert_allclose(first.fx, 32 / np.tan(0.35))
+    found = (second.fx, second.fy, second.cx, second.cy, second.width, second.height)
+    assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_lenses_that_bend_nothing_are_pinholes() -> None:
+    zeros = dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), 0)
+    for fields in (zeros, {"camera_model": "OPENCV"}, {"camera_model": "PINHOLE", **zeros}, {"is_fisheye": False}):
+        assert read(capture(w=4, h=3, **fields)).cameras[0].lens is None
+    (camera,) = read(capture(w=4, h=3, is_fisheye=True, **zeros)).cameras
+    assert camera.lens == Lens("fisheye")
+
+
+def test_a_moving_camera_stands_where_it_starts() -> None:
+    there = np.eye(4)
+    there[0, 3] = 1
+    frame = {"transform_matrix_start": EYE, "transform_matrix_end": there.tolist()}
+    (camera,) = read(capture(w=4, h=3, frames=[frame])).cameras
+    assert_array_equal(camera.pose, np.eye(4))
+    read(capture(w=4, h=3, frames=[frame], rolling_shutter=[0, 0, 0, 0]))
+    with pytest.raises(InvalidFile, match=r"frames\[0\].transform_matrix_end is seen through a rolling_shutter"):
+        read(capture(w=4, h=3, frames=[frame], rolling_shutter=[0, 0, 0.1, 0]))
+
+
+def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
+    for name, size, kind in (("a.png", (30, 20), "PNG"), ("b.JPG", (20, 30), "JPEG"), ("c", (9, 9), "PNG")):
+        Pillow.new("RGB", size).save(tmp_path / name, kind)
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    (tmp_path.parent / "outside.png").write_bytes((tmp_path / "c").read_bytes())
+    paths = [
+        "a.png",
+        ".\\a.png",
+        "./b",
+        "c",
+        "none",
+        "../outside.png",
+        str(tmp_path / "c"),
+        "broken",
+        "a\0",
+        "x" * 5000,
+        "x" * 300,
+        "x" * 300 + "/a.png",
+    ]
+    frames = [{"file_path": path, "transform_matrix": EYE} for path in paths]
+    (tmp_path / "t.json").write_text(json.dumps(capture(frames=frames)))
+    cameras = load(tmp_path / "t.json", Cameras)
+    sizes = [(camera.width, camera.height) for camera in cameras.cameras]
+    assert sizes[:4] == [(30, 20), (30, 20), (20, 30), (9, 9)]
+    assert sizes[4:] == [(30, 20)] * 8  # what cannot be found or read is as large as the first
+    assert cameras.notes == (
+        "no size is told and no picture is there for 8 of its cameras: 30x20 taken, as of the first",
+    )
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ([], "holds a list"),
+        (capture(frames=[]), "frames are 0; allowed: 1 to 100,000"),
+        (capture(frames={}), "frames are no list"),
+        (capture(frames=[{}]), r"frames\[0\].transform_matrix has shape"),
+        (capture(frames=[{"transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]), "singular"),
+        (capture(frames=[{"transform_matrix": [[1, 2], [3]]}]), "no table of numbers"),
+        (capture(frames=[{"transform_matrix": np.full((4, 4), 1e308).tolist()}]), r"transform_matrix.*1e\+15"),
+        (capture(frames=[{"transform_matrix": np.eye(3).tolist()}]), "has shape"),
+        (capture(frames=[3]), r"frames\[0\] is a number"),
+        (capture(camera_angle_x=0), "camera_angle_x is 0"),
+        (capture(camera_angle_x=4), "camera_angle_x is 4"),
+        (capture(camera_angle_x=5e-324), "camera_angle_x is 4.94066e-324; allowed: radians between 0 and 3.142"),
+        (capture(camera_angle_x="wide"), "camera_angle_x is wide"),
+        (capture(camera_angle_x=None), "camera_angle_x is missing"),
+        (capture(x_fov=200), "x_fov is 200; allowed: degrees between 0 and 180"),
+        (capture(w=-3, h=3), "w is -3"),
+        (capture(w=640), "h is missing"),
+        (capture(w=640.5, h=480), "w is 640.5; allowed: a whole number of pixels"),
+        (capture(w=1e8, h=1), "w is 100000000.0; allowed: a number from 1 to 16384"),
+        (capture(w=4, h=3, fl_x=0), "fl_x is 0; allowed: a number from 1e-06 to 1e"),
+        (capture(w=4, h=3, fl_x=True), "fl_x is True"),
+        (capture(w=4, h=3, cx="middle"), "cx is middle"),
+        (capture(w=4, h=3, k1=[1]), "k1 is a list"),
+        (capture(w=4, h=3, k4=0.1), "k4 is 0.1; allowed: 0, or a camera_model that says"),
+        (capture(w=4, h=3, k5=0.1), "k5 is 0.1; allowed: 0, or camera_model FULL_OPENCV"),
+        (capture(w=4, h=3, k1=1e9), r"k1 is 1e\+09; allowed: -1e\+06 to 1e\+06"),
+        (capture(w=4, h=3, is_fisheye=True, p1=0.1), "p1, p2 are those of a fisheye lens"),
+        (capture(w=4, h=3, is_fisheye=True, camera_model="OPENCV"), "is_fisheye is true"),
+        (capture(w=4, h=3, is_fisheye="yes"), "is_fisheye is yes"),
+        (capture(w=4, h=3, camera_model="EQUIRECTANGULAR"), "camera_model is EQUIRECTANGULAR; allowed: SIMPLE_PINHOLE"),
+        (capture(w=4, h=3, camera_model=["OPENCV"]), "camera_model is a list"),
+        (capture(w=4, h=3, distortion_params=[0.1]), "distortion_params is no list of 6"),
+        (capture(w=4, h=3, latlong=True), "latlong is True; allowed: perspective"),
+        (capture(w=4, h=3, ftheta_p1=0.1), "ftheta_p1 is 0.1"),
+        (capture(w=4, h=3, sx1=0.1), "sx1 is 0.1"),
+        (framed(latlong=1), r"frames\[1\].latlong is 1"),
+        (framed(fl_x=-1), r"frames\[1\].fl_x is -1"),
+        (framed(k1=1e300), "k1"),
+        (capture(fl_x=float("nan")), "cannot be parsed"),
+    ],
+)
+def test_what_is_no_capture_is_refused(fields: Any, message: str) -> None:
+    with pytest.raises((InvalidFile, InvalidScene), match=message):
+        read(fields)
+
+
+def test_what_is_no_json_is_refused() -> None:
+    for data in (b"{", b"\xff", b"[" * 100_000, b"/*" * 100_000, b'{"frames": [1e999]}', b'{"w": ' + b"9" * 400 + b"}"):
+        with pytest.raises(InvalidFile, match="cannot be parsed"):
+            cameras_json.decode(memoryview(data))

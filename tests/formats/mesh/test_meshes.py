@@ -1,0 +1,328 @@
+"""Meshes from .obj and .glb, against trimesh, and whatever is wrong with them in one line."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from nerfbake import Meshes, load, save
+from nerfbake.cli.main import run
+from nerfbake.errors import NerfbakeError
+from nerfbake.formats.mesh import glb as meshes_glb
+from nerfbake.formats.mesh import obj as meshes_obj
+from nerfbake.memory import memory_limit
+from nerfbake.scene.mesh import Mesh
+from tests.support.hostile import damaged
+from tests.support.meshes import cube, mesh, sphere, square
+
+TEXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3) * 5
+ROOM = 1 << 28
+
+
+def painted() -> Meshes:
+    """One of every kind: plain, with vertex colours, with a texture."""
+    colours = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
+    flat = square(half=1.0)
+    return Meshes((cube(), cube(0.2, colours=colours), Mesh(flat.positions, flat.uvs, flat.faces, texture=TEXELS)))
+
+
+def same(a: Mesh, b: Mesh, *, atol: float = 0.0) -> None:
+    for name in ("positions", "faces", "uvs", "texture", "colours"):
+        x, y = getattr(a, name), getattr(b, name)
+        assert (x is None) == (y is None), name
+        if x is not None:
+            np.testing.assert_allclose(x, y, atol=atol, err_msg=name)
+
+
+def test_glb_there_and_back(tmp_path: Path) -> None:
+    save(tmp_path / "a.glb", painted())
+    back = load(tmp_path / "a.glb", Meshes)
+    for one, other in zip(painted().meshes, back.meshes, strict=True):
+        same(one, other, atol=1e-6)  # colours go through linear light
+
+
+def test_obj_there_and_back(tmp_path: Path) -> None:
+    scenes = (Meshes((cube(0.25),)), Meshes((painted().meshes[1],)), Meshes((square(), cube())))
+    for scene in scenes:
+        save(tmp_path / "a.obj", scene, force=True)
+        back = load(tmp_path / "a.obj", Meshes).meshes
+        for one, other in zip(scene.meshes, sorted(back, key=lambda m: len(m.faces)), strict=True):
+            same(one, other, atol=0.5 / 255)  # trimesh has vertex colours as bytes
+    with pytest.raises(NerfbakeError, match=r"has a texture; allowed: meshes without textures, or \.glb"):
+        save(tmp_path / "b.obj", painted())
+    assert not (tmp_path / "b.obj").exists()
+
+
+def test_another_writers_glb_with_turned_and_scaled_parts(tmp_path: Path) -> None:
+    writer: Any = trimesh
+    scene = writer.Scene()
+    ball = sphere(6, 8)
+    turn = writer.transformations.rotation_matrix(0.7, [1, 2, 3])
+    turn[:3, 3] = [1, 2, 3]
+    turn[:3, :3] *= 0.5
+    plain = writer.Trimesh(ball.positions, ball.faces, process=False)
+    material = writer.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(TEXELS).convert("RGBA"))
+    flat = square(half=1.0)
+    assert flat.uvs is not None
+    visual = writer.visual.TextureVisuals(uv=flat.uvs * [1, -1] + [0, 1], material=material)
+    scene.add_geometry(plain, node_name="a", transform=turn)
+    scene.add_geometry(writer.Trimesh(flat.positions, flat.faces, visual=visual, process=False), node_name="b")
+    (tmp_path / "other.glb").write_bytes(scene.export(file_type="glb"))
+    back = load(tmp_path / "other.glb", Meshes)
+    first, second = back.meshes
+    np.testing.assert_allclose(first.positions, ball.positions @ turn[:3, :3].T + turn[:3, 3], atol=1e-6)
+    np.testing.assert_array_equal(first.faces, ball.faces)
+    np.testing.assert_allclose(second.require_uvs(), flat.uvs, atol=1e-6)
+    np.testing.assert_array_equal(second.texture, TEXELS)
+
+
+def glb(document: Any, body: bytes = b"") -> bytes:
+    text = document if isinstance(document, bytes) else json.dumps(document).encode()
+    total = 12 + 8 + len(text) + 8 + len(body)
+    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(body), b"BIN\0") + body
+
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
+INDICES = np.array([0, 1, 2, 3], np.uint16)
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    """A triangle, with some of its entries changed."""
+    views = [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 8}]
+    found: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
+        ],
+        "bufferViews": views,
+        "buffers": [{"byteLength": 56}],
+    }
+    return found | changes
+
+
+BODY = CORNERS.tobytes() + INDICES.tobytes()
+
+
+def decoded(content: bytes) -> Meshes:
+    return meshes_glb.decode(memoryview(content))
+
+
+def primitive(**changes: Any) -> list[dict[str, Any]]:
+    return [{"primitives": [{"attributes": {"POSITION": 0}, **changes}]}]
+
+
+@pytest.mark.parametrize(
+    ("changes", "faces"),
+    [
+        ({}, [[0, 1, 2]]),
+        ({"meshes": primitive()}, [[0, 1, 2]]),
+        ({"meshes": primitive(mode=5)}, [[0, 1, 2], [3, 2, 1]]),
+        ({"meshes": primitive(mode=6)}, [[0, 1, 2], [0, 2, 3]]),
+        ({"nodes": [{"mesh": 0, "scale": [-1, 1, 1]}]}, [[2, 1, 0]]),
+        ({"scenes": []}, [[0, 1, 2]]),
+    ],
+)
+def test_every_way_to_spell_triangles(changes: dict[str, Any], faces: list[list[int]]) -> None:
+    (one,) = decoded(glb(document(**changes), BODY)).meshes
+    np.testing.assert_array_equal(one.faces, faces)
+
+
+def test_nodes_stand_in_one_another() -> None:
+    # Column-major: the last four numbers are the translation.
+    matrix = [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 10, 0, 0, 1]
+    half = np.sqrt(0.5)
+    nodes = [{"children": [1], "matrix": matrix}, {"mesh": 0, "rotation": [0, 0, half, half], "translation": [0, 0, 1]}]
+    (one,) = decoded(glb(document(nodes=nodes), BODY)).meshes
+    # A quarter turn around z takes x to y and y to -x.
+    np.testing.assert_allclose(one.positions, [[10, 0, 2], [10, 2, 2], [8, 0, 2], [8, 2, 2]], atol=1e-6)
+
+
+def test_colours_are_turned_from_linear_light() -> None:
+    look = {"pbrMetallicRoughness": {"baseColorFactor": [0.2140411, 1, 0, 1]}}
+    content = glb(document(materials=[look], meshes=primitive(material=0)), BODY)
+    colours: Any = decoded(content).meshes[0].colours
+    np.testing.assert_allclose(colours, [[0.5, 1, 0]] * 4, atol=1e-6)
+
+
+def accessor(**changes: Any) -> dict[str, Any]:
+    return {"accessors": [document()["accessors"][0] | changes, document()["accessors"][1]]}
+
+
+def image(**entry: Any) -> dict[str, Any]:
+    material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    uvs = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC2"}
+    return {
+        "materials": [material],
+        "textures": [{"source": 0}],
+        "images": [entry],
+        "accessors": [*document()["accessors"], uvs],
+        "meshes": primitive(material=0, attributes={"POSITION": 0, "TEXCOORD_0": 2}),
+    }
+
+
+def deep(depth: int) -> dict[str, Any]:
+    return {"nodes": [{"children": [i + 1]} for i in range(depth)] + [{"children": [0]}]}
+
+
+NAN = struct.pack("<f", np.nan) + BODY[4:]
+LIES: dict[str, tuple[bytes, str]] = {
+    "no glTF": (b"glTF", "is no .glb"),
+    "version 1": (glb(document(), BODY).replace(b"\x02\0\0\0", b"\x01\0\0\0", 1), "has version 1"),
+    "longer than it is": (glb(document(), BODY)[:-1], "declares"),
+    "no JSON": (glb(b"{"), "JSON chunk cannot be parsed"),
+    "deep JSON": (glb(b"[" * 100_000), "JSON chunk cannot be parsed"),
+    "a list": (glb([]), "JSON chunk holds a list"),
+    "nothing": (glb({}), "has no faces; allowed: at least one triangle"),
+    "no primitives": (glb(document(meshes=[{"primitives": []}]), BODY), "has no faces"),
+    "only lines": (glb(document(meshes=primitive(mode=1)), BODY), "has no faces"),
+    "two corners": (glb(document(meshes=primitive(mode=5), **accessor(count=2)), BODY), "has no faces"),
+    "a node that is its own child": (glb(document(nodes=[{"children": [0]}]), BODY), "stands in the scene twice"),
+    "a ring of nodes": (glb(document(**deep(5000)), BODY), "stands in the scene twice"),
+    "no such node": (glb(document(scenes=[{"nodes": [7]}]), BODY), "nodes have no entry 7"),
+    "a node of text": (glb(document(nodes=["mesh"]), BODY), "nodes[0] is a str"),
+    "no such mesh": (glb(document(nodes=[{"mesh": -1}]), BODY), "meshes have no entry -1"),
+    "a short matrix": (glb(document(nodes=[{"mesh": 0, "matrix": [1]}]), BODY), "nodes[0].matrix is no list"),
+    "no positions": (glb(document(meshes=primitive(attributes={})), BODY), "accessors have no entry None"),
+    "terabytes": (glb(document(**accessor(count=1 << 39)), BODY), "accessors[0] has 549,755,813,888 entries"),
+    "no corners": (glb(document(**accessor(count=0)), BODY), "accessors[0] has 0 entries"),
+    "a negative offset": (glb(document(**accessor(byteOffset=-12)), BODY), "accessors[0].byteOffset is -12"),
+    "past its view": (glb(document(**accessor(byteOffset=12)), BODY), "up to byte 60"),
+    "a view past the end": (glb(document(), BODY[:50]), "ends at byte 56"),
+    "a flat stride": (
+        glb(document(bufferViews=[{"buffer": 0, "byteLength": 48, "byteStride": 1}] * 2), BODY),
+        "accessors[0] has 4 entries",
+    ),
+    "text as positions": (glb(document(**accessor(type="TEXT")), BODY), "accessors[0] is TEXT of 5126"),
+    "a list as a type": (glb(document(**accessor(componentType=[])), BODY), "accessors[0] is VEC3 of []"),
+    "sparse": (glb(document(**accessor(sparse={})), BODY), "accessors[0] is sparse"),
+    "another file": (glb(document(buffers=[{"uri": "/etc/passwd"}]), BODY), "is in another file"),
+    "a picture elsewhere": (glb(document(**image(uri="file:///etc/passwd")), BODY), "images[0] is in another file"),
+    "no picture": (glb(document(**image(bufferView=0)), BODY), "images[0] cannot be read"),
+    "Draco": (glb(document(extensionsRequired=["KHR_draco_mesh_compression"]), BODY), "has KHR_draco_mesh"),
+    "required by number": (glb(document(extensionsRequired=5), BODY), "JSON.extensionsRequired is a int"),
+    "a corner too many": (glb(document(), BODY[:-8] + b"\x09\0" * 4), "mesh faces[0, 0] is 9; allowed: a"),
+    "NaN": (glb(document(), NAN), "mesh positions[0, 0] is nan"),
+    "far away": (glb(document(nodes=[{"mesh": 0, "scale": [1e300] * 3}]), BODY), "mesh positions[1, 0] is inf"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["KHR_lights_punctual", "KHR_materials_sheen", "KHR_xmp_json_ld"])
+def test_an_extension_that_changes_no_triangle_may_be_required(name: str) -> None:
+    plain, more = (
+        meshes_glb.decode(memoryview(glb(document(**with_it), BODY)))
+        for with_it in (
+            {},
+            {
+                "extensionsRequired": [name],
+                "extensionsUsed": [name],
+                "extensions": {name: {"lights": [{"type": "sun"}]}},
+            },
+        )
+    )
+    np.testing.assert_array_equal(more.meshes[0].positions, plain.meshes[0].positions)
+
+
+OBJ_LIES: dict[str, tuple[bytes, str]] = {
+    "no faces": (b"v 0 0 0\nv 1 0 0\n", "has no faces; allowed: at least one triangle"),
+    "only a line": (b"v 0 0 0\nv 1 0 0\nl 1 2\n", "has no faces"),
+    "a corner too many": (b"v 0 0 0\nf 1 2 3\n", "cannot be read"),
+    "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh positions[0, 0] is nan"),
+    "no numbers": (b"v a b c\nf 1 2 3\n", "cannot be read"),
+    "bytes": (b"v 0 0 0\n\xff\xfe", "has no faces"),
+}
+
+
+@pytest.mark.parametrize(("ending", "lie"), [("glb", lie) for lie in LIES] + [("obj", lie) for lie in OBJ_LIES])
+def test_a_lying_mesh_is_one_line(ending: str, lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content, named = (LIES if ending == "glb" else OBJ_LIES)[lie]
+    (tmp_path / f"bad.{ending}").write_bytes(content)
+    assert run(["info", str(tmp_path / f"bad.{ending}")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {tmp_path}/bad.{ending}: ")
+    assert named in line
+    assert "allowed" in line
+    assert run(["check", str(tmp_path / f"bad.{ending}")]) == 1
+
+
+def test_a_mesh_that_many_nodes_show_stays_within_max_memory() -> None:
+    content = glb(document(nodes=[{"mesh": 0}] * 2000, scenes=[{"nodes": list(range(2000))}]), BODY)
+    with pytest.raises(NerfbakeError, match="needs"), memory_limit(500_000):
+        meshes_glb.decode(memoryview(content))
+    assert len(decoded(content).meshes) == 2000
+
+
+@pytest.mark.parametrize("ending", ["obj", "glb"])
+def test_damaged_meshes(ending: str, tmp_path: Path) -> None:
+    good = painted() if ending == "glb" else Meshes((square(),))
+    save(tmp_path / f"a.{ending}", good)
+    module: Any = meshes_glb if ending == "glb" else meshes_obj
+    for _, broken in damaged((tmp_path / f"a.{ending}").read_bytes(), flips=200):
+        with contextlib.suppress(NerfbakeError):
+            module.decode(memoryview(broken))
+
+
+ODD: tuple[Any, ...] = (None, True, -1, 7, 1e300, 10**30, "x", [], [None], [[0]], {}, {"x": 0}, float("nan"))
+
+
+def with_odd_values(value: Any) -> Iterator[Any]:
+    """The document once for every value in it and every odd value in its place."""
+    yield from ODD
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, entry in list(entries):
+        for odd in with_odd_values(entry):
+            changed = copy.copy(value)
+            changed[key] = odd
+            yield changed
+
+
+def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
+    save(tmp_path / "a.glb", painted())
+    content = (tmp_path / "a.glb").read_bytes()
+    size = int.from_bytes(content[12:16], "little")
+    whole, body = json.loads(content[20 : 20 + size]), content[28 + size :]
+    whole["nodes"][0] |= {"children": [], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
+    whole["nodes"][1] |= {"matrix": np.eye(4).reshape(-1).tolist()}
+    refused = 0
+    for changed in with_odd_values(whole):
+        try:
+            decoded(glb(changed, body))
+        except NerfbakeError:
+            refused += 1
+    assert refused > 500
+
+
+def test_a_stream_is_known_by_its_first_bytes() -> None:
+    assert meshes_glb.recognise(glb({}))
+    assert meshes_obj.recognise(b"# Blender\nmtllib a.mtl\nv 0 0 0\n")
+    assert not meshes_obj.recognise(b'{"frames": [],\n"v": 1}')
+    assert not meshes_obj.recognise(io.BytesIO(b"\0v 1 2 3\nv ").getvalue())
+
+
+def test_a_mesh_that_cannot_be_is_refused() -> None:
+    for wrong, named in (
+        ({"texture": TEXELS}, "has no texture coordinates"),
+        ({"texture": TEXELS[..., :2], "uvs": np.zeros((3, 2))}, "has shape"),
+        ({"colours": np.full((3, 3), 2, np.float32)}, "mesh colours"),
+        ({"uvs": np.full((3, 2), np.inf)}, "mesh uvs"),
+        ({"uvs": np.zeros((2, 2))}, "mesh uvs have shape"),
+    ):
+        with pytest.raises(NerfbakeError, match=named):
+            mesh(np.eye(3), [[0, 1, 2]], **wrong)
+    with pytest.raises(NerfbakeError, match="has no faces"):
+        mesh(np.eye(3), np.empty((0, 3)))

@@ -1,0 +1,78 @@
+"""How much memory a file takes to be read, at every limit that it may be given: `python -m tests.support.peaks FILE`.
+
+Prints a list of [limit, peak, refused], in bytes. The peak is what the process holds at most above what it held before,
+its imports behind it; each page counts, whoever asked for it.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from itertools import takewhile
+from pathlib import Path
+
+from nerfbake import io
+from nerfbake.errors import MemoryLimit, NerfbakeError
+from nerfbake.memory import memory_limit
+from tests.conftest import REPOSITORY
+
+STEP = 1.3  # from limit to limit
+MOST = 4 << 30
+# Memory goes back to the system as soon as it is free, so that what is measured is one load.
+FRUGAL = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def resident() -> int:
+    """Bytes that this process holds now; from here on peak() counts anew."""
+    with open("/proc/self/clear_refs", "w") as file:
+        file.write("5")
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def peak() -> int:
+    with open("/proc/self/status") as file:
+        return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmHWM"))
+
+
+def measured(path: Path) -> list[tuple[int, int, bool]]:
+    """(limit, peak, refused) for limits from half of the file's size on, until it is read."""
+    environment = os.environ | FRUGAL | {"PYTHONPATH": str(REPOSITORY)}
+    command = [sys.executable, "-m", "tests.support.peaks", str(path)]
+    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, check=True)
+    return [(limit, most, refused) for limit, most, refused in json.loads(done.stdout)]
+
+
+def _limits(size: int) -> Iterator[int]:
+    limit = size / 2
+    while True:
+        yield int(limit)
+        limit *= STEP
+
+
+def main(path: Path) -> None:
+    with memory_limit(MOST):
+        io.load(path)  # imports, and what is compiled
+    found = []
+    for limit in takewhile(lambda limit: limit < MOST, _limits(path.stat().st_size)):
+        gc.collect()
+        before, refused = resident(), False
+        with memory_limit(limit):
+            try:
+                io.load(path)
+            except MemoryLimit:
+                refused = True
+            except NerfbakeError as error:
+                raise AssertionError(f"{path} is no sound file") from error
+        found.append((limit, peak() - before, refused))
+        if not refused:
+            break
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
