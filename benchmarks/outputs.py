@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from nerfbake import Cameras, Image, compare, load
+from nerfbake import Cameras, Image, compare_scenes, load
 from nerfbake.bench.environment import environment
 from nerfbake.bench.report import Report, Table, markdown
 
@@ -63,7 +63,7 @@ def rows(folder: Path) -> list[list[Any]]:
     for name, command, lost in OUTPUTS:
         words = [str(CHAIR / word) if word.startswith("chair") else word for word in shlex.split(command)]
         subprocess.run([sys.executable, "-m", "nerfbake", *words, "-q"], cwd=folder, check=True)
-        means = compare(tree, load(folder / name), cameras, truth=truth, keep_pictures=False).means
+        means = compare_scenes(tree, load(folder / name), cameras, truth=truth, keep_pictures=False).means
         size = (folder / name).stat().st_size
         original = means["a_truth"]["psnr"]
         against = means["b_truth"]["psnr"]

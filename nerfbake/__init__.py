@@ -36,29 +36,29 @@ if TYPE_CHECKING:
     from nerfbake.scene.vdb import IndexGrid as IndexGrid
     from nerfbake.scene.vdb import VdbTree as VdbTree
     from nerfbake.scene.volume import Volume as Volume
-    from nerfbake.stages.atlas_to_error import measure_error as measure_error
+    from nerfbake.stages.atlas_to_error import measure_atlas_error as measure_atlas_error
     from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
-    from nerfbake.stages.clusters_to_maps import snapped_maps as snapped_maps
-    from nerfbake.stages.identifiers_to_clusters import cluster as cluster
+    from nerfbake.stages.clusters_to_maps import bake_snapped_maps as bake_snapped_maps
+    from nerfbake.stages.identifiers_to_clusters import cluster_identifiers as cluster_identifiers
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
-    from nerfbake.stages.meshes_to_image import draw as draw
+    from nerfbake.stages.meshes_to_image import render_meshes as render_meshes
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
-    from nerfbake.stages.scene_and_meshes_to_image import composite as composite
-    from nerfbake.stages.scene_to_cameras import orbit as orbit
-    from nerfbake.stages.scene_to_image import render as render
-    from nerfbake.stages.scene_to_summary import summarise as summarise
-    from nerfbake.stages.scenes_to_comparison import compare as compare
+    from nerfbake.stages.scene_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
+    from nerfbake.stages.scene_to_cameras import orbit_cameras as orbit_cameras
+    from nerfbake.stages.scene_to_image import render_field as render_field
+    from nerfbake.stages.scene_to_summary import summarise_scene as summarise_scene
+    from nerfbake.stages.scenes_to_comparison import compare_scenes as compare_scenes
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
     from nerfbake.stages.shapes_to_stage1 import sample_stage1 as sample_stage1
     from nerfbake.stages.specular_to_atlas import bake_atlas as bake_atlas
-    from nerfbake.stages.specular_to_identifiers import identify as identify
+    from nerfbake.stages.specular_to_identifiers import identify_colours as identify_colours
     from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1
-    from nerfbake.stages.stage1_to_atlas import measure_stage1 as measure_stage1
-    from nerfbake.stages.stage1_to_image import shade as shade
-    from nerfbake.stages.vdb_to_octree import density_octree as density_octree
-    from nerfbake.stages.vdb_to_octree import restore_octree as restore_octree
+    from nerfbake.stages.stage1_to_atlas import measure_stage1_error as measure_stage1_error
+    from nerfbake.stages.stage1_to_image import render_stage1 as render_stage1
+    from nerfbake.stages.vdb_to_octree import octree_of_density as octree_of_density
+    from nerfbake.stages.vdb_to_octree import octree_of_volume as octree_of_volume
     from nerfbake.stages.vdb_to_vdb import cast_volume as cast_volume
 
 __version__ = "0.1.0"

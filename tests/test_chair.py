@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import build_octree, cut_octree, load, save, summarise
+from nerfbake import build_octree, cut_octree, load, save, summarise_scene
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from tests.conftest import DATA
@@ -40,7 +40,7 @@ def chair(name: str) -> N3Tree:
 @pytest.mark.parametrize("name", FILES)
 def test_figures_of_the_description(name: str) -> None:
     nodes, occupied, dialect = FILES[name]
-    facts = summarise(chair(name))
+    facts = summarise_scene(chair(name))
     assert facts["nodes"] + facts["freed_rows"] == nodes
     assert facts["occupied_leaves"] == occupied
     assert facts["dialect"] == dialect
@@ -49,7 +49,7 @@ def test_figures_of_the_description(name: str) -> None:
 
 
 def test_levels_of_the_description() -> None:
-    facts = summarise(chair("chair_sh9"))
+    facts = summarise_scene(chair("chair_sh9"))
     assert facts["nodes_per_level"] == [1, 8, 45, 152, 633, 3207, 18083, 95362]
     # There, leaves are counted by the depth of the node they are cells of; here by their own level, one below.
     assert facts["leaves_per_level"] == [0, 0, 19, 208, 583, 1857, 7573, 49302, 762896]
@@ -97,7 +97,7 @@ def test_the_fragmented_tree_is_the_plain_one_with_some_nodes_averaged() -> None
     points = world_centres(plain).reshape(64, 2, 64, 2, 64, 2, 3).transpose(0, 2, 4, 1, 3, 5, 6).reshape(-1, 8, 3)
     a, b = plain.sample(points), fragmented.sample(points)
     differ = (a != b).any(axis=(1, 2))
-    assert differ.sum() == 3981 == summarise(chair("chair_sh9_128_fragmented"))["freed_rows"]
+    assert differ.sum() == 3981 == summarise_scene(chair("chair_sh9_128_fragmented"))["freed_rows"]
     assert_array_equal(b[differ], np.broadcast_to(b[differ][:, :1], b[differ].shape))
     np.testing.assert_allclose(b[differ][:, 0], a[differ].mean(axis=1), rtol=1e-3, atol=2e-4)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import build_octree, build_vdb, load, restore_octree, save
+from nerfbake import build_octree, build_vdb, load, octree_of_volume, save
 from nerfbake.errors import InvalidFile
 from nerfbake.formats.volume.frame import parse_frame
 from nerfbake.formats.wire import nanovdb_nodes as nano
@@ -256,4 +256,4 @@ def test_a_frame_that_is_none_is_refused(frame: bytes) -> None:
 def test_restored_octrees_are_sound(tmp_path: Path) -> None:
     made = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     save(tmp_path / "a.nvdb", build_vdb(made, grids=("index",)), codec="zip")
-    assert restore_octree(load(tmp_path / "a.nvdb", Volume)).problems() == []
+    assert octree_of_volume(load(tmp_path / "a.nvdb", Volume)).problems() == []

@@ -114,7 +114,7 @@ def baking(folder: str, row: list[Any]) -> Work:
     small = replace(field, features=field.features[corner].copy(), used=np.ones((16, 16), bool))
     warm = nerfbake.bake_atlas(small, **{**options, "clusters": 1, "nodes": 2})
     directions = fibonacci(100)
-    nerfbake.measure_error(warm, small, directions=directions)
+    nerfbake.measure_atlas_error(warm, small, directions=directions)
 
     def run() -> dict[str, Any]:
         atlas = nerfbake.bake_atlas(field, **options)
@@ -125,12 +125,12 @@ def baking(folder: str, row: list[Any]) -> Work:
 
     def check(found: dict[str, Any]) -> dict[str, Any]:
         atlas = found["atlas"]
-        error, metric = _timed(lambda: nerfbake.measure_error(atlas, field, directions=directions))
-        held_out = nerfbake.measure_error(atlas, field, directions=fibonacci(617))
-        identifiers, identify = _timed(lambda: nerfbake.identify(field, directions=directions))
+        error, metric = _timed(lambda: nerfbake.measure_atlas_error(atlas, field, directions=directions))
+        held_out = nerfbake.measure_atlas_error(atlas, field, directions=fibonacci(617))
+        identifiers, identify = _timed(lambda: nerfbake.identify_colours(field, directions=directions))
         seconds = 0.0
         if method != "grid":
-            find = nerfbake.cluster_planes if method == "affine" else nerfbake.cluster
+            find = nerfbake.cluster_planes if method == "affine" else nerfbake.cluster_identifiers
             _, seconds = _timed(lambda: find(identifiers, clusters=size))
         texel = (2 if atlas.K > 256 else 1) * (method != "grid") + 3 * (method != "kmeans")
         return {
@@ -150,14 +150,15 @@ def baking(folder: str, row: list[Any]) -> Work:
 def clustering(folder: str, name: str, K: int) -> Work:
     """The work of clustering the identifiers, one way or another; in a process of its own."""
     field = io.load_folder(folder, nerfbake.Stage1).fields[0]
-    identifiers = nerfbake.identify(field, directions=fibonacci(100))
+    identifiers = nerfbake.identify_colours(field, directions=fibonacci(100))
     points, counts = identifiers.points, identifiers.counts
     every = max(1, len(points) // 100_000)
     some = slice(None, None, every) if name == "KMeans on 100,000" else slice(None)
     if name == "nerfbake":
-        nerfbake.cluster(identifiers, clusters=1)
+        nerfbake.cluster_identifiers(identifiers, clusters=1)
         return Work(
-            lambda: nerfbake.cluster(identifiers, clusters=K).labels, lambda labels: _inertia(identifiers, labels)
+            lambda: nerfbake.cluster_identifiers(identifiers, clusters=K).labels,
+            lambda labels: _inertia(identifiers, labels),
         )
     from sklearn.cluster import KMeans, MiniBatchKMeans
 

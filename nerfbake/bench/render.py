@@ -60,7 +60,7 @@ def compare(
     with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
         with progress("writing the structures"):
             rows = _written(scene, Path(folder))
-            views = cameras or nerfbake.orbit(scene, frames=FRAMES)
+            views = cameras or nerfbake.orbit_cameras(scene, frames=FRAMES)
             shown = str(Path(folder) / "cameras.json")
             io.save(shown, views)
         for edge in EDGES:
@@ -108,12 +108,12 @@ def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Wo
     views = [camera.resized(edge, edge) for camera in io.load(cameras, nerfbake.Cameras).cameras]
 
     def run() -> list[Any]:
-        return [nerfbake.render(scene, view, lookup=lookup) for view in views]
+        return [nerfbake.render_field(scene, view, lookup=lookup) for view in views]
 
     start = time.perf_counter()
-    nerfbake.render(scene, views[0].resized(8, 8), lookup=lookup)
+    nerfbake.render_field(scene, views[0].resized(8, 8), lookup=lookup)
     ready, field = time.perf_counter() - start, field_of(scene)
-    nerfbake.render(scene, views[0], lookup=lookup)  # memory and caches as every later picture finds them
+    nerfbake.render_field(scene, views[0], lookup=lookup)  # memory and caches as every later picture finds them
 
     def check(images: list[Any]) -> dict[str, Any]:
         seen = np.stack([image.colour for image in images])

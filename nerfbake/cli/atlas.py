@@ -97,7 +97,7 @@ def atlas(
     stage1 = source.read(words)
     if budget.min_psnr is not None:
         with source.blamed(words, "framing"):
-            nerfbake.orbit(stage1)  # raises, before any work is done, where there is no mesh to look at
+            nerfbake.orbit_cameras(stage1)  # raises, before any work is done, where there is no mesh to look at
     with source.blamed(words, "baking"):
         baked = nerfbake.bake_stage1(stage1, **options)
     with words.phase(f"writing {target}"):

@@ -50,7 +50,7 @@ def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options:
     with words.phase(f"reading {stage1}"):
         truth = io.load_folder(stage1, nerfbake.Stage1)
     with words.phase("measuring"), io.blame(atlas):
-        errors = nerfbake.measure_stage1(baked, truth, **options)
+        errors = nerfbake.measure_stage1_error(baked, truth, **options)
     if as_json:
         io.print_text(json.dumps([error._asdict() for error in errors]))
         return

@@ -85,7 +85,7 @@ def compare(
     with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
         if sheet or html:
             views.require_memory(pictures=6 if truth else 4)
-        found = nerfbake.compare(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
+        found = nerfbake.compare_scenes(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
     if sheet:
         io.save(sheet, found.sheet, force=force)
     budgets: dict[str, Any] = {"min_psnr": min_psnr, "max_error": max_error}

@@ -89,4 +89,4 @@ def _octree(source: Input, volume: Any, choice: Choice, *, half: bool, words: Wo
             raise InvalidScene(Problem("the volume", found, "--grid NAME for an octree of that density alone"))
         if half:
             volume = nerfbake.cast_volume(volume, dtype="float16")
-        return nerfbake.density_octree(volume) if foreign else nerfbake.restore_octree(volume)
+        return nerfbake.octree_of_density(volume) if foreign else nerfbake.octree_of_volume(volume)

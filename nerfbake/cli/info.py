@@ -31,7 +31,7 @@ def info(source: Input, as_json: bool, words: Words) -> None:
       nerfbake info atlas_64 --json | jq '.cascades[].errors.mae'
     """
     scene, form, size = source.read_with_format(words)
-    facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise(scene)}
+    facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise_scene(scene)}
     if as_json:
         io.print_text(json.dumps(facts))
         return

@@ -87,7 +87,7 @@ class Input:
         if cameras is None:
             width, height = size or (edge, edge)
             with self.blamed(words, "framing"):
-                return nerfbake.orbit(scene, frames=frames, width=width, height=height)
+                return nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
         read = read_cameras(words, cameras)
         return nerfbake.Cameras(tuple(camera.resized(*size) for camera in read.cameras)) if size else read
 
@@ -154,7 +154,7 @@ class Budget:
         written = Input(target.path)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
             made = written.read(words)
-            found = nerfbake.compare(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
+            found = nerfbake.compare_scenes(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
             found.require(min_psnr=self.min_psnr)
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 

@@ -146,9 +146,9 @@ def render(
     paths = [str(Path(out) / f"{view.name}.png") if several else out for view in chosen]
     if not together:
         io.require_room([target for path in paths for target in (path, *_beside(path, depth, alpha))], force=force)
-    picture: Callable[..., Any] = nerfbake.render
+    picture: Callable[..., Any] = nerfbake.render_field
     if mesh:
-        picture = nerfbake.composite
+        picture = nerfbake.render_field_and_meshes
         options |= {"meshes": io.load(mesh, nerfbake.Meshes).with_up(mesh_up), "how": how}
     if together:
         with io.blame(out):

@@ -11,9 +11,9 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes, box_of
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages._field import Radiance, field_of
-from nerfbake.stages.meshes_to_image import draw
-from nerfbake.stages.scene_to_image import render
-from nerfbake.stages.stage1_to_image import shade, surfaces
+from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.scene_to_image import render_field
+from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 
 Scene = Radiance | Meshes | Stage1 | BakedAtlas
 
@@ -21,10 +21,10 @@ Scene = Radiance | Meshes | Stage1 | BakedAtlas
 def picture(scene: Scene, camera: Camera) -> Image:
     """What the camera sees, over white."""
     if isinstance(scene, Meshes):
-        return draw(scene, camera)
+        return render_meshes(scene, camera)
     if isinstance(scene, Stage1 | BakedAtlas):
-        return shade(scene, camera)
-    return render(scene, camera)
+        return render_stage1(scene, camera)
+    return render_field(scene, camera)
 
 
 def frame(scene: Scene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -27,7 +27,7 @@ class AtlasError(NamedTuple):
     colours: int  # distinct combinations of colour, label and feature
 
 
-def measure_error(
+def measure_atlas_error(
     atlas: OctahedralAtlas,
     field: SpecularField,
     *,

@@ -24,12 +24,12 @@ _CELL_BITS = 5  # colours of a cell of 5-bit colour stand together in a fit
 _NODE_WEIGHT = 1e-4  # pull of a grid's node towards the MLP's own outputs there, for what no colour settles
 
 
-def snapped_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> Floats:
+def bake_snapped_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> Floats:
     """(K, R, R, 3) what the MLP shows for the colour that stands for each cluster, 0..1."""
     return _as_maps(_outputs(field, identifiers.features[clusters.members], map_size), map_size)
 
 
-def mean_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> Floats:
+def bake_mean_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> Floats:
     """(K, R, R, 3) the mean of what the MLP shows for each cluster's texels, 0..1."""
     groups = _group(identifiers, clusters.labels)
     maps = np.empty((clusters.K, 3 * map_size**2))

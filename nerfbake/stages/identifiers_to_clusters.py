@@ -39,7 +39,7 @@ class Clusters:
         return len(self.members)
 
 
-def cluster(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> Clusters:
+def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> Clusters:
     """Weighted k-means of the identifiers, each centre then snapped to the member with the closest identifier.
 
     Labels go by the snapped colours. Centres that nobody is near, or that snap to one colour, are dropped, so that
@@ -66,12 +66,12 @@ def cluster(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> C
 
 
 def cluster_planes(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> Clusters:
-    """Clusters of colours whose identifiers follow the feature in a plane; `members` are those of cluster().
+    """Clusters of colours whose identifiers follow the feature in a plane; `members` are those of cluster_identifiers().
 
-    From cluster()'s on, each round fits a plane to every cluster and gives each colour to the plane that comes
+    From cluster_identifiers()'s on, each round fits a plane to every cluster and gives each colour to the plane that comes
     closest: after 6 rounds affine maps have half the squared error of those of plain clusters.
     """
-    found = cluster(identifiers, clusters=clusters, seed=seed)
+    found = cluster_identifiers(identifiers, clusters=clusters, seed=seed)
     points, features = identifiers.points, identifiers.features.astype(np.float32)
     cells = lloyd.bound_cells(points, _cells(identifiers.codes, _CELL_BITS))
     candidates = planes.nearest_clusters(cells, points[found.members], _CANDIDATES)

@@ -15,7 +15,7 @@ GREY = np.float32(0.75)
 _AMBIENT = np.float32(0.25)  # of the colour, where a surface is seen edge-on
 
 
-def draw(scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE) -> Image:
+def render_meshes(scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE) -> Image:
     """What the camera sees of opaque triangles, from both of their sides, over a background (None: transparent).
 
     A texture is shown as it is, between its texels' centres; a mesh without one is grey, or has its vertices' colours,

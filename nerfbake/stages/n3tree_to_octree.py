@@ -93,7 +93,7 @@ def _require_usable(tree: N3Tree, sigma_min: float | None) -> None:
 
 def _finest_width(tree: N3Tree) -> float:
     """The width of a cell of the deepest level in world units: the geometric mean of its three edges."""
-    # Step by step as restore_octree works it out from voxel sizes, so that both make the same means to the bit.
+    # Step by step as octree_of_volume works it out from voxel sizes, so that both make the same means to the bit.
     return mean_edge(1 / (np.abs(tree.invradius) * tree.resolution))
 
 

@@ -12,13 +12,13 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.stages._field import Radiance
 from nerfbake.stages._surface import WHITE
-from nerfbake.stages.meshes_to_image import draw
-from nerfbake.stages.scene_to_image import render
+from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.scene_to_image import render_field
 
 Composite = Literal["stop", "ztest"]
 
 
-def composite(
+def render_field_and_meshes(
     scene: Radiance,
     meshes: Meshes,
     camera: Camera,
@@ -27,7 +27,7 @@ def composite(
     background: tuple[float, float, float] | None = WHITE,
     **options: Any,
 ) -> Image:
-    """What the camera sees of a field with meshes in it; both stand in the same world. Options go to render().
+    """What the camera sees of a field with meshes in it; both stand in the same world. Options go to render_field().
 
     stop   rays end at the mesh, which is seen through what is in front of it.
     ztest  the field is rendered as if it were alone; where its expected depth is nearer than the mesh, all of it is
@@ -37,10 +37,10 @@ def composite(
     """
     if how not in get_args(Composite):
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))
-    mesh = draw(meshes, camera, background=None)
+    mesh = render_meshes(meshes, camera, background=None)
     solid = mesh.alpha > 0
     stop = np.where(solid, mesh.depth, np.inf).astype(np.float64) if how == "stop" else None
-    field = render(scene, camera, background=None, stop=stop, **options)
+    field = render_field(scene, camera, background=None, stop=stop, **options)
     hidden = solid & (field.depth >= mesh.depth) & (how == "ztest")
     near = np.where(hidden, 0, field.alpha).astype(np.float32)
     left = (1 - near) * mesh.alpha

@@ -15,7 +15,7 @@ MARGIN = 1.05
 AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
-def orbit(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
+def orbit_cameras(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
     """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
 
     Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.

@@ -17,7 +17,7 @@ WHITE = (1.0, 1.0, 1.0)
 _RAY_BYTES, _BASIS_BYTES = 130, 5  # a pixel, and a pixel and coefficient, while rays are marched (129 and 4.8 measured)
 
 
-def render(
+def render_field(
     scene: Radiance,
     camera: Camera,
     *,

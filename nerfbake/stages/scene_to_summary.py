@@ -27,7 +27,7 @@ from nerfbake.stages._picture_summary import summary_of_picture
 Known = N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
 
 
-def summarise(scene: Known) -> dict[str, Any]:
+def summarise_scene(scene: Known) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
     Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles and colours; of

@@ -19,7 +19,7 @@ from nerfbake.stages._picture import Scene, picture
 MAX_POINTS = 200_000  # leaves whose values are compared
 
 
-def compare(
+def compare_scenes(
     a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | None = None, keep_pictures: bool = True
 ) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.

@@ -13,9 +13,9 @@ from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, ZERO_OFFSET, ZERO_SLOPE, Method, OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
-from nerfbake.stages.clusters_to_maps import affine_maps, grid_maps, mean_maps, snapped_maps
-from nerfbake.stages.identifiers_to_clusters import Clusters, cluster, cluster_planes
-from nerfbake.stages.specular_to_identifiers import Identifiers, identify
+from nerfbake.stages.clusters_to_maps import affine_maps, bake_mean_maps, grid_maps
+from nerfbake.stages.identifiers_to_clusters import Clusters, cluster_planes
+from nerfbake.stages.specular_to_identifiers import Identifiers, identify_colours
 
 MAX_NODES = 16
 _TEXEL_BYTES = 3 * 4 * 8  # a texel's channels, in up to four float64 copies at a time
@@ -55,12 +55,12 @@ def bake_atlas(
     count = {"kmeans": clusters, "affine": 4 * clusters, "grid": nodes**3}[method]
     memory.require(f"{count:,} maps of {map_size}x{map_size}", count * map_size**2 * _TEXEL_BYTES)
     directions = fibonacci(100) if directions is None else directions
-    identifiers = identify(field, directions=directions, direction_weights=direction_weights)
+    identifiers = identify_colours(field, directions=directions, direction_weights=direction_weights)
     if method == "grid":
         maps = grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
         labels = np.zeros(field.used.shape, np.uint16)
         return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
-    find = cluster_planes if method == "affine" else cluster
+    find = cluster_planes if method == "affine" else cluster_identifiers
     found = find(identifiers, clusters=clusters, seed=seed)
     labels = label_texels(field, identifiers, found)
     if method == "affine":
@@ -68,7 +68,7 @@ def bake_atlas(
         offsets = _bytes(field.features - affine.centres[labels] + ZERO_OFFSET)
         tiles, slope, slopes = _encode_affine(affine.maps)
         return OctahedralAtlas("affine", tiles, labels, offsets, border, slope, slopes)
-    make = mean_maps if centres == "mean" else snapped_maps
+    make = bake_mean_maps if centres == "mean" else bake_snapped_maps
     return OctahedralAtlas(
         "kmeans", _bytes(255 * make(field, identifiers, found, map_size=map_size)), labels, border=border
     )

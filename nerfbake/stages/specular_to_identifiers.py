@@ -36,7 +36,7 @@ class Identifiers:
         return colours.decode(self.codes) / 255
 
 
-def identify(
+def identify_colours(
     field: SpecularField,
     *,
     directions: npt.NDArray[np.float64],

@@ -12,7 +12,7 @@ from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.surface.octahedron import Lookup
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages.atlas_to_error import AtlasError, measure_error
+from nerfbake.stages.atlas_to_error import AtlasError, measure_atlas_error
 from nerfbake.stages.cameras_to_directions import weigh_directions
 from nerfbake.stages.specular_to_atlas import bake_atlas
 
@@ -38,7 +38,7 @@ def bake_stage1(
         for field, weights in zip(stage1.fields, _weights(stage1, direction_set, evenly), strict=True)
     )
     errors = [
-        measure_error(atlas, field, directions=evenly)._asdict()
+        measure_atlas_error(atlas, field, directions=evenly)._asdict()
         for atlas, field in zip(atlases, stage1.fields, strict=True)
     ]
     facts = {"bake": {"directions": directions, "direction_set": direction_set, **options}, "errors": errors}
@@ -61,7 +61,7 @@ def _weights(
     return weights
 
 
-def measure_stage1(
+def measure_stage1_error(
     baked: BakedAtlas,
     stage1: Stage1,
     *,
@@ -82,6 +82,6 @@ def measure_stage1(
         )
     asked = fibonacci(HELD_OUT if held_out else directions)
     return [
-        measure_error(atlas, field, directions=asked, lookup=lookup, thesis_fault=thesis_fault)
+        measure_atlas_error(atlas, field, directions=asked, lookup=lookup, thesis_fault=thesis_fault)
         for atlas, field in zip(baked.atlases, stage1.fields, strict=True)
     ]

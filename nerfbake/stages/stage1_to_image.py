@@ -17,7 +17,7 @@ from nerfbake.stages._surface import WHITE, Hits, paint
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
-def shade(
+def render_stage1(
     scene: Stage1 | BakedAtlas, camera: Camera, *, background: tuple[float, float, float] | None = WHITE
 ) -> Image:
     """clamp(diffuse + specular) at each pixel, over a background (None: transparent). Source: spec/atlas.md, 1.

@@ -18,7 +18,7 @@ from nerfbake.stages._cube_levels import Block, blocks_of, octree_of
 from nerfbake.stages._fog import density_of
 
 
-def restore_octree(volume: Volume) -> SparseVoxelOctree:
+def octree_of_volume(volume: Volume) -> SparseVoxelOctree:
     """The octree behind an index grid, or behind density and sh_0, sh_1, ...: its voxels bit for bit.
 
     Eight equal neighbours are one leaf, a tile is one as it stands, and voxels of density 0 are no nodes, as
@@ -41,7 +41,7 @@ def restore_octree(volume: Volume) -> SparseVoxelOctree:
     return memory.kept(octree_of(blocks, data, frame))
 
 
-def density_octree(volume: Volume) -> SparseVoxelOctree:
+def octree_of_density(volume: Volume) -> SparseVoxelOctree:
     """An octree of the density of a fog volume, whatever program made it: one value a node, no colour.
 
     The density is the grid `density`, or the only one with one channel. Voxels and tiles above 0 are leaves, each at

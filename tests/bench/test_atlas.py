@@ -23,7 +23,7 @@ def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     report = benchmark.compare(str(tmp_path / "s"), rounds=1, progress=lambda text: nullcontext())
     good, bad = (dict(zip(benchmark.COLUMNS, row, strict=True)) for row in report.tables[0].rows)
     atlas = nerfbake.bake_atlas(scene.fields[0], clusters=16)
-    error = nerfbake.measure_error(atlas, scene.fields[0], directions=fibonacci(100))
+    error = nerfbake.measure_atlas_error(atlas, scene.fields[0], directions=fibonacci(100))
     assert (good["MAE"], good["MSE"], good["thesis MAE"]) == (error.mae, error.mse, 11.151)
     assert "needs" in bad["atlas"]
     assert bad["MAE"] is None

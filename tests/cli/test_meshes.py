@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from nerfbake import Meshes, Stage1, load, orbit, save
+from nerfbake import Meshes, Stage1, load, orbit_cameras, save
 from nerfbake.cli.main import run
 from tests.support.atlas_scenes import stage1_folder
 from tests.support.meshes import cube, sphere
@@ -48,7 +48,7 @@ def test_an_atlas_against_the_mlp_in_pictures(sample: Path, capsys: pytest.Captu
 def test_an_atlas_that_misses_its_budget_is_kept_as_rejected(
     sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    save(sample / "cameras.json", orbit(load(sample / "in", Stage1), frames=2, width=40, height=40), force=True)
+    save(sample / "cameras.json", orbit_cameras(load(sample / "in", Stage1), frames=2, width=40, height=40), force=True)
     arguments = ["atlas", str(sample / "in"), str(tmp_path / "out"), "--clusters", "2", "--map-size", "8"]
     arguments += ["--cameras", str(sample / "cameras.json")]
     for _ in range(2):  # the second time there is a rejected one already

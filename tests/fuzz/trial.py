@@ -153,13 +153,16 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     kind = type(scene).__name__
     radiance = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
     if isinstance(scene, (*radiance, nerfbake.Meshes)):
-        yield "info", lambda: nerfbake.summarise(scene)
+        yield "info", lambda: nerfbake.summarise_scene(scene)
     if isinstance(scene, (*radiance, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)):
         yield "render", lambda: _drawn(scene)
     if isinstance(scene, radiance):
-        yield "trilinear", lambda: nerfbake.render(scene, _view(scene), lookup="trilinear")
+        yield "trilinear", lambda: nerfbake.render_field(scene, _view(scene), lookup="trilinear")
     if isinstance(scene, nerfbake.Cameras):
-        yield "cameras", lambda: [nerfbake.render(_scene(), camera.resized(EDGE, EDGE)) for camera in scene.cameras[:3]]
+        yield (
+            "cameras",
+            lambda: [nerfbake.render_field(_scene(), camera.resized(EDGE, EDGE)) for camera in scene.cameras[:3]],
+        )
         yield "names", lambda: [camera.name.encode() for camera in scene.cameras]
     for form in catalog.formats_of(kind):
         yield f"write {form.name}", partial(_written, form, scene, place)
@@ -167,7 +170,7 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "svo", lambda: nerfbake.build_octree(scene, resolution=4)
         yield "vdb", lambda: nerfbake.build_vdb(nerfbake.build_octree(scene, resolution=8))
     if isinstance(scene, nerfbake.Volume):
-        yield "restore", lambda: nerfbake.restore_octree(scene)
+        yield "restore", lambda: nerfbake.octree_of_volume(scene)
     if isinstance(scene, nerfbake.SparseVoxelOctree):
         yield "lod", lambda: nerfbake.cut_octree(scene, level=1)
         for grids in GRIDS:
@@ -182,7 +185,7 @@ def _scene() -> nerfbake.SparseVoxelOctree:
 
 
 def _view(scene: Any) -> Camera:
-    return nerfbake.orbit(scene, width=EDGE, height=EDGE).cameras[0]
+    return nerfbake.orbit_cameras(scene, width=EDGE, height=EDGE).cameras[0]
 
 
 def _drawn(scene: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake import summarise
+from nerfbake import summarise_scene
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
@@ -18,7 +18,7 @@ from tests.support.meshes import cube
 
 def test_stage_1_by_hand() -> None:
     scene = field(24, 32, hidden=8)
-    told = summarise(Stage1((scene, scene), (cube(), None), cameras=np.zeros((5, 3))))
+    told = summarise_scene(Stage1((scene, scene), (cube(), None), cameras=np.zeros((5, 3))))
     assert told["cameras"] == 5
     colours = len(np.unique(scene.features.reshape(-1, 3), axis=0))
     whole = {"texture": [32, 24], "texels_used": 768, "colours": colours, "hidden_units": 8, "diffuse": None}
@@ -27,21 +27,21 @@ def test_stage_1_by_hand() -> None:
 
 def test_an_atlas_tells_its_errors_and_what_is_no_number_is_left_out() -> None:
     facts = {"errors": [{"mae": 1.5, "texels": 7, "lie": {"x": [1]}}], "bake": {"method": "affine", "long": "x" * 99}}
-    told = summarise(BakedAtlas((random_atlas("affine"),), (None,), {}, facts))
+    told = summarise_scene(BakedAtlas((random_atlas("affine"),), (None,), {}, facts))
     assert told["bake"] == {"method": "affine"}
     cascade = told["cascades"]["0"]
     assert (cascade["method"], cascade["clusters"], cascade["maps"], cascade["map_size"]) == ("affine", 10, 40, 8)
     assert cascade["errors"] == {"mae": 1.5, "texels": 7}
     lies: tuple[dict[str, Any], ...] = ({}, {"errors": 3, "bake": []}, {"errors": []}, {"errors": [[]]})
     for lie in lies:
-        told = summarise(BakedAtlas((random_atlas("grid"),), (None,), {}, lie))
+        told = summarise_scene(BakedAtlas((random_atlas("grid"),), (None,), {}, lie))
         assert (told["bake"], told["cascades"]["0"]["errors"]) == (None, None)
         json.dumps(told)
 
 
 def test_pictures_by_hand() -> None:
     alpha = np.array([[0, 1, 1, 0.5]], np.float32)
-    told = summarise(Image(np.full((1, 4, 3), 0.25, np.float32), alpha, np.zeros_like(alpha), None))
+    told = summarise_scene(Image(np.full((1, 4, 3), 0.25, np.float32), alpha, np.zeros_like(alpha), None))
     assert told == {
         "kind": "picture",
         "size": [4, 1],
@@ -49,10 +49,10 @@ def test_pictures_by_hand() -> None:
         "transparent": 0.25,
         "mean_colour": [0.25, 0.25, 0.25],
     }
-    assert summarise(Depth(np.array([[0, 2, 4]], np.float32))) == {
+    assert summarise_scene(Depth(np.array([[0, 2, 4]], np.float32))) == {
         "kind": "depth",
         "size": [3, 1],
         "met": 2 / 3,
         "range": [2, 4],
     }
-    assert summarise(Depth(np.zeros((2, 2), np.float32)))["range"] is None
+    assert summarise_scene(Depth(np.zeros((2, 2), np.float32)))["range"] is None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nerfbake
-from nerfbake import bake_atlas, measure_error
+from nerfbake import bake_atlas, measure_atlas_error
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.wire.texture import encode_texture
 from nerfbake.io import load_folder
@@ -28,7 +28,7 @@ def test_the_thesis_own_figures(data: Path, fault: bool, mae: float, mse: float)
     crop = data / "nerf2mesh" / "crop64"
     atlas = load_folder(crop / "thesis_16x64", nerfbake.BakedAtlas).atlases[0]
     scene = load_folder(crop, nerfbake.Stage1).fields[0]
-    error = measure_error(atlas, scene, directions=DIRECTIONS, lookup="thesis", thesis_fault=fault)
+    error = measure_atlas_error(atlas, scene, directions=DIRECTIONS, lookup="thesis", thesis_fault=fault)
     assert error.mae == pytest.approx(mae, abs=5e-10)
     assert error.mse == pytest.approx(mse, abs=5e-8)
 
@@ -52,7 +52,7 @@ def test_maps_that_hold_the_outputs_have_hardly_an_error() -> None:
     colours = len(np.unique(scene.features.reshape(-1, 3), axis=0))
     atlas = bake_atlas(scene, clusters=colours, map_size=8)
     for lookup in ("bilinear", "nearest"):
-        error = measure_error(atlas, scene, directions=octahedron.texel_directions(8), lookup=lookup)
+        error = measure_atlas_error(atlas, scene, directions=octahedron.texel_directions(8), lookup=lookup)
         assert error.mae < 1e-3
         assert 0.2 < error.mae_float < 0.3  # a quarter, as rounding to whole numbers has
 
@@ -60,7 +60,7 @@ def test_maps_that_hold_the_outputs_have_hardly_an_error() -> None:
 def test_the_error_of_black_maps_is_what_the_mlp_shows() -> None:
     scene = field()
     black = OctahedralAtlas("kmeans", np.zeros((1, 4, 4, 3), np.uint8), np.zeros(scene.used.shape, np.uint16))
-    error = measure_error(black, scene, directions=DIRECTIONS)
+    error = measure_atlas_error(black, scene, directions=DIRECTIONS)
     features = scene.features.reshape(-1, 3) / 255
     inputs = np.concatenate([np.tile(DIRECTIONS, (len(features), 1)), np.repeat(features, 100, axis=0)], axis=1)
     shown = np.rint(255 / (1 + np.exp(-np.maximum(inputs @ scene.w0, 0) @ scene.w1)))
@@ -72,11 +72,13 @@ def test_the_error_of_black_maps_is_what_the_mlp_shows() -> None:
 def test_the_fault_only_makes_it_worse() -> None:
     scene = field()
     atlas = bake_atlas(scene, clusters=100, map_size=32)
-    right, wrong = (measure_error(atlas, scene, directions=DIRECTIONS, thesis_fault=fault) for fault in (False, True))
+    right, wrong = (
+        measure_atlas_error(atlas, scene, directions=DIRECTIONS, thesis_fault=fault) for fault in (False, True)
+    )
     assert wrong.mse > 2 * right.mse
 
 
 def test_textures_of_two_sizes_are_refused() -> None:
     atlas = bake_atlas(field(), clusters=2, map_size=4)
     with pytest.raises(InvalidScene, match="labels have 32x24 texels; allowed: 20x10"):
-        measure_error(atlas, field(10, 20), directions=DIRECTIONS)
+        measure_atlas_error(atlas, field(10, 20), directions=DIRECTIONS)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from nerfbake import Camera, Cameras, load, summarise
+from nerfbake import Camera, Cameras, load, summarise_scene
 from nerfbake.cli.main import run
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.lens import Lens
@@ -28,7 +28,7 @@ def around(elevation: float, *, turn: npt.NDArray[np.float64] | None = None) -> 
 def test_what_is_told_by_hand() -> None:
     first, second, *_ = around(0.3).cameras
     first = replace(first, focal=(9.0, 8.5), centre=(4.5, 2.0), lens=Lens("polynomial", (0.1, 0, -0.2), (0, 0.01)))
-    told = summarise(Cameras((first, second, second), "COLMAP", "sparse/0/images.bin", ("a note",)))
+    told = summarise_scene(Cameras((first, second, second), "COLMAP", "sparse/0/images.bin", ("a note",)))
     places = np.stack([first.pose[:3, 3], second.pose[:3, 3]])
     assert told == {
         "kind": "cameras",
@@ -50,12 +50,12 @@ def test_what_is_told_by_hand() -> None:
 def test_up_is_told_only_where_cameras_agree() -> None:
     half_turn = np.diag([1.0, -1, -1])
     to_y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    assert summarise(around(0.5))["up"] == "z"
-    assert summarise(around(0.5, turn=half_turn))["up"] == "-z"
-    assert summarise(around(0.5, turn=to_y))["up"] == "y"
-    assert summarise(around(1.5))["up"] is None  # all look down
+    assert summarise_scene(around(0.5))["up"] == "z"
+    assert summarise_scene(around(0.5, turn=half_turn))["up"] == "-z"
+    assert summarise_scene(around(0.5, turn=to_y))["up"] == "y"
+    assert summarise_scene(around(1.5))["up"] is None  # all look down
     both = Cameras((*around(0.5).cameras, *around(0.5, turn=half_turn).cameras))
-    assert summarise(both)["up"] is None
+    assert summarise_scene(both)["up"] is None
 
 
 def test_info_and_check_take_captures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,7 +79,7 @@ def test_info_and_check_take_captures(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.data
 def test_the_real_captures(data: Path) -> None:
-    told = summarise(load(data / "nerf_synthetic" / "chair", Cameras))
+    told = summarise_scene(load(data / "nerf_synthetic" / "chair", Cameras))
     assert (told["dialect"], told["read_from"], told["up"]) == ("NeRF-Synthetic", "transforms_test.json", "z")
     assert told["pictures"] == {"400x400": 25}
     assert told["notes"] is None

@@ -9,7 +9,18 @@ import numpy.typing as npt
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import Camera, Cameras, Image, SparseVoxelOctree, build_octree, build_vdb, cut_octree, load, orbit, render
+from nerfbake import (
+    Camera,
+    Cameras,
+    Image,
+    SparseVoxelOctree,
+    build_octree,
+    build_vdb,
+    cut_octree,
+    load,
+    orbit_cameras,
+    render_field,
+)
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.memory import memory_limit
@@ -36,7 +47,7 @@ def front(edge: int = 5, distance: float = 3.0) -> Camera:
 
 @pytest.mark.parametrize("sigma", [0.1, 1.0, 30.0])
 def test_a_homogeneous_box_lets_through_what_the_law_says(sigma: float) -> None:
-    image = render(solid(sigma, red=2), front(), transmittance_cut=0)
+    image = render_field(solid(sigma, red=2), front(), transmittance_cut=0)
     middle = image.alpha[2, 2], image.colour[2, 2], image.depth[2, 2]
     alpha = 1 - np.exp(-sigma)
     assert_allclose(middle[0], alpha, rtol=1e-4)
@@ -48,8 +59,8 @@ def test_a_homogeneous_box_lets_through_what_the_law_says(sigma: float) -> None:
 
 def test_densities_are_per_world_unit_whatever_the_box() -> None:
     # The same box, twice as wide, half as dense: the tree's scale must not show.
-    a = render(solid(3.0), front())
-    b = render(solid(1.5, invradius=np.full(3, 0.5)), Camera(5, 5, 20.0, look_at(np.ones(3), -np.pi / 2, 0, 6.0)))
+    a = render_field(solid(3.0), front())
+    b = render_field(solid(1.5, invradius=np.full(3, 0.5)), Camera(5, 5, 20.0, look_at(np.ones(3), -np.pi / 2, 0, 6.0)))
     assert_allclose(a.alpha, b.alpha, atol=1e-4)
     assert_allclose(2 * a.depth, b.depth, atol=1e-3)
 
@@ -57,7 +68,7 @@ def test_densities_are_per_world_unit_whatever_the_box() -> None:
 def test_an_opaque_plane_stands_where_it_stands() -> None:
     data = np.zeros((1, 2, 2, 2, 4), np.float32)
     data[0, :, 1, :, 3] = 1e6  # the half y > 0.5
-    image = render(n3tree(data=data, data_format="RGBA"), front())
+    image = render_field(n3tree(data=data, data_format="RGBA"), front())
     assert_allclose(image.depth[2, 2], 3.0, atol=1e-4)
     assert_allclose(image.alpha[2, 2], 1)
 
@@ -67,7 +78,7 @@ def test_colours_are_spherical_harmonics_in_the_rays_direction() -> None:
     coefficients = np.random.default_rng(0).normal(0, 1, (3, 9))
     data[..., :27], data[..., 27] = coefficients.ravel(), 1e6
     camera = Camera(9, 7, 60.0, look_at(np.full(3, 0.5), 0.3, 0.4, 3))
-    image = render(n3tree(data=data, data_format="SH9"), camera)
+    image = render_field(n3tree(data=data, data_format="SH9"), camera)
     _, directions = camera.rays()
     expected = 1 / (1 + np.exp(-sh_basis(directions, 9) @ coefficients.T))
     assert_allclose(image.colour.reshape(-1, 3), expected, atol=1e-5)
@@ -75,9 +86,9 @@ def test_colours_are_spherical_harmonics_in_the_rays_direction() -> None:
 
 def test_backgrounds() -> None:
     tree = solid(1.0, red=1)
-    clear = render(tree, front(), background=None)
+    clear = render_field(tree, front(), background=None)
     for colour in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.2, 0.4, 0.6)):
-        over = render(tree, front(), background=colour)
+        over = render_field(tree, front(), background=colour)
         assert_allclose(over.colour, clear.colour + (1 - clear.alpha[..., None]) * np.array(colour), atol=1e-6)
     assert clear.pixels.shape == (5, 5, 4)
     assert over.pixels.shape == (5, 5, 3)
@@ -86,23 +97,23 @@ def test_backgrounds() -> None:
 
 
 def test_a_cut_makes_an_opaque_cutout() -> None:
-    faint, dense = (render(solid(sigma), front(), transmittance_cut=0.5).alpha[2, 2] for sigma in (0.2, 5.0))
+    faint, dense = (render_field(solid(sigma), front(), transmittance_cut=0.5).alpha[2, 2] for sigma in (0.2, 5.0))
     assert faint < 0.5 < dense
 
 
 def test_a_camera_inside_sees_only_what_is_ahead() -> None:
     camera = Camera(3, 3, 30.0, look_at(np.full(3, 0.5), -np.pi / 2, 0, 1e-9))
-    assert_allclose(render(solid(1.0), camera, transmittance_cut=0).alpha[1, 1], 1 - np.exp(-0.5), rtol=1e-3)
+    assert_allclose(render_field(solid(1.0), camera, transmittance_cut=0).alpha[1, 1], 1 - np.exp(-0.5), rtol=1e-3)
     away = Camera(3, 3, 30.0, look_at(np.array([0.5, 3.0, 0.5]), -np.pi / 2, 0, 1.0))
-    assert_array_equal(render(solid(1.0), away).alpha, 0)
+    assert_array_equal(render_field(solid(1.0), away).alpha, 0)
 
 
 @pytest.mark.parametrize("N", [2, 3])
 def test_an_octree_looks_like_the_tree_it_was_made_from(N: int) -> None:
     tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], N=N, data_format="SH4", dtype=np.float32)
     octree = build_octree(tree, resample="nearest")
-    camera = orbit(tree, width=24, height=20).cameras[0]
-    a, b = render(tree, camera), render(octree, camera)
+    camera = orbit_cameras(tree, width=24, height=20).cameras[0]
+    a, b = render_field(tree, camera), render_field(octree, camera)
     assert a.alpha.max() > 0.1
     assert_allclose(a.colour, b.colour, atol=2e-4)
     assert_allclose(a.alpha, b.alpha, atol=2e-4)
@@ -110,16 +121,16 @@ def test_an_octree_looks_like_the_tree_it_was_made_from(N: int) -> None:
 
 def test_pictures_are_the_same_every_time() -> None:
     tree = n3tree(splits=[(0, (1, 0, 1))])
-    camera = orbit(tree, width=33, height=31).cameras[0]
-    assert render(tree, camera).colour.tobytes() == render(tree, camera).colour.tobytes()
+    camera = orbit_cameras(tree, width=33, height=31).cameras[0]
+    assert render_field(tree, camera).colour.tobytes() == render_field(tree, camera).colour.tobytes()
 
 
 def test_an_orbit_frames_everything() -> None:
     data = np.zeros((1, 2, 2, 2, 4), np.float32)
     data[0, 1, 1, 1, 3] = 1e6
     tree = n3tree(data=data, data_format="RGBA", offset=np.full(3, 0.25), invradius=np.full(3, 0.1))
-    for camera in orbit(tree, frames=7, width=60, height=40).cameras:
-        alpha = render(tree, camera).alpha
+    for camera in orbit_cameras(tree, frames=7, width=60, height=40).cameras:
+        alpha = render_field(tree, camera).alpha
         assert alpha.max() > 0.99
         assert not alpha[[0, -1]].any()
         assert not alpha[:, [0, -1]].any()
@@ -128,13 +139,13 @@ def test_an_orbit_frames_everything() -> None:
 def test_what_cannot_be_rendered_is_refused() -> None:
     octree = build_octree(n3tree())
     with pytest.raises(InvalidScene, match="data_format is SG1; allowed: SHk or RGBA"):
-        render(n3tree(data_format="SG1"), front())
+        render_field(n3tree(data_format="SG1"), front())
     with pytest.raises(InvalidScene, match="transmittance_cut is 1; allowed: 0 to 1"):
-        render(octree, front(), transmittance_cut=1)
+        render_field(octree, front(), transmittance_cut=1)
     broken = n3tree()
     broken.data[0, 0, 0, 0, 0] = np.nan
     with pytest.raises(InvalidScene, match="is nan"):
-        render(broken, front())
+        render_field(broken, front())
 
 
 @pytest.mark.parametrize(
@@ -158,7 +169,7 @@ def test_a_ray_ends_at_what_stands_in_its_way() -> None:
     stop = np.full((5, 5), np.inf)
     stop[2, 2], stop[2, 1] = 2.75, 1.0  # a quarter into the box, and before it
     for lookup in ("nearest", "trilinear"):
-        image = render(solid(3.0), front(), transmittance_cut=0, stop=stop, lookup=lookup)
+        image = render_field(solid(3.0), front(), transmittance_cut=0, stop=stop, lookup=lookup)
         if lookup == "nearest":
             assert_allclose(image.alpha[2, 2], 1 - np.exp(-0.75), rtol=1e-4)
             assert_allclose(image.alpha[2, 3], 1 - np.exp(-3), rtol=1e-3)
@@ -166,7 +177,7 @@ def test_a_ray_ends_at_what_stands_in_its_way() -> None:
         assert image.alpha[2, 2] < image.alpha[2, 3]
         assert image.depth[2, 2] < 2.75
     with pytest.raises(InvalidScene, match="stop has shape"):
-        render(solid(3.0), front(), stop=np.ones((4, 5)))
+        render_field(solid(3.0), front(), stop=np.ones((4, 5)))
 
 
 def test_a_ray_along_a_boundary_is_not_held_up() -> None:
@@ -176,7 +187,7 @@ def test_a_ray_along_a_boundary_is_not_held_up() -> None:
         pose = np.eye(4)
         pose[:3, :3] = look_at(np.zeros(3), -np.pi / 2 + lean, lean, 1.0)[:3, :3]
         pose[:3, 3] = 0.5, -2.0, 0.5
-        image = render(tree, Camera(3, 3, 1e6, pose), transmittance_cut=0)
+        image = render_field(tree, Camera(3, 3, 1e6, pose), transmittance_cut=0)
         assert np.isfinite(image.colour).all()
         assert_allclose(image.alpha[0], image.alpha[0, 0], atol=0.7)
 
@@ -187,14 +198,14 @@ def test_density_between_centres_is_a_straight_line() -> None:
     sigma = np.array([0, 5.0, 1.0, 0, 0, 2.0, 7.0, 0.5])
     data = np.zeros((1, 8, 8, 8, 4), np.float32)
     data[..., 3] = sigma[:, None]
-    image = render(n3tree(N=8, data=data, data_format="RGBA"), front(), transmittance_cut=0, lookup="trilinear")
+    image = render_field(n3tree(N=8, data=data, data_format="RGBA"), front(), transmittance_cut=0, lookup="trilinear")
     assert_allclose(image.alpha[2, 2], 1 - np.exp(-sigma.sum() / 8), rtol=1e-5)
 
 
 def test_what_is_empty_has_no_colour_to_mix_in() -> None:
     data = np.zeros((1, 8, 8, 8, 4), np.float32)
     data[0, 2:5, 2:5, 2:5] = 1.0, -2.0, 0.5, 4.0
-    image = render(n3tree(N=8, data=data, data_format="RGBA"), front(9), background=None, lookup="trilinear")
+    image = render_field(n3tree(N=8, data=data, data_format="RGBA"), front(9), background=None, lookup="trilinear")
     seen = image.colour[image.alpha > 1e-3] / image.alpha[image.alpha > 1e-3, None]
     assert len(seen) > 9
     assert_allclose(seen, np.broadcast_to(1 / (1 + np.exp([-1.0, 2.0, -0.5])), seen.shape), rtol=1e-3)
@@ -205,8 +216,8 @@ def test_trilinear_is_what_sample_says(N: int) -> None:
     tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], N=N, data_format="SH1", dtype=np.float32)
     tree.data[0, 1, 0, 0, -1] = 0  # a large empty cell, to be jumped over
     octree = build_octree(tree, resample="nearest")
-    camera = orbit(tree, width=7, height=7).cameras[0]
-    image = render(tree, camera, transmittance_cut=0, lookup="trilinear")
+    camera = orbit_cameras(tree, width=7, height=7).cameras[0]
+    image = render_field(tree, camera, transmittance_cut=0, lookup="trilinear")
     origin, looks = camera.rays()
     width = 1 / N**3
     t = np.arange(0, 2 * np.linalg.norm(origin - 0.5), width / 20)
@@ -232,27 +243,30 @@ def test_a_volume_looks_like_the_octree_it_was_made_from(grids: tuple[str, ...],
     octree = grown()
     for up in ("z", "y"):
         volume = build_vdb(octree, grids=grids, up=up)
-        a, b = orbit(octree, width=24, height=20).cameras[0], orbit(volume, width=24, height=20).cameras[0]
-        one, other = render(octree, a, lookup=lookup), render(volume, b, lookup=lookup)
+        a, b = (
+            orbit_cameras(octree, width=24, height=20).cameras[0],
+            orbit_cameras(volume, width=24, height=20).cameras[0],
+        )
+        one, other = render_field(octree, a, lookup=lookup), render_field(volume, b, lookup=lookup)
         assert one.alpha.max() > 0.1
         assert_allclose(one.colour, other.colour, atol=2e-4)
         assert_allclose(one.depth, other.depth, atol=2e-3)
 
 
 def test_a_volume_without_coefficients_shows_its_colour_or_grey() -> None:
-    octree, camera = grown("SH1"), orbit(grown(), width=24, height=20).cameras[0]
-    image = render(octree, camera)
-    assert_allclose(render(build_vdb(octree), camera).colour, image.colour, atol=2e-4)
-    grey = render(build_vdb(octree, grids=("density",)), camera, background=(0.5, 0.5, 0.5))
+    octree, camera = grown("SH1"), orbit_cameras(grown(), width=24, height=20).cameras[0]
+    image = render_field(octree, camera)
+    assert_allclose(render_field(build_vdb(octree), camera).colour, image.colour, atol=2e-4)
+    grey = render_field(build_vdb(octree, grids=("density",)), camera, background=(0.5, 0.5, 0.5))
     assert_allclose(grey.colour, 0.5, atol=1e-6)
     assert_allclose(grey.alpha, image.alpha, atol=2e-4)
     with pytest.raises(InvalidScene, match="the volume has the grids Cd; allowed: density among them, or index"):
-        render(build_vdb(octree, grids=("Cd",)), camera)
+        render_field(build_vdb(octree, grids=("Cd",)), camera)
 
 
 def test_colours_of_other_voxels_are_looked_up() -> None:
     # Another program may have pruned one grid and not the other.
-    octree, camera = grown("SH1"), orbit(grown(), width=24, height=20).cameras[0]
+    octree, camera = grown("SH1"), orbit_cameras(grown(), width=24, height=20).cameras[0]
     density, colour = build_vdb(octree).grids
     more = np.concatenate([colour.topology.coords, [[40, 3, 5]]])
     topology, order = topology_of(more)
@@ -260,13 +274,13 @@ def test_colours_of_other_voxels_are_looked_up() -> None:
     assert isinstance(colour, VdbTree)
     other = dataclasses.replace(colour, topology=topology, values=values)
     pruned = Volume((density, other), build_vdb(octree).transform)
-    assert_allclose(render(pruned, camera).colour, render(octree, camera).colour, atol=2e-4)
+    assert_allclose(render_field(pruned, camera).colour, render_field(octree, camera).colour, atol=2e-4)
 
 
 def test_more_cells_than_memory_has_are_refused() -> None:
     volume = build_vdb(grown())
     with memory_limit(100_000), pytest.raises(MemoryLimit, match=r"the volume as cells needs 146.0 KiB; allowed: 97.7"):
-        render(volume, front())
+        render_field(volume, front())
 
 
 @pytest.mark.parametrize("far", [4096, -8192, 1 << 30, -(1 << 31)])
@@ -278,7 +292,7 @@ def test_voxels_anywhere_in_32_bits_are_seen(far: int) -> None:
     for voxel in ([0, 0, 0], [0, far, 0]):
         # Its face seen from 2 away, along x; the voxel's sample stands at its centre.
         camera = Camera(1, 1, 1e4, look_at(np.array(voxel, float), np.pi, 0, 2.5))
-        image = render(volume, camera)
+        image = render_field(volume, camera)
         assert_allclose(image.alpha, 1, atol=1e-6)
         assert_allclose(image.depth, 2.0, atol=0.05)
 
@@ -314,7 +328,7 @@ def test_the_chair_looks_as_its_description_says(name: str, expected: float, ref
     tree = load(CHAIR / f"{name}.npz", N3Tree)
     against_truth = []
     for camera in load(CHAIR / "views" / "transforms.json", Cameras).cameras:
-        pixels = render(tree, camera).pixels
+        pixels = render_field(tree, camera).pixels
         against_truth.append(psnr(pixels, over_white(CHAIR / "views" / f"{camera.name}.png")))
         if reference:
             assert psnr(pixels, over_white(CHAIR / f"render_{reference}" / f"{camera.name}.png")) > 70
@@ -329,7 +343,7 @@ def test_held_out_views(name: str, expected: float) -> None:
     found = []
     for camera in load(folder / "transforms_test.json", Cameras).cameras:
         truth = load(folder / "test" / f"{camera.name}.png", Image)
-        seen = render(tree, camera.resized(400, 400))
+        seen = render_field(tree, camera.resized(400, 400))
         white = truth.colour + (1 - truth.alpha[..., None])
         found.append(-10 * np.log10(((seen.colour.astype(float) - white) ** 2).mean()))
     assert len(found) == 25
@@ -341,9 +355,9 @@ def test_the_octree_at_the_trees_resolution_gives_the_same_picture() -> None:
     tree = load(CHAIR / "chair_sh9_128.npz", N3Tree)
     camera = load(CHAIR / "views" / "transforms.json", Cameras).cameras[0]
     octree = build_octree(tree)
-    image = render(tree, camera)
-    assert_allclose(image.colour, render(octree, camera).colour, atol=1e-4)
+    image = render_field(tree, camera)
+    assert_allclose(image.colour, render_field(octree, camera).colour, atol=1e-4)
     index = build_vdb(octree, grids=("index",))
-    assert_allclose(image.colour, render(index, camera).colour, atol=1e-4)
-    coarse = render(cut_octree(octree, level=6), camera)
-    assert 20 < psnr(render(tree, camera).pixels, coarse.pixels) < 40
+    assert_allclose(image.colour, render_field(index, camera).colour, atol=1e-4)
+    coarse = render_field(cut_octree(octree, level=6), camera)
+    assert 20 < psnr(render_field(tree, camera).pixels, coarse.pixels) < 40

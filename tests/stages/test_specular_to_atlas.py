@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import nerfbake
-from nerfbake import bake_atlas, measure_error
+from nerfbake import bake_atlas, measure_atlas_error
 from nerfbake.errors import InvalidScene
 from nerfbake.io import load_folder
 from nerfbake.kernels.maths.sphere import fibonacci
@@ -72,14 +72,16 @@ def test_more_maps_come_closer(method: Method) -> None:
     scene = field(60, 80)
     few = bake_atlas(scene, method=method, clusters=4, nodes=2, map_size=32)
     many = bake_atlas(scene, method=method, clusters=64, nodes=5, map_size=32)
-    errors = [measure_error(atlas, scene, directions=DIRECTIONS) for atlas in (few, many)]
+    errors = [measure_atlas_error(atlas, scene, directions=DIRECTIONS) for atlas in (few, many)]
     assert errors[1].mse_float < 0.6 * errors[0].mse_float
 
 
 def test_affine_and_grid_beat_plain_maps_of_the_same_number() -> None:
     scene = field(60, 80)
     plain, affine, grid = (
-        measure_error(bake_atlas(scene, method=method, clusters=K, nodes=4, map_size=32), scene, directions=DIRECTIONS)
+        measure_atlas_error(
+            bake_atlas(scene, method=method, clusters=K, nodes=4, map_size=32), scene, directions=DIRECTIONS
+        )
         for method, K in PLAIN_AND_OTHERS
     )
     assert max(affine.mse_float, grid.mse_float) < plain.mse_float
@@ -158,7 +160,7 @@ def test_another_seed_is_another_start() -> None:
 )
 def test_the_real_texture(data: Path, method: Method, K: int, mae: float, mse: float) -> None:
     scene = load_folder(data / "nerf2mesh" / "mesh_stage1", nerfbake.Stage1).fields[0]
-    error = measure_error(bake_atlas(scene, method=method, clusters=K), scene, directions=DIRECTIONS)
+    error = measure_atlas_error(bake_atlas(scene, method=method, clusters=K), scene, directions=DIRECTIONS)
     # Sections 4 and 5 of the specification: as 8-bit pictures hold them, and before rounding.
     found = (error.mae, error.mse) if method == "kmeans" else (error.mae_float, error.mse_float)
     assert found[0] <= mae

@@ -9,7 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from nerfbake import BakedAtlas, Stage1, bake_stage1, compare, draw, orbit, sample_stage1, shade
+from nerfbake import (
+    BakedAtlas,
+    Stage1,
+    bake_stage1,
+    compare_scenes,
+    orbit_cameras,
+    render_meshes,
+    render_stage1,
+    sample_stage1,
+)
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.surface.mlp import evaluate
 from nerfbake.scene.atlas import METHODS, Method
@@ -33,7 +42,7 @@ def test_the_atlas_is_shown_as_the_shader_shows_it(method: Method) -> None:
     H, W = atlas.labels.shape
     N = 28  # pixels an edge; none of their centres is on an edge between two texels
     view = straight_down(N, N, float(N))
-    image = shade(BakedAtlas((atlas,), (flat(BLACK),), {}, {}), view)
+    image = render_stage1(BakedAtlas((atlas,), (flat(BLACK),), {}, {}), view)
     row, column = (((np.arange(N) + 0.5) / N * size).astype(int) for size in (H, W))
     texels = (row[:, None] * W + column).reshape(-1)
     seen = np.empty((N * N, 3))
@@ -45,7 +54,7 @@ def test_the_atlas_is_shown_as_the_shader_shows_it(method: Method) -> None:
 def test_the_mlp_is_evaluated_in_the_rays_direction() -> None:
     specular = field(32, 32)
     view = straight_down(32, 32, 32.0)
-    image = shade(Stage1((specular,), (flat(BLACK),)), view)
+    image = render_stage1(Stage1((specular,), (flat(BLACK),)), view)
     directions = view.rays()[1]
     each = evaluate(specular.features.reshape(-1, 3) / 255, directions, specular.w0, specular.w1)
     shown = each[np.arange(32 * 32), :, np.arange(32 * 32)]
@@ -55,8 +64,8 @@ def test_the_mlp_is_evaluated_in_the_rays_direction() -> None:
 def test_the_diffuse_colour_is_added_and_the_sum_cut() -> None:
     specular, diffuse = field(32, 32), texture(32, 32)
     view = straight_down(32, 32, 32.0)
-    alone = shade(Stage1((specular,), (flat(BLACK),)), view).colour
-    both = shade(Stage1((specular,), (flat(diffuse),)), view).colour
+    alone = render_stage1(Stage1((specular,), (flat(BLACK),)), view).colour
+    both = render_stage1(Stage1((specular,), (flat(diffuse),)), view).colour
     np.testing.assert_allclose(both, np.minimum(alone + diffuse / 255, 1), atol=1e-5)
     assert (both == 1).any()
 
@@ -67,10 +76,10 @@ def sample() -> Stage1:
 
 
 def test_more_maps_are_closer_in_pictures_too(sample: Stage1) -> None:
-    views = orbit(sample, frames=3, width=96, height=96)
+    views = orbit_cameras(sample, frames=3, width=96, height=96)
 
     def quality(**options: Any) -> float:
-        return float(compare(sample, bake_stage1(sample, **options), views).means["a_b"]["psnr"])
+        return float(compare_scenes(sample, bake_stage1(sample, **options), views).means["a_b"]["psnr"])
 
     found = [quality(clusters=1), quality(clusters=16), quality(clusters=64, method="affine")]
     assert found == sorted(found)
@@ -79,10 +88,10 @@ def test_more_maps_are_closer_in_pictures_too(sample: Stage1) -> None:
 
 
 def test_the_orbit_has_z_up_as_nerf2meshs_viewer(sample: Stage1) -> None:
-    (view,) = orbit(sample, width=96, height=96).cameras
+    (view,) = orbit_cameras(sample, width=96, height=96).cameras
     assert view.pose[2, 1] > 0.8
     assert abs(view.pose[2, 0]) < 1e-12
-    alpha = shade(sample, view).alpha
+    alpha = render_stage1(sample, view).alpha
     assert alpha.any()
     assert not alpha[[0, -1]].any()
 
@@ -92,12 +101,12 @@ def test_two_cascades_have_an_atlas_each(sample: Stage1) -> None:
     raised = replace(mesh, positions=mesh.positions + np.array([0, 1, 0], np.float32))
     other = replace(first, features=255 - first.features)
     both = Stage1((first, other), (mesh, raised))
-    (view,) = orbit(both, width=64, height=64).cameras
-    together = shade(both, view)
-    lower = draw(Meshes((raised,)), view).alpha == 0
-    one, two = (shade(Stage1((f,), (m,)), view).colour for f, m in ((first, mesh), (other, raised)))
+    (view,) = orbit_cameras(both, width=64, height=64).cameras
+    together = render_stage1(both, view)
+    lower = render_meshes(Meshes((raised,)), view).alpha == 0
+    one, two = (render_stage1(Stage1((f,), (m,)), view).colour for f, m in ((first, mesh), (other, raised)))
     np.testing.assert_array_equal(together.colour[lower], one[lower])
-    hidden = draw(Meshes((mesh,)), view).alpha == 0
+    hidden = render_meshes(Meshes((mesh,)), view).alpha == 0
     np.testing.assert_array_equal(together.colour[hidden], two[hidden])
     assert (together.colour[~lower] != one[~lower]).any()
 
@@ -106,4 +115,4 @@ def test_without_a_mesh_there_is_no_picture(sample: Stage1) -> None:
     (mesh,) = surfaces(sample)
     for meshes, named in (((None,), r"mesh_0\.obj is missing"), ((replace(mesh, texture=None),), "feat0_0 is missing")):
         with pytest.raises(InvalidScene, match=named):
-            orbit(replace(sample, meshes=meshes))
+            orbit_cameras(replace(sample, meshes=meshes))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import Meshes, draw, load, save
+from nerfbake import Meshes, load, render_meshes, save
 from nerfbake.formats.mesh import glb as meshes_glb
 from tests.support.meshes import camera, cube, mesh
 from tests.support.vdb_readers import tool, tree, volume
@@ -56,7 +56,7 @@ def test_blenders_meshes_are_seen_where_blender_renders_them(tmp_path: Path) -> 
     said = tool("blender", "--background", "--factory-startup", "--python", tmp_path / "render.py", "--", asked)
     alpha = np.array(said.partition("ALPHA ")[2].splitlines()[0].split(","), float).reshape(96, 96)[::-1]
     for name in ("a.glb", "a.obj"):
-        seen = draw(load(tmp_path / name, Meshes), view).alpha
+        seen = render_meshes(load(tmp_path / name, Meshes), view).alpha
         assert 0.05 < seen.mean() < 0.9
         assert (seen[alpha > 0.9] == 1).all()
         assert (seen[alpha < 0.1] == 0).all()

@@ -13,7 +13,7 @@ import pytest
 import warp as wp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import build_octree, build_vdb, load, restore_octree, save
+from nerfbake import build_octree, build_vdb, load, octree_of_volume, save
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.volume import nanovdb as vdb_nanovdb
 from nerfbake.formats.volume.nanovdb_reader import _unblosced
@@ -131,13 +131,13 @@ def test_the_octree_comes_back_from_an_index() -> None:
     octree.node_data.setflags(write=False)
     for half in (False, True):
         made = build_vdb(octree, grids=("index",), half=half)
-        assert_same_octree(restore_octree(decoded(encoded(made))), restore_octree(made))
+        assert_same_octree(octree_of_volume(decoded(encoded(made))), octree_of_volume(made))
 
 
 def test_lobes_come_back_with_the_octree() -> None:
     lobes = np.random.default_rng(0).normal(size=(2, 11)).astype(np.float32)
     octree = build_octree(n3tree(data_format="ASG2", extra_data=lobes))
-    back = restore_octree(decoded(encoded(build_vdb(octree, grids=("index",)))))
+    back = octree_of_volume(decoded(encoded(build_vdb(octree, grids=("index",)))))
     assert_same_octree(back, octree)
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import build_octree, build_vdb, restore_octree
+from nerfbake import build_octree, build_vdb, octree_of_volume
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError
 from nerfbake.formats.volume import npz as vdb_npz
 from nerfbake.formats.wire.npz_writer import write_npz
@@ -71,7 +71,7 @@ def test_the_octree_comes_back(grids: tuple[str, ...]) -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     for half in (False, True):
         made = build_vdb(octree, grids=grids, half=half)
-        assert_same_octree(restore_octree(decoded(encoded(made))), restore_octree(made))
+        assert_same_octree(octree_of_volume(decoded(encoded(made))), octree_of_volume(made))
 
 
 def test_grids_with_the_same_voxels_share_a_tree() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import build_octree, build_vdb, load, restore_octree, sample_n3tree, save
+from nerfbake import build_octree, build_vdb, load, octree_of_volume, sample_n3tree, save
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.memory import memory_limit
@@ -69,7 +69,7 @@ def test_the_octree_comes_back_from_density_and_sh() -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     for half in (False, True):
         made = build_vdb(octree, grids=("density", "sh"), half=half)
-        assert_same_octree(restore_octree(decoded(encoded(made))), restore_octree(made))
+        assert_same_octree(octree_of_volume(decoded(encoded(made))), octree_of_volume(made))
 
 
 def test_there_are_no_index_grids() -> None:
