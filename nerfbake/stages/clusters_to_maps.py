@@ -45,7 +45,9 @@ class AffineMaps(NamedTuple):
     centres: npt.NDArray[np.int64]  # (K, 3) 0..255
 
 
-def affine_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> AffineMaps:
+def bake_affine_maps(
+    field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int
+) -> AffineMaps:
     """Per cluster the least-squares fit of M0 + sum J_i (f - c)_i to what the MLP shows, f in 0..1.
 
     The centre c is the cluster's mean, moved as far as it takes for every offset to fit a byte without loss.
@@ -71,7 +73,7 @@ def _means(identifiers: Identifiers, clusters: Clusters) -> npt.NDArray[np.int64
     return np.rint(255 * np.stack(sums, axis=1) / weight[:, None]).astype(np.int64)
 
 
-def grid_maps(field: SpecularField, identifiers: Identifiers, *, nodes: int, map_size: int) -> Floats:
+def bake_grid_maps(field: SpecularField, identifiers: Identifiers, *, nodes: int, map_size: int) -> Floats:
     """(n^3, R, R, 3) the nodes' maps, 0..1, that fit best what the MLP shows for the colours between them."""
     axis = np.arange(nodes) / (nodes - 1)
     at_nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -66,10 +66,10 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
 
 
 def cluster_planes(identifiers: Identifiers, *, clusters: int = 64, seed: int = 0) -> Clusters:
-    """Clusters of colours whose identifiers follow the feature in a plane; `members` are those of cluster_identifiers().
+    """Clusters of colours whose identifiers follow the feature in a plane; `members` are cluster_identifiers()'s.
 
-    From cluster_identifiers()'s on, each round fits a plane to every cluster and gives each colour to the plane that comes
-    closest: after 6 rounds affine maps have half the squared error of those of plain clusters.
+    From cluster_identifiers()'s on, each round fits a plane to every cluster and gives each colour to the plane that
+    comes closest: after 6 rounds affine maps have half the squared error of those of plain clusters.
     """
     found = cluster_identifiers(identifiers, clusters=clusters, seed=seed)
     points, features = identifiers.points, identifiers.features.astype(np.float32)

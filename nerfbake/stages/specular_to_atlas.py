@@ -13,8 +13,8 @@ from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, ZERO_OFFSET, ZERO_SLOPE, Method, OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
-from nerfbake.stages.clusters_to_maps import affine_maps, bake_mean_maps, grid_maps
-from nerfbake.stages.identifiers_to_clusters import Clusters, cluster_planes
+from nerfbake.stages.clusters_to_maps import bake_affine_maps, bake_grid_maps, bake_mean_maps, bake_snapped_maps
+from nerfbake.stages.identifiers_to_clusters import Clusters, cluster_identifiers, cluster_planes
 from nerfbake.stages.specular_to_identifiers import Identifiers, identify_colours
 
 MAX_NODES = 16
@@ -57,14 +57,14 @@ def bake_atlas(
     directions = fibonacci(100) if directions is None else directions
     identifiers = identify_colours(field, directions=directions, direction_weights=direction_weights)
     if method == "grid":
-        maps = grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
+        maps = bake_grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
         labels = np.zeros(field.used.shape, np.uint16)
         return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
     find = cluster_planes if method == "affine" else cluster_identifiers
     found = find(identifiers, clusters=clusters, seed=seed)
     labels = label_texels(field, identifiers, found)
     if method == "affine":
-        affine = affine_maps(field, identifiers, found, map_size=map_size)
+        affine = bake_affine_maps(field, identifiers, found, map_size=map_size)
         offsets = _bytes(field.features - affine.centres[labels] + ZERO_OFFSET)
         tiles, slope, slopes = _encode_affine(affine.maps)
         return OctahedralAtlas("affine", tiles, labels, offsets, border, slope, slopes)
