@@ -83,8 +83,8 @@ schemas: setup tools  ## each schema through its own compiler; we generate no co
 	flatc --python -o build/schemas schemas/svo.fbs
 	capnp compile -ocapnp schemas/svo.capnp > build/schemas/svo.capnp.txt
 
-golden: setup  ## tests/golden anew: the frozen bytes of every format; say why in the commit
-	$(BIN)/python -m tests.test_golden
+golden: setup  ## what is missing in schemas/conformance: frozen bytes of every format; say why in the commit
+	$(BIN)/python -m tests.conformance
 
 bench: setup  ## the figures of the README, anew: benchmarks/results
 	$(BIN)/python benchmarks/svo.py
