@@ -17,7 +17,7 @@ def test_seconds_and_peak_are_those_of_the_command_alone() -> None:
     parent: Any = bytearray(b"x") * (200 << 20)  # a child must not have this as its own peak
     idle = python("import time; time.sleep(0.3)")
     filled = python("b'x' * (80 << 20)")
-    assert 0.3 <= idle.seconds < 3
+    assert 0.3 <= idle.seconds < 10
     assert idle.peak < 80 << 20
     assert 78 << 20 < filled.peak < 160 << 20
     assert len(parent) == 200 << 20
