@@ -1,1 +1,1 @@
-"""The scripts behind every published figure."""
+"""The suite behind every published figure: `python -m benchmarks [NAME ...]`, from the root of the repository."""

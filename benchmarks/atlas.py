@@ -1,47 +1,48 @@
-"""`nerfbake bench atlas` on nerf2mesh's real texture, and what the command takes as a whole, cold and warm.
+"""`nerfbake bench atlas` on nerf2mesh's real texture, and what `nerfbake atlas` takes as a whole, cold and warm.
 
-    python benchmarks/atlas.py          rewrites benchmarks/results/atlas.md and atlas.png
-
-Cold: the first run after installing, which compiles the kernels; warm: every later one. Needs the real texture beside
-the project.
+Cold: the first run after installing, which compiles the kernels; warm: every later one.
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import tempfile
-import time
-from pathlib import Path
+from functools import partial
+from typing import Any
 
-HERE = Path(__file__).parent
-DATA = Path(os.environ.get("NERFBAKE_DATA", HERE.parents[1] / "shared" / "data"))
-STAGE1 = DATA / "nerf2mesh" / "mesh_stage1"
-RESULT = HERE / "results" / "atlas.md"
-NERFBAKE = [sys.executable, "-m", "nerfbake"]
+from benchmarks.scenes import Scenes
+from nerfbake.bench.atlas.comparison import chart_atlases, compare_atlases
+from nerfbake.bench.measure import Statistics, in_turn
+from nerfbake.bench.process import measure_process
+from nerfbake.bench.progress import told
+from nerfbake.bench.report import Report, Table
 
+ROUNDS = 3  # of the whole command; its steps are measured once
+COLD, *WARM = 64, 64, 256, 2048  # clusters
 
-def whole(clusters: int, cache: str) -> float:
-    """Seconds of `nerfbake atlas` as a process, errors measured and all files written."""
-    with tempfile.TemporaryDirectory() as target:
-        command = [*NERFBAKE, "atlas", str(STAGE1), f"{target}/out", "--clusters", str(clusters), "-q"]
-        start = time.perf_counter()
-        subprocess.run(command, check=True, env={**os.environ, "NUMBA_CACHE_DIR": cache})
-        return time.perf_counter() - start
+chart = chart_atlases
 
 
-def main() -> None:
-    bench = [*NERFBAKE, "bench", "atlas", str(STAGE1), "--plot", str(RESULT.with_suffix(".png")), "--force"]
-    text = subprocess.run(bench, check=True, capture_output=True, text=True).stdout
-    with tempfile.TemporaryDirectory() as cache:
-        cold = whole(64, cache)
-        warm = [(K, [whole(K, cache) for _ in range(3)]) for K in (64, 256, 2048)]
-    lines = [f"| 64, cold | {cold:.1f} |"]
-    lines += [f"| {K}, warm | {sorted(times)[1]:.1f} [{min(times):.1f}..{max(times):.1f}] |" for K, times in warm]
-    table = "\n".join(["| clusters | s, median [min..max] |", "| --- | --- |", *lines])
-    RESULT.write_text(f"{text}\n**`nerfbake atlas` as a whole: import, read, bake, measure, write**\n\n{table}\n")
+def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
+    report = compare_atlases(str(scenes.stage1), rounds=1, progress=told)
+    title = "`nerfbake atlas` as a whole: import, read, bake, measure, write; median [min..max]"
+    whole = Table(title, ["clusters", "s"], _whole_rows(scenes, rounds))
+    return {"atlas": [report._replace(tables=[*report.tables, whole])]}
 
 
-if __name__ == "__main__":
-    main()
+def _whole_rows(scenes: Scenes, rounds: int) -> list[list[Any]]:
+    # Warm ones first: their rounds also compile Python's modules, as installing does.
+    with tempfile.TemporaryDirectory() as kernels, told("nerfbake atlas as a whole"):
+        warm = in_turn(*(partial(_seconds, scenes, clusters, kernels) for clusters in WARM), rounds=rounds)
+    with tempfile.TemporaryDirectory() as kernels, told("nerfbake atlas as a whole, cold"):
+        cold = _seconds(scenes, COLD, kernels)
+    rows = [[f"{clusters}, warm", Statistics.of(seconds)] for clusters, seconds in zip(WARM, warm, strict=True)]
+    return [[f"{COLD}, cold", cold], *rows]
+
+
+def _seconds(scenes: Scenes, clusters: int, kernels: str) -> float:
+    """Of the whole command, errors measured and all files written; kernels: the folder of compiled ones."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "nerfbake", "atlas", str(scenes.stage1), f"{folder}/out", "-q"]
+        environment = {"NUMBA_CACHE_DIR": kernels}
+        return measure_process(*command, "--clusters", str(clusters), environment=environment).seconds

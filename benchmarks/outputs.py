@@ -1,14 +1,11 @@
 """What each output costs in bytes and in pictures: the chair in everything that nerfbake writes, judged from the files.
 
-    python benchmarks/outputs.py        rewrites benchmarks/results/outputs.md
-
 Five held-out views at 400x400. PSNR against the PlenOctree's own pictures says what the conversion lost; PSNR against
-the photographs says what that means. Needs the real chair beside the project.
+the photographs says what that means.
 """
 
 from __future__ import annotations
 
-import os
 import shlex
 import subprocess
 import sys
@@ -16,14 +13,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from nerfbake import Cameras, Image, compare_scenes, load
+from benchmarks.scenes import Scenes
+from nerfbake import Cameras, Image, N3Tree, compare_scenes, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.report import Report, Table, markdown
-
-HERE = Path(__file__).parent
-DATA = Path(os.environ.get("NERFBAKE_DATA", HERE.parents[1] / "shared" / "data"))
-CHAIR = DATA / "plenoctree" / "chair"
-RESULT = HERE / "results" / "outputs.md"
+from nerfbake.bench.progress import told
+from nerfbake.bench.report import Report, Table
 
 # Each file and the command that makes it from those above; `lost` is what is no longer there at all.
 OUTPUTS = (
@@ -53,39 +47,36 @@ OUTPUTS = (
         "its source: 128^3, quantised",
     ),
 )
+COLUMNS = ["nerfbake ...", "MB", "PSNR to the tree", "PSNR to the photographs", "change dB", "what is lost"]
+NOTES = [
+    "PSNR in dB, mean over the views, from the written file; 100 stands for the same picture.",
+    "change: of the PSNR to the photographs, against the tree's own.",
+]
 
 
-def rows(folder: Path) -> list[list[Any]]:
-    cameras = load(CHAIR / "views" / "transforms.json", Cameras)
-    truth = [load(CHAIR / "views" / f"{camera.name}.png", Image) for camera in cameras.cameras]
-    tree: Any = load(CHAIR / "chair_sh9.npz")
+def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
+    """Once: nothing here is a time."""
+    if rounds != 1:
+        raise ValueError("pictures and bytes are the same in every round")
+    with tempfile.TemporaryDirectory() as folder:
+        table = Table("Outputs", COLUMNS, _rows(scenes, Path(folder)))
+    chair = scenes.chair
+    head = {"scene": f"{chair.name}, {chair.stat().st_size / 1e6:.1f} MB, five views of 400x400"}
+    return {"outputs": [Report("What each output costs", {**head, **environment("numpy", "numba")}, [table], NOTES)]}
+
+
+def _rows(scenes: Scenes, folder: Path) -> list[list[Any]]:
+    cameras = load(scenes.views / "transforms.json", Cameras)
+    truth = [load(scenes.views / f"{camera.name}.png", Image) for camera in cameras.cameras]
+    tree = load(scenes.chair, N3Tree)
     found: list[list[Any]] = []
     for name, command, lost in OUTPUTS:
-        words = [str(CHAIR / word) if word.startswith("chair") else word for word in shlex.split(command)]
-        subprocess.run([sys.executable, "-m", "nerfbake", *words, "-q"], cwd=folder, check=True)
-        means = compare_scenes(tree, load(folder / name), cameras, truth=truth, keep_pictures=False).means
+        words = [str(scenes.chairs / word) if word.startswith("chair") else word for word in shlex.split(command)]
+        with told(f"nerfbake {command}"):
+            subprocess.run([sys.executable, "-m", "nerfbake", *words, "-q"], cwd=folder, check=True)
+            means = compare_scenes(tree, load(folder / name), cameras, truth=truth, keep_pictures=False).means
         size = (folder / name).stat().st_size
-        original = means["a_truth"]["psnr"]
         against = means["b_truth"]["psnr"]
-        decibels = [means["a_b"]["psnr"], against, against - original]
+        decibels = [means["a_b"]["psnr"], against, against - means["a_truth"]["psnr"]]
         found.append([f"`{command}`", size / 1e6, *(f"{value:.2f}" for value in decibels), lost])
-        print(*found[-1], file=sys.stderr, flush=True)
     return found
-
-
-def main() -> None:
-    """Writes benchmarks/results/outputs.md."""
-    columns = ["nerfbake ...", "MB", "PSNR to the tree", "PSNR to the photographs", "change dB", "what is lost"]
-    with tempfile.TemporaryDirectory() as folder:
-        table = Table("Outputs", columns, rows(Path(folder)))
-    source = f"chair_sh9.npz, {(CHAIR / 'chair_sh9.npz').stat().st_size / 1e6:.1f} MB, five views of 400x400"
-    head = {"scene": source, **environment("numpy", "numba")}
-    notes = [
-        "PSNR in dB, mean over the views, from the written file; 100 stands for the same picture.",
-        "change: of the PSNR to the photographs, against the tree's own.",
-    ]
-    RESULT.write_text(markdown(Report("What each output costs", head, [table], notes)))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,19 +1,14 @@
 """Volumes of the real chair beside OpenVDB's own programs: writing .nvdb and .vdb, and reading .vdb.
 
-    python benchmarks/vdb.py            rewrites benchmarks/results/vdb.md
-
 Each row is a step that takes turns with the program it is compared with; ratios are of one round. The octree comes
-anew every round, so that nothing an earlier one worked out is there. Needs the real chair and Debian's OpenVDB
-(`make tools`).
+anew every round, so that nothing an earlier one worked out is there. Needs Debian's OpenVDB (`make tools`).
 """
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -22,17 +17,29 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake import IndexGrid, N3Tree, VdbTree, Volume, build_octree, build_vdb, load, save
+from benchmarks.aims import NANOVDB_BUILD_AND_WRITE, OPENVDB_WRITE, Aim
+from benchmarks.scenes import Scenes
+from nerfbake import IndexGrid, N3Tree, SparseVoxelOctree, VdbTree, Volume, build_octree, build_vdb, load, save
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Spread
-from nerfbake.bench.report import Report, Table, markdown
+from nerfbake.bench.measure import Statistics, in_turn, seconds_of
+from nerfbake.bench.process import measure_process
+from nerfbake.bench.progress import told
+from nerfbake.bench.report import Report, Table
 
-HERE = Path(__file__).parent
-DATA = Path(os.environ.get("NERFBAKE_DATA", HERE.parents[1] / "shared" / "data"))
-CHAIR = DATA / "plenoctree" / "chair" / "chair_sh9.npz"
-RESULT = HERE / "results" / "vdb.md"
 ROUNDS = 15
 COLUMNS = ["step", "beside", "ours ms", "theirs ms", "ratio", "aim", "holds", "MB", "their MB", "same voxels"]
+NOTES = [
+    "Medians [least..greatest]; a ratio is of one round. A load average above 0 "
+    "before the run means that other work shared the cores.",
+    "build: the octree in memory becomes grids; write: grids become a file. `nerfbake vdb` is the whole process: "
+    "Python's start and imports, reading the octree (.svo.npz), build and write.",
+    "nanovdb_convert is a whole process, too: it reads our .vdb of the same grid and writes a .nvdb with all "
+    "statistics and a partial checksum; ours has the same.",
+    "pyopenvdb has the voxels as a dense array, copies it into a grid and writes that (blosc); it reads with "
+    "readAll and evalMinMax, since values come when they are asked for. Python's start does not count.",
+    "Building has no aim beside pyopenvdb, which is handed a dense array: ours starts from an octree, and proves "
+    "it sound and its values usable first, which is nearly half of the building.",
+]
 
 _WRITE = """
 import sys, time, numpy, pyopenvdb
@@ -53,39 +60,19 @@ print(time.perf_counter() - start)
 """
 
 
-def ours(work: Callable[[], Any]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
-
-
-def process(*command: str | Path) -> float:
-    """Seconds of a whole process."""
-    return ours(partial(subprocess.run, list(map(str, command)), check=True, capture_output=True))
-
-
-def pyopenvdb(code: str, *arguments: Path) -> float:
-    """Seconds that a script of theirs measured itself, without Python's own start."""
-    command = ["/usr/bin/python3", "-c", code, *map(str, arguments)]
-    return float(subprocess.run(command, check=True, capture_output=True).stdout)
-
-
-def in_turn(*works: Callable[[], float]) -> list[list[float]]:
-    """Seconds of each in every round, after one round that does not count."""
-    rounds = [[work() for work in works] for _ in range(ROUNDS + 1)][1:]
-    return [list(seconds) for seconds in zip(*rounds, strict=True)]
-
-
-def row(step: str, beside: str, own: list[float], theirs: list[float], aim: float | None, *facts: Any) -> list[Any]:
-    ratio = Spread.of([a / b for a, b in zip(own, theirs, strict=True)])
-    times = [Spread.of([second * 1e3 for second in seconds]) for seconds in (own, theirs)]
-    holds = None if aim is None else ratio.median <= aim
-    return [step, beside, *times, ratio, aim and f"at most {aim:g}", holds, *facts]
-
-
-def rows(folder: Path) -> list[list[Any]]:
-    octree = build_octree(load(CHAIR, N3Tree))
+def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
+    octree = build_octree(load(scenes.chair, N3Tree))
     volume = build_vdb(octree, grids=("density",))
+    with tempfile.TemporaryDirectory() as folder, told(f"writing and reading volumes, {rounds} rounds in turn"):
+        measured = _rows(octree, volume, Path(folder), rounds)
+    voxels = f"{volume.grids[0].topology.m:,} voxels"
+    head = {"scene": f"{scenes.chair.name} at {max(octree.size)}^3, density, {voxels}, float32", "rounds": str(rounds)}
+    head |= environment("numpy", "zlib-ng", "blosc", "nerfbake")
+    head |= {"OpenVDB and NanoVDB": _debian("libopenvdb-tools")}
+    return {"vdb": [Report("Volumes beside OpenVDB's own programs", head, [Table("Chair", COLUMNS, measured)], NOTES)]}
+
+
+def _rows(octree: SparseVoxelOctree, volume: Volume, folder: Path, rounds: int) -> list[list[Any]]:
     grid = volume.grids[0]
     dense = np.zeros(octree.size, np.float32)
     dense[tuple(grid.topology.coords.T)] = grid.values[:, 0]
@@ -98,59 +85,56 @@ def rows(folder: Path) -> list[list[Any]]:
         save(folder / name, made, force=True, **options)
 
     def steps(name: str) -> list[Callable[[], float]]:
-        return [partial(ours, partial(write, name, build=build)) for build in (False, True)]
+        return [partial(_ours, partial(write, name, build=build)) for build in (False, True)]
 
     def megabytes(name: str) -> float:
         return (folder / name).stat().st_size / 1e6
 
     convert = ("nanovdb_convert", "-f", "-c", "partial", "-s", "all", folder / "a.vdb", folder / "theirs.nvdb")
     whole = (sys.executable, "-m", "nerfbake", "vdb", folder / "octree.svo.npz", folder / "whole.nvdb", "--force", "-q")
-    nvdb = in_turn(*steps("a.nvdb"), partial(process, *whole), partial(process, *convert))
-    stored = partial(ours, partial(write, "stored.vdb", build=True, codec="none"))
-    vdb = in_turn(*steps("b.vdb"), stored, partial(pyopenvdb, _WRITE, folder / "dense.npy", folder / "theirs.vdb"))
+    nvdb = in_turn(*steps("a.nvdb"), partial(_process, *whole), partial(_process, *convert), rounds=rounds)
+    stored = partial(_ours, partial(write, "stored.vdb", build=True, codec="none"))
+    their_write = partial(_pyopenvdb, _WRITE, folder / "dense.npy", folder / "theirs.vdb")
+    vdb = in_turn(*steps("b.vdb"), stored, their_write, rounds=rounds)
     read = in_turn(
-        partial(ours, partial(load, folder / "a.vdb", Volume)),
-        partial(ours, partial(load, folder / "theirs.vdb", Volume)),
-        partial(pyopenvdb, _READ, folder / "theirs.vdb"),
+        partial(_ours, partial(load, folder / "a.vdb", Volume)),
+        partial(_ours, partial(load, folder / "theirs.vdb", Volume)),
+        partial(_pyopenvdb, _READ, folder / "theirs.vdb"),
+        rounds=rounds,
     )
     same, same_vdb = (_same(load(folder / f"theirs.{name}", Volume).grids[0], grid) for name in ("nvdb", "vdb"))
     sizes, vdb_sizes = (megabytes("a.nvdb"), megabytes("theirs.nvdb")), (megabytes("b.vdb"), megabytes("theirs.vdb"))
     rest = (vdb_sizes[1], same_vdb)
     return [
-        row(".nvdb, write", "nanovdb_convert", nvdb[0], nvdb[3], None, *sizes, same),
-        row(".nvdb, build and write", "nanovdb_convert", nvdb[1], nvdb[3], 1.0, *sizes, same),
-        row(".nvdb, `nerfbake vdb`", "nanovdb_convert", nvdb[2], nvdb[3], None, *sizes, same),
-        row(".vdb, write", "pyopenvdb", vdb[0], vdb[3], 1.0, *vdb_sizes, same_vdb),
-        row(".vdb, build and write", "pyopenvdb", vdb[1], vdb[3], None, *vdb_sizes, same_vdb),
-        row(".vdb `--codec none`, build and write", "pyopenvdb", vdb[2], vdb[3], None, megabytes("stored.vdb"), *rest),
-        row(".vdb (our zip), read", "pyopenvdb, blosc", read[0], read[2], None, *vdb_sizes, same_vdb),
-        row(".vdb (their blosc), read", "pyopenvdb, blosc", read[1], read[2], None, *vdb_sizes, same_vdb),
+        _row(".nvdb, write", "nanovdb_convert", nvdb[0], nvdb[3], None, *sizes, same),
+        _row(".nvdb, build and write", "nanovdb_convert", nvdb[1], nvdb[3], NANOVDB_BUILD_AND_WRITE, *sizes, same),
+        _row(".nvdb, `nerfbake vdb`", "nanovdb_convert", nvdb[2], nvdb[3], None, *sizes, same),
+        _row(".vdb, write", "pyopenvdb", vdb[0], vdb[3], OPENVDB_WRITE, *vdb_sizes, same_vdb),
+        _row(".vdb, build and write", "pyopenvdb", vdb[1], vdb[3], None, *vdb_sizes, same_vdb),
+        _row(".vdb `--codec none`, build and write", "pyopenvdb", vdb[2], vdb[3], None, megabytes("stored.vdb"), *rest),
+        _row(".vdb (our zip), read", "pyopenvdb, blosc", read[0], read[2], None, *vdb_sizes, same_vdb),
+        _row(".vdb (their blosc), read", "pyopenvdb, blosc", read[1], read[2], None, *vdb_sizes, same_vdb),
     ]
 
 
-def main() -> None:
-    """Writes benchmarks/results/vdb.md."""
-    load_before = os.getloadavg()[0]
-    with tempfile.TemporaryDirectory() as folder:
-        measured = rows(Path(folder))
-    head = {"scene": "chair_sh9.npz at 256^3, density, 629,855 voxels, float32", "rounds": str(ROUNDS)}
-    head |= environment("numpy", "zlib-ng", "blosc", "nerfbake")
-    head |= {"OpenVDB and NanoVDB": _debian("libopenvdb-tools"), "load before": f"{load_before:.2f}"}
-    notes = [
-        "Medians [least..greatest]; a ratio is of one round. `python benchmarks/vdb.py`, or `make bench`. "
-        "A load above 0 means that other work shared the cores.",
-        "build: the octree in memory becomes grids; write: grids become a file. `nerfbake vdb` is the whole process: "
-        "Python's start and imports, reading the octree (.svo.npz), build and write.",
-        "nanovdb_convert is a whole process, too: it reads our .vdb of the same grid and writes a .nvdb with all "
-        "statistics and a partial checksum; ours has the same.",
-        "pyopenvdb has the voxels as a dense array, copies it into a grid and writes that (blosc); it reads with "
-        "readAll and evalMinMax, since values come when they are asked for. Python's start does not count.",
-        "Building has no aim beside pyopenvdb, which is handed a dense array: ours starts from an octree, and proves "
-        "it sound and its values usable first, which is nearly half of the building.",
-    ]
-    report = Report("Volumes beside OpenVDB's own programs", head, [Table("Chair", COLUMNS, measured)], notes)
-    RESULT.write_text(markdown(report))
-    print(RESULT.read_text())
+def _row(step: str, beside: str, own: list[float], theirs: list[float], aim: Aim | None, *facts: Any) -> list[Any]:
+    ratio = Statistics.of([a / b for a, b in zip(own, theirs, strict=True)])
+    times = [Statistics.of([second * 1e3 for second in seconds]) for seconds in (own, theirs)]
+    return [step, beside, *times, ratio, aim and str(aim), aim and aim.holds(ratio.median), *facts]
+
+
+def _ours(work: Callable[[], Any]) -> float:
+    return seconds_of(work)[1]
+
+
+def _process(*command: str | Path) -> float:
+    return measure_process(*command).seconds
+
+
+def _pyopenvdb(code: str, *arguments: Path) -> float:
+    """Seconds that a script of theirs measured itself, without Python's own start."""
+    command = ["/usr/bin/python3", "-c", code, *map(str, arguments)]
+    return float(subprocess.run(command, check=True, capture_output=True).stdout)
 
 
 def _same(one: VdbTree | IndexGrid, other: VdbTree | IndexGrid) -> bool:
@@ -161,7 +145,3 @@ def _same(one: VdbTree | IndexGrid, other: VdbTree | IndexGrid) -> bool:
 def _debian(package: str) -> str:
     query = ["dpkg-query", "-W", "-f", "${Version}", package]
     return f"Debian {subprocess.run(query, check=True, capture_output=True, text=True).stdout}"
-
-
-if __name__ == "__main__":
-    main()

@@ -33,9 +33,9 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
 PARTS = {"formats/wire": ({"errors", "memory", "kernels", "formats.wire"}, {"numpy"})}
 # The one library that a file is about.
 OWN_LIBRARY = {
-    "bench/_warp_access": {"warp"},  # a contender of bench access
-    "bench/atlas": {"sklearn"},  # the contender of bench atlas
-    "bench/libraries": {"bson", "capnp", "flatbuffers", "google"},
+    "bench/access/warp_reader": {"warp"},  # beside ours in bench access
+    "bench/atlas/clustering": {"sklearn"},  # beside ours in bench atlas
+    "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
     "formats/atlas/folder": {"PIL"},  # its version, for atlas.json
     "formats/octree/json": {"orjson"},

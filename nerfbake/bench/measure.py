@@ -15,11 +15,12 @@ import time
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from nerfbake.errors import NerfbakeError
 
 TIMEOUT = 1800  # seconds for one piece of work
+Found = TypeVar("Found")
 
 
 class Work(NamedTuple):
@@ -38,8 +39,8 @@ class Result(NamedTuple):
     error: str = ""
 
 
-class Spread(NamedTuple):
-    """What several rounds gave."""
+class Statistics(NamedTuple):
+    """The median of a figure over several rounds, beside its least and its greatest value."""
 
     median: float
     low: float
@@ -47,8 +48,8 @@ class Spread(NamedTuple):
     rounds: int
 
     @staticmethod
-    def of(values: list[float]) -> Spread:
-        return Spread(statistics.median(values), min(values), max(values), len(values))
+    def of(values: list[float]) -> Statistics:
+        return Statistics(statistics.median(values), min(values), max(values), len(values))
 
 
 def measure(function: Callable[..., Work], **arguments: Any) -> Result:
@@ -64,13 +65,30 @@ def measure(function: Callable[..., Work], **arguments: Any) -> Result:
     return Result(**json.loads(done.stdout.splitlines()[-1]))  # what stands above is a library's own talk
 
 
-def _child(module: str, function: str, arguments: dict[str, Any]) -> Result:
+def seconds_of(work: Callable[[], Found]) -> tuple[Found, float]:
+    """What the work gives, and the seconds that it took: the stopwatch of every benchmark."""
+    start = time.perf_counter()
+    found = work()
+    return found, time.perf_counter() - start
+
+
+def in_turn(*works: Callable[[], Found], rounds: int) -> list[list[Found]]:
+    """What each of the works gave in every round; they take turns, after one round that does not count."""
+    found = [[work() for work in works] for _ in range(rounds + 1)][1:]
+    return [list(of_work) for of_work in zip(*found, strict=True)]
+
+
+def resident_bytes(usage: resource.struct_rusage) -> int:
+    """The most memory that a process held at once, as the operating system tells it."""
+    return usage.ru_maxrss if sys.platform == "darwin" else usage.ru_maxrss * 1024
+
+
+def measure_here(module: str, function: str, arguments: dict[str, Any]) -> Result:
+    """The same in this process: what the child does."""
     try:
         work: Work = getattr(import_module(module), function)(**arguments)
         before = _reset_peak()
-        start = time.perf_counter()
-        result = work.run()
-        seconds = time.perf_counter() - start
+        result, seconds = seconds_of(work.run)
         peak = _peak() - before
         return Result(seconds, peak, work.check(result))
     except ImportError as error:
@@ -93,8 +111,7 @@ def _peak() -> int:
     try:
         return _status("VmHWM")
     except OSError:
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return most if sys.platform == "darwin" else most * 1024
+        return resident_bytes(resource.getrusage(resource.RUSAGE_SELF))
 
 
 def _status(key: str) -> int:
@@ -103,4 +120,4 @@ def _status(key: str) -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps(_child(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]))._asdict()))
+    print(json.dumps(measure_here(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]))._asdict()))

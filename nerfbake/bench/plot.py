@@ -1,4 +1,4 @@
-"""Charts that need no legend: every point says what it is."""
+"""Charts that need no legend: every mark says what it is."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import NamedTuple
 COLOURS = ("#0b6e99", "#b5532a", "#7a7a7a", "#5b8c3a")
 
 
-class Point(NamedTuple):
-    """x and y with what stands beside it; points of a group share a colour."""
+class Mark(NamedTuple):
+    """x and y with what stands beside it; marks of a group share a colour."""
 
     label: str
     x: float
@@ -19,8 +19,8 @@ class Point(NamedTuple):
     group: str
 
 
-def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str) -> bytes:
-    """The points on logarithmic axes, labelled, as an image of the format that the suffix names (.png, .svg)."""
+def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -> bytes:
+    """The marks on logarithmic axes, labelled, as an image of the format that the suffix names (.png, .svg)."""
     import matplotlib as mpl
 
     mpl.use("agg")
@@ -29,9 +29,10 @@ def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str)
 
     with mpl.rc_context({"svg.hashsalt": "nerfbake", "svg.fonttype": "none", "font.size": 9}):
         figure, axes = pyplot.subplots(figsize=(9, 6), layout="constrained")
-        for colour, group in zip(cycle(COLOURS), dict.fromkeys(point.group for point in points), strict=False):
-            mine = [point for point in points if point.group == group]
-            axes.scatter([p.x for p in mine], [p.y for p in mine], s=28, color=colour, label=group, zorder=3)
+        for colour, group in zip(cycle(COLOURS), dict.fromkeys(mark.group for mark in marks), strict=False):
+            mine = [mark for mark in marks if mark.group == group]
+            x_own, y_own = [mark.x for mark in mine], [mark.y for mark in mine]
+            axes.scatter(x_own, y_own, s=28, color=colour, label=group, zorder=3)
         axes.set(xscale="log", yscale="log", title=title, xlabel=x, ylabel=y)
         axes.grid(which="both", color="#e6e6e6", linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
@@ -42,7 +43,7 @@ def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str)
         axes.margins(0.12)
         axes.legend(frameon=False)
         figure.canvas.draw()
-        _label(axes, points)
+        _label(axes, marks)
         image = io.BytesIO()
         metadata = {"Date": None} if suffix == ".svg" else {}
         figure.savefig(image, format=suffix.removeprefix("."), dpi=140, metadata=metadata)
@@ -50,22 +51,22 @@ def scatter(points: Sequence[Point], *, title: str, x: str, y: str, suffix: str)
     return image.getvalue()
 
 
-def _label(axes: object, points: Sequence[Point]) -> None:
-    """Puts each label beside its point, where it covers no other one and no point, as near as there is room."""
+def _label(axes: object, marks: Sequence[Mark]) -> None:
+    """Puts each label beside its mark, where it covers no other one and no mark, as near as there is room."""
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 
     transform = axes.transData.transform  # type: ignore[attr-defined]
     renderer = axes.figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    spots = [transform((point.x, point.y)) for point in points]
+    spots = [transform((mark.x, mark.y)) for mark in marks]
     taken = [Bbox.from_bounds(px - 5, py - 5, 10, 10) for px, py in spots]
-    for point in sorted(points, key=lambda point: (point.y, point.x)):
+    for mark in sorted(marks, key=lambda mark: (mark.y, mark.x)):
         best = None
         for reach in (7, 16, 27, 40, 55):
             for dx, dy, ha, va in _PLACES:
                 text = axes.annotate(  # type: ignore[attr-defined]
-                    point.label,
-                    (point.x, point.y),
+                    mark.label,
+                    (mark.x, mark.y),
                     (dx * reach, dy * reach),
                     textcoords="offset points",
                     ha=ha,

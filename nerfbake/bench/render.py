@@ -6,9 +6,7 @@ The pictures of the PlenOctree (or of the octree, where that is the scene) are w
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -18,8 +16,9 @@ import numpy as np
 import nerfbake
 from nerfbake import io
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, Spread, Work, measure
-from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.measure import Result, Statistics, Work, in_turn, measure, seconds_of
+from nerfbake.bench.plot import Mark, scatter
+from nerfbake.bench.process import measure_process
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
 from nerfbake.kernels.picture.metrics import psnr
@@ -45,18 +44,18 @@ NOTES = [
 ]
 
 
-class Row(NamedTuple):
-    """A structure in a file."""
+class SceneFile(NamedTuple):
+    """The scene as one structure, written to a file."""
 
     name: str
     path: str
 
 
-def compare(
+def compare_rendering(
     scene: N3Tree | SparseVoxelOctree, name: str, cameras: Cameras | None, *, rounds: int, progress: Progress
 ) -> Report:
     """Writes the scene as every structure, renders each, and reports. cameras: by default an orbit."""
-    results: dict[tuple[Row, int, str], list[Result]] = {}
+    results: dict[tuple[SceneFile, int, str], list[Result]] = {}
     with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
         with progress("writing the structures"):
             rows = _written(scene, Path(folder))
@@ -74,7 +73,7 @@ def compare(
                         results.setdefault((row, edge, lookup), []).append(found)
         sizes = {row.path: Path(row.path).stat().st_size for row in rows}
         with progress("a process of its own"):
-            first = [_first_picture(rows[0], shown) for _ in range(rounds)]
+            (first,) = in_turn(lambda: _first_picture(rows[0], shown), rounds=rounds)
     head = {
         "scene": f"{name}: {scene}",
         "cameras": str(len(views.cameras)),
@@ -85,20 +84,20 @@ def compare(
     whole = Table(
         "`nerfbake render` as a process, 400x400: import, read, render, write; compiled code is on the disk",
         ["scene", "s"],
-        [[rows[0].name, Spread.of(first)]],
+        [[rows[0].name, Statistics.of(first)]],
     )
     return Report(f"Rendering: {name}", head, [figures, whole], NOTES)
 
 
-def chart(report: Report, suffix: str) -> bytes:
+def chart_rendering(report: Report, suffix: str) -> bytes:
     """Time against memory, a point for each row that was measured."""
     rows = [dict(zip(COLUMNS, row, strict=True)) for row in report.tables[0].rows]
-    points = [
-        Point(f"{row['structure']} {row['pixels']}", row["cells MB"], row["ms a frame"].median, row["lookup"])
+    marks = [
+        Mark(f"{row['structure']} {row['pixels']}", row["cells MB"], row["ms a frame"].median, row["lookup"])
         for row in rows
         if row["ms a frame"] is not None
     ]
-    return scatter(points, title=report.title, x="cells in memory, MB", y="ms a frame (median)", suffix=suffix)
+    return scatter(marks, title=report.title, x="cells in memory, MB", y="ms a frame (median)", suffix=suffix)
 
 
 def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Work:
@@ -110,9 +109,8 @@ def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Wo
     def run() -> list[Any]:
         return [nerfbake.render_field(scene, view, lookup=lookup) for view in views]
 
-    start = time.perf_counter()
-    nerfbake.render_field(scene, views[0].resized(8, 8), lookup=lookup)
-    ready, field = time.perf_counter() - start, field_of(scene)
+    _, ready = seconds_of(lambda: nerfbake.render_field(scene, views[0].resized(8, 8), lookup=lookup))
+    field = field_of(scene)
     nerfbake.render_field(scene, views[0], lookup=lookup)  # memory and caches as every later picture finds them
 
     def check(images: list[Any]) -> dict[str, Any]:
@@ -126,7 +124,7 @@ def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Wo
     return Work(run, check)
 
 
-def _written(scene: N3Tree | SparseVoxelOctree, folder: Path) -> list[Row]:
+def _written(scene: N3Tree | SparseVoxelOctree, folder: Path) -> list[SceneFile]:
     octree = nerfbake.build_octree(scene) if isinstance(scene, N3Tree) else scene
     sh = octree.data_format.startswith("SH")
     made: list[tuple[str, str, Any, dict[str, Any]]] = []
@@ -138,24 +136,22 @@ def _written(scene: N3Tree | SparseVoxelOctree, folder: Path) -> list[Row]:
     made.append(("VDB index, float16", "index.nvdb", nerfbake.build_vdb(octree, grids=("index",), half=True), {}))
     for _, name, thing, options in made:
         io.save(folder / name, thing, **options)
-    return [Row(label, str(folder / name)) for label, name, _, _ in made]
+    return [SceneFile(label, str(folder / name)) for label, name, _, _ in made]
 
 
-def _first_picture(row: Row, cameras: str) -> float:
+def _first_picture(row: SceneFile, cameras: str) -> float:
     """Seconds of a whole process that shows one picture."""
     command = [sys.executable, "-m", "nerfbake", "render", row.path, "--cameras", cameras, "--size", "400x400"]
-    start = time.perf_counter()
-    subprocess.run([*command, "--out", "-", "-q"], check=True, capture_output=True)
-    return time.perf_counter() - start
+    return measure_process(*command, "--out", "-", "-q").seconds
 
 
-def _cells(key: tuple[Row, int, str], found: list[Result], sizes: dict[str, int]) -> list[Any]:
+def _cells(key: tuple[SceneFile, int, str], found: list[Result], sizes: dict[str, int]) -> list[Any]:
     row, edge, lookup = key
     if error := next((result.error for result in found if result.error), ""):
         return [f"{row.name}: {error}", f"{edge}x{edge}", lookup, *[None] * (len(COLUMNS) - 3)]
     frame, ready = (
-        Spread.of([1e3 * result.seconds / result.facts["frames"] for result in found]),
-        Spread.of([result.facts["ready"] for result in found]),
+        Statistics.of([1e3 * result.seconds / result.facts["frames"] for result in found]),
+        Statistics.of([result.facts["ready"] for result in found]),
     )
     facts = [ready, found[0].facts["cells"] / 1e6, sizes[row.path] / 1e6, found[0].facts["psnr"]]
     return [row.name, f"{edge}x{edge}", lookup, frame, 1e3 / frame.median, *facts]

@@ -8,11 +8,11 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from nerfbake.bench.measure import Spread
+from nerfbake.bench.measure import Statistics
 
 
 class Table(NamedTuple):
-    """columns: names with units. A cell is text, a number, a Spread, a bool, or None where nothing was measured."""
+    """columns: names with units. A cell is text, a number, Statistics, a bool, or None where nothing was measured."""
 
     title: str
     columns: list[str]
@@ -36,7 +36,7 @@ def markdown(report: Report) -> str:
 
 
 def as_csv(report: Report) -> str:
-    """For spreadsheets: one row a measured row of any table, spreads as three columns."""
+    """For spreadsheets: one row a measured row of any table, statistics as three columns."""
     rows = [row for table in report.tables for row in _records(table)]
     names = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
@@ -69,7 +69,7 @@ def _records(table: Table) -> list[dict[str, Any]]:
     for row in table.rows:
         record: dict[str, Any] = {"table": table.title}
         for column, cell in zip(table.columns, row, strict=True):
-            if isinstance(cell, Spread):
+            if isinstance(cell, Statistics):
                 record |= {column: cell.median, f"{column} min": cell.low, f"{column} max": cell.high}
                 record["rounds"] = cell.rounds
             else:
@@ -80,7 +80,7 @@ def _records(table: Table) -> list[dict[str, Any]]:
 
 def _markdown_table(table: Table) -> str:
     right = [
-        any(isinstance(row[k], int | float | Spread) and not isinstance(row[k], bool) for row in table.rows)
+        any(isinstance(row[k], int | float | Statistics) and not isinstance(row[k], bool) for row in table.rows)
         for k in range(len(table.columns))
     ]
     lines = [table.columns, ["---:" if numeric else "---" for numeric in right]]
@@ -94,7 +94,7 @@ def _cell(cell: Any) -> str:
             return "-"
         case bool():
             return "yes" if cell else "no"
-        case Spread():
+        case Statistics():
             single = cell.rounds == 1
             return _number(cell.median) + ("" if single else f" [{_number(cell.low)}..{_number(cell.high)}]")
         case int():

@@ -46,8 +46,8 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
     there may be fewer clusters than asked for. The same seed gives the same clusters, whatever the number of threads.
     Raises InvalidScene for more clusters than colours. Source: the thesis, with Lloyd's iteration made exact and fast.
 
-    Greedy k-means++ on the means of cells of 5-bit colour starts the rounds. benchmarks/atlas.py compares with
-    scikit-learn's KMeans.
+    Greedy k-means++ on the means of cells of 5-bit colour starts the rounds. `nerfbake bench atlas` compares
+    it with scikit-learn's KMeans.
     """
     points, weight = identifiers.points, identifiers.counts
     if not 1 <= clusters <= min(len(points), MAX_CLUSTERS):

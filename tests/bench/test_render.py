@@ -36,13 +36,13 @@ def test_the_report_has_every_structure(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(render, "EDGES", (16,))
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
     views = orbit_cameras(tree, frames=2, width=16, height=16)
-    report = render.compare(tree, "small", views, rounds=1, progress=lambda _: nullcontext())
+    report = render.compare_rendering(tree, "small", views, rounds=1, progress=lambda _: nullcontext())
     rows = [dict(zip(render.COLUMNS, row, strict=True)) for row in report.tables[0].rows]
     names = ["N3Tree", "octree", "VDB, density and sh", "VDB index, float16"]
     assert [row["structure"] for row in rows] == 2 * names
     assert all(row["frames a second"] > 0 for row in rows)
     assert [row["PSNR dB"] > 60 for row in rows] == 4 * [True] + 4 * [False]
-    assert render.chart(report, ".svg").startswith(b"<?xml")
+    assert render.chart_rendering(report, ".svg").startswith(b"<?xml")
 
 
 def test_what_cannot_be_rendered_is_one_line(shell: Shell, tmp_path: Path) -> None:

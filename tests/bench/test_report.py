@@ -4,16 +4,16 @@ import csv
 import io
 import json
 
-from nerfbake.bench.measure import Spread
-from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.measure import Statistics
+from nerfbake.bench.plot import Mark, scatter
 from nerfbake.bench.report import Report, Table, as_csv, as_json, markdown
 
 TABLE = Table(
     "Formats",
     ["format", "MB", "ms", "exact"],
     [
-        ["raw", 96.04, Spread.of([3.0, 1.0, 2.0]), True],
-        ["a|b", 1234.5, Spread.of([0.5]), False],
+        ["raw", 96.04, Statistics.of([3.0, 1.0, 2.0]), True],
+        ["a|b", 1234.5, Statistics.of([0.5]), False],
         ["c: gone", None, None, None],
     ],
 )
@@ -49,16 +49,16 @@ def test_json_has_everything() -> None:
     assert whole["tables"][0]["rows"][2]["ms"] is None
 
 
-def test_a_chart_names_every_point_and_is_the_same_each_time() -> None:
-    # Points so close together that their labels have to make way.
-    points = [Point(f"row {k}", 10 + k / 10, 5, "ours" if k % 2 else "theirs") for k in range(8)]
-    images = [scatter(points, title="t", x="ms", y="MB", suffix=".svg") for _ in range(2)]
+def test_a_chart_names_every_mark_and_is_the_same_each_time() -> None:
+    # Marks so close together that their labels have to make way.
+    marks = [Mark(f"row {k}", 10 + k / 10, 5, "ours" if k % 2 else "theirs") for k in range(8)]
+    images = [scatter(marks, title="t", x="ms", y="MB", suffix=".svg") for _ in range(2)]
     assert images[0] == images[1]
     assert all(f"row {k}" in images[0].decode() for k in range(8))
-    assert scatter(points, title="t", x="ms", y="MB", suffix=".png")[:4] == b"\x89PNG"
+    assert scatter(marks, title="t", x="ms", y="MB", suffix=".png")[:4] == b"\x89PNG"
 
 
-def test_a_chart_of_many_points_names_them_all() -> None:
-    points = [Point(f"point {i}", 10 ** (i / 5), 10 ** (i % 4), f"group {i % 3}") for i in range(24)]
-    image = scatter(points, title="t", x="ms", y="MB", suffix=".svg").decode()
-    assert all(f">{point.label}<" in image for point in points)
+def test_a_chart_of_many_marks_names_them_all() -> None:
+    marks = [Mark(f"mark {i}", 10 ** (i / 5), 10 ** (i % 4), f"group {i % 3}") for i in range(24)]
+    image = scatter(marks, title="t", x="ms", y="MB", suffix=".svg").decode()
+    assert all(f">{mark.label}<" in image for mark in marks)

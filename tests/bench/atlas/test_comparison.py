@@ -9,7 +9,8 @@ import pytest
 
 import nerfbake
 from nerfbake import io
-from nerfbake.bench import atlas as benchmark
+from nerfbake.bench.atlas import comparison
+from nerfbake.bench.atlas.baking import Recipe
 from nerfbake.bench.report import markdown
 from nerfbake.kernels.maths.sphere import fibonacci
 
@@ -18,10 +19,10 @@ from nerfbake.kernels.maths.sphere import fibonacci
 def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = nerfbake.sample_stage1(resolution=64)
     io.save_folder(tmp_path / "s", scene)
-    monkeypatch.setattr(benchmark, "ROWS", [benchmark.Row("kmeans", 16), benchmark.Row("kmeans", 10**6)])
-    monkeypatch.setattr(benchmark, "CONTENDERS", [("nerfbake", 8), ("KMeans", 8)])
-    report = benchmark.compare(str(tmp_path / "s"), rounds=1, progress=lambda text: nullcontext())
-    good, bad = (dict(zip(benchmark.COLUMNS, row, strict=True)) for row in report.tables[0].rows)
+    monkeypatch.setattr(comparison, "RECIPES", [Recipe("kmeans", 16), Recipe("kmeans", 10**6)])
+    monkeypatch.setattr(comparison, "CLUSTERINGS", [("nerfbake", 8), ("KMeans", 8)])
+    report = comparison.compare_atlases(str(tmp_path / "s"), rounds=1, progress=lambda text: nullcontext())
+    good, bad = (dict(zip(comparison.COLUMNS, row, strict=True)) for row in report.tables[0].rows)
     atlas = nerfbake.bake_atlas(scene.fields[0], clusters=16)
     error = nerfbake.measure_atlas_error(atlas, scene.fields[0], directions=fibonacci(100))
     assert (good["MAE"], good["MSE"], good["thesis MAE"]) == (error.mae, error.mse, 11.151)
@@ -30,4 +31,4 @@ def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ours, theirs = (row[-1] for row in report.tables[1].rows)
     assert ours == pytest.approx(theirs, rel=0.15)
     assert "kmeans K=16" in markdown(report)
-    assert benchmark.chart(report, ".png").startswith(b"\x89PNG")
+    assert comparison.chart_atlases(report, ".png").startswith(b"\x89PNG")

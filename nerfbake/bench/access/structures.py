@@ -17,8 +17,8 @@ from nerfbake.kernels.vdb.accessor import Floats, Points, mixed
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 
-Size = tuple[int, int, int]
-Ints = npt.NDArray[np.int32]
+Edges = tuple[int, int, int]  # voxels along x, y and z
+Links = npt.NDArray[np.int32]
 ONE = np.uint64(1)
 
 
@@ -37,7 +37,7 @@ def _bytes(part: Any) -> int:
     return sum(map(_bytes, part)) if isinstance(part, tuple) else part.nbytes if isinstance(part, np.ndarray) else 0
 
 
-def dense(size: Size, topology: VdbTopology, values: Floats) -> Structure:
+def dense(size: Edges, topology: VdbTopology, values: Floats) -> Structure:
     """All voxels, x-major; values (m, C) of the active ones."""
     w, h, d = _padded(size)
     table = np.zeros((w * h * d, values.shape[1]), np.float32)
@@ -45,7 +45,7 @@ def dense(size: Size, topology: VdbTopology, values: Floats) -> Structure:
     return Structure(read_dense, ((w, h, d), table))
 
 
-def pointers(size: Size, topology: VdbTopology, values: Floats) -> Structure:
+def pointers(size: Edges, topology: VdbTopology, values: Floats) -> Structure:
     """A row number for each voxel, int32 as Plenoxels has it; the last row is that of nothing."""
     w, h, d = _padded(size)
     links = np.full(w * h * d, topology.m, np.int32)
@@ -69,18 +69,18 @@ def octree(tree: SparseVoxelOctree, channels: int) -> Structure:
     return Structure(read_octree, (tree.size, links, max(tree.grid_level, 1), table))
 
 
-def _padded(size: Size) -> Size:
+def _padded(size: Edges) -> Edges:
     return size[0] + 2, size[1] + 2, size[2] + 2
 
 
-def _flat(size: Size, topology: VdbTopology) -> npt.NDArray[np.int64]:
+def _flat(size: Edges, topology: VdbTopology) -> npt.NDArray[np.int64]:
     _, h, d = _padded(size)
     x, y, z = topology.coords.astype(np.int64).T + 1
     return np.asarray((x * h + y) * d + z)
 
 
 @compiled()
-def read_dense(padded: Size, table: Floats, points: Points, out: Floats) -> None:
+def read_dense(padded: Edges, table: Floats, points: Points, out: Floats) -> None:
     """The rows themselves; padded is the array's size."""
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
@@ -89,7 +89,7 @@ def read_dense(padded: Size, table: Floats, points: Points, out: Floats) -> None
 
 
 @compiled()
-def read_pointers(padded: Size, links: Ints, table: Floats, points: Points, out: Floats) -> None:
+def read_pointers(padded: Edges, links: Links, table: Floats, points: Points, out: Floats) -> None:
     """Through the links."""
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
@@ -100,7 +100,7 @@ def read_pointers(padded: Size, links: Ints, table: Floats, points: Points, out:
 
 
 @compiled()
-def read_octree(size: Size, links: Ints, levels: int, table: Floats, points: Points, out: Floats) -> None:
+def read_octree(size: Edges, links: Links, levels: int, table: Floats, points: Points, out: Floats) -> None:
     """From the root for each of the eight."""
     top = len(table) - 1
     for i in range(len(points)):
@@ -113,7 +113,7 @@ def read_octree(size: Size, links: Ints, levels: int, table: Floats, points: Poi
 
 
 @compiled(inline=True)
-def _edges(padded: Size, x: int, y: int, z: int) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+def _edges(padded: Edges, x: int, y: int, z: int) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
     """Where the four pairs of voxels along z begin in a dense array; unsigned, which no index has to be tested for."""
     _, h, d = padded
     first = ((x + 1) * h + y + 1) * d + z + 1
@@ -121,7 +121,7 @@ def _edges(padded: Size, x: int, y: int, z: int) -> tuple[np.uint64, np.uint64, 
 
 
 @compiled()
-def _leaf(size: Size, links: Ints, levels: int, nothing: int, x: int, y: int, z: int) -> int:
+def _leaf(size: Edges, links: Links, levels: int, nothing: int, x: int, y: int, z: int) -> int:
     """The row of the leaf that holds a voxel, or that of nothing."""
     w, h, d = size
     if (x < 0) | (y < 0) | (z < 0) | (x >= w) | (y >= h) | (z >= d):

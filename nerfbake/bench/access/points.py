@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.bench.access.rays import STEP
 from nerfbake.scene.camera import Camera, look_at
 from nerfbake.scene.vdb_topology import VdbTopology
 
-Points = npt.NDArray[np.float32]
+Places = npt.NDArray[np.float32]
 DIAGONAL = 800  # samples, as in PlenVDB's table 3; again and again, since they take microseconds
 EDGE, FOCAL, DISTANCE = 400, 550.0, 1.3  # a camera's pixels and focal length; its distance in diagonals of the box
-STEP = 0.5  # voxels, along a ray
 
 
-def kinds_of_points(size: tuple[int, int, int], topology: VdbTopology, count: int) -> dict[str, Points]:
+def kinds_of_points(size: tuple[int, int, int], topology: VdbTopology, count: int) -> dict[str, Places]:
     """About `count` points of each kind, (n, 3) float32; the topology has at least one voxel.
 
     diagonal   from corner to corner of the grid

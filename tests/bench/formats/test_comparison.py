@@ -9,47 +9,22 @@ import numpy as np
 import pytest
 
 from nerfbake import save
-from nerfbake.bench import formats
-from nerfbake.bench.libraries import LIBRARIES
+from nerfbake.bench.formats import comparison
+from nerfbake.bench.formats.comparison import compare_formats
+from nerfbake.bench.formats.published import PAPER
 from nerfbake.bench.measure import Result, measure
 from nerfbake.cli.main import run
 from nerfbake.cli.words import Words
 from nerfbake.scene.octree import SparseVoxelOctree
+from tests.bench.conftest import quiet
 from tests.conftest import Shell
-from tests.formats.octree.octrees import SPELLINGS, small_octree
+from tests.formats.octree.octrees import small_octree
 from tests.support.scenes import n3tree
-
-
-def quiet(_: str) -> Any:
-    return nullcontext()
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float16])
-@pytest.mark.parametrize("contender", list(formats.contenders()), ids=lambda contender: contender.label)
-def test_every_row_comes_back_exactly(contender: formats.Contender, dtype: type, tmp_path: Path) -> None:
-    scene, target = tmp_path / "a.svo.npz", tmp_path / "target"
-    save(scene, small_octree(dtype))
-    written = formats.encoding(list(contender), str(scene), str(target))
-    assert written.check(written.run())["size"] == target.stat().st_size > 0
-    read = formats.decoding(list(contender), str(scene), str(target))
-    assert read.check(read.run()) == {"exact": True}
-
-
-def test_a_wrong_value_would_be_seen(tmp_path: Path) -> None:
-    scene, target = tmp_path / "a.svo.npz", tmp_path / "target"
-    save(scene, small_octree())
-    written = formats.encoding(["raw", "raw"], str(scene), str(target))
-    written.run()
-    content = bytearray(target.read_bytes())
-    content[-1] ^= 1
-    target.write_bytes(content)
-    read = formats.decoding(["raw", "raw"], str(scene), str(target))
-    assert read.check(read.run()) == {"exact": False}
 
 
 @pytest.mark.slow
 def test_the_report_has_a_row_for_everything_and_its_ratios_add_up() -> None:
-    report = formats.compare(small_octree(), "small", rounds=2, formats=["svo.pb", "json.dumps"], progress=quiet)
+    report = compare_formats(small_octree(), "small", rounds=2, formats=["svo.pb", "json.dumps"], progress=quiet)
     figures = report.tables[0]
     rows = {row[0]: dict(zip(figures.columns, row, strict=True)) for row in figures.rows}
     assert list(rows) == ["raw", "svo.pb report", "svo.pb bulk", "svo.pb.zst report", "json.dumps"]
@@ -68,25 +43,20 @@ def test_the_report_has_a_row_for_everything_and_its_ratios_add_up() -> None:
 
 def test_a_missing_library_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def without_pycapnp(function: Any, **arguments: Any) -> Any:
-        if arguments["contender"].name.startswith("pycapnp"):
+        if arguments["row"].name.startswith("pycapnp"):
             return Result(error="not installed: capnp")
         return measure(function, **arguments)
 
-    monkeypatch.setattr(formats, "measure", without_pycapnp)
-    report = formats.compare(small_octree(), "small", rounds=1, formats=["pycapnp, Data"], progress=quiet)
+    monkeypatch.setattr(comparison, "measure", without_pycapnp)
+    report = compare_formats(small_octree(), "small", rounds=1, formats=["pycapnp, Data"], progress=quiet)
     assert report.tables[0].rows[1] == ["pycapnp, Data: not installed: capnp", *[None] * 9]
 
 
 def test_the_papers_figures_stand_beside_a_comparable_scene_only() -> None:
-    assert formats.PAPER not in formats.compare(small_octree(), "s", rounds=1, formats=["raw"], progress=quiet).tables
+    assert PAPER not in compare_formats(small_octree(), "s", rounds=1, formats=["raw"], progress=quiet).tables
     values = np.zeros((1, 20_000_000), np.float32)
     large = SparseVoxelOctree((1, 1, 1), np.zeros((1, 8), np.int32), values)
-    assert formats.PAPER in formats.compare(large, "large", rounds=1, formats=["raw"], progress=quiet).tables
-
-
-def test_every_format_and_library_is_a_row() -> None:
-    rows = [(row.name, row.profile) for row in formats.contenders() if not row.packed]
-    assert rows == [("raw", None), *SPELLINGS, *((library.name, None) for library in LIBRARIES)]
+    assert PAPER in compare_formats(large, "large", rounds=1, formats=["raw"], progress=quiet).tables
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
 
-STEP = 0.5  # voxels; so many steps has a ray at most as its way through the box is long, however far it comes from
+STEP = 0.5  # voxels; a ray takes no more steps than its way through the box is long, however far away it starts
 ALPHA, CUT = 1e-4, 1e-4
 FARTHEST = 1e15  # voxels from a camera to the first: its steps are whole numbers
 CHUNK = 1 << 12  # rays that a core marches in one go

@@ -7,21 +7,20 @@ round by round. One thread reads, in our rows as in the others'.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from nerfbake import io, memory
-from nerfbake.bench._points import kinds_of_points
-from nerfbake.bench._rays import Counts, count_samples
-from nerfbake.bench._readers import CONTENDERS, Contender, compile_nanovdb, reading
+from nerfbake import memory
+from nerfbake.bench.access import files
+from nerfbake.bench.access.rays import Counts, count_samples
+from nerfbake.bench.access.readers import READERS, Reader, reading, write_inputs
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, Spread, measure
-from nerfbake.bench.plot import Point, scatter
+from nerfbake.bench.measure import Result, Statistics, measure
+from nerfbake.bench.plot import Mark, scatter
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
-from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, Problem, UsageError
+from nerfbake.errors import MemoryLimit, UsageError
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -55,11 +54,9 @@ RAY_NOTES = [
     "below 1e-4. Nearest voxel.",
 ]
 
-Scene = N3Tree | SparseVoxelOctree
 
-
-def compare(
-    scene: Scene,
+def compare_access(
+    scene: N3Tree | SparseVoxelOctree,
     name: str,
     *,
     resolutions: Sequence[int] | None,
@@ -75,7 +72,7 @@ def compare(
     """
     if isinstance(scene, SparseVoxelOctree) and resolutions:
         raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
-    reads, files, rays = [], [], []
+    reads, sizes, rays = [], [], []
     version = ""
     for R in resolutions or (RESOLUTIONS if isinstance(scene, N3Tree) else (max(scene.size),)):
         try:
@@ -87,110 +84,72 @@ def compare(
             continue
         with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
             with progress(f"R = {R}: writing"):
-                _write(Path(folder), tree, density, index, points)
-                files += _file_rows(Path(folder), R, tree, density, index)
+                write_inputs(Path(folder), tree, density, index, points)
+                sizes += files.file_rows(Path(folder), R, tree, density, index)
             found = _measured(folder, R, tree.data_dim, rounds, progress)
         version = next((r[0].facts["version"] for r in found.values() if r[0].facts.get("version")), version)
-        reads += _figures(R, found)
+        reads += figures(R, found)
         rays += _ray_rows(R, density, cameras, progress)
     head = {"scene": f"{name}: {scene}", "rounds": str(rounds), **environment(*PACKAGES), "NanoVDB": version or "-"}
-    tables = [Table("Trilinear reads", COLUMNS, reads), Table("Files", ["file", "R", "MB"], files)]
+    tables = [Table("Trilinear reads", COLUMNS, reads), Table("Files", files.COLUMNS, sizes)]
     if cameras:
         columns = ["R", "cameras", "", "possible M", "valid M", "valid %", "needed M", "needed %"]
         tables.insert(1, Table(f"Samples along rays, {RAYS_EDGE}x{RAYS_EDGE}", columns, rays))
     return Report(f"Access to a sparse volume: {name}", head, tables, NOTES + (RAY_NOTES if cameras else []))
 
 
-def chart(report: Report, suffix: str) -> bytes:
+def chart_access(report: Report, suffix: str) -> bytes:
     """Time on the surface against memory, one channel, a colour for each resolution."""
     rows = [dict(zip(COLUMNS, row, strict=True)) for row in report.tables[0].rows]
-    points = [
-        Point(row["structure"], row["MB"], row["surface ns"].median, f"R = {row['R']}")
+    marks = [
+        Mark(row["structure"], row["MB"], row["surface ns"].median, f"R = {row['R']}")
         for row in rows
         if row["channels"] == 1 and row["MB"] is not None
     ]
     title = "One density, read trilinearly on the surface, one thread"
-    return scatter(points, title=title, x="memory, MB", y="ns a read (median)", suffix=suffix)
+    return scatter(marks, title=title, x="memory, MB", y="ns a read (median)", suffix=suffix)
 
 
-def _write(folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume, points: int) -> None:
-    """What the children read."""
-    topology = density.grids[0].topology
-    if not topology.m:
-        raise InvalidScene(Problem("the scene", "has no voxel", "a density above 0"))
-    for kind, some in kinds_of_points(tree.size, topology, points).items():
-        some.tofile(folder / f"{kind}.f32")
-    compile_nanovdb(folder)
-    io.save(folder / "octree.svo.npz", tree)
-    io.save(folder / "density.nvdb", density)
-    io.save(folder / "index.nvdb", index)
+Reading = tuple[Reader, int]  # and how many channels it reads
 
 
-def _file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, index: Volume) -> list[list[Any]]:
-    """The size of every file that could be written of the scene, or why it could not: a format has its limits, and
-    float16 does not hold every scene.
-    """
-    path = folder / "file"
-
-    def row(what: str, scene: Any, to: str, **options: Any) -> list[Any]:
-        try:
-            return [what, R, io.save(path, scene, to=to, force=True, **options) / 1e6]
-        except NerfbakeError as error:
-            return [f"{what}: {str(error).removeprefix(f'{path}: ')}", R, None]
-
-    rows = [row(f"octree .{to}", tree, to) for to in ("svo.npz", "svo.pb")]
-    for what, volume, endings in (("density", density, ("nvdb", "vdb")), ("index", index, ("nvdb",))):
-        try:
-            half = build_vdb(tree, grids=(what,), half=True)
-        except InvalidScene as error:
-            rows.append([f"{what} half: {error}", R, None])
-            half = None
-        for to, codec in product(endings, ("none", "zip")):
-            packed = " zip" if codec == "zip" else ""
-            rows.append(row(f"{what} .{to}{packed}", volume, to, codec=codec))
-            if half:
-                rows.append(row(f"{what} .{to} half{packed}", half, to, codec=codec))
-    return rows
-
-
-Row = tuple[Contender, int]
-
-
-def _measured(folder: str, R: int, channels: int, rounds: int, progress: Progress) -> dict[Row, list[Result]]:
-    rows = [(row, 1) for row in CONTENDERS]
-    rows += [(row, channels) for row in CONTENDERS if row.all and channels > 1]
-    results: dict[Row, list[Result]] = {row: [] for row in rows}
+def _measured(folder: str, R: int, channels: int, rounds: int, progress: Progress) -> dict[Reading, list[Result]]:
+    rows = [(reader, 1) for reader in READERS]
+    rows += [(reader, channels) for reader in READERS if reader.all and channels > 1]
+    results: dict[Reading, list[Result]] = {row: [] for row in rows}
     for turn in range(rounds):
-        for contender, C in rows:
-            if (found := results[contender, C]) and found[0].error:
+        for reader, C in rows:
+            if (found := results[reader, C]) and found[0].error:
                 continue
-            arguments = {"name": contender.name, "channels": C, "kinds": KINDS, "limit": memory.left()}
-            with progress(f"R = {R}, {contender.name}, {C} channels: round {turn + 1} of {rounds}"):
+            arguments = {"name": reader.name, "channels": C, "kinds": KINDS, "limit": memory.left()}
+            with progress(f"R = {R}, {reader.name}, {C} channels: round {turn + 1} of {rounds}"):
                 found.append(measure(reading, folder=folder, **arguments))
     return results
 
 
-def _figures(R: int, results: dict[Row, list[Result]]) -> list[list[Any]]:
-    def spread(found: list[Result], kind: int) -> Spread:
-        return Spread.of([result.facts["found"][kind][0] for result in found])
+def figures(R: int, results: dict[Reading, list[Result]]) -> list[list[Any]]:
+    """A row of the table for each reader and number of channels, beside the others of its resolution."""
+
+    def over_rounds(found: list[Result], kind: int) -> Statistics:
+        return Statistics.of([result.facts["found"][kind][0] for result in found])
 
     good = {row: found for row, found in results.items() if not found[0].error}
-    surface = {row: spread(found, KINDS.index("surface")).median for row, found in good.items()}
-    nanovdb = min((ns for (row, _), ns in surface.items() if row.name.startswith("NanoVDB")), default=None)
-    sums = {C: found[0].facts["found"] for (row, C), found in good.items() if row.name == REFERENCE}
+    surface = {row: over_rounds(found, KINDS.index("surface")).median for row, found in good.items()}
+    nanovdb = min((ns for (reader, _), ns in surface.items() if reader.name.startswith("NanoVDB")), default=None)
+    sums = {C: found[0].facts["found"] for (reader, C), found in good.items() if reader.name == REFERENCE}
     cells: list[list[Any]] = []
-    for (row, C), found in results.items():
+    for (reader, C), found in results.items():
         if found[0].error:
-            cells.append([f"{row.name}: {found[0].error}", R, C, *[None] * (len(COLUMNS) - 3)])
+            cells.append([f"{reader.name}: {found[0].error}", R, C, *[None] * (len(COLUMNS) - 3)])
             continue
-        ratio = surface[row, C] / nanovdb if nanovdb and C == 1 else None
+        ratio = surface[reader, C] / nanovdb if nanovdb and C == 1 else None
         agree = all(
             abs(ours[1] - theirs[1]) <= AGREE * theirs[2]
             for result in found
             for ours, theirs in zip(result.facts["found"], sums[C], strict=True)
         )
-        times = [spread(found, kind) for kind in range(len(KINDS))]
-        cells.append([row.name, R, C, *times, ratio, found[0].facts["bytes"] / 1e6, agree])
+        times = [over_rounds(found, kind) for kind in range(len(KINDS))]
+        cells.append([reader.name, R, C, *times, ratio, found[0].facts["bytes"] / 1e6, agree])
     return cells
 
 

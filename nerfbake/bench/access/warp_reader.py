@@ -1,3 +1,5 @@
+# mypy: ignore-errors
+# A kernel's annotations are Warp's own, no types.
 """Trilinear reads that Warp compiles for one core."""
 
 # Warp reads these annotations as objects, so they may not be postponed.
@@ -16,7 +18,7 @@ def trilinear(volume: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(
     out[i] = wp.volume_sample_f(volume, points[i], wp.Volume.LINEAR)
 
 
-def reader(grid: bytes, points: Any, out: Any) -> Callable[[], None]:
+def launcher(grid: bytes, points: Any, out: Any) -> Callable[[], None]:
     """Reads the .nvdb file in these bytes at points (n, 3) float32 into out (n,) float32, whenever it is called."""
     volume = wp.Volume.load_from_nvdb(grid, device="cpu")
     places = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)

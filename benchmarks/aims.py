@@ -1,0 +1,53 @@
+"""What the project aims for: every aim that a benchmark holds its figures to. All figures are of one run's own rows."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from nerfbake.bench.report import Table
+
+OPERATORS = {"at most": operator.le, "below": operator.lt, "at least": operator.ge}
+
+
+class Aim(NamedTuple):
+    """A bound, spelled as reports show it: word is one of OPERATORS."""
+
+    word: str
+    bound: float
+
+    def __str__(self) -> str:
+        return f"{self.word} {self.bound:g}"
+
+    def holds(self, figure: float) -> bool:
+        return bool(OPERATORS[self.word](figure, self.bound))
+
+
+# formats: times and sizes of a row by those of `raw`, the arrays' bytes one after the other
+BULK_ENCODE = Aim("at most", 2)
+BULK_DECODE = Aim("at most", 0.2)
+PROTOBUF_SIZE = Aim("below", 1)
+FASTER_THAN = {
+    ("svo.json report", "json.dumps"): Aim("at least", 20),
+    ("svo.fb report", "flatbuffers, by element"): Aim("at least", 50),
+}
+
+# access: a read on the surface by NanoVDB's
+SURFACE_READ = Aim("at most", 0.6)
+
+# vdb: our time by that of OpenVDB's own program
+NANOVDB_BUILD_AND_WRITE = Aim("at most", 1)
+OPENVDB_WRITE = Aim("at most", 1)
+
+# render: milliseconds a frame of 400x400, and seconds of a process that shows one picture
+FRAME = {"chair_sh9.npz": Aim("at most", 150), "chair_sh9_128.npz": Aim("at most", 100)}
+FIRST_PICTURE = Aim("below", 1.5)
+
+
+def aims_table(rows: Iterable[tuple[str, Aim, float | None]]) -> Table:
+    """What is aimed for and what was measured: (what, its aim, its figure or None where nothing was measured)."""
+    cells: list[list[Any]] = [
+        [what, str(aim), figure, figure is not None and aim.holds(figure)] for what, aim, figure in rows
+    ]
+    return Table("Aims", ["aim", "allowed", "measured", "holds"], cells)

@@ -1,0 +1,78 @@
+"""The scenes that benchmarks measure: the real ones, where they lie, and samples, each made once."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from nerfbake import sample_n3tree, save
+
+DATA = Path(os.environ.get("NERFBAKE_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+class Sample(NamedTuple):
+    """A sample tree; deflated: written as svox writes its trees."""
+
+    resolution: int
+    basis: str = "SH9"
+    seed: int = 0
+    deflated: bool = False
+
+
+SAMPLES = {
+    # Of the seeds from 0 to 9 the one that comes closest to the nodes of the report's LEGO: 484,000 of 420,000.
+    "sample SH16": Sample(256, "SH16", seed=2),
+    "sample_sh16": Sample(256, "SH16", deflated=True),
+    "sample_128": Sample(128),
+    "sample_256": Sample(256),
+    "sample_512": Sample(512),
+}
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """data: the folder of the real scenes; folder: where samples, and whatever else is made on the way, are put."""
+
+    data: Path
+    folder: Path
+
+    @property
+    def chairs(self) -> Path:
+        """A folder of PlenOctrees of the real chair."""
+        return self.data / "plenoctree" / "chair"
+
+    @property
+    def chair(self) -> Path:
+        """The chair as a PlenOctree of 256^3."""
+        return self.chairs / "chair_sh9.npz"
+
+    @property
+    def views(self) -> Path:
+        """A folder with five held-out views of the chair: transforms.json and a photograph each."""
+        return self.chairs / "views"
+
+    @property
+    def test_cameras(self) -> Path:
+        """The cameras of the chair's 25 test views."""
+        return self.data / "nerf_synthetic" / "chair" / "transforms_test.json"
+
+    @property
+    def stage1(self) -> Path:
+        """nerf2mesh's real texture and MLP."""
+        return self.data / "nerf2mesh" / "mesh_stage1"
+
+    def sample(self, name: str) -> Path:
+        """One of SAMPLES as a file, made when it is first asked for."""
+        path = self.folder / f"{name}.npz"
+        if not path.exists():
+            resolution, basis, seed, deflated = SAMPLES[name]
+            save(path, sample_n3tree(resolution=resolution, basis=basis, seed=seed))
+            if deflated:
+                with np.load(path) as stored:
+                    arrays = dict(stored)
+                np.savez_compressed(path, **arrays)
+        return path

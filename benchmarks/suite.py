@@ -1,0 +1,55 @@
+"""THE table of benchmarks: each is a module of this package and the files of benchmarks/results that it makes.
+
+A module says what it compares. It has
+
+    reports(scenes, *, rounds) -> {stem: reports}     rounds has a default: that of the published figures
+    chart(report, suffix) -> bytes                    where one of its files is a picture
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.scenes import Scenes
+from nerfbake.bench.report import WRITERS, Report, document
+
+RESULTS = Path(__file__).parent / "results"
+
+
+class Benchmark(NamedTuple):
+    """A module of this package, and its files: a report's ending is its kind, a chart shows the first report."""
+
+    name: str
+    files: tuple[str, ...]
+
+
+SUITE = (
+    Benchmark("svo", ("svo.md",)),
+    Benchmark("formats", ("formats.md", "formats.csv", "formats.json", "formats.svg")),
+    Benchmark("vdb", ("vdb.md",)),
+    Benchmark("access", ("access.md", "access.svg", "access_800.md")),
+    Benchmark("render", ("render.md", "render.svg")),
+    Benchmark("outputs", ("outputs.md",)),
+    Benchmark("atlas", ("atlas.md", "atlas.png")),
+)
+
+
+def run(benchmark: Benchmark, scenes: Scenes, **options: Any) -> dict[str, bytes]:
+    """The content of each of its files, by name. Raises NerfbakeError where a scene or a program is missing."""
+    module = import_module(f"benchmarks.{benchmark.name}")
+    before = os.getloadavg()[0]
+    found: dict[str, list[Report]] = module.reports(scenes, **options)
+    load_average = f"{before:.2f} before, {os.getloadavg()[0]:.2f} after"
+    made = {"load average": load_average, "made by": f"`python -m benchmarks {benchmark.name}`"}
+    files = {}
+    for name in benchmark.files:
+        stem, _, kind = name.partition(".")
+        reports = [report._replace(head={**report.head, **made}) for report in found[stem]]
+        if kind in WRITERS:
+            files[name] = document(reports, kind).encode()
+        else:
+            files[name] = module.chart(reports[0], f".{kind}")
+    return files

@@ -1,0 +1,1 @@
+"""Trilinear reads of one scene in every structure."""

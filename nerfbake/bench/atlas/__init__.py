@@ -1,0 +1,1 @@
+"""Octahedral atlases in every method and size."""

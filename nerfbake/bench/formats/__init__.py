@@ -1,0 +1,1 @@
+"""The octree in every format and by every library."""

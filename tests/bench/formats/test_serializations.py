@@ -1,0 +1,10 @@
+from __future__ import annotations
+
+from nerfbake.bench.formats.libraries import LIBRARIES
+from nerfbake.bench.formats.serializations import serializations
+from tests.formats.octree.octrees import SPELLINGS
+
+
+def test_every_format_and_library_is_a_row() -> None:
+    rows = [(row.name, row.profile) for row in serializations() if not row.packed]
+    assert rows == [("raw", None), *SPELLINGS, *((library.name, None) for library in LIBRARIES)]

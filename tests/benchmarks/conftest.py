@@ -1,0 +1,57 @@
+"""Scenes small enough to run every benchmark on, and measuring that starts no process where none is needed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import scenes as suite_scenes
+from benchmarks.scenes import Sample, Scenes
+from nerfbake import orbit_cameras, render_field, sample_n3tree, sample_stage1, save
+from nerfbake.bench.measure import Result, Work, measure_here
+from nerfbake.io import save_folder
+
+EDGE = 16  # voxels an axis, pixels and texels
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the names of the real scenes, and little in it."""
+    folder = tmp_path_factory.mktemp("data")
+    chairs, cameras = folder / "plenoctree" / "chair", folder / "nerf_synthetic" / "chair"
+    for path in (chairs / "views", cameras, folder / "nerf2mesh"):
+        path.mkdir(parents=True)
+    tree = sample_n3tree(resolution=EDGE, basis="SH4")
+    for name in ("chair_sh9", "chair_sh9_128", "chair_sh9_128_quant"):
+        save(chairs / f"{name}.npz", tree)
+    views = orbit_cameras(tree, frames=2, width=EDGE, height=EDGE)
+    save(chairs / "views" / "transforms.json", views)
+    save(cameras / "transforms_test.json", views)
+    for camera in views.cameras:
+        save(chairs / "views" / f"{camera.name}.png", render_field(tree, camera))
+    save_folder(folder / "nerf2mesh" / "mesh_stage1", sample_stage1(resolution=EDGE))
+    return folder
+
+
+@pytest.fixture
+def scenes(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scenes:
+    """The suite's scenes, all of them tiny."""
+    tiny: dict[str, Sample] = {name: sample._replace(resolution=EDGE) for name, sample in suite_scenes.SAMPLES.items()}
+    monkeypatch.setattr(suite_scenes, "SAMPLES", tiny)
+    return Scenes(data, tmp_path)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work is measured here instead of in a child: seconds less for each row."""
+
+    def measure(function: Callable[..., Work], **arguments: Any) -> Result:
+        return measure_here(function.__module__, function.__name__, json.loads(json.dumps(arguments)))
+
+    for module in ("access.comparison", "atlas.comparison", "formats.comparison", "render", "process"):
+        monkeypatch.setattr(f"nerfbake.bench.{module}.measure", measure)
+    monkeypatch.setattr("benchmarks.svo.measure", measure)

@@ -1,0 +1,206 @@
+"""The suite is whole, and each of its benchmarks runs: on tiny scenes, for one round."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import __main__ as entry
+from benchmarks import atlas, outputs, svo
+from benchmarks.scenes import SAMPLES, Scenes
+from benchmarks.suite import RESULTS, SUITE, run
+from nerfbake.bench.access.readers import READERS
+from nerfbake.bench.atlas.baking import Recipe
+from nerfbake.bench.measure import Result
+from nerfbake.bench.process import measure_process
+from tests.benchmarks.conftest import EDGE
+from tests.conftest import REPOSITORY
+
+SHARED = {"__init__", "__main__", "aims", "scenes", "suite"}
+
+
+def tables(files: dict[str, bytes], name: str) -> dict[str, list[list[str]]]:
+    """The cells of a Markdown file's tables, by their titles; those of all its reports."""
+    found: dict[str, list[list[str]]] = {}
+    for part in files[name].decode().split("\n\n**")[1:]:
+        title, _, rest = part.partition("**\n\n")
+        _, _, *rows = rest.partition("\n\n")[0].splitlines()
+        found.setdefault(title, []).extend([cell.strip() for cell in row.strip("|").split(" | ")] for row in rows)
+    return found
+
+
+def small(name: str, scenes: Scenes) -> dict[str, bytes]:
+    (benchmark,) = (benchmark for benchmark in SUITE if benchmark.name == name)
+    files = run(benchmark, scenes, rounds=1)
+    assert tuple(files) == benchmark.files
+    for file in files:
+        if file.endswith(".md"):
+            assert f"made by `python -m benchmarks {name}`" in files[file].decode()
+            assert "load average " in files[file].decode()
+    return files
+
+
+def test_every_module_of_the_suite_is_in_its_table() -> None:
+    modules = {path.stem for path in (REPOSITORY / "benchmarks").glob("*.py")}
+    assert {benchmark.name for benchmark in SUITE} == modules - SHARED
+    for benchmark in SUITE:
+        module = import_module(f"benchmarks.{benchmark.name}")
+        assert callable(module.reports)
+        assert hasattr(module, "chart") == any(file.endswith((".svg", ".png")) for file in benchmark.files)
+
+
+def test_every_published_file_is_made_by_one_benchmark() -> None:
+    made = [file for benchmark in SUITE for file in benchmark.files]
+    assert sorted(made) == sorted(path.name for path in RESULTS.iterdir())
+
+
+def test_there_is_one_stopwatch() -> None:
+    """Whoever measures otherwise measures something else."""
+    found = set()
+    for folder in ("benchmarks", "nerfbake/bench"):
+        for path in (REPOSITORY / folder).rglob("*.py"):
+            names = {ast.unparse(node) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.expr)}
+            if names & {"time.perf_counter", "time.time", "time.monotonic", "os.wait4", "timeit.timeit"}:
+                found.add(path.relative_to(REPOSITORY).as_posix())
+    assert found == {"nerfbake/bench/measure.py", "nerfbake/bench/process.py"}
+
+
+def test_every_sample_is_measured_by_somebody() -> None:
+    text = "".join((REPOSITORY / "benchmarks" / f"{benchmark.name}.py").read_text() for benchmark in SUITE)
+    assert [name for name in SAMPLES if f'"{name}"' not in text] == []
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_svo(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(svo, "TREES", (("chair_sh9", EDGE), (svo.SH16, EDGE), ("no_such_chair", EDGE)))
+    found = tables(small("svo", scenes), "svo.md")
+    assert [row[0] for row in found["Whole processes"]] == ["chair_sh9", "sample_sh16", "no_such_chair: not there"]
+    assert [row[0] for row in found["The chair at 256^3"]] == ["svo.pb full", "svo.pb compact"]
+    assert [row[0] for row in found["Scaling"]] == list(svo.SCALING)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_formats(scenes: Scenes) -> None:
+    files = small("formats", scenes)
+    aims = tables(files, "formats.md")["Aims"]
+    assert len(aims) == 2 * 9
+    assert {row[1] for row in aims} == {"at most 2", "at most 0.2", "below 1", "at least 20", "at least 50"}
+    whole = json.loads(files["formats.json"])
+    assert [report["head"]["scene"].partition(":")[0] for report in whole] == ["sample SH16", "chair_sh9.npz at 128^3"]
+    assert files["formats.csv"].startswith(b"table,format,MB")
+    assert b"svo.pb bulk" in files["formats.svg"]
+
+
+@pytest.mark.slow
+@pytest.mark.tools
+@pytest.mark.usefixtures("in_this_process")
+def test_vdb(scenes: Scenes) -> None:
+    (rows,) = tables(small("vdb", scenes), "vdb.md").values()
+    assert [row[5] for row in rows if row[5] != "-"] == ["at most 1", "at most 1"]
+    assert {row[-1] for row in rows} == {"yes"}  # the same voxels
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_access(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    some = tuple(reader for reader in READERS if reader.name in ("VDB", "VDB index", "NanoVDB C++"))
+    monkeypatch.setattr("nerfbake.bench.access.comparison.READERS", some)
+    monkeypatch.setattr("nerfbake.bench.access.nanovdb.which", lambda name: None)
+    monkeypatch.setattr("nerfbake.bench.access.comparison.RAYS_EDGE", 8)
+    monkeypatch.setattr("benchmarks.access.RESOLUTIONS", (8, EDGE))
+    monkeypatch.setattr("benchmarks.access.FINE", EDGE)
+    files = small("access", scenes)
+    found = tables(files, "access.md")
+    # Without NanoVDB there is nothing to hold the reads to, and no aim holds.
+    assert found["Aims"] == [[f"VDB at {R}^3: surface, x NanoVDB", "at most 0.6", "-", "no"] for R in (8, EDGE)]
+    assert {row[1] for row in found["Samples along rays, 8x8"]} == {"2"}
+    assert {row[1] for row in tables(files, "access_800.md")["Trilinear reads"]} == {str(EDGE)}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.bench.render.EDGES", (8,))
+    files = small("render", scenes)
+    text = files["render.md"].decode()
+    assert [line for line in text.splitlines() if line.startswith("# ")] == [
+        "# Rendering: chair_sh9.npz",
+        "# Rendering: chair_sh9_128.npz",
+    ]
+    assert {row[1] for row in tables(files, "render.md")["Aims"]} == {"at most 150", "at most 100", "below 1.5"}
+    assert b"N3Tree 8x8" in files["render.svg"]
+
+
+@pytest.mark.slow
+def test_outputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    some = [output for output in outputs.OUTPUTS if output[0] in ("half.svo.npz", "half.svo.npz.zst")]
+    monkeypatch.setattr(outputs, "OUTPUTS", some)
+    rows = tables(small("outputs", scenes), "outputs.md")["Outputs"]
+    assert [row[2] for row in rows] == ["100.00", "100.00"]
+    with pytest.raises(ValueError, match="the same in every round"):
+        outputs.reports(scenes, rounds=2)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    folders = []
+
+    def compiled_already(*command: str | Path, environment: dict[str, str]) -> Result:
+        folders.append(environment["NUMBA_CACHE_DIR"])
+        return measure_process(*command)
+
+    monkeypatch.setattr("nerfbake.bench.atlas.comparison.RECIPES", [Recipe("kmeans", 4), Recipe("grid", 2)])
+    monkeypatch.setattr("nerfbake.bench.atlas.comparison.CLUSTERINGS", [("nerfbake", 4), ("KMeans", 4)])
+    monkeypatch.setattr(atlas, "WARM", (4,))
+    monkeypatch.setattr(atlas, "COLD", 4)
+    monkeypatch.setattr(atlas, "measure_process", compiled_already)
+    files = small("atlas", scenes)
+    found = tables(files, "atlas.md")
+    assert [row[0] for row in found["Atlases"]] == ["kmeans K=4", "grid 2^3"]
+    assert [row[0] for row in found["Clusterings"]] == ["nerfbake", "KMeans"]
+    (whole,) = (rows for title, rows in found.items() if "as a whole" in title)
+    assert [row[0] for row in whole] == ["4, cold", "4, warm"]
+    assert files["atlas.png"].startswith(b"\x89PNG")
+    warm, counted, cold = folders
+    assert warm == counted != cold  # which is new, and has no compiled kernels
+
+
+def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missing(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def made(benchmark: Any, scenes: Scenes) -> dict[str, bytes]:
+        assert scenes.folder.is_dir()
+        return {file: benchmark.name.encode() for file in benchmark.files}
+
+    monkeypatch.setattr(entry, "RESULTS", tmp_path)
+    monkeypatch.setattr(entry, "DATA", tmp_path / "nowhere")
+    assert entry.main(["outputs", "render"]) == 1
+    assert "error: render: " in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(entry, "run", made)
+    assert entry.main(["vdb", "atlas"]) == 0
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "vdb.md": b"vdb",
+        "atlas.md": b"atlas",
+        "atlas.png": b"atlas",
+    }
+    assert entry.main([]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {file for benchmark in SUITE for file in benchmark.files}
+
+
+def test_a_name_that_no_benchmark_has_is_refused() -> None:
+    command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    allowed = "svo, formats, vdb, access, render, outputs, atlas"
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
