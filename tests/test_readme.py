@@ -18,6 +18,7 @@ import pytest
 from nerfbake import catalog
 from nerfbake.errors import BudgetMissed, InvalidFile, NerfbakeError, OutputError, PipeClosed, UsageError
 from tests.conftest import REPOSITORY
+from tests.support.pages import broken_links
 
 README = REPOSITORY / "README.md"
 PAGES = [README, *sorted((REPOSITORY / "docs").rglob("*.md")), *sorted((REPOSITORY / "schemas").rglob("*.md"))]
@@ -49,29 +50,6 @@ def test_the_blocks_of_a_page_run_in_their_order(page: Path, tmp_path: Path) -> 
 def test_a_block_that_fails_fails_the_test(tmp_path: Path) -> None:
     assert run("sh", "false | true\n", tmp_path).returncode == 1
     assert run("python", "raise SystemExit(3)\n", tmp_path).returncode == 3
-
-
-def without_code(text: str) -> str:
-    """The page without its blocks and its indented lines, in which # and [] mean something else."""
-    return re.sub(r"^```.*?^```|^ {4}[^|\n]*$", "", text, flags=re.MULTILINE | re.DOTALL)
-
-
-def anchors(page: Path) -> set[str]:
-    """What a link to a heading is called, as GitHub and others derive it from the text."""
-    headings = re.findall(r"^#+ (.+)$", without_code(page.read_text()), re.MULTILINE)
-    slugs = [re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings]
-    assert len(set(slugs)) == len(slugs), f"{name_of(page)} has two headings of one name"
-    return set(slugs)
-
-
-def broken_links(page: Path) -> list[str]:
-    found = []
-    for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", without_code(page.read_text())):
-        path, _, anchor = link.partition("#")
-        target = page.parent / path if path else page
-        if not target.exists() or (anchor and anchor not in anchors(target)):
-            found.append(link)
-    return found
 
 
 @pytest.mark.parametrize("page", LINKED, ids=name_of)

@@ -1,4 +1,4 @@
-"""The arguments and options that commands share, each said once."""
+"""The arguments and options that commands share, each said once. TR-24-01: docs/sources.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nerfbake svo`: PlenOctree to sparse voxel octree."""
+"""`nerfbake svo`: PlenOctree to sparse voxel octree, as TR-24-01 has it (docs/sources.md)."""
 
 from __future__ import annotations
 
