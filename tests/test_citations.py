@@ -18,7 +18,9 @@ FILES = [
     for path in sorted((REPOSITORY / folder).rglob("*"))
     if re.fullmatch(r"[^.]+\.(py|glsl|proto|fbs|capnp)", path.name) and path != Path(__file__)
 ]
-CITED = re.compile(r'\b((?:docs|schemas)/[\w/.-]+\.(?:md|proto|fbs|capnp))(?:,\s"([^"]+)")?')
+CITED = re.compile(
+    r'\b((?:docs|schemas|tests|benchmarks|nerfbake)/[\w/.-]+\.(?:md|proto|fbs|capnp|py|glsl))(?:,\s"([^"]+)")?'
+)
 
 
 def words_of(text: str) -> str:
