@@ -1,4 +1,4 @@
-# The sparse voxel octree of TR-24-01 as a Cap'n Proto struct. How it may change: README.md.
+# The sparse voxel octree of TR-24-01 (docs/sources.md) as a Cap'n Proto struct. How it may change: README.md.
 #
 # Fields mean what they mean in svo.proto. A file has either nodeChildren and nodeData (the `report` profile) or
 # childrenBlob and dataBlob (`bulk`).

@@ -30,41 +30,56 @@ from nerfbake.cli.words import Words
     type=click.Choice(["kmeans", "affine", "grid"]),
     default="kmeans",
     show_default=True,
-    help="One map for each cluster of colours; four, so that it follows the colour; or maps at the nodes of a grid.",
-)
-@click.option("--clusters", type=click.IntRange(min=1), default=64, show_default=True, help="Of kmeans and affine.")
-@click.option("--nodes", type=click.IntRange(2, 16), default=7, show_default=True, help="Of grid, along each axis.")
-@click.option(
-    "--map-size", type=click.IntRange(2, 1024), default=64, show_default=True, help="Texels along an edge of a map."
+    help="kmeans: one map for each cluster of colours; affine: four maps for each, which follow the colour; "
+    "grid: maps at the nodes of a grid in colour space.",
 )
 @click.option(
-    "--directions", type=click.IntRange(1, 4096), default=100, show_default=True, help="In which colours are compared."
+    "--clusters", type=click.IntRange(min=1), default=64, show_default=True, help="Clusters, for kmeans and affine."
+)
+@click.option(
+    "--nodes", type=click.IntRange(2, 16), default=7, show_default=True, help="Nodes along each axis, for grid."
+)
+@click.option(
+    "--map-size", type=click.IntRange(2, 1024), default=64, show_default=True, help="Texels along each edge of a map."
+)
+@click.option(
+    "--directions",
+    type=click.IntRange(1, 4096),
+    default=100,
+    show_default=True,
+    help="How many view directions the MLP is asked in.",
 )
 @click.option(
     "--direction-set",
     type=click.Choice(["fibonacci", "cameras"]),
     default="fibonacci",
     show_default=True,
-    help="All count the same, or as often as the cameras of --transforms look along them at the mesh.",
+    help="fibonacci: all directions count the same; cameras: as often as the cameras of --transforms look along them.",
 )
 @click.option(
     "--centres",
     type=click.Choice(["snapped", "mean"]),
     default="snapped",
     show_default=True,
-    help="Of kmeans: a map shows one colour of its cluster, or the mean of all.",
+    help="For kmeans, what a map shows: one colour of its cluster, or the mean of all of them.",
 )
 @click.option(
-    "--border", type=click.IntRange(min=0), default=1, show_default=True, help="Gutter around a map, in texels."
+    "--border",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Width of the gutter around a map, in texels.",
 )
 @click.option(
     "--up",
     type=click.Choice(["y", "z"]),
     default="y",
     show_default=True,
-    help="The mesh's axis that is up in scene.glb, whose own is y; z: nodes turn it, as Blender turns it back.",
+    help="The axis that points up in the mesh. z: nodes of scene.glb turn it to y, and Blender turns it back.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
+)
 @judges
 @as_json
 @speaks

@@ -21,10 +21,16 @@ from nerfbake.cli.words import Words
     type=click.Choice(["bilinear", "nearest", "thesis"]),
     default="bilinear",
     show_default=True,
-    help="How maps are read; thesis: texel int(uv (R - 1)), colours cut instead of rounded.",
+    help="How maps are read. thesis: texel int(uv (R - 1)), and colours are truncated instead of rounded.",
 )
-@click.option("--directions", type=click.IntRange(1, 4096), default=100, show_default=True, help="Evenly spread.")
-@click.option("--held-out", is_flag=True, help="In 617 other directions, which no bake has seen.")
+@click.option(
+    "--directions",
+    type=click.IntRange(1, 4096),
+    default=100,
+    show_default=True,
+    help="How many evenly spread directions.",
+)
+@click.option("--held-out", is_flag=True, help="Measure in 617 other directions, which no bake has seen.")
 @click.option(
     "--reproduce-thesis-fault",
     "thesis_fault",

@@ -16,7 +16,7 @@ from nerfbake.cli.words import Words
 @as_json
 @speaks
 def check(source: Input, as_json: bool, words: Words) -> int:
-    """Print everything that is wrong with IN, a line each; exit 1 if anything is.
+    """Print everything that is wrong with IN, one line each; exit with 1 if anything is.
 
     \b
       nerfbake check chair.npz && nerfbake svo chair.npz chair.svo.pb

@@ -27,17 +27,19 @@ from nerfbake.cli.words import Words
 @click.command()
 @reads
 @click.argument("other", metavar="IN2", type=click.Path())
-@click.option("--cameras", metavar="CAPTURE", help=f"{CAPTURE}.  [default: 8 views around IN]")
-@click.option("--truth", type=click.Path(), help="Folder with a photograph, NAME.png, for each of the cameras.")
-@click.option("--size", type=PixelSize(), help="Pixels.  [default: the truth's or the cameras', 400x400 for an orbit]")
-@click.option("--min-psnr", type=float, help="Exit 3 if IN2's mean PSNR against IN, in dB, is lower.")
-@click.option("--max-error", type=float, help="Exit 3 if a pixel's channel differs by more (0..1).")
+@click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
+@click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera.")
+@click.option(
+    "--size", type=PixelSize(), help="Size in pixels.  [default: the truth's or the cameras', 400x400 for an orbit]"
+)
+@click.option("--min-psnr", type=float, help="Exit 3 if the mean PSNR of IN2 against IN is lower (dB).")
+@click.option("--max-error", type=float, help="Exit 3 if any channel of any pixel differs by more (0..1).")
 @click.option(
     "--sheet",
     type=click.Path(),
-    help="Write the pictures as a PNG: truth, IN, IN2, and 8 times what is between each two.",
+    help="Write a PNG with the pictures of truth, IN and IN2, and their differences times 8.",
 )
-@click.option("--html", type=click.Path(), help="Write a page with everything: budgets, figures, sizes, pictures.")
+@click.option("--html", type=click.Path(), help="Write a page with budgets, figures, sizes and pictures.")
 @click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
 @as_json
 @speaks

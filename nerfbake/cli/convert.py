@@ -19,11 +19,11 @@ from nerfbake.errors import InvalidScene, Problem, UsageError
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),
-    help="Child slots for every node, or only above the last level.  [default: as in IN]",
+    help="full: child slots for every node; compact: none for the nodes of the last level.  [default: as in IN]",
 )
 @chooses_grids
 @codec_option
-@click.option("--half", is_flag=True, help="Store a volume's values as float16.")
+@click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
 @speaks
 def convert(
     source: Input,

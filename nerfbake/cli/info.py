@@ -21,9 +21,9 @@ from nerfbake.errors import format_size
 def info(source: Input, as_json: bool, words: Words) -> None:
     """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
 
-    Of folders of nerf2mesh's stage 1 and of atlases: textures, MLP, maps, clusters, errors. Of cameras: dialect, how
-    many, picture sizes, focal lengths, lenses, where they stand and what is up. Of pictures and depth: size, what is
-    opaque or met.
+    For a stage-1 folder of nerf2mesh or an atlas it prints textures, MLP, maps, clusters and errors. For cameras it
+    prints their dialect, number, picture sizes, focal lengths, lenses, places and the axis that points up. For a
+    picture or a depth it prints the size and how much is opaque, or met by a ray.
 
     \b
       nerfbake info chair.npz

@@ -12,11 +12,13 @@ from nerfbake.cli.words import Words
 @click.command()
 @reads
 @writes_octree()
-@click.option("--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep; 0 is the root alone.")
+@click.option(
+    "--level", type=click.IntRange(min=0), required=True, help="The deepest level to keep; 0 is the root alone."
+)
 @judges
 @speaks
 def lod(source: Input, target: Output, level: int, no_child: int, budget: Budget, words: Words) -> None:
-    """Write the octree IN down to a level as OUT; what is cut off shows as its mean.
+    """Write the octree IN down to a level as OUT; what is cut off is shown by its mean.
 
     \b
       nerfbake lod chair.svo.pb chair_lod.svo.pb --level 6

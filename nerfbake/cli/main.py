@@ -45,7 +45,7 @@ class InOrder(click.Group):
 def cli() -> None:
     """Bake trained radiance fields into what engines, DCC tools, web pages and shaders can use.
 
-    Formats follow the files' endings; '-' is stdin or stdout. Data go to stdout, words to stderr.
+    Formats follow the files' endings; '-' is stdin or stdout. Data are written to stdout, messages to stderr.
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128

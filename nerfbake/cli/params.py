@@ -1,4 +1,4 @@
-"""The arguments and options that commands share, each said once."""
+"""The arguments and options that commands share, each said once. TR-24-01: docs/sources.md."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nerfbake.errors import UsageError, format_size
 
 BUDGET_FRAMES, BUDGET_EDGE = 8, 400  # the views around a scene that a budget is judged from
 
-CAPTURE = "A transforms.json, or a folder with one, a COLMAP model, LLFF's poses or NSVF's"
+CAPTURE = "a transforms.json, or a folder that holds one, a COLMAP model, or the poses of LLFF or NSVF"
 
 
 class Size(click.ParamType[int]):
@@ -213,7 +213,7 @@ max_memory = click.option(
     show_default=True,
     callback=_limit_memory,
     expose_value=False,
-    help="Most that files and what is made of them may take in memory, all together.",
+    help="The most memory that all files and everything made of them may take together.",
 )
 
 
@@ -234,11 +234,13 @@ def bakes_stage1(function: Command) -> Command:
 
     @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=click.Path())
     @click.option(
-        "--feature", "features", multiple=True, type=click.Path(), help="Feature texture, one for each cascade."
+        "--feature", "features", multiple=True, type=click.Path(), help="A feature texture; once for each cascade."
     )
-    @click.option("--mlp", type=click.Path(), help="Its mlp.json; both stand in for STAGE1_DIR.")
-    @click.option("--transforms", type=click.Path(), help="Where the training cameras stood, in the mesh's own world.")
-    @click.option("--force", is_flag=True, help="Replace OUT_DIR and all that is in it.")
+    @click.option("--mlp", type=click.Path(), help="The mlp.json of --feature; both together replace STAGE1_DIR.")
+    @click.option(
+        "--transforms", type=click.Path(), help="A transforms.json: the training cameras in the mesh's world."
+    )
+    @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
     @max_memory
     @functools.wraps(function)
     def command(
@@ -266,7 +268,7 @@ def writes(*scenes: str) -> Callable[[Command], Command]:
         @click.option(
             "--to",
             metavar="FORMAT",
-            help=f"Format of OUT, where its ending does not name it: {names}; .zst behind it compresses.",
+            help=f"The format of OUT if its ending names none: {names}. Add .zst to any of them to compress it.",
         )
         @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
         @functools.wraps(function)
@@ -281,8 +283,8 @@ def writes(*scenes: str) -> Callable[[Command], Command]:
 def judges(function: Command) -> Command:
     """Adds --min-psnr and --cameras; the command gets `budget`."""
 
-    @click.option("--min-psnr", type=float, help="Exit 3 and call OUT OUT.rejected if its pictures have less, in dB.")
-    @click.option("--cameras", metavar="CAPTURE", help=f"Whose views judge. {CAPTURE}.  [default: 8 views around IN]")
+    @click.option("--min-psnr", type=float, help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
+    @click.option("--cameras", metavar="CAPTURE", help=f"The views to judge: {CAPTURE}.  [default: 8 views around IN]")
     @functools.wraps(function)
     def command(*args: Any, min_psnr: float | None, cameras: str | None, **others: Any) -> Any:
         if min_psnr is None:
@@ -295,8 +297,8 @@ def judges(function: Command) -> Command:
 def speaks(function: Command) -> Command:
     """Adds -q and -v; the command gets `words`."""
 
-    @click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
-    @click.option("-v", "--verbose", is_flag=True, help="Say how long each step took.")
+    @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+    @click.option("-v", "--verbose", is_flag=True, help="Print how long each step took.")
     @functools.wraps(function)
     def command(*args: Any, quiet: bool, verbose: bool, **others: Any) -> Any:
         if quiet:
@@ -306,7 +308,7 @@ def speaks(function: Command) -> Command:
     return command
 
 
-as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 
 
 def writes_octree(*others: str) -> Callable[[Command], Command]:
@@ -317,7 +319,8 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
         @click.option(
             "--profile",
             type=click.Choice(["report", "bulk"]),
-            help="Lists of numbers, as TR-24-01 has them, or arrays as blobs.  [default: bulk, but report for svo.pb]",
+            help="report: lists of numbers, as the report TR-24-01 writes them; bulk: one block of memory an array."
+            "  [default: bulk, but report for svo.pb]",
         )
         @click.option(
             "--no-child",
@@ -325,7 +328,7 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
             default="0",
             show_default=True,
             callback=lambda ctx, param, value: int(value),
-            help="How OUT spells 'no child'.",
+            help="The number that stands for 'no child' in OUT.",
         )
         @functools.wraps(function)
         def command(*args: Any, target: Output, profile: str | None, **others: Any) -> Any:

@@ -32,13 +32,13 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
 
 @click.command()
 @reads
-@click.option("--cameras", metavar="CAPTURE", help=f"{CAPTURE}.  [default: an orbit around the scene]")
-@click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Which of the cameras.")
-@click.option("--all", "every", is_flag=True, help="All cameras.")
-@click.option("--turntable", type=click.IntRange(2, 1000), help="So many pictures around the scene.")
-@click.option("--size", type=PixelSize(), help="Pixels.  [default: the cameras', 800x800 for an orbit]")
+@click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: an orbit around the scene]")
+@click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="The camera to use, from 0.")
+@click.option("--all", "every", is_flag=True, help="Render the views of all cameras.")
+@click.option("--turntable", type=click.IntRange(2, 1000), help="Render this many views around the scene.")
+@click.option("--size", type=PixelSize(), help="Size in pixels.  [default: the cameras', 800x800 for an orbit]")
 @click.option(
-    "--out", required=True, type=click.Path(), help="A .png or '-'; of several: a .gif, a .png sheet, or a folder."
+    "--out", required=True, type=click.Path(), help="A .png or '-'; for several views a .gif, a .png sheet or a folder."
 )
 @click.option(
     "--background", type=Background(), default="white", show_default=True, help="white, black, transparent or R,G,B."
@@ -56,23 +56,23 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
     type=click.Choice(["nearest", "trilinear"]),
     default="nearest",
     show_default=True,
-    help="Cells as they are, or values interpolated between their centres.",
+    help="nearest: cells as they are; trilinear: values interpolated between their centres.",
 )
-@click.option("--lod", type=click.IntRange(min=0), help="Level of an octree to show.")
+@click.option("--lod", type=click.IntRange(min=0), help="The level at which an octree is shown.")
 @click.option(
     "--transmittance-cut",
     type=click.FloatRange(0, 1, max_open=True),
     default=1e-4,
     show_default=True,
-    help="Where a ray ends: 0.5 makes an opaque cutout.",
+    help="A ray ends where less than this share of light is left; 0.5 makes an opaque cutout.",
 )
-@click.option("--mesh", type=click.Path(), help="Opaque triangles in the scene's own world: an .obj or .glb.")
+@click.option("--mesh", type=click.Path(), help="An .obj or .glb of opaque triangles in the scene's own world.")
 @click.option(
     "--mesh-up",
     type=click.Choice(["y", "z"]),
     default="y",
     show_default=True,
-    help="With --mesh: the scene's axis that the mesh's y becomes; z: as Blender imports a .glb.",
+    help="With --mesh: the axis of the scene that the mesh's y becomes; z is what Blender makes of a .glb.",
 )
 @click.option(
     "--composite",
@@ -80,10 +80,10 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
     type=click.Choice(["stop", "ztest"]),
     default="stop",
     show_default=True,
-    help="With --mesh: rays stop at it, or the whole picture is laid over it where its depth is nearer.",
+    help="With --mesh. stop: rays stop at it; ztest: the field lies over it where the field's depth is nearer.",
 )
 @chooses_grids
-@click.option("--force", is_flag=True, help="Replace what exists.")
+@click.option("--force", is_flag=True, help="Replace files that exist.")
 @speaks
 def render(
     source: Input,

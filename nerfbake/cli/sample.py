@@ -18,16 +18,22 @@ def sample() -> None:
 @sample.command()
 @writes("N3Tree")
 @click.option(
-    "--resolution", type=click.IntRange(4, 1024), default=128, show_default=True, help="Cells an axis, a power of two."
+    "--resolution",
+    type=click.IntRange(4, 1024),
+    default=128,
+    show_default=True,
+    help="Cells along each axis, a power of two.",
 )
 @click.option(
     "--basis",
     type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
     default="SH9",
     show_default=True,
-    help="Spherical harmonics of the colours.",
+    help="The spherical harmonics that hold the colours.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
+)
 @speaks
 def octree(target: Output, resolution: int, basis: str, seed: int, words: Words) -> None:
     """Write a PlenOctree (svox .npz) of shiny shapes, with leaves at several depths, as OUT.
@@ -43,9 +49,11 @@ def octree(target: Output, resolution: int, basis: str, seed: int, words: Words)
 
 @sample.command()
 @click.argument("target", metavar="OUT_DIR", type=click.Path())
-@click.option("--resolution", type=int, default=512, show_default=True, help="Texels along the textures' edges.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same bytes.")
-@click.option("--force", is_flag=True, help="Replace OUT_DIR and all that is in it.")
+@click.option("--resolution", type=int, default=512, show_default=True, help="Texels along each edge of the textures.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
+)
+@click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
 @speaks
 def nerf2mesh(target: str, resolution: int, seed: int, force: bool, words: Words) -> None:
     """Write a nerf2mesh stage-1 folder of a glossy torus as OUT_DIR: mesh, textures, and an MLP fitted to its look.

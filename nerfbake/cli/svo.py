@@ -1,4 +1,4 @@
-"""`nerfbake svo`: PlenOctree to sparse voxel octree."""
+"""`nerfbake svo`: PlenOctree to sparse voxel octree, as TR-24-01 has it (docs/sources.md)."""
 
 from __future__ import annotations
 
@@ -10,25 +10,31 @@ import nerfbake
 from nerfbake.cli.params import Budget, Input, Output, Resolution, judges, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
 
-RESAMPLE = "Where a voxel covers several leaves: their mean, or the one at its centre (as TR-24-01 has it)."
+RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at its centre (as in the report TR-24-01)."
 
 
 @click.command()
 @reads
 @writes_octree()
-@click.option("--resolution", type=Resolution(), help="Voxels an axis, 1 to 4096.  [default: the tree's finest]")
+@click.option(
+    "--resolution", type=Resolution(), help="Voxels along each axis, 1 to 4096.  [default: the tree's finest]"
+)
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),
     default="full",
     show_default=True,
-    help="Child slots for every node, or only above the last level.",
+    help="full: child slots for every node; compact: none for the nodes of the last level.",
 )
 @click.option(
-    "--dtype", type=click.Choice(["float32", "float16"]), default="float32", show_default=True, help="Of the values."
+    "--dtype",
+    type=click.Choice(["float32", "float16"]),
+    default="float32",
+    show_default=True,
+    help="The number type of the values that OUT stores.",
 )
-@click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
+@click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
 @judges
 @speaks
 def svo(source: Input, target: Output, no_child: int, budget: Budget, words: Words, **options: Any) -> None:

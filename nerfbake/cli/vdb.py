@@ -12,7 +12,7 @@ from nerfbake.cli.volumes import WARP_NOTE, codec_for, codec_option, form_of, re
 from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
 
-GRIDS = "density, Cd (colour seen from everywhere on average), sh (coefficients); or index (all behind one topology)."
+GRIDS = "Some of density, Cd (the mean colour over all directions), sh (SH coefficients); or index (all in one table)."
 DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"}
 
 
@@ -22,9 +22,15 @@ DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"
 @click.option("--grids", help=f"{GRIDS}  [default: density,Cd, but density for .nvdb]")
 @click.option("--half", is_flag=True, help="Store values as float16.")
 @codec_option
-@click.option("--resolution", type=Resolution(), help="Voxels an axis, of a PlenOctree.  [default: its finest]")
-@click.option("--sigma-min", type=click.FloatRange(min=0), help="Leaves below this density (1/world unit) are empty.")
-@click.option("--up", type=click.Choice(["y", "z"]), default="z", show_default=True, help="The axis that z becomes.")
+@click.option("--resolution", type=Resolution(), help="Voxels along each axis of a PlenOctree.  [default: its finest]")
+@click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
+@click.option(
+    "--up",
+    type=click.Choice(["y", "z"]),
+    default="z",
+    show_default=True,
+    help="The axis that points up in OUT; in IN it is z.",
+)
 @judges
 @speaks
 def vdb(

@@ -19,7 +19,9 @@ GRIDS = ("density", "Cd", "sh", "index")
 DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
 
 codec_option = click.option(
-    "--codec", type=click.Choice(["none", "zip"]), help="Of .vdb and .nvdb.  [default: zip for .vdb, none for .nvdb]"
+    "--codec",
+    type=click.Choice(["none", "zip"]),
+    help="How a .vdb or .nvdb is compressed.  [default: zip for .vdb, none for .nvdb]",
 )
 Command = Callable[..., Any]
 
@@ -57,9 +59,15 @@ def chooses_grids(function: Command) -> Command:
     """Adds --grid and --up; the command gets `choice`."""
 
     @click.option(
-        "--grid", "grids", multiple=True, metavar="NAME", help="This grid of a volume alone, by name or number from 0."
+        "--grid",
+        "grids",
+        multiple=True,
+        metavar="NAME",
+        help="Take only this grid of a volume: a name, or a number from 0.",
     )
-    @click.option("--up", type=click.Choice(["y", "z"]), help="The axis that is up in a volume; y is turned to z.")
+    @click.option(
+        "--up", type=click.Choice(["y", "z"]), help="The axis that points up in the volume; y is turned to z."
+    )
     @functools.wraps(function)
     def command(*args: Any, grids: tuple[str, ...], up: str | None, **others: Any) -> Any:
         return function(*args, choice=Choice(grids, up), **others)

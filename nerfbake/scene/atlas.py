@@ -39,7 +39,7 @@ class OctahedralAtlas:
     border    texels of gutter around each tile in the atlas image
     slope     of `affine`: what byte 255 stands for in maps 1 to 3 of the cluster with the steepest ones
     slopes    (K,) uint8, of `affine`: each cluster's share of that
-    Source: spec/atlas.md; the method `kmeans` is the TU Delft thesis of 2023.
+    Source: docs/formats/atlas.md, "Octahedral maps"; `kmeans` is "The thesis' method" there.
     """
 
     method: Method

@@ -145,7 +145,7 @@ class Cameras(Scene):
 
     def __post_init__(self) -> None:
         if not self.cameras:
-            raise InvalidScene(Problem("frames", "are none", "at least one camera"))
+            raise InvalidScene(Problem("frames", "are an empty list", "at least one camera"))
 
     def __str__(self) -> str:
         return plural(len(self.cameras), "camera") + (f" ({self.dialect})" if self.dialect else "")

@@ -21,7 +21,7 @@ MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps 
 
 @dataclass(frozen=True, eq=False)
 class N3Tree(Scene):
-    """A sparse N^3 tree over the cube [0, 1]^3. Source: spec/n3tree.md; svox's class of the same name.
+    """A sparse N^3 tree over the cube [0, 1]^3. Source: docs/formats/n3tree.md, "Keys"; svox.
 
     child    (n, N, N, N) int32: offset of the child's row from this row, 0 = leaf; cells are [x][y][z]
     data     (n, N, N, N, D) float16 or float32: a row for EVERY cell; only those of leaves mean anything

@@ -1,4 +1,4 @@
-"""The sparse voxel octree of TR-24-01: node children and node data, breadth-first."""
+"""The sparse voxel octree of TR-24-01 (docs/sources.md): node children and node data, breadth-first."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class _NodeData:
 
 @dataclass(frozen=True, eq=False)
 class SparseVoxelOctree(Scene):
-    """A sparse octree over a grid of W x H x D voxels. Source: TR-24-01, 3.2; spec/svo.md.
+    """A sparse octree over a grid of W x H x D voxels. Source: docs/formats/octree.md, "Structure".
 
     size           (W, H, D) voxels along x, y, z; the root's cube is the next power of two
     node_children  (c, 8) int32: row of each child, 0 = none; octant = x + 2y + 4z (1 = the upper half)

@@ -16,12 +16,13 @@ MAX_WIDTH = 1024
 
 @dataclass(frozen=True, eq=False)
 class SpecularField:
-    """specular(f, d) = sigmoid(relu([d, f] W0) W1), added to the diffuse colour. Source: nerf2mesh; spec/atlas.md, 1.
+    """specular(f, d) = sigmoid(relu([d, f] W0) W1), added to the diffuse colour.
 
     features  (H, W, 3) uint8, f = features / 255; row 0 is the image's top
     w0        (6, h) float32: the unit view direction's rows (from the camera to the surface), then the feature's
     w1        (h, 3) float32
     used      (H, W) bool: the texels that some triangle shows; the others do not weigh
+    Source: nerf2mesh; docs/formats/atlas.md, "The stage-1 folder".
     """
 
     features: npt.NDArray[np.uint8]

@@ -22,7 +22,7 @@ class Stage1(Scene):
     files    the meshes and diffuse textures as they stand in the folder, by name, to be handed on untouched; of a
              scene that was made and not read there are none
     cameras  (c, 3) float64 where the training cameras stand, in the meshes' own world; None if nobody knows
-    Source: nerf2mesh (arXiv 2303.02091) and its forks; spec/atlas.md, 1.
+    Source: nerf2mesh and its forks; docs/formats/atlas.md, "The stage-1 folder".
     """
 
     fields: tuple[SpecularField, ...]

@@ -9,7 +9,7 @@ Slots are x-major. Of the voxel (x, y, z), from the leaf up:
 
 Sorting by all of these in turn puts every level into breadth-first order, so that masks alone say which node is whose
 child: no offsets, no origins but the root's. In place of a child a slot may be a tile: a cube that has one value.
-Source: spec/vdb.md, 1; PlenVDB (Yan et al., 2023), 4.
+Source: docs/formats/vdb.md, "The VDB tree"; PlenVDB (docs/sources.md, "PlenVDB"), section 4.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def _values_at(volume: Volume, grid: VdbTree, density: VdbTree) -> npt.NDArray[n
     """(count, 3) of another grid where the density has values. Raises InvalidScene where it has more than one."""
     if not np.array_equal(volume.transform_of(grid), volume.transform_of(density)):
         allowed = "one transform; --grid for the density alone"
-        raise InvalidScene(Problem(f"grid {grid.name!r}", "lies otherwise than the density", allowed))
+        raise InvalidScene(Problem(f"grid {grid.name!r}", "stands elsewhere than the density", allowed))
     if grid.topology.same_as(density.topology):
         return grid.values.astype(np.float32, copy=False)
     parts, first = [grid.sample(density.topology.coords)], density.topology.m

@@ -35,12 +35,13 @@ def measure_atlas_error(
     lookup: Lookup = "bilinear",
     thesis_fault: bool = False,
 ) -> AtlasError:
-    """The error of an atlas over every used texel and N unit directions (N, 3). Source: the thesis' metric.
+    """The error of an atlas over every used texel and N unit directions (N, 3).
 
     lookup: kernels.octahedron.sample says which there are; `thesis` also truncates colours where the others round, and
     evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1
     norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the
     texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size.
+    Source: docs/formats/atlas.md, "What the published code gets wrong".
     """
     if atlas.labels.shape != field.features.shape[:2]:
         found, allowed = (f"{shape[1]}x{shape[0]}" for shape in (atlas.labels.shape, field.features.shape))

@@ -20,7 +20,7 @@ def weigh_directions(
 
     cameras (c, 3) stand in the mesh's own world. Every face counts by its area, for every camera that its front turns
     to; what stands between them does not. A line of sight counts for the direction closest to it. Raises InvalidScene
-    if no camera sees any front. Source: the thesis' future work.
+    if no camera sees any front. Source: the future work of the K-means thesis (docs/sources.md).
     """
     a, b, c = (mesh.positions[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
     across = np.cross(b - a, c - a)

@@ -44,7 +44,8 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
 
     Labels go by the snapped colours. Centres that nobody is near, or that snap to one colour, are dropped, so that
     there may be fewer clusters than asked for. The same seed gives the same clusters, whatever the number of threads.
-    Raises InvalidScene for more clusters than colours. Source: the thesis, with Lloyd's iteration made exact and fast.
+    Raises InvalidScene for more clusters than colours.
+    Source: docs/formats/atlas.md, "The thesis' method", with Lloyd's iteration made exact and fast.
 
     Greedy k-means++ on the means of cells of 5-bit colour starts the rounds. `nerfbake bench atlas` compares
     it with scikit-learn's KMeans.

@@ -1,4 +1,4 @@
-"""PlenOctree (N3Tree) -> sparse voxel octree: TR-24-01, 3.2 and 3.3."""
+"""PlenOctree (N3Tree) -> sparse voxel octree: TR-24-01 (docs/sources.md), 3.2 and 3.3."""
 
 from __future__ import annotations
 

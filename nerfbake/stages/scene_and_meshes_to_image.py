@@ -33,7 +33,7 @@ def render_field_and_meshes(
     ztest  the field is rendered as if it were alone; where its expected depth is nearer than the mesh, all of it is
            laid over the mesh, elsewhere the mesh is seen alone. For pictures with depth that are there already; wrong
            where a ray meets something on both sides of the mesh.
-    Source: TR-24-01, section 5.2.
+    Source: TR-24-01 (docs/sources.md), section 5.2.
     """
     if how not in get_args(Composite):
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))

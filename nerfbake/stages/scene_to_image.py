@@ -26,7 +26,7 @@ def render_field(
     lookup: Lookup = "nearest",
     stop: npt.NDArray[np.float64] | None = None,
 ) -> Image:
-    """What the camera sees of the scene. Source: spec/n3tree.md, "How it is rendered".
+    """What the camera sees of the scene. Source: docs/conventions.md, "How a picture is made".
 
     Emission and absorption along the ray through each pixel's centre, front to back over a background (sRGB in 0..1;
     None: transparent). A ray ends where it lets less than transmittance_cut through, and at its stop: (H, W) distances

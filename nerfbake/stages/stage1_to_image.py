@@ -20,10 +20,11 @@ from nerfbake.stages.meshes_to_image import surface_colours
 def render_stage1(
     scene: Stage1 | BakedAtlas, camera: Camera, *, background: tuple[float, float, float] | None = WHITE
 ) -> Image:
-    """clamp(diffuse + specular) at each pixel, over a background (None: transparent). Source: spec/atlas.md, 1.
+    """clamp(diffuse + specular) at each pixel, over a background (None: transparent).
 
     Of a Stage1 specular is the MLP, of a BakedAtlas it is what atlas.glsl shows; both at the nearest texel, as the
     viewer of nerf2mesh (its renderer.html) has it, maps between texels. Raises InvalidScene where a mesh is missing.
+    Source: docs/formats/atlas.md, "The stage-1 folder".
     """
 
     def colours(cascade: int, hits: Hits) -> npt.NDArray[np.float32]:

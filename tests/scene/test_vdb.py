@@ -176,5 +176,5 @@ def test_colours_finer_than_a_tile_are_refused() -> None:
     camera = orbit_cameras(Volume((density,), transform()), frames=1, width=4, height=4).cameras[0]
     with pytest.raises(InvalidScene, match=r"grid 'Cd' has voxels where the density has one tile, at \(8, 0, 0\)"):
         render_field(Volume((density, colour), transform()), camera)
-    with pytest.raises(InvalidScene, match="grid 'Cd' lies otherwise than the density"):
+    with pytest.raises(InvalidScene, match="grid 'Cd' stands elsewhere than the density"):
         render_field(Volume((density, replace(colour, place=np.eye(3, 4))), transform()), camera)

@@ -2,7 +2,8 @@
 array of pointers, and the octree's descent.
 
 Points lie in the grid or half a voxel beyond. The dense arrays have a voxel of nothing all around, so that no read asks
-whether it is inside. One thread. Sources: Plenoxels (Fridovich-Keil et al., 2022), its links; TR-24-01, 3.2.
+whether it is inside. One thread. Sources: Plenoxels (Fridovich-Keil et al., 2022), its links; TR-24-01,
+3.2 (docs/sources.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The octree in every format and profile: size, time, memory, exactness, on one's own scene and machine.
 
-The comparison of TR-24-01's appendix B (tables 4 and 5), with today's libraries. Each figure comes from a process of
+The comparison of TR-24-01's appendix B (docs/sources.md), with today's libraries. Each figure comes from a process of
 its own; the formats take turns, round by round, after a round that does not count.
 
     encode   from the arrays in memory to a file, closed but not flushed to the disk

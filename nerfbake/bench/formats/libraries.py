@@ -1,6 +1,6 @@
 """The octree through each format's own Python library, and the way that comes to mind first: what ours is held against.
 
-Each writes the same two arrays, as TR-24-01 names them. A library is imported when its row runs.
+Each writes the same two arrays, as TR-24-01 (docs/sources.md) names them. A library is imported when its row runs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What is published of octrees in these formats, beside which our own figures stand: TR-24-01's appendix B."""
+"""What is published of octrees in these formats, beside which our own figures stand: TR-24-01's appendix B.
+
+The report's title: docs/sources.md.
+"""
 
 from __future__ import annotations
 

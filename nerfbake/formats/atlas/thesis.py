@@ -3,7 +3,7 @@
 Its arrays are indexed [x][y]: an image with its rows flipped and its axes swapped. Tile of label l, W = ceil(sqrt K):
 x = l // W, y = l % W. Texel (i, j) of a map stands for uv = (i, j) / R, a corner, its colour cut to 8 bits; that is for
 the lookup to know (`thesis`), the texels are given as they are. Labels: red + 256 green + 65536 blue.
-Source: "Using K-Means clustering to export a NeRF ..." (TU Delft, 2023); spec/atlas.md, 6.
+Source: "Using K-Means clustering to export a NeRF" (docs/sources.md); docs/formats/atlas.md, "The thesis' files".
 """
 
 from __future__ import annotations

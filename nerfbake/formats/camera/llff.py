@@ -3,7 +3,7 @@
 The axes are columns: down, right, back. In the (n, 14) variant there is no fifth column; hwf_cxcy.npy beside it has
 h, w, then f, or f, cx, cy, or fx, fy, cx, cy, for all. Pictures are those in `images`, in the order of their names.
 What trainers make of the world (scale by the nearest bound, recentred, made a sphere) is not in the poses.
-Sources: LLFF's README; NeX's load_llff.py; spec/inputs.md, 9.
+Sources: LLFF's README; NeX's load_llff.py; docs/formats/cameras.md, "Dialects".
 """
 
 from __future__ import annotations

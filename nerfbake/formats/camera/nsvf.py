@@ -4,7 +4,7 @@ pose/NAME.txt    4 x 4 camera to world, OpenCV's axes; or in poses/
 intrinsics.txt   4 x 4 or 3 x 3 numbers; or 16 in a line; or a first line `f cx cy _`, behind which other things stand
 rgb/NAME.png     the pictures, whose size nothing else tells
 Lines of two numbers are passed over. All splits (0_, 1_, 2_ before a name) are taken, in the order of their names.
-Source: NSVF's data_utils.py; spec/inputs.md, 9.
+Source: NSVF's data_utils.py; docs/formats/cameras.md, "Dialects".
 """
 
 from __future__ import annotations

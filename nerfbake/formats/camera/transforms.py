@@ -7,7 +7,8 @@ cx, cy, w, h      pixels; the principal point in the middle, and the size of the
 camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
 All but the frames may stand in a frame, too, which then counts. An instant-ngp file may have comments. What instant-ngp
 and nerfstudio make of the world while they train (scale, offset, aabb_scale, applied_transform) is not in the poses.
-Sources: instant-ngp's nerf_loader.cu and colmap2nerf.py; nerfstudio's nerfstudio_dataparser.py; spec/inputs.md, 9.
+Sources: instant-ngp's nerf_loader.cu and colmap2nerf.py; nerfstudio's nerfstudio_dataparser.py; and
+docs/formats/cameras.md, "Dialects".
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""svox's N3Tree archive (.npz): svox, legacy and quantised. Keys, dtypes and meaning: spec/n3tree.md."""
+"""svox's N3Tree archive (.npz): svox, legacy and quantised. Keys: docs/formats/n3tree.md."""
 
 from __future__ import annotations
 

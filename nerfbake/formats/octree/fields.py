@@ -1,6 +1,7 @@
 """What every octree format shares: the fields of a file, how they become an octree, and what may be wrong with them.
 
-TR-24-01's listing 3 names the fields; 7 and up are nerfbake's and may be absent (schemas/README.md has them all):
+TR-24-01's listing 3 (docs/sources.md) names the fields; 7 and up are nerfbake's and may be absent; schemas/README.md
+has them all:
 
     type_url, width, height, depth, node_children, node_data                     listing 3
     data_format, data_dim, level_sizes, origin, voxel_size, extra_data           what it cannot say

@@ -1,4 +1,4 @@
-"""The octree as the Protocol Buffers message of TR-24-01's listing 3 (.svo.pb); schema: schemas/svo.proto.
+"""The octree as the Protocol Buffers message of TR-24-01's listing 3 (docs/sources.md): .svo.pb, schemas/svo.proto.
 
 These bytes are the same as the protobuf library's (a test compares them); the node values are handed over as they
 stand in memory or are made, and a file's node values are read as a view of the file.

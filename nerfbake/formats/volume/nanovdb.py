@@ -6,7 +6,8 @@
     the grid's bytes (nanovdb_writer draws them), or with codec zip: u64 size | one zlib stream of them
 
 Versions are 32.4.2 for values and 32.6.0 for OnIndex, the newest that both old and new readers take. The checksum is
-of the first part of the grid only ("half"): that is what all of them verify alike. Source: spec/vdb.md, 2.
+of the first part of the grid only ("half"): that is what all of them verify alike. Source: docs/formats/vdb.md,
+"NanoVDB files".
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 text = u32 length | bytes                       metadata = u32 entries | (name, type, u32 size, value) each
 
 Of each node only active values are stored, each node's as a zlib stream of its own. The UUID is zeros, so that the
-same grids give the same bytes. Source: spec/vdb.md, 3.
+same grids give the same bytes. Source: docs/formats/vdb.md, "OpenVDB files".
 """
 
 from __future__ import annotations

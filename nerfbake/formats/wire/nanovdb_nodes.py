@@ -1,4 +1,4 @@
-"""The structs of a NanoVDB file, 32.4 and 32.6, as NumPy dtypes. Source: spec/vdb.md, 2."""
+"""The structs of a NanoVDB file, 32.4 and 32.6, as NumPy dtypes. Source: docs/formats/vdb.md, "NanoVDB files"."""
 
 from __future__ import annotations
 

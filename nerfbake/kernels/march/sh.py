@@ -1,7 +1,7 @@
 """Real spherical harmonics, in the order and with the signs that PlenOctrees use.
 
 Order: f0^0, f1^-1, f1^0, f1^1, f2^-2, ... Y1 is (-y, z, -x): the Condon-Shortley phase is kept, as in svox.
-Source: spec/n3tree.md for bands 0 to 2; the usual closed forms for 3 and 4.
+Source: docs/conventions.md, "Spherical harmonics".
 """
 
 from __future__ import annotations

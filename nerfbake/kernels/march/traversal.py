@@ -1,6 +1,6 @@
 """Rays through a tree of constant cells, from leaf to leaf: density and colour are constant there, so sums are exact.
 
-Source of the rules: spec/n3tree.md, "How it is rendered".
+Source of the rules: docs/conventions.md, "How a picture is made".
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@
     uv / 2 + 1/2 in [0, 1]
 
 A map is R x R texels, map[row, column] with u along columns and v down the rows; texel (i, j) is the colour at its
-centre, u = (i + 1/2) / R, v = (j + 1/2) / R. Source: spec/atlas.md, 2 and 3.
+centre, u = (i + 1/2) / R, v = (j + 1/2) / R. Source: docs/formats/atlas.md,
+"Octahedral maps".
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from tests.formats.octree.octrees import small_octree
 from tests.support.scenes import assert_same_octree, n3tree, octrees
 from tests.support.tools import SCHEMAS, protoc
 
-# TR-24-01's own schema: what a reader that has never heard of nerfbake knows.
+# The own schema of TR-24-01 (docs/sources.md): what a reader that has never heard of nerfbake knows.
 LISTING_3 = """
 syntax = "proto3";
 package listing3;
