@@ -87,12 +87,7 @@ golden: setup  ## what is missing in schemas/conformance: frozen bytes of every 
 	$(BIN)/python -m tests.conformance
 
 bench: setup  ## the figures of the README, anew: benchmarks/results
-	$(BIN)/python benchmarks/svo.py
-	$(BIN)/python benchmarks/formats.py
-	$(BIN)/python benchmarks/vdb.py
-	$(BIN)/python benchmarks/access.py
-	$(BIN)/python benchmarks/render.py
-	$(BIN)/python benchmarks/outputs.py
+	$(BIN)/python -m benchmarks
 
 clean:  ## what make made
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis
