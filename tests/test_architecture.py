@@ -52,6 +52,7 @@ OWN_LIBRARY = {
     "formats/wire/picture": {"PIL"},
     "formats/wire/texture": {"PIL"},
     "formats/wire/zstd": {"zstandard"},
+    "stages/_mesh_summary": {"trimesh"},
 }
 HEAVY = {
     "blosc",

@@ -19,7 +19,7 @@ from nerfbake.bench.extras import EXTRAS
 from nerfbake.bench.measure import measure
 from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
-from tests.formats.octrees import small_octree
+from tests.formats.octree.octrees import small_octree
 from tests.test_architecture import imports, modules
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
