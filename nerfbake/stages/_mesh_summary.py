@@ -52,7 +52,7 @@ def _surface(scene: Meshes) -> dict[str, Any]:
         return {"pieces": 0, "closed": False, "same_winding": True}
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     closed, same_winding = graph.is_watertight(edges)
-    labels = graph.connected_component_labels(edges)
+    labels = graph.connected_component_labels(edges)  # type: ignore[no-untyped-call]
     return {"pieces": len(np.unique(labels[faces[:, 0]])), "closed": closed, "same_winding": same_winding}
 
 

@@ -31,8 +31,8 @@ Known = N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedA
 def summarise_scene(scene: Known) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
-    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles, pieces and colours; of
-    cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
+    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles, pieces and colours;
+    of cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
     """

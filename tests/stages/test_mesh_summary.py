@@ -13,7 +13,7 @@ def surface(*meshes: Mesh) -> tuple[int, bool, bool]:
 
 
 def moved(one: Mesh, x: float) -> Mesh:
-    return mesh(one.positions + np.float32([x, 0, 0]), one.faces)
+    return mesh(one.positions + np.array([x, 0, 0]), one.faces)
 
 
 def split(one: Mesh) -> Mesh:
@@ -37,7 +37,7 @@ def test_pieces_are_counted_over_all_meshes_of_the_file() -> None:
     whole = split(cube())
     assert surface(mesh(whole.positions, whole.faces[:6]), mesh(whole.positions, whole.faces[6:])) == (1, True, True)
     # A corner that is shared is a touch.
-    assert surface(cube(), mesh(cube().positions + np.float32(1), cube().faces)) == (1, True, True)
+    assert surface(cube(), mesh(cube().positions + 1, cube().faces)) == (1, True, True)
 
 
 def test_a_triangle_that_faces_the_other_way_is_told() -> None:

@@ -5,8 +5,8 @@
     vtable    u16 its size | u16 the table's size | u16 a field: where it stands in the table, 0 if it does not
     vector    u32 length | elements, aligned          text: a vector of bytes, and a zero behind it
 
-Written here because the Python library copies every vector into its builder (docs/wires.md has what that costs). Read by
-the library, which has no verifier: nothing that a file says is followed before it is known to lie inside the file.
+Written here because the Python library copies every vector into its builder (docs/wires.md has what that costs). Read
+by the library, which has no verifier: nothing that a file says is followed before it is known to lie inside the file.
 Source: flatbuffers.dev/internals.
 """
 
@@ -156,6 +156,6 @@ class Table:
 
 
 def _require_inside(view: memoryview, at: int, size: int) -> None:
-    """Raises InvalidFile unless `size` bytes from `at` on lie in the file: the runtime would count back from its end."""
+    """Raises InvalidFile unless `size` bytes from `at` on lie in the file: below 0 the runtime counts from its end."""
     if not 0 <= at <= len(view) - size:
         raise InvalidFile(Problem("an offset", f"leads to byte {at:,}", f"0 to {len(view):,}"))
