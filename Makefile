@@ -102,7 +102,7 @@ schemas: setup tools  ## each schema through its own compiler; we generate no co
 golden: setup  ## what is missing in schemas/conformance: frozen bytes of every format; say why in the commit
 	$(BIN)/python -m tests.conformance
 
-bench: setup  ## the figures of the README, anew: benchmarks/results
+bench: setup  ## the figures of the documentation, anew: benchmarks/results; hours
 	$(BIN)/python -m benchmarks
 
 clean:  ## what make made

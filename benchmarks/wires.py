@@ -1,7 +1,5 @@
 """Every wire that nerfbake writes or reads by hand beside the library that there is for it, and what that would cost.
 
-    python -m benchmarks.wires          rewrites benchmarks/results/wires.md
-
 Each figure comes from a process of its own, and the two sides take turns, round by round. Each library stands in the
 use that serves it best; docs/wires.md says what follows from it. pyopenvdb belongs to Debian's Python (`make tools`),
 where it measures itself.
@@ -10,7 +8,6 @@ where it measures itself.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
@@ -21,12 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import Meshes, SparseVoxelOctree, Volume, build_octree, build_vdb, cut_octree, load, sample_n3tree, save
+from benchmarks.scenes import Scenes
+from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Volume, build_octree, build_vdb, cut_octree, load, save
 from nerfbake.bench.environment import environment
-from nerfbake.bench.libraries import LIBRARIES
-from nerfbake.bench.measure import Result, Spread, Work, measure
+from nerfbake.bench.formats.libraries import LIBRARIES
+from nerfbake.bench.measure import Result, Statistics, Work, measure
 from nerfbake.bench.progress import told
-from nerfbake.bench.report import Report, Table, markdown
+from nerfbake.bench.report import Report, Table
 from nerfbake.catalog import format_named
 from nerfbake.formats.wire.flatbuffers import Table as FlatTable
 from nerfbake.io.sources import read_file
@@ -34,8 +32,8 @@ from nerfbake.scene.mesh import Mesh
 
 Arrays = Sequence[npt.NDArray[Any]]
 
-RESULT = Path(__file__).parent / "results" / "wires.md"
-ROUNDS = 7
+ROUNDS = 9
+SAMPLE = "sample SH16"
 NEAR = 1.2  # a library that costs at most so many times what ours does, in time and in memory, could take its place
 EDGE = 512  # squares along an edge of the mesh
 PACKAGES = ("numpy", "protobuf", "pymongo", "flatbuffers", "pycapnp", "trimesh")
@@ -43,7 +41,8 @@ COLUMNS = ["wire", "direction", "library", "ours ms", "library ms", "library x o
 COLUMNS += ["peak x ours", f"within {NEAR:g} of both", "exact"]
 NOTES = [
     "write: from arrays in memory to a written file; read: until every value has been seen. Imports and compiled "
-    "kernels are loaded before. Median [least..greatest]; a ratio is of one round.",
+    "kernels are loaded before. Median [least..greatest].",
+    "library x ours: of the fastest rounds, since other work on the cores can only make a round slower.",
     "peak: memory that the step added to its process.",
     "Ours are the whole formats, with every check of what was read and every small field; a library's rows handle the "
     "large arrays alone. 'FlatBuffers, two vectors' is the wire without the octree's checks, on both sides.",
@@ -260,20 +259,20 @@ def row(wire: str, direction: str, rounds: list[tuple[Result, Result]]) -> list[
         return [f"{wire}: {error}", direction, library, *[None] * (len(COLUMNS) - 3)]
     # Where a program measured itself, its own figures count.
     figures = [[(r.facts.get("seconds", r.seconds), r.facts.get("peak", r.peak)) for r in pair] for pair in rounds]
-    times = [Spread.of([1e3 * pair[side][0] for pair in figures]) for side in (0, 1)]
-    ratio = Spread.of([theirs[0] / ours[0] for ours, theirs in figures])
+    times = [Statistics.of([1e3 * pair[side][0] for pair in figures]) for side in (0, 1)]
+    ratio = times[1].low / times[0].low
     peaks = [max(pair[side][1] for pair in figures) / 1e6 for side in (0, 1)]
     peak_ratio = peaks[1] / max(peaks[0], 0.1)  # below which a peak is noise
     exact = all(result.facts.get("exact", True) for pair in rounds for result in pair)
-    near = ratio.median <= NEAR and peak_ratio <= NEAR
+    near = ratio <= NEAR and peak_ratio <= NEAR
     return [wire, direction, library, *times, ratio, *peaks, peak_ratio, near, exact]
 
 
-def report(octree: SparseVoxelOctree, *, rounds: int, edge: int = EDGE) -> Report:
-    """Measures every wire, in both directions."""
+def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
+    octree = build_octree(load(scenes.sample(SAMPLE), N3Tree))
     found: dict[tuple[str, str], list[tuple[Result, Result]]] = {}
     with tempfile.TemporaryDirectory(prefix="nerfbake-bench-") as folder:
-        head = put_scenes(Path(folder), octree, edge)
+        head = put_scenes(Path(folder), octree, EDGE)
         for turn in range(rounds + 1):
             for wire in WIRES:
                 with told(f"{wire}: {f'round {turn} of {rounds}' if turn else 'warming up'}"):
@@ -281,16 +280,6 @@ def report(octree: SparseVoxelOctree, *, rounds: int, edge: int = EDGE) -> Repor
                         pair = [measure(function, wire=wire, ours=side, folder=folder) for side in (True, False)]
                         if turn:
                             found.setdefault((wire, direction), []).append((pair[0], pair[1]))
-    head |= {"rounds": str(rounds), **environment(*PACKAGES), "load after": f"{os.getloadavg()[0]:.2f}"}
+    head |= {"rounds": str(rounds), **environment(*PACKAGES)}
     table = Table("Wires", COLUMNS, [row(*key, pairs) for key, pairs in found.items()])
-    return Report("Wires by hand beside their libraries", head, [table], NOTES)
-
-
-def main() -> None:
-    """Writes benchmarks/results/wires.md."""
-    octree = build_octree(sample_n3tree(resolution=256, basis="SH16", seed=2))  # of about the report's size, 110 MB
-    RESULT.write_text(markdown(report(octree, rounds=ROUNDS)))
-
-
-if __name__ == "__main__":
-    import_module("benchmarks.wires").main()  # measured processes look their work up by the module's name
+    return {"wires": [Report("Wires by hand beside their libraries", head, [table], NOTES)]}
