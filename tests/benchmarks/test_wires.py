@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks import wires
+from benchmarks.suite import RESULTS
 from nerfbake import build_octree
 from nerfbake.bench.measure import Result
+from tests.conftest import REPOSITORY
 from tests.support.scenes import n3tree
 
 
@@ -53,4 +55,19 @@ def test_only_what_is_near_in_time_and_in_memory_could_take_a_place() -> None:
         cells = dict(zip(wires.COLUMNS, wires.row("npz", "read", [(ours, theirs)]), strict=True))
         assert cells["within 1.2 of both"] is near
     missing = wires.row("npz", "read", [(ours, Result(error="not installed: numpy"))])
-    assert missing == ["npz: not installed: numpy", "read", "np.savez, np.load", *[None] * 8]
+    assert missing == ["npz: not installed: numpy", "read", "np.savez, np.load", *[None] * 7]
+
+
+def test_the_page_has_the_figures_of_the_last_run() -> None:
+    page = (REPOSITORY / "docs" / "wires.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    told = {row[0]: dict(zip(("write", "read"), row[2:4], strict=True)) for row in rows[1:]}
+    lines = [line for line in (RESULTS / "wires.md").read_text().splitlines() if line.startswith("| ")]
+    columns, _, *measured = [line.strip("| ").split(" | ") for line in lines]
+    assert tuple(columns) == tuple(wires.COLUMNS)
+    for cells in measured:
+        row = dict(zip(columns, cells, strict=True))
+        if row["wire"] in told:
+            figures = [row[name] for name in ("library x ours", "library peak MB", "ours peak MB")]
+            assert told[row["wire"]].pop(row["direction"]) == "{} times, {} beside {}".format(*figures)
+    assert not any(told.values())
