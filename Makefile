@@ -8,9 +8,16 @@ PYTHON ?= python3
 help:  ## what there is to make
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-$(VENV)/ready: pyproject.toml
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+# The program and its plain dependencies; what tests need comes on top.
+$(VENV)/program: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench,test]'
+	$(PIP_INSTALL) --editable .
+	touch $@
+
+$(VENV)/ready: $(VENV)/program
+	$(PIP_INSTALL) --editable '.[test]'
 	touch $@
 
 setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
@@ -27,7 +34,7 @@ tools:  ## other programs that read our files in tests, OpenVDB to Blender: from
 		echo "tests that need a program that is missing are skipped (Debian: $(READERS))"; \
 	else apt-get update -qq && apt-get install -y -qq --no-install-recommends $(READERS) >/dev/null; fi
 
-demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and checked: build/demo
+demo: $(VENV)/program  ## a synthetic PlenOctree, converted, rendered, inspected and checked: build/demo
 	mkdir -p build/demo
 	$(BIN)/nerfbake sample octree build/demo/sample.npz --resolution 128 --force
 	$(BIN)/nerfbake svo build/demo/sample.npz build/demo/sample.svo.pb --force
@@ -44,6 +51,15 @@ demo: setup  ## a synthetic PlenOctree, converted, rendered, inspected and check
 	$(BIN)/nerfbake vdb build/demo/sample.svo.pb build/demo/sample.nvdb --grids index --half --force
 	$(BIN)/nerfbake check build/demo/sample.vdb
 	$(BIN)/nerfbake check build/demo/sample.nvdb
+	@printf '%s\n' '' 'Made in build/demo, from scenes that are synthetic:' \
+		'  sample.png            look here first: the octree, rendered' \
+		'  sample.npz            the PlenOctree that all else came from' \
+		'  sample.svo.pb         the octree, Protocol Buffers; sample_64.svo.npz is a level coarser, NumPy arrays' \
+		'  sample.vdb            density and colour, for Blender and other programs with OpenVDB' \
+		'  sample.nvdb           all coefficients, for NanoVDB' \
+		'  mesh_stage1, atlas    a mesh with a specular MLP, and the same baked into octahedral maps' \
+		'  atlas/scene.glb       the mesh for any viewer of glTF' \
+		"Next: '$(BIN)/nerfbake --help', README.md."
 
 lint: setup  ## ruff and mypy --strict
 	$(BIN)/ruff check .
@@ -86,7 +102,7 @@ schemas: setup tools  ## each schema through its own compiler; we generate no co
 golden: setup  ## what is missing in schemas/conformance: frozen bytes of every format; say why in the commit
 	$(BIN)/python -m tests.conformance
 
-bench: setup  ## the figures of the README, anew: benchmarks/results
+bench: setup  ## the figures of the documentation, anew: benchmarks/results; hours
 	$(BIN)/python -m benchmarks
 
 clean:  ## what make made

@@ -29,6 +29,7 @@ class Benchmark(NamedTuple):
 SUITE = (
     Benchmark("svo", ("svo.md",)),
     Benchmark("formats", ("formats.md", "formats.csv", "formats.json", "formats.svg")),
+    Benchmark("wires", ("wires.md",)),
     Benchmark("vdb", ("vdb.md",)),
     Benchmark("access", ("access.md", "access.svg", "access_800.md")),
     Benchmark("render", ("render.md", "render.svg")),

@@ -4,7 +4,7 @@
 |---|---|
 | 0 | done |
 | 1 | bad input: a file or scene that cannot be right (`NerfbakeError`) |
-| 2 | wrong usage: an option, a format or an ending that there is not (`UsageError`, click's own) |
+| 2 | wrong usage: an option, a format, an ending or a library that there is not (`UsageError`, click's own) |
 | 3 | a quality budget is missed (`BudgetMissed`) |
 | 4 | the output cannot be written (`OutputError`); what stood there before is untouched |
 | 70 | a fault of nerfbake's own: please report it |

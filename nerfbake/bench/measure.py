@@ -17,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from nerfbake.bench.extras import command_for
 from nerfbake.errors import NerfbakeError
 
 TIMEOUT = 1800  # seconds for one piece of work
@@ -92,7 +93,7 @@ def measure_here(module: str, function: str, arguments: dict[str, Any]) -> Resul
         peak = _peak() - before
         return Result(seconds, peak, work.check(result))
     except ImportError as error:
-        return Result(error=f"not installed: {error.name}")
+        return Result(error="; ".join(filter(None, (f"not installed: {error.name}", command_for(error.name or "")))))
     except NerfbakeError as error:
         return Result(error=str(error))
 

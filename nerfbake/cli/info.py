@@ -22,8 +22,9 @@ def info(source: Input, as_json: bool, words: Words) -> None:
     """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
 
     For a stage-1 folder of nerf2mesh or an atlas it prints textures, MLP, maps, clusters and errors. For cameras it
-    prints their dialect, number, picture sizes, focal lengths, lenses, places and the axis that points up. For a
-    picture or a depth it prints the size and how much is opaque, or met by a ray.
+    prints their dialect, number, picture sizes, focal lengths, lenses, places and the axis that points up. For
+    meshes it prints their triangles, how many pieces these make, and whether the surface is closed. For a picture or a
+    depth it prints the size and how much is opaque, or met by a ray.
 
     \b
       nerfbake info chair.npz

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from nerfbake import io
+from nerfbake.bench.extras import require_installed
 from nerfbake.cli.params import Command, without_effect
 from nerfbake.errors import OutputError, UsageError
 
@@ -28,6 +29,8 @@ class Destination:
         """Raises, before anything is measured, if it could not be written."""
         if self.plot and Path(self.plot).suffix not in (".png", ".svg"):
             raise UsageError(f"the ending of {self.plot!r} names no picture; allowed: .png, .svg")
+        if self.plot:
+            require_installed("matplotlib", "--plot")
         for path in filter(None, (self.output, self.plot)):
             io.require_absent(path, force=self.force)
 

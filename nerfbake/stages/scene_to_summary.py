@@ -14,7 +14,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
-from nerfbake.scene.mesh import Meshes, box_of
+from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.stage1 import Stage1
@@ -22,6 +22,7 @@ from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume, edges_of
 from nerfbake.stages._atlas_summary import summary_of_atlas, summary_of_stage1
 from nerfbake.stages._cameras_summary import summary_of_cameras
+from nerfbake.stages._mesh_summary import summary_of_meshes
 from nerfbake.stages._picture_summary import summary_of_picture
 
 Known = N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
@@ -30,15 +31,15 @@ Known = N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedA
 def summarise_scene(scene: Known) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
-    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles and colours; of
-    cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
+    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles, pieces and colours;
+    of cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
     """
     if isinstance(scene, Volume):
         return _of_volume(scene)
     if isinstance(scene, Meshes):
-        return _of_meshes(scene)
+        return summary_of_meshes(scene)
     if isinstance(scene, Cameras):
         return summary_of_cameras(scene)
     if isinstance(scene, Stage1):
@@ -120,20 +121,6 @@ def _of_volume(volume: Volume) -> dict[str, Any]:
         },
         "not_read": [f"{problem.place} {problem.found}" for problem in volume.unread] or None,
         "bytes_in_memory": sum(grid.values.nbytes for grid in volume.grids),
-    }
-
-
-def _of_meshes(scene: Meshes) -> dict[str, Any]:
-    arrays = [(m.positions, m.faces, m.uvs, m.texture, m.colours) for m in scene.meshes]
-    return {
-        "kind": "triangle mesh",
-        "meshes": len(scene.meshes),
-        "triangles": sum(len(mesh.faces) for mesh in scene.meshes),
-        "vertices": sum(len(mesh.positions) for mesh in scene.meshes),
-        "world_box": _numbers(box_of(scene.meshes)),
-        "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
-        "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
-        "bytes_in_memory": sum(array.nbytes for parts in arrays for array in parts if array is not None),
     }
 
 

@@ -54,4 +54,5 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module in ("access.comparison", "atlas.comparison", "formats.comparison", "render", "process"):
         monkeypatch.setattr(f"nerfbake.bench.{module}.measure", measure)
-    monkeypatch.setattr("benchmarks.svo.measure", measure)
+    for name in ("svo", "wires"):
+        monkeypatch.setattr(f"benchmarks.{name}.measure", measure)

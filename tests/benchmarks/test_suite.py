@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, outputs, svo
+from benchmarks import atlas, outputs, svo, wires
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
 from nerfbake.bench.access.readers import READERS
@@ -98,6 +98,16 @@ def test_formats(scenes: Scenes) -> None:
     assert [report["head"]["scene"].partition(":")[0] for report in whole] == ["sample SH16", "chair_sh9.npz at 128^3"]
     assert files["formats.csv"].startswith(b"table,format,MB")
     assert b"svo.pb bulk" in files["formats.svg"]
+
+
+@pytest.mark.slow
+@pytest.mark.tools
+@pytest.mark.usefixtures("in_this_process")
+def test_wires(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wires, "EDGE", 3)
+    (rows,) = tables(small("wires", scenes), "wires.md").values()
+    assert [tuple(row[:2]) for row in rows] == [(wire, way) for wire in wires.WIRES for way in ("write", "read")]
+    assert {row[-1] for row in rows} == {"yes"}  # exact
 
 
 @pytest.mark.slow
@@ -201,6 +211,6 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, vdb, access, render, outputs, atlas"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, atlas"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"

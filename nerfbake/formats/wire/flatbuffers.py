@@ -5,8 +5,9 @@
     vtable    u16 its size | u16 the table's size | u16 a field: where it stands in the table, 0 if it does not
     vector    u32 length | elements, aligned          text: a vector of bytes, and a zero behind it
 
-Written and read here because the Python library copies every vector into its builder, and has no verifier: nothing
-that a file says is followed before it is known to lie inside the file. Source: flatbuffers.dev/internals.
+Written here because the Python library copies every vector into its builder (docs/wires.md has what that costs). Read
+by the library, which has no verifier: nothing that a file says is followed before it is known to lie inside the file.
+Source: flatbuffers.dev/internals.
 """
 
 from __future__ import annotations
@@ -15,14 +16,26 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
+import flatbuffers
 import numpy as np
 import numpy.typing as npt
+from flatbuffers import encode, number_types
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.blob import blob_of
 
 # A field of a table to write: None where it is absent.
 Field = int | str | npt.NDArray[Any] | Sequence[Any] | None
+
+_LONGEST = 2**31 - 1
+# What a vector may be read as, in the runtime's words.
+_VECTORS: dict[str, Any] = {
+    "u1": number_types.Uint8Flags,
+    "<i4": number_types.Int32Flags,
+    "<u8": number_types.Uint64Flags,
+    "<f4": number_types.Float32Flags,
+    "<f8": number_types.Float64Flags,
+}
 
 
 def write_table(fields: Sequence[Field], identifier: bytes) -> list[memoryview]:
@@ -76,67 +89,73 @@ def _table(fields: Sequence[Field]) -> tuple[bytearray, bytearray, list[tuple[An
 
 
 class Table:
-    """A table in a file that nobody has vouched for; every offset is bounded before it is used."""
+    """A table in a file that nobody has vouched for; every offset is bounded before the runtime follows it."""
 
     def __init__(self, view: memoryview, place: int) -> None:
+        _require_inside(view, place, 4)
         self._view, self._place = view, place
-        back = self._int(place, "<i")
-        self._vtable = place - back
-        self._vtable_size, self._size = self._int(self._vtable, "<H"), self._int(self._vtable + 2, "<H")
-        if self._vtable_size < 4 or self._vtable + self._vtable_size > len(view) or place + self._size > len(view):
-            found = f"has a vtable of {self._vtable_size} bytes at {self._vtable:,}"
+        self._table = flatbuffers.Table(view, place)
+        vtable = place - self._number(place, number_types.SOffsetTFlags)
+        self._vtable_size, self._size = (self._number(at, number_types.VOffsetTFlags) for at in (vtable, vtable + 2))
+        if self._vtable_size < 4 or vtable + self._vtable_size > len(view) or place + self._size > len(view):
+            found = f"has a vtable of {self._vtable_size} bytes at {vtable:,}"
             raise InvalidFile(Problem(f"table at byte {place:,}", found, "a table inside the file"))
 
     @staticmethod
     def root(view: memoryview) -> Table:
-        return Table(view, _read(view, 0, "<I"))
+        if len(view) > _LONGEST:  # the runtime knows no place beyond
+            raise InvalidFile(Problem("the file", f"has {len(view):,} bytes", f"{_LONGEST:,}, FlatBuffers' limit"))
+        _require_inside(view, 0, 4)
+        return Table(view, encode.Get(number_types.UOffsetTFlags.packer_type, view, 0))
 
     def number(self, slot: int) -> int:
         """An int32; 0 where absent."""
         at = self._at(slot)
-        return self._int(at, "<i") if at else 0
+        return self._number(self._place + at, number_types.Int32Flags) if at else 0
 
     def text(self, slot: int) -> str:
         """Text; '' where absent."""
         try:
-            return bytes(self._vector(slot, 1)).decode()
+            return self.array(slot, "u1").tobytes().decode()
         except UnicodeDecodeError:
             raise InvalidFile(Problem(f"field {slot}", "is no UTF-8", "text")) from None
 
     def array(self, slot: int, dtype: str) -> npt.NDArray[Any]:
-        """A vector as a view of the file; empty where absent."""
-        return np.frombuffer(self._vector(slot, np.dtype(dtype).itemsize), dtype)
-
-    def table(self, slot: int) -> Table | None:
-        at = self._at(slot)
-        return Table(self._view, at + self._int(at, "<I")) if at else None
-
-    def _at(self, slot: int) -> int:
-        """Where in the file a field stands; 0 where it is absent."""
-        if 4 + 2 * slot + 2 > self._vtable_size:
-            return 0
-        offset = self._int(self._vtable + 4 + 2 * slot, "<H")
-        if offset and not 4 <= offset <= self._size - 4:
-            found = f"puts field {slot} at {offset} of {self._size} bytes"
-            raise InvalidFile(Problem(f"table at byte {self._place:,}", found, "fields inside the table"))
-        return self._place + offset if offset else 0
-
-    def _vector(self, slot: int, itemsize: int) -> memoryview:
-        at = self._at(slot)
+        """A vector of _VECTORS' numbers as a view of the file; empty where absent."""
+        flags, at = _VECTORS[dtype], self._at(slot)
         if not at:
-            return memoryview(b"")
-        start = at + self._int(at, "<I")
-        size = self._int(start, "<I") * itemsize
+            return np.empty(0, dtype)
+        start = self._follow(at)
+        size = self._number(start, number_types.UOffsetTFlags) * flags.bytewidth
         if start + 4 + size > len(self._view):
             found = f"has {size:,} bytes at {start + 4:,}"
             raise InvalidFile(Problem(f"field {slot}", found, f"a vector that ends by {len(self._view):,}"))
-        return self._view[start + 4 : start + 4 + size]
+        return np.asarray(self._table.GetVectorAsNumpy(flags, at))
 
-    def _int(self, at: int, kind: str) -> int:
-        return _read(self._view, at, kind)
+    def table(self, slot: int) -> Table | None:
+        at = self._at(slot)
+        return Table(self._view, self._follow(at)) if at else None
+
+    def _at(self, slot: int) -> int:
+        """Where in the table a field stands; 0 where it is absent."""
+        if 4 + 2 * slot + 2 > self._vtable_size:
+            return 0
+        offset = int(self._table.Offset(4 + 2 * slot))
+        if offset and not 4 <= offset <= self._size - 4:
+            found = f"puts field {slot} at {offset} of {self._size} bytes"
+            raise InvalidFile(Problem(f"table at byte {self._place:,}", found, "fields inside the table"))
+        return offset
+
+    def _follow(self, at: int) -> int:
+        """Where in the file that begins what a field of the table points to."""
+        return self._place + at + self._number(self._place + at, number_types.UOffsetTFlags)
+
+    def _number(self, at: int, flags: Any) -> int:
+        _require_inside(self._view, at, flags.bytewidth)
+        return int(self._table.Get(flags, at))
 
 
-def _read(view: memoryview, at: int, kind: str) -> int:
-    if not 0 <= at <= len(view) - struct.calcsize(kind):
+def _require_inside(view: memoryview, at: int, size: int) -> None:
+    """Raises InvalidFile unless `size` bytes from `at` on lie in the file: below 0 the runtime counts from its end."""
+    if not 0 <= at <= len(view) - size:
         raise InvalidFile(Problem("an offset", f"leads to byte {at:,}", f"0 to {len(view):,}"))
-    return int(struct.unpack_from(kind, view, at)[0])

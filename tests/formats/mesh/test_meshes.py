@@ -153,6 +153,19 @@ def test_nodes_stand_in_one_another() -> None:
     np.testing.assert_allclose(one.positions, [[10, 0, 2], [10, 2, 2], [8, 0, 2], [8, 2, 2]], atol=1e-6)
 
 
+def test_a_node_that_moves_nothing_leaves_every_bit_but_a_zeros_sign() -> None:
+    corners = np.array([[-0.0, 1 / 3, 0.1], [1e-40, -2.5, -0.0], [3e38, 0, 0], [1, 1, 1]], np.float32)
+    corners[2] /= 1e30
+    body = corners.tobytes() + INDICES.tobytes()
+    still, moved = (
+        decoded(glb(document(nodes=[{"mesh": 0, **moves}]), body)).meshes[0].positions
+        for moves in ({}, {"translation": [0, 0, 0.0]})
+    )
+    expected = corners + np.float32(0)
+    assert still.tobytes() == moved.tobytes() == expected.tobytes()
+    assert not np.signbit(still[0, 0])
+
+
 def test_colours_are_turned_from_linear_light() -> None:
     look = {"pbrMetallicRoughness": {"baseColorFactor": [0.2140411, 1, 0, 1]}}
     content = glb(document(materials=[look], meshes=primitive(material=0)), BODY)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import mmap
 import struct
 import sys
 from dataclasses import replace
@@ -131,6 +132,13 @@ def test_more_than_two_gibibytes_are_refused_before_anything_is_written() -> Non
         next(octree_flatbuffers.encode(huge))
 
 
+def test_a_longer_file_than_flatbuffers_can_have_is_refused() -> None:
+    with mmap.mmap(-1, 2**31) as pages, memoryview(pages) as view:  # of which only the first is ever touched
+        pages[:8] = struct.pack("<I4s", 2**31 - 4, b"SVO1")
+        with pytest.raises(InvalidFile, match=r"the file has 2,147,483,648 bytes; allowed: 2,147,483,647, Flat"):
+            octree_flatbuffers.decode(view)
+
+
 BULK, REPORT = (written("svo.fb", profile, small_octree()) for profile in ("bulk", "report"))
 ROOT = struct.unpack_from("<I", BULK)[0]
 VTABLE = ROOT - struct.unpack_from("<i", BULK, ROOT)[0]
@@ -169,6 +177,7 @@ LIES: dict[str, tuple[bytes, str]] = {
     "field over the vtable's offset": (patched(BULK, VTABLE + 6, "<H", 1), "puts field 1 at 1 of"),
     "text past the end": (patched(BULK, field(0), "<I", 2**32 - 1), "an offset leads to byte"),
     "text that goes on": (patched(BULK, vector(BULK, field(0)), "<I", 2**32 - 1), "field 0 has 4,294,967,295 bytes"),
+    "a table past what the runtime counts": (patched(BULK, field(12), "<I", 2**32 - 1), "an offset leads to byte 4,29"),
     "text of no UTF-8": (patched(BULK, vector(BULK, field(0)) + 4, "<B", 255), "field 0 is no UTF-8"),
     "16 GiB of children": (patched(REPORT, vector(REPORT, field(4, REPORT)), "<I", 2**32 - 1), "field 4 has 17,179,"),
     "seven children": (patched(REPORT, vector(REPORT, field(4, REPORT)), "<I", 7), "node_children has 7 numbers"),

@@ -1,0 +1,20 @@
+"""Libraries that a plain installation leaves out, and the extra of nerfbake that brings each."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from nerfbake.errors import Problem, UsageError
+
+EXTRAS = {"matplotlib": "plot", "warp": "warp"}  # the module's name: the extra's, as pyproject.toml has it
+
+
+def command_for(module: str) -> str:
+    """What installs a module's library beside this nerfbake; '' where no extra brings it."""
+    return f"pip install 'nerfbake[{EXTRAS[module]}]'" if module in EXTRAS else ""
+
+
+def require_installed(module: str, option: str) -> None:
+    """Raises UsageError where an option needs a module that is not installed."""
+    if find_spec(module) is None:
+        raise UsageError(Problem(option, f"needs {module}, which is not installed", command_for(module)))
