@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from nerfbake.cli.main import run
 
@@ -69,6 +70,35 @@ def complaint(arguments: list[str], output: Path | None) -> str | None:
     if code not in (0, 1):
         return f"exit {code}, said {lines}"
     return None
+
+
+def refused(tmp_path: Path, data: bytes, capfd: pytest.CaptureFixture[str], name: str = "bad.npz") -> str:
+    """The one line that svo says over a file; check finds fault with it, too."""
+    bad, out = tmp_path / name, tmp_path / "out.svo.pb"
+    bad.write_bytes(data)
+    assert complaint(["info", str(bad)], None) is None
+    assert run(["check", str(bad)]) == 1
+    assert name in capfd.readouterr().out
+    assert run(["svo" if name.endswith("bad.npz") else "convert", str(bad), str(out)]) == 1
+    said = capfd.readouterr()
+    assert said.out == ""
+    assert not list(tmp_path.glob("*out*"))
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"error: {bad}: ")
+    assert "allowed" in line
+    assert line.isprintable()
+    return line
+
+
+def refused_as_it_is(bad: Path, data: bytes, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line that info says over a file of its own right; check finds fault with it, too."""
+    bad.write_bytes(data)
+    assert run(["info", str(bad)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {bad}: ")
+    assert "allowed" in line
+    assert run(["check", str(bad)]) == 1
+    return line
 
 
 def _too_long(*_: object) -> None:
