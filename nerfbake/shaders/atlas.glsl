@@ -1,5 +1,5 @@
 // The specular colour of a baked atlas, GLSL ES 3.00 (WebGL 2) and GLSL 3.30: paste or #include this above main().
-// tests/test_shaders.py runs the same steps in NumPy and compares them with the program's own lookups, texel by texel.
+// tests/shaders/test_atlas.py runs the same steps in NumPy and compares them with the program's own lookups, texel by texel.
 //
 //   atlas      atlas_{c}.png, LINEAR, CLAMP_TO_EDGE, no mips, RGB8 (not sRGB)
 //   labels     labels_{c}.png, NEAREST, no mips, RGB8

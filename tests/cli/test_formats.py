@@ -13,7 +13,7 @@ from nerfbake.cli.main import run
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
-from tests.formats.octree.octrees import FORMATS, small_octree
+from tests.support.octrees import FORMATS, small_octree
 from tests.support.scenes import assert_same_octree, n3tree
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from nerfbake import load
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
-from tests.formats.octree.octrees import SPELLINGS
+from tests.support.octrees import SPELLINGS
 
 Row = list[float]
 Voxel = tuple[int, ...]

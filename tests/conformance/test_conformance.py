@@ -19,7 +19,7 @@ from tests.conformance.cases import CASES
 from tests.conformance.octrees import path_of
 from tests.conformance.packing import packed_by, unpacked
 from tests.conformance.volumes import scenes as volume_scenes
-from tests.formats.octree.octrees import SPELLINGS
+from tests.support.octrees import SPELLINGS
 
 FILES = [(case, name) for case in CASES for name in case.files]
 FOLDERS = [form.name for form in catalog.FOLDERS]

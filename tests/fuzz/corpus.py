@@ -20,13 +20,12 @@ from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
-from tests.formats.field.test_n3tree import archive, svox
-from tests.formats.octree.octrees import SPELLINGS, small_octree, written
 from tests.support import captures
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.meshes import cube, square
+from tests.support.n3trees import archive, quantised, svox
+from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.scenes import n3tree
-from tests.test_hostile import quantised
 
 Files = dict[str, bytes]
 

@@ -24,8 +24,8 @@ from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
 from nerfbake.stages._picture import picture
-from tests.formats.octree.octrees import small_octree
 from tests.fuzz.breakage import Case
+from tests.support.octrees import small_octree
 from tests.support.peaks import peak, resident
 
 LIMIT = 64 << 20  # --max-memory of every case

@@ -24,9 +24,8 @@ from nerfbake.kernels.surface.mlp import evaluate
 from nerfbake.scene.atlas import METHODS, Method
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.stages.stage1_to_image import surfaces
-from tests.support.atlas_scenes import field, random_atlas, texture
+from tests.support.atlas_scenes import field, looked_up, random_atlas, texture
 from tests.support.meshes import square, straight_down
-from tests.test_shaders import expected
 
 BLACK = np.zeros((2, 2, 3), np.uint8)
 
@@ -47,7 +46,7 @@ def test_the_atlas_is_shown_as_the_shader_shows_it(method: Method) -> None:
     texels = (row[:, None] * W + column).reshape(-1)
     seen = np.empty((N * N, 3))
     for part in np.array_split(np.arange(N * N), 8):  # the twin shows every map in every direction
-        seen[part] = expected(atlas, texels[part], view.rays()[1][part])
+        seen[part] = looked_up(atlas, texels[part], view.rays()[1][part])
     np.testing.assert_allclose(image.colour.reshape(-1, 3), np.clip(seen, 0, 1), atol=2e-5)
 
 

@@ -72,3 +72,14 @@ def random_atlas(method: Method, border: int = 1) -> OctahedralAtlas:
         2.5 if method == "affine" else 1.0,
         random.integers(1, 256, K).astype(np.uint8) if method == "affine" else None,
     )
+
+
+def looked_up(
+    atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """(texels, 3): the program's own lookups, bilinear."""
+    features = np.zeros((len(texels), 3), np.uint8) if atlas.features is None else atlas.features.reshape(-1, 3)[texels]
+    tiles, weights = atlas.terms(atlas.labels.reshape(-1)[texels], features)
+    shown = atlas.show(directions, "bilinear")
+    rows = shown[tiles, np.arange(len(texels))[:, None]]
+    return np.asarray((weights[..., None] * rows).sum(axis=1), np.float64)

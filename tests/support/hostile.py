@@ -14,12 +14,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from nerfbake.cli.main import run
 
-LONGEST = 5.0  # seconds a command may take over a broken file
+LONGEST = 5.0  # seconds of the processor that a command may take over a broken file, all its threads together
+STUCK = 60.0  # seconds by the clock, for what waits without computing; far more, as others may have the processor
 LONGEST_LINE = 400  # characters of a message, the file's path among them: a screen line or two
 MEMORY = 3 << 30  # address space it may take
+TIMERS = ((signal.SIGPROF, signal.ITIMER_PROF, LONGEST), (signal.SIGALRM, signal.ITIMER_REAL, STUCK))
 
 
 def damaged(data: bytes, *, flips: int) -> Iterator[tuple[str, bytes]]:
@@ -36,9 +39,10 @@ def damaged(data: bytes, *, flips: int) -> Iterator[tuple[str, bytes]]:
 
 def complaint(arguments: list[str], output: Path | None) -> str | None:
     """What is wrong with the way a command took its input; None if it behaved."""
-    errors, printed, start = io.StringIO(), io.StringIO(), time.perf_counter()
-    signal.signal(signal.SIGALRM, _too_long)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST)
+    errors, printed, start = io.StringIO(), io.StringIO(), time.process_time()
+    for sign, timer, most in TIMERS:
+        signal.signal(sign, _too_long)
+        signal.setitimer(timer, most)
     try:
         with (
             contextlib.redirect_stderr(errors),
@@ -49,9 +53,10 @@ def complaint(arguments: list[str], output: Path | None) -> str | None:
             warnings.simplefilter("always")
             code = run(arguments)
     except BaseException as error:
-        return f"{type(error).__name__}: {error} after {time.perf_counter() - start:.1f} s"
+        return f"{type(error).__name__}: {error} after {time.process_time() - start:.1f} s of CPU"
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        for _, timer, _ in TIMERS:
+            signal.setitimer(timer, 0)
     if warned:
         return f"exit {code}, warned: {warned[0].category.__name__}: {warned[0].message} at {warned[0].filename}"
     lines = errors.getvalue().splitlines()
@@ -71,6 +76,35 @@ def complaint(arguments: list[str], output: Path | None) -> str | None:
     return None
 
 
+def refused(tmp_path: Path, data: bytes, capfd: pytest.CaptureFixture[str], name: str = "bad.npz") -> str:
+    """The one line that svo says over a file; check finds fault with it, too."""
+    bad, out = tmp_path / name, tmp_path / "out.svo.pb"
+    bad.write_bytes(data)
+    assert complaint(["info", str(bad)], None) is None
+    assert run(["check", str(bad)]) == 1
+    assert name in capfd.readouterr().out
+    assert run(["svo" if name.endswith("bad.npz") else "convert", str(bad), str(out)]) == 1
+    said = capfd.readouterr()
+    assert said.out == ""
+    assert not list(tmp_path.glob("*out*"))
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"error: {bad}: ")
+    assert "allowed" in line
+    assert line.isprintable()
+    return line
+
+
+def refused_as_it_is(bad: Path, data: bytes, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line that info says over a file of its own right; check finds fault with it, too."""
+    bad.write_bytes(data)
+    assert run(["info", str(bad)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {bad}: ")
+    assert "allowed" in line
+    assert run(["check", str(bad)]) == 1
+    return line
+
+
 def _too_long(*_: object) -> None:
     raise TimeoutError
 
@@ -81,6 +115,8 @@ def main(command: str, source: Path, flips: int) -> None:
     data = source.read_bytes()
     suffix = source.name.partition(".")[2]
     bad, out = source.with_name(f"bad.{suffix}"), source.with_name("out.svo.npz")
+    assert run([command, str(source), str(out), "-q"]) == 0  # what is imported and compiled counts for no broken file
+    out.unlink()
     found = []
     for name, broken in damaged(data, flips=flips):
         bad.write_bytes(broken)

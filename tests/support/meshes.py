@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from nerfbake.scene.camera import Camera, look_at
-from nerfbake.scene.mesh import Mesh
+from nerfbake.scene.mesh import Mesh, Meshes
 
 ORIGIN = np.zeros(3)
+TEXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3) * 5
 
 
 def mesh(positions: Any, faces: Any, **more: Any) -> Mesh:
@@ -40,6 +41,21 @@ def sphere(rings: int = 24, sides: int = 48) -> Mesh:
     a, b, c, d = index[:-1], index[1:], right[1:], right[:-1]
     faces += [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
     return mesh(np.concatenate([points, [[0, 0, 1], [0, 0, -1]]]), np.concatenate(faces))
+
+
+def painted() -> Meshes:
+    """One of every kind: plain, with vertex colours, with a texture."""
+    colours = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
+    flat = square(half=1.0)
+    return Meshes((cube(), cube(0.2, colours=colours), Mesh(flat.positions, flat.uvs, flat.faces, texture=TEXELS)))
+
+
+def assert_same_mesh(a: Mesh, b: Mesh, *, atol: float = 0.0) -> None:
+    for name in ("positions", "faces", "uvs", "texture", "colours"):
+        x, y = getattr(a, name), getattr(b, name)
+        assert (x is None) == (y is None), name
+        if x is not None:
+            np.testing.assert_allclose(x, y, atol=atol, err_msg=name)
 
 
 def camera(

@@ -21,7 +21,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from tests.bench.access.conftest import POINTS
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
-from tests.formats.octree.octrees import small_octree
+from tests.support.octrees import small_octree
 from tests.support.scenes import n3tree
 
 NANOVDB = ("NanoVDB C++", "NanoVDB C++, no stencil cache")

@@ -8,7 +8,7 @@ import pytest
 from nerfbake import save
 from nerfbake.bench.formats.coding import decoding, encoding
 from nerfbake.bench.formats.serializations import Serialization, serializations
-from tests.formats.octree.octrees import small_octree
+from tests.support.octrees import small_octree
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])

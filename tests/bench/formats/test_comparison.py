@@ -18,7 +18,7 @@ from nerfbake.cli.words import Words
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
-from tests.formats.octree.octrees import small_octree
+from tests.support.octrees import small_octree
 from tests.support.scenes import n3tree
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from nerfbake.bench.formats.libraries import LIBRARIES
 from nerfbake.bench.formats.serializations import serializations
-from tests.formats.octree.octrees import SPELLINGS
+from tests.support.octrees import SPELLINGS
 
 
 def test_every_format_and_library_is_a_row() -> None:

@@ -10,30 +10,8 @@ from numpy.testing import assert_array_equal
 
 from nerfbake.formats.field import n3tree as n3tree_npz
 from nerfbake.scene.n3tree import N3Tree
+from tests.support.n3trees import archive, svox
 from tests.support.scenes import n3tree, n3trees
-
-
-def archive(arrays: dict[str, Any], *, deflated: bool = True) -> bytes:
-    file = io.BytesIO()
-    (np.savez_compressed if deflated else np.savez)(file, **arrays)
-    return file.getvalue()
-
-
-def svox(tree: N3Tree) -> dict[str, Any]:
-    """The keys that svox itself writes."""
-    return {
-        "data_dim": np.int64(tree.data_dim),
-        "child": tree.child,
-        "parent_depth": np.zeros((tree.n, 2), np.int32),
-        "n_internal": np.int64(tree.n),
-        "n_free": np.int64(0),
-        "invradius3": tree.invradius.astype(np.float32),
-        "offset": tree.offset.astype(np.float32),
-        "depth_limit": np.int64(10),
-        "geom_resize_fact": np.float64(1),
-        "data": tree.data,
-        "data_format": np.array(tree.data_format),
-    }
 
 
 def read(data: bytes, **options: Any) -> N3Tree:

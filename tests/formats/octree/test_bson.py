@@ -15,7 +15,7 @@ from nerfbake.formats.octree import bson as octree_bson
 from nerfbake.formats.octree.fields import small_fields
 from nerfbake.formats.wire import bson as wire_bson
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.octree.octrees import read, small_octree, written
+from tests.support.octrees import read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
 
 

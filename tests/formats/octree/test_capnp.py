@@ -15,7 +15,7 @@ from nerfbake.formats.octree import capnp as octree_capnp
 from nerfbake.formats.octree.fields import TYPE_URLS
 from nerfbake.formats.wire import capnp as wire_capnp
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.octree.octrees import read, small_octree, written
+from tests.support.octrees import read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
 from tests.support.tools import SCHEMAS, tool
 

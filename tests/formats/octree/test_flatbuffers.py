@@ -18,7 +18,7 @@ from numpy.testing import assert_array_equal
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.octree import flatbuffers as octree_flatbuffers
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.octree.octrees import read, small_octree, written
+from tests.support.octrees import read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
 from tests.support.tools import SCHEMAS, tool
 

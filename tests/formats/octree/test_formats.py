@@ -16,7 +16,7 @@ from nerfbake import build_octree, load, save
 from nerfbake.errors import InvalidFile
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.octree.octrees import FORMATS, every_spelling, read, small_octree, written
+from tests.support.octrees import FORMATS, every_spelling, read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
 
 # Values at which number formats go wrong.

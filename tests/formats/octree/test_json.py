@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.octree import json as octree_json
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.octree.octrees import read, small_octree, written
+from tests.support.octrees import read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
 
 

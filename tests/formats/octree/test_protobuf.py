@@ -22,7 +22,7 @@ from nerfbake.kernels.coding.varint import encode_varints
 from nerfbake.memory import memory_limit
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import REPOSITORY
-from tests.formats.octree.octrees import small_octree
+from tests.support.octrees import small_octree
 from tests.support.scenes import assert_same_octree, n3tree, octrees
 from tests.support.tools import SCHEMAS, protoc
 

@@ -12,7 +12,8 @@ from numpy.testing import assert_array_equal
 from nerfbake import build_octree, cut_octree, load, save, summarise_scene
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
-from tests.conftest import DATA
+from nerfbake.scene.volume import Volume
+from tests.conftest import DATA, Shell
 from tests.support.scenes import assert_same_octree, world_centres
 
 pytestmark = pytest.mark.data
@@ -135,3 +136,21 @@ def test_files_hold_the_octree_bit_for_bit(suffix: str, dtype: str, tmp_path: Pa
         back = load(tmp_path / f"a{suffix}", SparseVoxelOctree)
         assert_same_octree(back, there)
         assert_same_octree(back.with_layout("full"), octree)
+
+
+def test_the_chair_comes_back_to_the_bit(shell: Shell, tmp_path: Path) -> None:
+    source = str(file("chair_sh9_128"))
+    assert shell("svo", source, "a.svo.npz").returncode == 0
+    octree = load(tmp_path / "a.svo.npz", SparseVoxelOctree)
+    for out, options in (("a.nvdb", ["--grids", "index"]), ("a.vdb", ["--grids", "density,sh"])):
+        assert shell("vdb", source, out, *options).returncode == 0
+        assert shell("convert", out, "b.svo.npz", "--force").returncode == 0
+        assert_same_octree(load(tmp_path / "b.svo.npz", SparseVoxelOctree), octree)
+
+
+def test_the_table_is_nearly_all_of_an_index_file(shell: Shell, tmp_path: Path) -> None:
+    source = str(file("chair_sh9"))
+    assert shell("vdb", source, "a.nvdb", "--grids", "index", "--half").returncode == 0
+    (grid,) = load(tmp_path / "a.nvdb", Volume).grids
+    assert grid.values.shape == (629_855, 28)
+    assert grid.values.nbytes > 0.95 * (tmp_path / "a.nvdb").stat().st_size

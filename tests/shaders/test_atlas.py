@@ -14,7 +14,7 @@ from nerfbake.formats.atlas import folder as atlas_folder
 from nerfbake.formats.wire.texture import decode_texture
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method, OctahedralAtlas
-from tests.support.atlas_scenes import random_atlas
+from tests.support.atlas_scenes import looked_up, random_atlas
 
 Floats = npt.NDArray[np.float64]
 CALLS = {
@@ -35,15 +35,6 @@ def every_texel(atlas: OctahedralAtlas) -> tuple[npt.NDArray[np.int64], Floats]:
     """A direction for each texel, all over the sphere."""
     count = atlas.labels.size
     return np.arange(count), np.random.default_rng(2).permutation(fibonacci(count))
-
-
-def expected(atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions: Floats) -> Floats:
-    """The program's own lookups."""
-    features = np.zeros((len(texels), 3), np.uint8) if atlas.features is None else atlas.features.reshape(-1, 3)[texels]
-    tiles, weights = atlas.terms(atlas.labels.reshape(-1)[texels], features)
-    shown = atlas.show(directions, "bilinear")
-    rows = shown[tiles, np.arange(len(texels))[:, None]]
-    return np.asarray((weights[..., None] * rows).sum(axis=1), np.float64)
 
 
 class Twin:
@@ -123,7 +114,7 @@ def test_the_twin_shows_what_the_atlas_holds(method: Method, border: int) -> Non
     atlas = random_atlas(method, border)
     texels, directions = every_texel(atlas)
     shown = Twin(atlas).specular(method, texels, directions)
-    np.testing.assert_allclose(shown, expected(atlas, texels, directions), atol=2e-5)
+    np.testing.assert_allclose(shown, looked_up(atlas, texels, directions), atol=2e-5)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -131,7 +122,7 @@ def test_the_shader_shows_what_the_atlas_holds(method: Method) -> None:
     atlas = random_atlas(method)
     texels, directions = every_texel(atlas)
     shown = run_shader(atlas, texels, directions)
-    np.testing.assert_allclose(shown, expected(atlas, texels, directions), atol=1e-4)
+    np.testing.assert_allclose(shown, looked_up(atlas, texels, directions), atol=1e-4)
 
 
 def run_shader(atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions: Floats) -> Floats:

@@ -18,7 +18,7 @@ from nerfbake.scene.depth import Depth
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.formats.field.test_n3tree import svox
+from tests.support.n3trees import svox
 from tests.support.peaks import measured
 
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile

@@ -1,10 +1,9 @@
-"""Meshes from .obj and .glb, against trimesh, and whatever is wrong with them in one line."""
+"""Meshes from .glb, against trimesh, and whatever is wrong with them in one line."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
-import io
 import json
 import struct
 from collections.abc import Iterator
@@ -17,51 +16,18 @@ import trimesh
 from PIL import Image
 
 from nerfbake import Meshes, load, save
-from nerfbake.cli.main import run
 from nerfbake.errors import NerfbakeError
-from nerfbake.formats.mesh import glb as meshes_glb
-from nerfbake.formats.mesh import obj as meshes_obj
+from nerfbake.formats.mesh import glb as glb_format
 from nerfbake.memory import memory_limit
-from nerfbake.scene.mesh import Mesh
-from tests.support.hostile import damaged
-from tests.support.meshes import cube, mesh, sphere, square
-
-TEXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3) * 5
-ROOM = 1 << 28
-
-
-def painted() -> Meshes:
-    """One of every kind: plain, with vertex colours, with a texture."""
-    colours = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
-    flat = square(half=1.0)
-    return Meshes((cube(), cube(0.2, colours=colours), Mesh(flat.positions, flat.uvs, flat.faces, texture=TEXELS)))
-
-
-def same(a: Mesh, b: Mesh, *, atol: float = 0.0) -> None:
-    for name in ("positions", "faces", "uvs", "texture", "colours"):
-        x, y = getattr(a, name), getattr(b, name)
-        assert (x is None) == (y is None), name
-        if x is not None:
-            np.testing.assert_allclose(x, y, atol=atol, err_msg=name)
+from tests.support.hostile import damaged, refused_as_it_is
+from tests.support.meshes import TEXELS, assert_same_mesh, painted, sphere, square
 
 
 def test_glb_there_and_back(tmp_path: Path) -> None:
     save(tmp_path / "a.glb", painted())
     back = load(tmp_path / "a.glb", Meshes)
     for one, other in zip(painted().meshes, back.meshes, strict=True):
-        same(one, other, atol=1e-6)  # colours go through linear light
-
-
-def test_obj_there_and_back(tmp_path: Path) -> None:
-    scenes = (Meshes((cube(0.25),)), Meshes((painted().meshes[1],)), Meshes((square(), cube())))
-    for scene in scenes:
-        save(tmp_path / "a.obj", scene, force=True)
-        back = load(tmp_path / "a.obj", Meshes).meshes
-        for one, other in zip(scene.meshes, sorted(back, key=lambda m: len(m.faces)), strict=True):
-            same(one, other, atol=0.5 / 255)  # trimesh has vertex colours as bytes
-    with pytest.raises(NerfbakeError, match=r"has a texture; allowed: meshes without textures, or \.glb"):
-        save(tmp_path / "b.obj", painted())
-    assert not (tmp_path / "b.obj").exists()
+        assert_same_mesh(one, other, atol=1e-6)  # colours go through linear light
 
 
 def test_another_writers_glb_with_turned_and_scaled_parts(tmp_path: Path) -> None:
@@ -120,7 +86,7 @@ BODY = CORNERS.tobytes() + INDICES.tobytes()
 
 
 def decoded(content: bytes) -> Meshes:
-    return meshes_glb.decode(memoryview(content))
+    return glb_format.decode(memoryview(content))
 
 
 def primitive(**changes: Any) -> list[dict[str, Any]]:
@@ -238,7 +204,7 @@ LIES: dict[str, tuple[bytes, str]] = {
 @pytest.mark.parametrize("name", ["KHR_lights_punctual", "KHR_materials_sheen", "KHR_xmp_json_ld"])
 def test_an_extension_that_changes_no_triangle_may_be_required(name: str) -> None:
     plain, more = (
-        meshes_glb.decode(memoryview(glb(document(**with_it), BODY)))
+        glb_format.decode(memoryview(glb(document(**with_it), BODY)))
         for with_it in (
             {},
             {
@@ -251,43 +217,24 @@ def test_an_extension_that_changes_no_triangle_may_be_required(name: str) -> Non
     np.testing.assert_array_equal(more.meshes[0].positions, plain.meshes[0].positions)
 
 
-OBJ_LIES: dict[str, tuple[bytes, str]] = {
-    "no faces": (b"v 0 0 0\nv 1 0 0\n", "has no faces; allowed: at least one triangle"),
-    "only a line": (b"v 0 0 0\nv 1 0 0\nl 1 2\n", "has no faces"),
-    "a corner too many": (b"v 0 0 0\nf 1 2 3\n", "cannot be read"),
-    "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh positions[0, 0] is nan"),
-    "no numbers": (b"v a b c\nf 1 2 3\n", "cannot be read"),
-    "bytes": (b"v 0 0 0\n\xff\xfe", "has no faces"),
-}
-
-
-@pytest.mark.parametrize(("ending", "lie"), [("glb", lie) for lie in LIES] + [("obj", lie) for lie in OBJ_LIES])
-def test_a_lying_mesh_is_one_line(ending: str, lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    content, named = (LIES if ending == "glb" else OBJ_LIES)[lie]
-    (tmp_path / f"bad.{ending}").write_bytes(content)
-    assert run(["info", str(tmp_path / f"bad.{ending}")]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: {tmp_path}/bad.{ending}: ")
-    assert named in line
-    assert "allowed" in line
-    assert run(["check", str(tmp_path / f"bad.{ending}")]) == 1
+@pytest.mark.parametrize("lie", LIES)
+def test_a_lying_glb_is_one_line(lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content, named = LIES[lie]
+    assert named in refused_as_it_is(tmp_path / "bad.glb", content, capsys)
 
 
 def test_a_mesh_that_many_nodes_show_stays_within_max_memory() -> None:
     content = glb(document(nodes=[{"mesh": 0}] * 2000, scenes=[{"nodes": list(range(2000))}]), BODY)
     with pytest.raises(NerfbakeError, match="needs"), memory_limit(500_000):
-        meshes_glb.decode(memoryview(content))
+        glb_format.decode(memoryview(content))
     assert len(decoded(content).meshes) == 2000
 
 
-@pytest.mark.parametrize("ending", ["obj", "glb"])
-def test_damaged_meshes(ending: str, tmp_path: Path) -> None:
-    good = painted() if ending == "glb" else Meshes((square(),))
-    save(tmp_path / f"a.{ending}", good)
-    module: Any = meshes_glb if ending == "glb" else meshes_obj
-    for _, broken in damaged((tmp_path / f"a.{ending}").read_bytes(), flips=200):
+def test_a_damaged_glb_is_read_or_refused(tmp_path: Path) -> None:
+    save(tmp_path / "a.glb", painted())
+    for _, broken in damaged((tmp_path / "a.glb").read_bytes(), flips=200):
         with contextlib.suppress(NerfbakeError):
-            module.decode(memoryview(broken))
+            glb_format.decode(memoryview(broken))
 
 
 ODD: tuple[Any, ...] = (None, True, -1, 7, 1e300, 10**30, "x", [], [None], [[0]], {}, {"x": 0}, float("nan"))
@@ -321,21 +268,5 @@ def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
 
 
 def test_a_stream_is_known_by_its_first_bytes() -> None:
-    assert meshes_glb.recognise(glb({}))
-    assert meshes_obj.recognise(b"# Blender\nmtllib a.mtl\nv 0 0 0\n")
-    assert not meshes_obj.recognise(b'{"frames": [],\n"v": 1}')
-    assert not meshes_obj.recognise(io.BytesIO(b"\0v 1 2 3\nv ").getvalue())
-
-
-def test_a_mesh_that_cannot_be_is_refused() -> None:
-    for wrong, named in (
-        ({"texture": TEXELS}, "has no texture coordinates"),
-        ({"texture": TEXELS[..., :2], "uvs": np.zeros((3, 2))}, "has shape"),
-        ({"colours": np.full((3, 3), 2, np.float32)}, "mesh colours"),
-        ({"uvs": np.full((3, 2), np.inf)}, "mesh uvs"),
-        ({"uvs": np.zeros((2, 2))}, "mesh uvs have shape"),
-    ):
-        with pytest.raises(NerfbakeError, match=named):
-            mesh(np.eye(3), [[0, 1, 2]], **wrong)
-    with pytest.raises(NerfbakeError, match="has no faces"):
-        mesh(np.eye(3), np.empty((0, 3)))
+    assert glb_format.recognise(glb({}))
+    assert not glb_format.recognise(b"v 0 0 0\n")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from nerfbake import build_octree, catalog, load, save
+from nerfbake import Meshes, build_octree, build_vdb, catalog, load, orbit_cameras, save
+from nerfbake.cli.main import run
 from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
 from tests.conftest import DATA
 from tests.support.hostile import complaint
+from tests.support.meshes import cube
 from tests.support.scenes import n3tree
 
 HOSTILE = DATA / "hostile"
@@ -43,7 +46,30 @@ def commands(path: Path, tmp_path: Path) -> list[list[str]]:
     return [[*arguments, "--max-memory", "64MiB"] for arguments in tried]
 
 
+@pytest.fixture(scope="module")
+def sound_files_went_through(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What is imported and compiled on first use counts for no hostile file; each command is one that can succeed."""
+    tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
+    octree = build_octree(tree)
+    sound: dict[str, Any] = {
+        "a.npz": tree,
+        "a.svo.pb": octree,
+        "a.vdb": build_vdb(octree, grids=("density", "sh")),
+        "a.nvdb": build_vdb(octree, grids=("index",)),
+        "a.json": orbit_cameras(tree, frames=2, width=16, height=16),
+        "a.obj": Meshes((cube(),)),
+        "a.glb": Meshes((cube(),)),
+    }
+    for name, scene in sound.items():
+        with chdir(folder := tmp_path_factory.mktemp("sound")):
+            save("scene.svo.npz", octree)
+            save(name, scene)
+            for arguments in commands(folder / name, folder):
+                assert run(arguments) == 0, arguments
+
+
 @pytest.mark.data
+@pytest.mark.usefixtures("sound_files_went_through")
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_a_file_that_broke_an_earlier_version(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # whatever a name in a file may lead to

@@ -1,0 +1,65 @@
+"""Every format, stage and scene has its line in the catalog, and every line is true."""
+
+from __future__ import annotations
+
+import ast
+from importlib import import_module
+
+import pytest
+
+import nerfbake
+from nerfbake import catalog
+from tests.support.source import PACKAGE, modules
+
+
+def formats() -> list[str]:
+    """The modules of `formats` that say encode() or decode(): what they import from their family says neither."""
+    found = []
+    for path in modules():
+        place = path.relative_to(PACKAGE.parent).with_suffix("")
+        functions = {node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)}
+        if "formats" in place.parts and "wire" not in place.parts and functions & {"encode", "decode"}:
+            found.append(".".join(place.parts))
+    return found
+
+
+def test_every_format_and_stage_has_its_line() -> None:
+    def files(folder: str) -> set[str]:
+        return {f"nerfbake.{folder}.{path.stem}" for path in (PACKAGE / folder).glob("[!_]*.py")}
+
+    assert {f"nerfbake.formats.{form.module}" for form in catalog.FORMATS + catalog.FOLDERS} == set(formats())
+    assert set(catalog.STAGES.values()) == files("stages")
+    assert set(catalog.SCENES.values()) <= files("scene")
+
+
+def test_every_line_of_the_catalog_is_true() -> None:
+    for form in catalog.FORMATS:
+        module = form.load_module()
+        assert callable(module.encode)
+        assert {hasattr(module, name) for name in ("decode", "recognise")} == {form.readable}
+        assert form.scene in catalog.SCENES
+        assert form.name == form.suffix.removeprefix(".")
+    for name, home in (catalog.STAGES | catalog.SCENES).items():
+        assert callable(getattr(import_module(home), name))
+
+
+def test_every_folder_of_the_catalog_is_true() -> None:
+    for form in catalog.FOLDERS:
+        module = form.load_module()
+        assert all(callable(getattr(module, name)) for name in ("decode", "recognise"))
+        assert form.scene in catalog.SCENES
+    written = {catalog.folders_of(form.scene)[0] for form in catalog.FOLDERS}
+    assert all(callable(form.load_module().encode) for form in written)
+
+
+def test_longer_endings_come_first() -> None:
+    endings = [form.suffix for form in catalog.FORMATS]
+    for i, ending in enumerate(endings):
+        assert not any(ending.endswith(earlier) for earlier in endings[:i])
+
+
+def test_public_names_are_there() -> None:
+    for name in nerfbake.__all__:
+        assert callable(getattr(nerfbake, name))
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = nerfbake.nonsense
