@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import nerfbake
-from nerfbake import catalog
+from nerfbake import catalog, jobs
 from tests.conftest import REPOSITORY
 
 PACKAGE = REPOSITORY / "nerfbake"
@@ -26,8 +26,9 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "memory": ({"errors"}, set()),
     "catalog": ({"errors"}, set()),
     "io": ({"errors", "memory", "catalog", "io"}, set()),
+    "jobs": ({"errors", "memory", "catalog", "io", "scene", "stages", "jobs", "nerfbake"}, set()),
     "bench": ({"errors", "memory", "kernels", "scene", "stages", "catalog", "io", "bench", "nerfbake"}, {"numpy"}),
-    "cli": ({"errors", "memory", "catalog", "io", "bench", "cli", "nerfbake"}, {"click", "rich"}),
+    "cli": ({"errors", "memory", "catalog", "io", "jobs", "bench", "cli", "nerfbake"}, {"click", "rich"}),
 }
 # A part of a layer with rules of its own: what `formats/wire` holds knows no scene.
 PARTS = {"formats/wire": ({"errors", "memory", "kernels", "formats.wire"}, {"numpy"})}
@@ -167,6 +168,20 @@ def test_public_names_are_there() -> None:
         assert callable(getattr(nerfbake, name))
     with pytest.raises(AttributeError, match="nonsense"):
         _ = nerfbake.nonsense
+
+
+def test_public_jobs_are_there() -> None:
+    written = {
+        node.name
+        for path in (PACKAGE / "jobs").glob("[!_]*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef) and any(argument.arg == "steps" for argument in node.args.kwonlyargs)
+    }
+    assert set(jobs.JOBS) == written
+    for name in jobs.__all__:
+        assert callable(getattr(jobs, name))
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = jobs.nonsense
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["svo", "--help"], ["--version"]])
