@@ -64,6 +64,7 @@ def formats(
 @bench.command()
 @click.argument("folder", metavar="STAGE1_DIR", type=click.Path())
 @reports(rounds=1, chart="error against bytes")
+@max_memory
 @speaks
 def atlas(folder: str, rounds: int, destination: Destination, words: Words) -> None:
     """Bake STAGE1_DIR with every method in many sizes, beside table 2 of the K-means thesis and scikit-learn.

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import speaks, writes
+from nerfbake.cli.params import max_memory, speaks, writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import FolderTarget, Target
 from nerfbake.jobs.samples import write_sample_n3tree, write_sample_stage1
@@ -36,6 +36,7 @@ def sample() -> None:
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
 )
+@max_memory
 @speaks
 def octree(target: Target, words: Words, **options: Any) -> None:
     """Write a PlenOctree (svox .npz) of shiny shapes, with leaves at several depths, as OUT.
@@ -53,6 +54,7 @@ def octree(target: Target, words: Words, **options: Any) -> None:
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
 )
 @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
+@max_memory
 @speaks
 def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
     """Write a nerf2mesh stage-1 folder of a glossy torus as OUT_DIR: mesh, textures, and an MLP fitted to its look.
