@@ -20,7 +20,7 @@ from nerfbake.bench.measure import measure
 from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
 from tests.formats.octree.octrees import small_octree
-from tests.test_architecture import imports, modules
+from tests.rules/test_imports import imports, modules
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 

@@ -7,20 +7,11 @@ from typing import Any
 
 import click
 
-import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import (
-    Budget,
-    Input,
-    Output,
-    Stage1Input,
-    as_json,
-    bakes_stage1,
-    judges,
-    speaks,
-    without_effect,
-)
+from nerfbake.cli.params import as_json, bakes_stage1, judges, speaks, without_effect
 from nerfbake.cli.words import Words
+from nerfbake.jobs.atlases import bake_atlas
+from nerfbake.jobs.files import FolderTarget, Stage1Source
 
 
 @click.command()
@@ -83,16 +74,7 @@ from nerfbake.cli.words import Words
 @judges
 @as_json
 @speaks
-def atlas(
-    source: Stage1Input,
-    target: str,
-    force: bool,
-    budget: Budget,
-    up: str,
-    as_json: bool,
-    words: Words,
-    **options: Any,
-) -> None:
+def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, words: Words, **options: Any) -> None:
     """Bake the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, as OUT_DIR.
 
     \b
@@ -108,20 +90,9 @@ def atlas(
         without_effect("centres", here=f"with --method {method}", allowed="--centres with --method kmeans")
     if even:
         without_effect("transforms", here="where all directions count the same", allowed="--direction-set cameras")
-    io.require_no_folder(target, force=force)
-    stage1 = source.read(words)
-    if budget.min_psnr is not None:
-        with source.blamed(words, "framing"):
-            nerfbake.orbit_cameras(stage1)  # raises, before any work is done, where there is no mesh to look at
-    with source.blamed(words, "baking"):
-        baked = nerfbake.bake_stage1(stage1, **options)
-    with words.phase(f"writing {target}"):
-        sizes = io.save_folder(target, baked, force=force, up=up)
-    if as_json:
-        io.print_text(json.dumps({**baked.facts, "files": sizes}))
-    for error in baked.facts["errors"]:
-        words.say(
-            f"{target}: {baked}, MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255, {sum(sizes.values()):,} bytes"
-        )
-    written = Output(target, None, force)
-    budget.judge(words, Input(source.name), stage1, written)
+    report = _print if as_json else None
+    bake_atlas(source, target, steps=words, report=report, **options)
+
+
+def _print(facts: dict[str, Any]) -> None:
+    io.print_text(json.dumps(facts))

@@ -7,10 +7,10 @@ from typing import Any
 
 import click
 
-import nerfbake
 from nerfbake import io
 from nerfbake.cli.params import as_json, max_memory, speaks, without_effect
 from nerfbake.cli.words import Words
+from nerfbake.jobs.atlases import measure_atlas
 
 
 @click.command("atlas-error")
@@ -51,12 +51,7 @@ def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options:
     """
     if options["held_out"]:
         without_effect("directions", here="with --held-out, which has its own", allowed="one of them")
-    with words.phase(f"reading {atlas}"):
-        baked = io.load_folder(atlas, nerfbake.BakedAtlas)
-    with words.phase(f"reading {stage1}"):
-        truth = io.load_folder(stage1, nerfbake.Stage1)
-    with words.phase("measuring"), io.blame(atlas):
-        errors = nerfbake.measure_stage1_error(baked, truth, **options)
+    errors = measure_atlas(atlas, stage1, steps=words, **options)
     if as_json:
         io.print_text(json.dumps([error._asdict() for error in errors]))
         return

@@ -9,9 +9,11 @@ import click
 
 import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Input, Resolution, max_memory, read_cameras, reads, speaks, without_effect
+from nerfbake.cli.params import CAPTURE, Resolution, max_memory, reads, speaks, without_effect
 from nerfbake.cli.reports import Destination, Resolutions, reports
 from nerfbake.cli.words import Words
+from nerfbake.jobs.files import Source
+from nerfbake.jobs.views import read_cameras
 
 
 @click.group()
@@ -54,7 +56,7 @@ def formats(
     chosen(names)  # before anything is read
     found = []
     for path in scenes:
-        octree = _octree(Input(path), words, resolution, only=len(scenes) == 1)
+        octree = _octree(Source(path), words, resolution, only=len(scenes) == 1)
         found.append(compare_formats(octree, Path(path).name, rounds=rounds, formats=names, progress=words.phase))
     destination.write(found, chart_formats)
 
@@ -62,6 +64,7 @@ def formats(
 @bench.command()
 @click.argument("folder", metavar="STAGE1_DIR", type=click.Path())
 @reports(rounds=1, chart="error against bytes")
+@max_memory
 @speaks
 def atlas(folder: str, rounds: int, destination: Destination, words: Words) -> None:
     """Bake STAGE1_DIR with every method in many sizes, beside table 2 of the K-means thesis and scikit-learn.
@@ -84,7 +87,7 @@ def atlas(folder: str, rounds: int, destination: Destination, words: Words) -> N
 @reports(rounds=3, chart="time against memory")
 @speaks
 def access(
-    source: Input,
+    source: Source,
     resolution: tuple[int, ...] | None,
     rays: str | None,
     rounds: int,
@@ -117,7 +120,7 @@ def access(
 @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
 @reports(rounds=3, chart="time a frame against memory")
 @speaks
-def render(source: Input, cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
+def render(source: Source, cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
     """Time frames of the PlenOctree or octree IN in every structure that it can become, at 400x400 and 800x800.
 
     \b
@@ -133,7 +136,7 @@ def render(source: Input, cameras: str | None, rounds: int, destination: Destina
     destination.write([found], chart_rendering)
 
 
-def _octree(source: Input, words: Words, resolution: Any, *, only: bool) -> Any:
+def _octree(source: Source, words: Words, resolution: Any, *, only: bool) -> Any:
     """The octree to measure; only: there is no other scene that --resolution could be for."""
     scene = source.read(words)
     if isinstance(scene, nerfbake.SparseVoxelOctree):

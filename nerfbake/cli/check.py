@@ -7,15 +7,16 @@ import json
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import Input, as_json, reads, speaks
+from nerfbake.cli.params import as_json, reads, speaks
 from nerfbake.cli.words import Words
+from nerfbake.jobs.files import Source
 
 
 @click.command()
 @reads
 @as_json
 @speaks
-def check(source: Input, as_json: bool, words: Words) -> int:
+def check(source: Source, as_json: bool, words: Words) -> int:
     """Print everything that is wrong with IN, one line each; exit with 1 if anything is.
 
     \b

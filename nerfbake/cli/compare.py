@@ -3,60 +3,73 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from functools import partial, wraps
 from typing import Any
 
 import click
 
-import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import (
-    BUDGET_EDGE,
-    BUDGET_FRAMES,
-    CAPTURE,
-    Input,
-    PixelSize,
-    as_json,
-    reads,
-    speaks,
-    without_effect,
-)
+from nerfbake.cli.params import CAPTURE, Command, PixelSize, as_json, reads, speaks, without_effect
 from nerfbake.cli.words import Words
+from nerfbake.jobs.comparisons import Compared, Limits, Pages, Seen, compare_files
+from nerfbake.jobs.files import Source
+
+
+def sees(function: Command) -> Command:
+    """Adds --cameras, --truth and --size; the command gets `seen`."""
+
+    @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
+    @click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera.")
+    @click.option(
+        "--size", type=PixelSize(), help="Size in pixels.  [default: the truth's or the cameras', 400x400 for an orbit]"
+    )
+    @wraps(function)
+    def command(*args: Any, cameras: str | None, truth: str | None, size: Any, **others: Any) -> Any:
+        return function(*args, seen=Seen(cameras, truth, size), **others)
+
+    return command
+
+
+def limits(function: Command) -> Command:
+    """Adds --min-psnr and --max-error; the command gets `limits`."""
+
+    @click.option("--min-psnr", type=float, help="Exit 3 if the mean PSNR of IN2 against IN is lower (dB).")
+    @click.option("--max-error", type=float, help="Exit 3 if any channel of any pixel differs by more (0..1).")
+    @wraps(function)
+    def command(*args: Any, min_psnr: float | None, max_error: float | None, **others: Any) -> Any:
+        return function(*args, limits=Limits(min_psnr, max_error), **others)
+
+    return command
+
+
+def writes_pages(function: Command) -> Command:
+    """Adds --sheet, --html and --force; the command gets `pages`."""
+
+    @click.option(
+        "--sheet",
+        type=click.Path(),
+        help="Write a PNG with the pictures of truth, IN and IN2, and their differences times 8.",
+    )
+    @click.option("--html", type=click.Path(), help="Write a page with budgets, figures, sizes and pictures.")
+    @click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
+    @wraps(function)
+    def command(*args: Any, sheet: str | None, html: str | None, force: bool, **others: Any) -> Any:
+        if not (sheet or html):
+            without_effect("force", here="where nothing is written", allowed="--force with --sheet or --html")
+        return function(*args, pages=Pages(sheet, html, force), **others)
+
+    return command
 
 
 @click.command()
 @reads
 @click.argument("other", metavar="IN2", type=click.Path())
-@click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
-@click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera.")
-@click.option(
-    "--size", type=PixelSize(), help="Size in pixels.  [default: the truth's or the cameras', 400x400 for an orbit]"
-)
-@click.option("--min-psnr", type=float, help="Exit 3 if the mean PSNR of IN2 against IN is lower (dB).")
-@click.option("--max-error", type=float, help="Exit 3 if any channel of any pixel differs by more (0..1).")
-@click.option(
-    "--sheet",
-    type=click.Path(),
-    help="Write a PNG with the pictures of truth, IN and IN2, and their differences times 8.",
-)
-@click.option("--html", type=click.Path(), help="Write a page with budgets, figures, sizes and pictures.")
-@click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
+@sees
+@limits
+@writes_pages
 @as_json
 @speaks
-def compare(
-    source: Input,
-    other: str,
-    cameras: str | None,
-    truth: str | None,
-    size: tuple[int, int] | None,
-    min_psnr: float | None,
-    max_error: float | None,
-    sheet: str | None,
-    html: str | None,
-    force: bool,
-    as_json: bool,
-    words: Words,
-) -> None:
+def compare(source: Source, other: str, as_json: bool, words: Words, **options: Any) -> None:
     """Render the scenes IN and IN2 with the same cameras and print how far they are apart.
 
     Scenes are files of fields or meshes, and the folders of nerf2mesh's stage 1 and of its atlases.
@@ -66,52 +79,18 @@ def compare(
       nerfbake compare chair.npz small.svo.pb --min-psnr 30 --html small.html
       nerfbake compare mesh_stage1 atlas_64 --sheet atlas.png
     """
-    if not (sheet or html):
-        without_effect("force", here="where nothing is written", allowed="--force with --sheet or --html")
-    for target, kind in ((sheet, "Image"), (html, "Comparison")):
-        if target == io.STREAM:
-            raise click.UsageError("stdout has the figures; allowed for --sheet and --html: a file")
-        if target:
-            io.format_for(target, kind)
-            io.require_absent(target, force=force)
-    second = Input(other)
-    fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
-    kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
-    (a, facts_a), (b, facts_b) = (_read(words, each, *kinds) for each in (source, second))
-    views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
-    photographs = None
-    if truth:
-        photographs = [io.load(Path(truth) / f"{view.name}.png", nerfbake.Image) for view in views.cameras]
-        if not size:
-            views = nerfbake.Cameras(tuple(v.resized(*p.size) for v, p in zip(views.cameras, photographs, strict=True)))
-    with second.blamed(words, f"rendering {2 * len(views.cameras)} pictures"):
-        if sheet or html:
-            views.require_memory(pictures=6 if truth else 4)
-        found = nerfbake.compare_scenes(a, b, views, truth=photographs, keep_pictures=bool(sheet or html))
-    if sheet:
-        io.save(sheet, found.sheet, force=force)
-    budgets: dict[str, Any] = {"min_psnr": min_psnr, "max_error": max_error}
-    if html:
-        io.save(html, found, force=force, a=facts_a, b=facts_b, **budgets)
-    sizes = {"a": facts_a["bytes"], "b": facts_b["bytes"]}
-    if as_json:
-        facts = {"a": source.path, "b": other, "mean": found.means, "values": found.values, "views": found.views}
-        io.print_text(json.dumps({**facts, "bytes": sizes}))
-    else:
-        _print(found)
-        for name, size in (("IN", sizes["a"]), ("IN2", sizes["b"])):
-            io.print_text(f"{'bytes':<12}{name:<14}{size:,}")
-    with second.blamed(words, "judging"):
-        found.require(**budgets)
+    report = partial(_print_json, source.path, other) if as_json else _print
+    compare_files(source, other, steps=words, report=report, **options)
 
 
-def _read(words: Words, source: Input, *kinds: type) -> tuple[Any, dict[str, Any]]:
-    """The scene, and what a reader wants to know of it."""
-    scene, form, size = source.read_with_format(words, *kinds)
-    return scene, {"name": io.reading_name(source.path), "content": str(scene), "format": form.name, "bytes": size}
+def _print_json(a: str, b: str, compared: Compared) -> None:
+    found, sizes = compared.found, {"a": compared.a["bytes"], "b": compared.b["bytes"]}
+    facts = {"a": a, "b": b, "mean": found.means, "values": found.values, "views": found.views}
+    io.print_text(json.dumps({**facts, "bytes": sizes}))
 
 
-def _print(found: Any) -> None:
+def _print(compared: Compared) -> None:
+    found = compared.found
     names = {"a_b": "IN - IN2", "a_truth": "IN - truth", "b_truth": "IN2 - truth"}
     io.print_text(f"{'view':<12}{'':<14}{'PSNR dB':>9}{'SSIM':>9}{'max error':>11}")
     rows: list[dict[str, Any]] = [*found.views, {"name": "mean", **found.means}]
@@ -122,3 +101,5 @@ def _print(found: Any) -> None:
                 io.print_text(f"{view['name']:<12}{names[pair]:<14}{figures}")
     for name, errors in found.values.items():
         io.print_text(f"{'values':<12}{name:<14}mean {errors['mean']:.4g}, max {errors['max']:.4g}")
+    for name, file in (("IN", compared.a), ("IN2", compared.b)):
+        io.print_text(f"{'bytes':<12}{name:<14}{file['bytes']:,}")

@@ -7,10 +7,12 @@ from typing import Any, Literal
 import click
 
 import nerfbake
-from nerfbake.cli.params import Input, Output, reads, speaks, writes_octree
-from nerfbake.cli.volumes import WARP_NOTE, Choice, chooses_grids, codec_for, codec_option, form_of, is_volume
+from nerfbake.cli.params import reads, speaks, writes_octree
+from nerfbake.cli.volumes import WARP_NOTE, chooses_grids, codec_for, codec_option, form_of, is_volume
 from nerfbake.cli.words import Words
 from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.jobs.files import Source, Target
+from nerfbake.jobs.grids import Choice
 
 
 @click.command()
@@ -26,8 +28,8 @@ from nerfbake.errors import InvalidScene, Problem, UsageError
 @click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
 @speaks
 def convert(
-    source: Input,
-    target: Output,
+    source: Source,
+    target: Target,
     layout: Literal["full", "compact"] | None,
     no_child: int,
     choice: Choice,
@@ -67,7 +69,7 @@ def convert(
 
 
 def _to_volume(
-    source: Input, target: Output, choice: Choice, codecs: dict[str, str], *, half: bool, words: Words
+    source: Source, target: Target, choice: Choice, codecs: dict[str, str], *, half: bool, words: Words
 ) -> None:
     volume = choice.whole(words, source, source.read(words, nerfbake.Volume))
     if form_of(target) == "nvdb" and half and not isinstance(volume.grids[0], nerfbake.IndexGrid):
@@ -79,7 +81,7 @@ def _to_volume(
     target.write(words, volume, **codecs)
 
 
-def _octree(source: Input, volume: Any, choice: Choice, *, half: bool, words: Words) -> Any:
+def _octree(source: Source, volume: Any, choice: Choice, *, half: bool, words: Words) -> Any:
     foreign = volume.frame is None or bool(choice.grids)
     if not foreign and choice.up:
         raise UsageError("the octree in IN stands where it stood; allowed: no --up, or --grid for a density alone")

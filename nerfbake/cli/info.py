@@ -7,18 +7,19 @@ from typing import Any
 
 import click
 
-import nerfbake
 from nerfbake import io
-from nerfbake.cli.params import Input, as_json, reads, speaks
+from nerfbake.cli.params import as_json, reads, speaks
 from nerfbake.cli.words import Words
 from nerfbake.errors import format_size
+from nerfbake.jobs.descriptions import describe_file
+from nerfbake.jobs.files import Source
 
 
 @click.command()
 @reads
 @as_json
 @speaks
-def info(source: Input, as_json: bool, words: Words) -> None:
+def info(source: Source, as_json: bool, words: Words) -> None:
     """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
 
     For a stage-1 folder of nerf2mesh or an atlas it prints textures, MLP, maps, clusters and errors. For cameras it
@@ -31,8 +32,7 @@ def info(source: Input, as_json: bool, words: Words) -> None:
       nerfbake info chair.svo.pb --json | jq .nodes
       nerfbake info atlas_64 --json | jq '.cascades[].errors.mae'
     """
-    scene, form, size = source.read_with_format(words)
-    facts = {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise_scene(scene)}
+    facts = describe_file(source, steps=words)
     if as_json:
         io.print_text(json.dumps(facts))
         return

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-import nerfbake
-from nerfbake.cli.params import Budget, Input, Output, judges, reads, speaks, writes_octree
+from nerfbake.cli.params import judges, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
+from nerfbake.jobs.files import Source, Target
+from nerfbake.jobs.octrees import bake_lod
 
 
 @click.command()
@@ -17,16 +20,10 @@ from nerfbake.cli.words import Words
 )
 @judges
 @speaks
-def lod(source: Input, target: Output, level: int, no_child: int, budget: Budget, words: Words) -> None:
+def lod(source: Source, target: Target, words: Words, **options: Any) -> None:
     """Write the octree IN down to a level as OUT; what is cut off is shown by its mean.
 
     \b
       nerfbake lod chair.svo.pb chair_lod.svo.pb --level 6
     """
-    target.require("SparseVoxelOctree")
-    budget.require(target)
-    octree = source.read(words, nerfbake.SparseVoxelOctree)
-    with source.blamed(words, f"cutting at level {level}"):
-        cut = nerfbake.cut_octree(octree, level=level)
-    target.write(words, cut, no_child=no_child)
-    budget.judge(words, source, octree, target)
+    bake_lod(source, target, steps=words, **options)

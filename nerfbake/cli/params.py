@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-import nerfbake
-from nerfbake import catalog, io, memory
+from nerfbake import catalog, memory
 from nerfbake.cli.words import Words
-from nerfbake.errors import UsageError, format_size
-
-BUDGET_FRAMES, BUDGET_EDGE = 8, 400  # the views around a scene that a budget is judged from
+from nerfbake.errors import format_size
+from nerfbake.jobs.budgets import Budget
+from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
 
 CAPTURE = "a transforms.json, or a folder that holds one, a COLMAP model, or the poses of LLFF or NSVF"
 
@@ -66,129 +63,6 @@ class PixelSize(click.ParamType[tuple[int, int]]):
         return int(edges[0]), int(edges[1])
 
 
-@dataclass(frozen=True)
-class Input:
-    """A file to read, or stdin."""
-
-    path: str
-
-    def read(self, words: Words, *kinds: type) -> Any:
-        return self.read_with_format(words, *kinds)[0]
-
-    def read_with_format(self, words: Words, *kinds: type) -> tuple[Any, catalog.Format, int]:
-        """The scene, its file's format and its size in bytes (of a stream: of what was read)."""
-        with words.phase(f"reading {io.reading_name(self.path)}"):
-            return io.load_with_format(self.path, *kinds)
-
-    def views(
-        self, words: Words, scene: Any, cameras: str | None, size: tuple[int, int] | None, *, frames: int, edge: int
-    ) -> Any:
-        """The cameras of a file, or of an orbit of this scene with so many frames; in another size, if one is given."""
-        if cameras is None:
-            width, height = size or (edge, edge)
-            with self.blamed(words, "framing"):
-                return nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
-        read = read_cameras(words, cameras)
-        return nerfbake.Cameras(tuple(camera.resized(*size) for camera in read.cameras)) if size else read
-
-    @contextmanager
-    def blamed(self, words: Words, phase: str) -> Iterator[None]:
-        """A step of the work whose errors are this file's."""
-        with words.phase(phase), io.blame(io.reading_name(self.path)):
-            yield
-
-
-def read_cameras(words: Words, path: str) -> Any:
-    """The cameras of a file or a folder; says which file of a folder it took, and what it took for granted."""
-    with words.phase(f"reading {path}"):
-        read = io.load(path, nerfbake.Cameras)
-    if read.source:
-        words.say(f"{path}: {read} from {read.source}")
-    for note in read.notes:
-        words.say(f"{path}: {note}")
-    return read
-
-
-@dataclass(frozen=True)
-class Output:
-    """A file to write, or stdout."""
-
-    path: str
-    to: str | None
-    force: bool
-    profile: str | None = None
-
-    def require(self, scene: str) -> None:
-        """Raises, before any work is done, if a scene of this type could not be written here."""
-        form = io.format_for(self.path, scene, to=self.to)
-        if self.profile and not form.profiles:
-            raise UsageError(f"{form.name} is written in one way only; allowed: no --profile")
-        io.require_absent(self.path, force=self.force)
-
-    def write(self, words: Words, scene: Any, **options: Any) -> None:
-        if self.profile:
-            options["profile"] = self.profile
-        with words.phase(f"writing {self.path}"):
-            size = io.save(self.path, scene, to=self.to, force=self.force, **options)
-        words.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
-
-
-@dataclass(frozen=True)
-class Budget:
-    """What an output may cost, judged from the file or folder as it was written."""
-
-    min_psnr: float | None
-    cameras: str | None
-
-    def require(self, target: Output) -> None:
-        """Raises, before any work is done, if there would be no file to judge."""
-        if self.min_psnr is not None and target.path == io.STREAM:
-            raise click.UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
-
-    def judge(self, words: Words, source: Input, scene: Any, target: Output, *, up: str = "z") -> None:
-        """Renders what was written beside the scene it was made from; moves it to OUT.rejected if it costs too much.
-        up: the axis of a volume's world that the scene's z became."""
-        if self.min_psnr is None:
-            return
-        views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
-        written = Input(target.path)
-        with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
-            made = written.read(words)
-            found = nerfbake.compare_scenes(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
-            found.require(min_psnr=self.min_psnr)
-        words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
-
-
-@dataclass(frozen=True)
-class Stage1Input:
-    """A stage-1 folder, or feature textures and an MLP from anywhere."""
-
-    folder: str
-    features: tuple[str, ...]
-    mlp: str | None
-    transforms: str | None
-
-    @property
-    def name(self) -> str:
-        return self.folder or ", ".join(self.features)
-
-    def read(self, words: Words) -> Any:
-        with self.blamed(words, f"reading {self.name}"):
-            named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
-            named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
-            given = {name: path for name, path in named.items() if path is not None}
-            files = io.load_files(given)
-            if self.folder:
-                return io.load_folder(self.folder, nerfbake.Stage1, more=files)
-            return io.decode_files(files, nerfbake.Stage1)
-
-    @contextmanager
-    def blamed(self, words: Words, phase: str) -> Iterator[None]:
-        """A step of the work whose errors are this input's."""
-        with words.phase(phase), io.blame(self.name):
-            yield
-
-
 Command = Callable[..., Any]
 
 
@@ -218,13 +92,13 @@ max_memory = click.option(
 
 
 def reads(function: Command) -> Command:
-    """Adds the argument IN and --max-memory; the command gets `source`, an Input."""
+    """Adds the argument IN and --max-memory; the command gets `source`, a Source."""
 
     @click.argument("source", metavar="IN", type=click.Path(allow_dash=True))
     @max_memory
     @functools.wraps(function)
     def command(*args: Any, source: str, **others: Any) -> Any:
-        return function(*args, source=Input(source), **others)
+        return function(*args, source=Source(source), **others)
 
     return command
 
@@ -249,18 +123,19 @@ def bakes_stage1(function: Command) -> Command:
         features: tuple[str, ...],
         mlp: str | None,
         transforms: str | None,
+        force: bool,
         **others: Any,
     ) -> Any:
         if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
             raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
-        source = Stage1Input("" if mlp else folders[0], features, mlp, transforms)
-        return function(*args, source=source, target=folders[-1], **others)
+        source = Stage1Source("" if mlp else folders[0], features, mlp, transforms)
+        return function(*args, source=source, target=FolderTarget(folders[-1], force), **others)
 
     return command
 
 
 def writes(*scenes: str) -> Callable[[Command], Command]:
-    """Adds the argument OUT, --to and --force for scenes of these types; the command gets `target`, an Output."""
+    """Adds the argument OUT, --to and --force for scenes of these types; the command gets `target`, a Target."""
     names = ", ".join(form.name for scene in scenes for form in catalog.formats_of(scene))
 
     def add(function: Command) -> Command:
@@ -273,7 +148,7 @@ def writes(*scenes: str) -> Callable[[Command], Command]:
         @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
         @functools.wraps(function)
         def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
-            return function(*args, target=Output(target, to, force), **others)
+            return function(*args, target=Target(target, to, force), **others)
 
         return command
 
@@ -331,7 +206,7 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
             help="The number that stands for 'no child' in OUT.",
         )
         @functools.wraps(function)
-        def command(*args: Any, target: Output, profile: str | None, **others: Any) -> Any:
+        def command(*args: Any, target: Target, profile: str | None, **others: Any) -> Any:
             return function(*args, target=replace(target, profile=profile), **others)
 
         return command

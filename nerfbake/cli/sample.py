@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-import nerfbake
-from nerfbake import io
-from nerfbake.cli.params import Output, speaks, writes
+from nerfbake.cli.params import max_memory, speaks, writes
 from nerfbake.cli.words import Words
+from nerfbake.jobs.files import FolderTarget, Target
+from nerfbake.jobs.samples import write_sample_n3tree, write_sample_stage1
 
 
 @click.group()
@@ -34,17 +36,15 @@ def sample() -> None:
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
 )
+@max_memory
 @speaks
-def octree(target: Output, resolution: int, basis: str, seed: int, words: Words) -> None:
+def octree(target: Target, words: Words, **options: Any) -> None:
     """Write a PlenOctree (svox .npz) of shiny shapes, with leaves at several depths, as OUT.
 
     \b
       nerfbake sample octree sample.npz --resolution 256
     """
-    target.require("N3Tree")
-    with words.phase("growing the tree"):
-        tree = nerfbake.sample_n3tree(resolution=resolution, basis=basis, seed=seed)
-    target.write(words, tree)
+    write_sample_n3tree(target, steps=words, **options)
 
 
 @sample.command()
@@ -54,15 +54,12 @@ def octree(target: Output, resolution: int, basis: str, seed: int, words: Words)
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
 )
 @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
+@max_memory
 @speaks
-def nerf2mesh(target: str, resolution: int, seed: int, force: bool, words: Words) -> None:
+def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
     """Write a nerf2mesh stage-1 folder of a glossy torus as OUT_DIR: mesh, textures, and an MLP fitted to its look.
 
     \b
       nerfbake sample nerf2mesh mesh_stage1 && nerfbake atlas mesh_stage1 atlas
     """
-    io.require_no_folder(target, force=force)
-    with words.phase("fitting the MLP"):
-        scene = nerfbake.sample_stage1(resolution=resolution, seed=seed)
-    sizes = io.save_folder(target, scene, force=force)
-    words.say(f"{target}: {scene}, {sum(sizes.values()):,} bytes")
+    write_sample_stage1(FolderTarget(target, force), steps=words, **options)

@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
-import nerfbake
-from nerfbake.cli.params import Budget, Input, Output, Resolution, judges, reads, speaks, writes_octree
+from nerfbake.cli.params import Resolution, judges, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
+from nerfbake.jobs.files import Source, Target
+from nerfbake.jobs.octrees import bake_octree
 
 RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at its centre (as in the report TR-24-01)."
 
@@ -37,17 +38,11 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
 @judges
 @speaks
-def svo(source: Input, target: Output, no_child: int, budget: Budget, words: Words, **options: Any) -> None:
+def svo(source: Source, target: Target, words: Words, **options: Any) -> None:
     """Resample the PlenOctree IN to a sparse voxel octree OUT.
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
     """
-    target.require("SparseVoxelOctree")
-    budget.require(target)
-    tree = source.read(words, nerfbake.N3Tree)
-    with source.blamed(words, "building the octree"):
-        octree = nerfbake.build_octree(tree, **options)
-    target.write(words, octree, no_child=no_child)
-    budget.judge(words, source, tree, target)
+    bake_octree(source, target, steps=words, **options)

@@ -7,10 +7,12 @@ from typing import Any, Literal
 import click
 
 import nerfbake
-from nerfbake.cli.params import Budget, Input, Output, Resolution, judges, reads, speaks, writes
+from nerfbake.cli.params import Resolution, judges, reads, speaks, writes
 from nerfbake.cli.volumes import WARP_NOTE, codec_for, codec_option, form_of, require_grids
 from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import Budget, judge
+from nerfbake.jobs.files import Source, Target
 
 GRIDS = "Some of density, Cd (the mean colour over all directions), sh (SH coefficients); or index (all in one table)."
 DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"}
@@ -34,8 +36,8 @@ DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"
 @judges
 @speaks
 def vdb(
-    source: Input,
-    target: Output,
+    source: Source,
+    target: Target,
     grids: str | None,
     half: bool,
     codec: str | None,
@@ -70,4 +72,4 @@ def vdb(
     if form == "nvdb" and half and wanted == ("density",):
         words.say(WARP_NOTE)
     target.write(words, volume, **codecs)
-    budget.judge(words, source, judged, target, up=up)
+    judge(target.path, judged, budget, made_from=source.name, up=up, steps=words)

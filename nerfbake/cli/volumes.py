@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import click
 
-import nerfbake
 from nerfbake import catalog, io
-from nerfbake.cli.params import Input, Output
-from nerfbake.cli.words import Words
-from nerfbake.errors import InvalidFile, UsageError
+from nerfbake.errors import UsageError
+from nerfbake.jobs.files import Target
+from nerfbake.jobs.grids import Choice
 
 GRIDS = ("density", "Cd", "sh", "index")
 DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
@@ -24,35 +22,6 @@ codec_option = click.option(
     help="How a .vdb or .nvdb is compressed.  [default: zip for .vdb, none for .nvdb]",
 )
 Command = Callable[..., Any]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Which grids of a volume, and which axis of its world is up."""
-
-    grids: tuple[str, ...]
-    up: str | None
-
-    def __bool__(self) -> bool:
-        return bool(self.grids or self.up)
-
-    def of(self, words: Words, source: Input, scene: Any) -> Any:
-        """The scene as it was asked for. Raises UsageError where it is no volume and something was asked."""
-        if self and not isinstance(scene, nerfbake.Volume):
-            raise UsageError(f"{io.reading_name(source.path)} is no volume; allowed: no --grid and no --up")
-        if self:
-            with source.blamed(words, "choosing grids"):
-                scene = scene.only(self.grids) if self.grids else scene
-                scene = scene.turned() if self.up == "y" else scene
-        return scene
-
-    def whole(self, words: Words, source: Input, scene: Any) -> Any:
-        """The same; raises InvalidFile where a grid would be left out that nobody left out."""
-        chosen = self.of(words, source, scene)
-        if isinstance(chosen, nerfbake.Volume) and chosen.unread:
-            problem = chosen.unread[0]
-            raise InvalidFile(problem._replace(allowed=f"{problem.allowed}; --grid for the others"), source=source.path)
-        return chosen
 
 
 def chooses_grids(function: Command) -> Command:
@@ -75,12 +44,12 @@ def chooses_grids(function: Command) -> Command:
     return command
 
 
-def is_volume(target: Output) -> bool:
+def is_volume(target: Target) -> bool:
     """Whether OUT is to be a volume."""
     return catalog.is_ending(target.path if target.to is None else f".{target.to.removeprefix('.')}", "Volume")
 
 
-def form_of(target: Output) -> str:
+def form_of(target: Target) -> str:
     """vdb, nvdb or vdb.npz."""
     return io.uncompressed(io.format_for(target.path, "Volume", to=target.to).name)
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.surface import mlp
@@ -14,6 +15,10 @@ from nerfbake.kernels.surface.mlp import Shown
 from nerfbake.kernels.surface.octahedron import Lookup
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
+
+_TEXEL_BYTES = 32  # a used texel, while those of one error are counted (23 to 35 measured)
+_COLOUR_BYTES = 180  # a distinct combination of colour, label and feature (64 to 179 measured)
+_SHOWN_BYTES = 16  # a channel of a map in a direction (16 measured)
 
 
 class AtlasError(NamedTuple):
@@ -40,13 +45,18 @@ def measure_atlas_error(
     lookup: kernels.octahedron.sample says which there are; `thesis` also truncates colours where the others round, and
     evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1
     norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the
-    texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size.
+    texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size, and
+    MemoryLimit.
     Source: docs/formats/atlas.md, "What the published code gets wrong".
     """
     if atlas.labels.shape != field.features.shape[:2]:
         found, allowed = (f"{shape[1]}x{shape[0]}" for shape in (atlas.labels.shape, field.features.shape))
         raise InvalidScene(Problem("labels", f"have {found} texels", f"{allowed} as the feature texture has"))
+    shown_channels = 3 * len(atlas.tiles) * len(directions)
+    memory.require("the texture's texels", int(field.used.sum()) * _TEXEL_BYTES)
+    memory.require(f"{len(atlas.tiles):,} maps in {len(directions):,} directions", shown_channels * _SHOWN_BYTES)
     keys, counts = np.unique(_keys(atlas, field), return_counts=True)
+    memory.require(f"{len(keys):,} colours", len(keys) * _COLOUR_BYTES)
     codes = (keys >> 40).astype(np.uint32)
     features = colours.decode((keys & 0xFFFFFF).astype(np.uint32))
     index, weight = atlas.terms((keys >> 24 & 0xFFFF).astype(np.uint16), features)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.elementary import sigmoid, sine_cosine
 from nerfbake.kernels.maths.products import product
@@ -23,15 +24,18 @@ MARGIN = 0.04  # of the texture around the torus's patch, which no triangle uses
 _RINGS, _SIDES = 96, 48
 _LIGHT = np.array([0.42, 0.8, -0.43])  # unit, towards the light
 _STEPS, _BATCH, _RATE = 1000, 1024, 0.03
+_TEXEL_BYTES = 176  # while the textures are made (172 measured)
 
 
 def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
     """A torus whose features are its normals and gloss, and an MLP that turns them into a highlight and a sheen.
 
-    resolution: texels along the textures' edges, 16 to 8192. The same arguments give the same bytes.
+    resolution: texels along the textures' edges, 16 to 8192. The same arguments give the same bytes. Raises
+    InvalidScene, MemoryLimit.
     """
     if not 16 <= resolution <= 8192:
         raise InvalidScene(Problem("resolution", f"is {resolution}", "16 to 8192 texels"))
+    memory.require(f"textures of {resolution}x{resolution}", _TEXEL_BYTES * resolution**2)
     at = (np.arange(resolution) + 0.5) / resolution
     v, u = np.meshgrid(at, at, indexing="ij")
     _, normals = _torus(u, v)
@@ -44,7 +48,7 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
     lit = base * (0.45 + 0.55 * np.maximum((normals * _LIGHT).sum(axis=-1), 0))[..., None]
     diffuse = np.where(used[..., None], np.rint(255 * lit), 0).astype(np.uint8)
     w0, w1 = _fit(np.random.default_rng(seed))
-    return Stage1((SpecularField(features, w0, w1, used),), (replace(mesh, texture=diffuse),))
+    return memory.kept(Stage1((SpecularField(features, w0, w1, used),), (replace(mesh, texture=diffuse),)))
 
 
 def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:

@@ -19,6 +19,8 @@ from nerfbake.stages.specular_to_identifiers import Identifiers, identify_colour
 
 MAX_NODES = 16
 _TEXEL_BYTES = 3 * 4 * 8  # a texel's channels, in up to four float64 copies at a time
+# A texel of the texture, while its colour is looked up and, for affine, its distance from a centre taken (72 measured).
+_LABEL_BYTES = {"kmeans": 32, "affine": 96, "grid": 32}
 Centres = Literal["snapped", "mean"]
 
 
@@ -54,6 +56,7 @@ def bake_atlas(
         raise InvalidScene(Problem("clusters", f"is {clusters:,}", f"1 to {MAX_TILES // 4:,}, of 4 maps each"))
     count = {"kmeans": clusters, "affine": 4 * clusters, "grid": nodes**3}[method]
     memory.require(f"{count:,} maps of {map_size}x{map_size}", count * map_size**2 * _TEXEL_BYTES)
+    memory.require("the texture's labels", field.used.size * _LABEL_BYTES[method])
     directions = fibonacci(100) if directions is None else directions
     identifiers = identify_colours(field, directions=directions, direction_weights=direction_weights)
     if method == "grid":

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.maths.products import principal_axes, product
 from nerfbake.kernels.surface import mlp
@@ -14,6 +15,8 @@ from nerfbake.scene.specular import SpecularField
 
 DIMENSIONS = 32  # of a point: what the principal components leave out is below 0.1 % of the inertia
 _SAMPLE = 20_000  # colours that the principal components are found from
+_COLOUR_BYTES = 300  # a colour while it is told from others, clustered, and shown in maps (160 to 288 measured)
+_OUTPUT_BYTES = 20  # an output of the sample (20 measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +48,11 @@ def identify_colours(
     """The distinct colours, and the MLP's outputs for them in N unit directions (N, 3), reduced to p numbers.
 
     direction_weights (N,): how much each direction counts, 1 on average. The u x 3N outputs (1.7 GB for a 2048x2048
-    texture) are projected one colour at a time and never stored.
+    texture) are projected one colour at a time and never stored. Raises MemoryLimit.
     """
     # Sorting beats counting in a table of all 2^24 colours: 0.25 s against 0.69 s for 4 million texels.
     codes, counts = np.unique(colours.encode(field.features[field.used]), return_counts=True)
+    memory.require(f"{len(codes):,} colours", len(codes) * _COLOUR_BYTES)
     features = colours.decode(codes) / 255
     basis, shift = _principal_components(field, features, counts, directions, direction_weights)
     points = mlp.project(features, mlp.split(directions, field.w0, field.w1), basis, shift)
@@ -67,6 +71,8 @@ def _principal_components(
     scale = np.full((3, len(directions)), 255.0)
     if direction_weights is not None:
         scale *= np.sqrt(direction_weights)
+    sampled = len(range(len(features))[taken])
+    memory.require(f"{sampled:,} colours in {len(directions):,} directions", sampled * scale.size * _OUTPUT_BYTES)
     outputs = mlp.evaluate(features[taken], directions, field.w0, field.w1).reshape(-1, scale.size) * scale.reshape(-1)
     weight = counts[taken] / counts[taken].sum()
     mean = product(weight[None], outputs)

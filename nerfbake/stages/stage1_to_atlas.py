@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.surface.octahedron import Lookup
@@ -34,7 +35,7 @@ def bake_stage1(
     """
     evenly = fibonacci(directions)
     atlases = tuple(
-        bake_atlas(field, directions=evenly, direction_weights=weights, **options)
+        memory.kept(bake_atlas(field, directions=evenly, direction_weights=weights, **options))
         for field, weights in zip(stage1.fields, _weights(stage1, direction_set, evenly), strict=True)
     )
     errors = [

@@ -8,7 +8,7 @@ from importlib import import_module
 import pytest
 
 import nerfbake
-from nerfbake import catalog
+from nerfbake import catalog, jobs
 from tests.support.source import PACKAGE, modules
 
 
@@ -63,3 +63,17 @@ def test_public_names_are_there() -> None:
         assert callable(getattr(nerfbake, name))
     with pytest.raises(AttributeError, match="nonsense"):
         _ = nerfbake.nonsense
+
+
+def test_public_jobs_are_there() -> None:
+    written = {
+        node.name
+        for path in (PACKAGE / "jobs").glob("[!_]*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef) and any(argument.arg == "steps" for argument in node.args.kwonlyargs)
+    }
+    assert set(jobs.JOBS) == written
+    for name in jobs.__all__:
+        assert callable(getattr(jobs, name))
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = jobs.nonsense

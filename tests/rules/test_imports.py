@@ -22,7 +22,8 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "catalog": ({"errors"}, set()),
     "io": ({"errors", "memory", "catalog", "io"}, set()),
     "bench": ({"errors", "memory", "kernels", "scene", "stages", "catalog", "io", "bench", "nerfbake"}, {"numpy"}),
-    "cli": ({"errors", "memory", "catalog", "io", "bench", "cli", "nerfbake"}, {"click", "rich"}),
+    "jobs": ({"errors", "memory", "catalog", "io", "scene", "stages", "jobs", "nerfbake"}, set()),
+    "cli": ({"errors", "memory", "catalog", "io", "jobs", "bench", "cli", "nerfbake"}, {"click", "rich"}),
 }
 # A part of a layer with rules of its own: what `formats/wire` holds knows no scene.
 PARTS = {"formats/wire": ({"errors", "memory", "kernels", "formats.wire"}, {"numpy"})}

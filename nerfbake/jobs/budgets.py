@@ -1,0 +1,63 @@
+"""What a bake may cost, judged from the file or folder as it was written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import nerfbake
+from nerfbake import io
+from nerfbake.errors import UsageError
+from nerfbake.jobs.files import Source, Target
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import views_of
+
+FRAMES, EDGE = 8, 400  # the views around a scene that a budget is judged from, and their pixels along an edge
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What the pictures of an output may lose.
+
+    min_psnr  the least mean PSNR against what it was made from, in dB; None: it may lose anything, and no picture is
+              made
+    cameras   a capture whose views judge; None: 8 views around the scene
+    """
+
+    min_psnr: float | None = None
+    cameras: str | None = None
+
+    def require(self, target: Target) -> None:
+        """Raises UsageError, before any work is done, if there would be no file to judge."""
+        if self.min_psnr is not None and target.path == io.STREAM:
+            raise UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
+
+
+UNLIMITED = Budget()
+
+
+def judge(
+    written: str, scene: Any, budget: Budget, *, made_from: str, up: str = "z", steps: Steps = SILENT
+) -> float | None:
+    """Renders a file or folder as it was written beside the scene that it was made from: the mean PSNR between them.
+
+    Reads `written` and budget.cameras. Where the budget is missed, `written` is renamed to `written`.rejected and
+    BudgetMissed is raised, exit code 3. Gives None, and reads nothing, where the budget has no limit.
+
+    made_from: what words and errors call the scene. up: the axis of a volume's world that the scene's z became.
+
+        octree = nerfbake.build_octree(tree, resolution=64)
+        nerfbake.save("a.svo.pb", octree)
+        decibels = judge("a.svo.pb", tree, Budget(min_psnr=30), made_from="a.npz")
+    """
+    if budget.min_psnr is None:
+        return None
+    views = views_of(steps, scene, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE)
+    file = Source(written)
+    with file.blamed(steps, "judging"), io.rejected_unless_good(written):
+        made = file.read(steps)
+        found = nerfbake.compare_scenes(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
+        found.require(min_psnr=budget.min_psnr)
+    decibels = float(found.means["a_b"]["psnr"])
+    steps.say(f"{written}: {decibels:.2f} dB against {made_from}")
+    return decibels

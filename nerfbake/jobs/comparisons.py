@@ -1,0 +1,126 @@
+"""Two files seen by the same cameras: how far they are apart, as figures, a sheet of pictures and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import nerfbake
+from nerfbake import io
+from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import EDGE, FRAMES
+from nerfbake.jobs.files import AnySource, Source, as_source
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import views_of
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Whose views are compared.
+
+    cameras  a capture; None: 8 views around the first scene
+    truth    a folder with a photograph, NAME.png, for each of the cameras; None: there are none
+    size     (W, H) pixels; None: the truth's or the cameras', 400 x 400 for an orbit
+    """
+
+    cameras: str | None = None
+    truth: str | None = None
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far the second scene may be off: its mean PSNR in dB, and a pixel's channel in 0..1; None: any distance."""
+
+    min_psnr: float | None = None
+    max_error: float | None = None
+
+
+@dataclass(frozen=True)
+class Pages:
+    """What is written of a comparison: a .png of all its pictures, a .html page with everything; None: neither."""
+
+    sheet: str | None = None
+    html: str | None = None
+    force: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.sheet or self.html)
+
+    def require(self) -> None:
+        """Raises, before any work is done, if one of them could not be written."""
+        for target, kind in ((self.sheet, "Image"), (self.html, "Comparison")):
+            if target == io.STREAM:
+                raise UsageError("stdout has the figures; allowed for --sheet and --html: a file")
+            if target:
+                io.format_for(target, kind)
+                io.require_absent(target, force=self.force)
+
+
+AROUND, NO_LIMITS, NO_PAGES = Seen(), Limits(), Pages()
+
+
+@dataclass(frozen=True)
+class Compared:
+    """a, b: the two files' name, content, format and bytes; found: how far they are apart."""
+
+    a: dict[str, Any]
+    b: dict[str, Any]
+    found: nerfbake.Comparison
+
+
+def compare_files(
+    a: AnySource,
+    b: AnySource,
+    *,
+    seen: Seen = AROUND,
+    limits: Limits = NO_LIMITS,
+    pages: Pages = NO_PAGES,
+    steps: Steps = SILENT,
+    report: Callable[[Compared], None] | None = None,
+) -> Compared:
+    """Renders the scenes in two files or folders with the same cameras: how far they are apart; `nerfbake compare`.
+
+    Reads `a`, `b`, and the cameras and photographs of `seen`; writes `pages`. report gets what is returned as soon as
+    all is written, before it is judged. Raises NerfbakeError; BudgetMissed, exit code 3, where `b` is further off than
+    the limits allow.
+
+        compared = compare_files("a.npz", "a.svo.pb", seen=Seen(size=(64, 64)), limits=Limits(min_psnr=20))
+        decibels = compared.found.means["a_b"]["psnr"]
+    """
+    pages.require()
+    first, second = as_source(a), as_source(b)
+    (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
+    views = views_of(steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size)
+    photographs = _photographs(seen.truth, views) if seen.truth else None
+    if photographs and not seen.size:
+        sizes = [photograph.size for photograph in photographs]
+        views = nerfbake.Cameras(tuple(v.resized(*size) for v, size in zip(views.cameras, sizes, strict=True)))
+    with second.blamed(steps, f"rendering {2 * len(views.cameras)} pictures"):
+        if pages:
+            views.require_memory(pictures=6 if photographs else 4)
+        found = nerfbake.compare_scenes(scene, other, views, truth=photographs, keep_pictures=bool(pages))
+    if pages.sheet:
+        io.save(pages.sheet, found.sheet, force=pages.force)
+    if pages.html:
+        io.save(pages.html, found, force=pages.force, a=facts, b=others, **asdict(limits))
+    compared = Compared(facts, others, found)
+    if report is not None:
+        report(compared)
+    with second.blamed(steps, "judging"):
+        found.require(**asdict(limits))
+    return compared
+
+
+def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
+    """The scene, and what a reader wants to know of it."""
+    fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
+    scene, form, size = source.read_with_format(steps, *kinds)
+    return scene, {"name": source.name, "content": str(scene), "format": form.name, "bytes": size}
+
+
+def _photographs(folder: str, views: nerfbake.Cameras) -> list[nerfbake.Image]:
+    return [io.load(Path(folder) / f"{view.name}.png", nerfbake.Image) for view in views.cameras]

@@ -1,0 +1,144 @@
+"""What jobs read and write: files, folders and streams that tell each step, and are blamed for what is wrong in them.
+
+A job takes a path wherever it takes a Source or a Target; a Target says more than a path does: the format, and whether
+a file that exists may be replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import nerfbake
+from nerfbake import catalog, io, memory
+from nerfbake.errors import UsageError
+from nerfbake.jobs.steps import Steps
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file or a folder to read, or '-' for stdin."""
+
+    path: str
+
+    @property
+    def name(self) -> str:
+        """What words and errors call it."""
+        return io.reading_name(self.path)
+
+    def read(self, steps: Steps, *kinds: type) -> Any:
+        """The scene, of one of these types. Raises NerfbakeError."""
+        return self.read_with_format(steps, *kinds)[0]
+
+    def read_with_format(self, steps: Steps, *kinds: type) -> tuple[Any, catalog.Format, int]:
+        """The scene, its file's format and its size in bytes (of a stream: of what was read)."""
+        with steps.phase(f"reading {self.name}"):
+            return io.load_with_format(self.path, *kinds)
+
+    @contextmanager
+    def blamed(self, steps: Steps, phase: str) -> Iterator[None]:
+        """A step of the work whose errors are this file's."""
+        with steps.phase(phase), io.blame(self.name):
+            yield
+
+
+@dataclass(frozen=True)
+class Stage1Source:
+    """A stage-1 folder of nerf2mesh, or feature textures and an MLP from anywhere.
+
+    folder      '' where `features` and `mlp` stand in for it
+    features    a texture for each cascade
+    mlp         their mlp.json
+    transforms  where the training cameras stood, in the mesh's own world; None: as the folder has it
+    """
+
+    folder: str = ""
+    features: tuple[str, ...] = ()
+    mlp: str | None = None
+    transforms: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What words and errors call it."""
+        return self.folder or ", ".join(self.features)
+
+    def read(self, steps: Steps) -> nerfbake.Stage1:
+        named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
+        named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
+        given = {name: path for name, path in named.items() if path is not None}
+        # What the scene keeps of these files is counted with it.
+        with self.blamed(steps, f"reading {self.name}"), memory.scope():
+            files = io.load_files(given)
+            if self.folder:
+                return io.load_folder(self.folder, nerfbake.Stage1, more=files)
+            return io.decode_files(files, nerfbake.Stage1)
+
+    @contextmanager
+    def blamed(self, steps: Steps, phase: str) -> Iterator[None]:
+        """A step of the work whose errors are this input's."""
+        with steps.phase(phase), io.blame(self.name):
+            yield
+
+
+@dataclass(frozen=True)
+class Target:
+    """A file to write, or '-' for stdout.
+
+    to       the format; None: the one that the path's ending names
+    force    replace a file that exists
+    profile  of an octree's format: how it spells arrays; None: as is usual for the format
+    """
+
+    path: str
+    to: str | None = None
+    force: bool = False
+    profile: str | None = None
+
+    def require(self, scene: str) -> None:
+        """Raises, before any work is done, if a scene of this type could not be written here."""
+        form = io.format_for(self.path, scene, to=self.to)
+        if self.profile and not form.profiles:
+            raise UsageError(f"{form.name} is written in one way only; allowed: no --profile")
+        io.require_absent(self.path, force=self.force)
+
+    def write(self, steps: Steps, scene: Any, **options: Any) -> None:
+        """Options go to the format's encode()."""
+        if self.profile:
+            options["profile"] = self.profile
+        with steps.phase(f"writing {self.path}"):
+            size = io.save(self.path, scene, to=self.to, force=self.force, **options)
+        steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
+
+
+@dataclass(frozen=True)
+class FolderTarget:
+    """A folder to write. force: replace one that exists, and all that is in it."""
+
+    path: str
+    force: bool = False
+
+    def require(self) -> None:
+        """Raises OutputError, before any work is done, if it could not be written."""
+        io.require_no_folder(self.path, force=self.force)
+
+    def write(self, steps: Steps, scene: Any, **options: Any) -> dict[str, int]:
+        """The size in bytes of each file; options go to the format's encode()."""
+        with steps.phase(f"writing {self.path}"):
+            return io.save_folder(self.path, scene, force=self.force, **options)
+
+
+AnySource = Source | str | Path
+AnyTarget = Target | str | Path
+
+
+def as_source(source: AnySource) -> Source:
+    """A path as a Source; a Source as it is."""
+    return source if isinstance(source, Source) else Source(str(source))
+
+
+def as_target(target: AnyTarget) -> Target:
+    """A path as a Target whose ending names the format; a Target as it is."""
+    return target if isinstance(target, Target) else Target(str(target))

@@ -1,0 +1,66 @@
+"""Octrees from files to files: baked from a PlenOctree, or cut at a level."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import nerfbake
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.steps import SILENT, Steps
+
+
+def bake_octree(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    no_child: int = 0,
+    budget: Budget = UNLIMITED,
+    steps: Steps = SILENT,
+    **options: Any,
+) -> nerfbake.SparseVoxelOctree:
+    """Resamples a PlenOctree to a sparse voxel octree, and gives what it wrote; `nerfbake svo` is this.
+
+    Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. Options
+    go to build_octree(). no_child: how the file spells 'no child', 0 or -1. What is wrong with the arguments alone is
+    told before anything is read. Raises NerfbakeError.
+
+        octree = bake_octree("a.npz", "a.svo.pb", resolution=64, budget=Budget(min_psnr=20))
+    """
+    source, target = as_source(source), as_target(target)
+    target.require("SparseVoxelOctree")
+    budget.require(target)
+    tree = source.read(steps, nerfbake.N3Tree)
+    with source.blamed(steps, "building the octree"):
+        octree = nerfbake.build_octree(tree, **options)
+    target.write(steps, octree, no_child=no_child)
+    judge(target.path, tree, budget, made_from=source.name, steps=steps)
+    return octree
+
+
+def bake_lod(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    level: int,
+    no_child: int = 0,
+    budget: Budget = UNLIMITED,
+    steps: Steps = SILENT,
+) -> nerfbake.SparseVoxelOctree:
+    """Cuts an octree at a level, and gives what it wrote; `nerfbake lod` is this.
+
+    Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. level:
+    the deepest one to keep, 0 is the root alone. no_child: how the file spells 'no child', 0 or -1. Raises
+    NerfbakeError.
+
+        half = bake_lod("a.svo.pb", "a_5.svo.pb", level=5)
+    """
+    source, target = as_source(source), as_target(target)
+    target.require("SparseVoxelOctree")
+    budget.require(target)
+    octree = source.read(steps, nerfbake.SparseVoxelOctree)
+    with source.blamed(steps, f"cutting at level {level}"):
+        cut = nerfbake.cut_octree(octree, level=level)
+    target.write(steps, cut, no_child=no_child)
+    judge(target.path, octree, budget, made_from=source.name, steps=steps)
+    return cut

@@ -1,0 +1,31 @@
+"""What a job says while it works, to whoever listens: a terminal, a log, nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
+
+
+class Steps(Protocol):
+    """What every job takes as `steps`. The command line's words are one; SILENT is another."""
+
+    def say(self, text: str) -> None:
+        """A line about something that was found or written."""
+
+    def phase(self, text: str) -> AbstractContextManager[None]:
+        """A step of the work that may take a while: it lasts as long as the block."""
+
+
+class _Silent:
+    """Nobody listens."""
+
+    def say(self, text: str) -> None:
+        pass
+
+    @contextmanager
+    def phase(self, text: str) -> Iterator[None]:
+        yield
+
+
+SILENT: Steps = _Silent()

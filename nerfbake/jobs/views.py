@@ -1,0 +1,42 @@
+"""The cameras that a scene is looked at with: those of a capture, or an orbit around the scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import nerfbake
+from nerfbake import io
+from nerfbake.jobs.steps import Steps
+
+
+def read_cameras(steps: Steps, path: str) -> nerfbake.Cameras:
+    """The cameras of a file or a folder; says which file of a folder it took, and what it took for granted."""
+    with steps.phase(f"reading {path}"):
+        read = io.load(path, nerfbake.Cameras)
+    if read.source:
+        steps.say(f"{path}: {read} from {read.source}")
+    for note in read.notes:
+        steps.say(f"{path}: {note}")
+    return read
+
+
+def views_of(
+    steps: Steps,
+    scene: Any,
+    cameras: str | None,
+    *,
+    name: str,
+    frames: int,
+    edge: int,
+    size: tuple[int, int] | None = None,
+) -> nerfbake.Cameras:
+    """The cameras of a capture; without one those of an orbit of so many frames, `edge` pixels wide and high.
+
+    name: the scene's, for errors. size: (W, H) pixels, where they are to be others.
+    """
+    if cameras is None:
+        width, height = size or (edge, edge)
+        with steps.phase("framing"), io.blame(name):
+            return nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
+    read = read_cameras(steps, cameras)
+    return nerfbake.Cameras(tuple(camera.resized(*size) for camera in read.cameras)) if size else read
