@@ -150,9 +150,7 @@ def _transform(octree: SparseVoxelOctree, up: Up) -> npt.NDArray[np.float64]:
 
 # -- what may be asked -----------------------------------------------------------------------------------------
 def _require_usable(octree: SparseVoxelOctree, grids: tuple[str, ...], up: str) -> None:
-    octree.require_sound()
-    for problem in octree.value_problems():
-        raise InvalidScene(problem)
+    octree.require_usable()
     known = set(grids) <= set(GRIDS) and len(set(grids)) == len(grids) > 0
     if not known or ("index" in grids and len(grids) > 1):
         raise InvalidScene(Problem("grids", f"are {','.join(grids)!r}", "some of density, Cd, sh, or index alone"))
