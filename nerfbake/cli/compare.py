@@ -78,6 +78,9 @@ def compare(
     fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
     kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
     (a, facts_a), (b, facts_b) = (_read(words, each, *kinds) for each in (source, second))
+    if isinstance(a, fields):
+        with source.blamed(words, "building the field"):
+            a = nerfbake.build_field(a)  # once, for the cameras and for the pictures
     views = source.views(words, a, cameras, size, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
     photographs = None
     if truth:

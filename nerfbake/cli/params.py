@@ -150,11 +150,13 @@ class Budget:
         up: the axis of a volume's world that the scene's z became."""
         if self.min_psnr is None:
             return
-        views = source.views(words, scene, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
+        # A field is built once, for the cameras and for the pictures.
+        seen = scene if isinstance(scene, nerfbake.Stage1) else nerfbake.build_field(scene)
+        views = source.views(words, seen, self.cameras, None, frames=BUDGET_FRAMES, edge=BUDGET_EDGE)
         written = Input(target.path)
         with written.blamed(words, "judging"), io.rejected_unless_good(target.path):
             made = written.read(words)
-            found = nerfbake.compare_scenes(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
+            found = nerfbake.compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
             found.require(min_psnr=self.min_psnr)
         words.say(f"{target.path}: {found.means['a_b']['psnr']:.2f} dB against {source.path}")
 

@@ -137,7 +137,9 @@ def render(
     if lod is not None:
         with source.blamed(words, f"cutting at level {lod}"):
             scene = nerfbake.cut_octree(scene, level=lod)
-    views = source.views(words, scene, cameras, size, frames=turntable or 1, edge=800).cameras
+    with source.blamed(words, "building the field"):
+        field = nerfbake.build_field(scene)
+    views = source.views(words, field, cameras, size, frames=turntable or 1, edge=800).cameras
     chosen = views if several else views[frame : frame + 1]
     if not chosen:
         raise click.UsageError(f"--frame is {frame}; allowed: 0 to {len(views) - 1}")
@@ -156,7 +158,7 @@ def render(
     images = []
     for view, path in zip(chosen, paths, strict=True):
         with source.blamed(words, f"rendering {view.name}"):
-            image = picture(scene, camera=view, **options)
+            image = picture(field, camera=view, **options)
         if together:
             images.append(image)
             continue

@@ -109,7 +109,7 @@ class Meshes(Scene):
         return f"mesh of {triangles:,} triangles over {sum(len(mesh.positions) for mesh in self.meshes):,} vertices"
 
 
-def box_of(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
+def vertex_box(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
     """(2, 3) world corners of the box around all vertices that a face uses."""
     held = [mesh.positions[mesh.faces.reshape(-1)] for mesh in meshes]
     corners = [(points.min(axis=0), points.max(axis=0)) for points in held]

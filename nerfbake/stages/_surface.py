@@ -13,7 +13,6 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Mesh, joined
 
-WHITE = (1.0, 1.0, 1.0)
 _PIXEL_BYTES = 220  # while a picture is made (195 measured, and a lens' 25)
 
 

@@ -14,7 +14,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
-from nerfbake.scene.mesh import Meshes, box_of
+from nerfbake.scene.mesh import Meshes, vertex_box
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.stage1 import Stage1
@@ -130,7 +130,7 @@ def _of_meshes(scene: Meshes) -> dict[str, Any]:
         "meshes": len(scene.meshes),
         "triangles": sum(len(mesh.faces) for mesh in scene.meshes),
         "vertices": sum(len(mesh.positions) for mesh in scene.meshes),
-        "world_box": _numbers(box_of(scene.meshes)),
+        "world_box": _numbers(vertex_box(scene.meshes)),
         "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
         "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
         "bytes_in_memory": sum(array.nbytes for parts in arrays for array in parts if array is not None),

@@ -10,10 +10,10 @@ from nerfbake.kernels.surface.mlp import evaluate_each
 from nerfbake.kernels.surface.texture import nearest
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages._surface import WHITE, Hits, paint
+from nerfbake.stages._surface import Hits, paint
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
