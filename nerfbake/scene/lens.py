@@ -13,7 +13,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march import lens
 from nerfbake.kernels.maths.elementary import sine_cosine
 
-Model = Literal["polynomial", "rational", "fisheye"]
+LensModel = Literal["polynomial", "rational", "fisheye"]
 MOST = 1e6  # of a coefficient
 _COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
 
@@ -27,7 +27,7 @@ class Lens:
     fisheye     the angle from the axis is seen at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye module
     """
 
-    model: Model
+    model: LensModel
     k: tuple[float, ...] = ()
     p: tuple[float, float] = (0.0, 0.0)
 

@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.march.cells import EMPTY, Cells, rows_at
 from nerfbake.kernels.maths.affine import inverse, placed, turned
 from nerfbake.scene.basis import Basis, shown_basis
-
-Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

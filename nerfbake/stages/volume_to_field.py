@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.maths.affine import inverse, turned
 from nerfbake.kernels.maths.elementary import log
@@ -22,7 +23,6 @@ from nerfbake.scene.volume import Volume
 from nerfbake.stages._fog import density_of
 
 _EDGE = 1e-6  # how near to 0 and 1 a colour may be, for its sigmoid to be undone
-Ints = npt.NDArray[np.int64]
 
 
 def field_of_volume(volume: Volume) -> RadianceField:

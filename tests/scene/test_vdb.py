@@ -16,7 +16,8 @@ from nerfbake.formats.volume import npz as vdb_npz
 from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.vdb_readers import SCENES, index, transform, tree

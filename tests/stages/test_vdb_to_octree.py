@@ -22,7 +22,8 @@ from nerfbake.kernels.vdb.bitmask import slots_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.scenes import assert_same_octree, n3tree, n3trees, octrees, world_centres

@@ -15,7 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from nerfbake.kernels.arrays import Floats
+
 Coefficients = Sequence[float]
 
 EXACT = 1e-12  # how near a point that was found has to come to the one that was asked for
