@@ -49,10 +49,6 @@ class Lens:
         """False if it shows what a pinhole does."""
         return self.model == "fisheye" or any(self.k) or any(self.p)
 
-    def distorted(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """(m, 2) on the plane (of a fisheye: as long as their angle) -> where they are seen; x right, y down."""
-        return lens.distort(points, *self._coefficients, self.p)
-
     def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
         """Where to look to see these points (m, 2): (m, 3) unit vectors, x right, y down, z ahead; and which exist."""
         most = np.pi if self.model == "fisheye" else np.inf

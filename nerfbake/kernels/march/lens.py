@@ -25,14 +25,6 @@ _ENTRIES = 4096  # of the table that the search starts from
 _CHUNK = 1 << 14  # points at a time: what is in work stays in a core's cache
 
 
-def distort(points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float]) -> Floats:
-    """Where a lens puts points (m, 2): (m, 2)."""
-    x, y = points.T
-    s = x * x + y * y
-    scale, _ = _scale(s, numerator, denominator)
-    return np.stack(_moved(x, y, s, scale, p), axis=1)
-
-
 def undistort(
     points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float], *, most: float = np.inf
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
