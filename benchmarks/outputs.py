@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.scenes import Scenes
-from nerfbake import Cameras, Image, N3Tree, compare_scenes, load
+from nerfbake import Cameras, Image, N3Tree, build_field, compare_scenes, load
 from nerfbake.bench.environment import environment
 from nerfbake.bench.progress import told
 from nerfbake.bench.report import Report, Table
@@ -68,13 +68,13 @@ def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
 def _rows(scenes: Scenes, folder: Path) -> list[list[Any]]:
     cameras = load(scenes.views / "transforms.json", Cameras)
     truth = [load(scenes.views / f"{camera.name}.png", Image) for camera in cameras.cameras]
-    tree = load(scenes.chair, N3Tree)
+    field = build_field(load(scenes.chair, N3Tree))
     found: list[list[Any]] = []
     for name, command, lost in OUTPUTS:
         words = [str(scenes.chairs / word) if word.startswith("chair") else word for word in shlex.split(command)]
         with told(f"nerfbake {command}"):
             subprocess.run([sys.executable, "-m", "nerfbake", *words, "-q"], cwd=folder, check=True)
-            means = compare_scenes(tree, load(folder / name), cameras, truth=truth, keep_pictures=False).means
+            means = compare_scenes(field, load(folder / name), cameras, truth=truth, keep_pictures=False).means
         size = (folder / name).stat().st_size
         against = means["b_truth"]["psnr"]
         decibels = [means["a_b"]["psnr"], against, against - means["a_truth"]["psnr"]]

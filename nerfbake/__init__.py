@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.mesh import Meshes as Meshes
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
+    from nerfbake.scene.radiance_field import RadianceField as RadianceField
     from nerfbake.scene.specular import SpecularField as SpecularField
     from nerfbake.scene.stage1 import Stage1 as Stage1
     from nerfbake.scene.vdb import IndexGrid as IndexGrid
@@ -39,15 +40,18 @@ if TYPE_CHECKING:
     from nerfbake.stages.atlas_to_error import measure_atlas_error as measure_atlas_error
     from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
     from nerfbake.stages.clusters_to_maps import bake_snapped_maps as bake_snapped_maps
+    from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
+    from nerfbake.stages.field_to_image import render_field as render_field
     from nerfbake.stages.identifiers_to_clusters import cluster_identifiers as cluster_identifiers
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
     from nerfbake.stages.meshes_to_image import render_meshes as render_meshes
+    from nerfbake.stages.n3tree_to_field import field_of_n3tree as field_of_n3tree
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
+    from nerfbake.stages.octree_to_field import field_of_octree as field_of_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
-    from nerfbake.stages.scene_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
     from nerfbake.stages.scene_to_cameras import orbit_cameras as orbit_cameras
-    from nerfbake.stages.scene_to_image import render_field as render_field
+    from nerfbake.stages.scene_to_field import build_field as build_field
     from nerfbake.stages.scene_to_summary import summarise_scene as summarise_scene
     from nerfbake.stages.scenes_to_comparison import compare_scenes as compare_scenes
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
@@ -60,6 +64,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.vdb_to_octree import octree_of_density as octree_of_density
     from nerfbake.stages.vdb_to_octree import octree_of_volume as octree_of_volume
     from nerfbake.stages.vdb_to_vdb import cast_volume as cast_volume
+    from nerfbake.stages.volume_to_field import field_of_volume as field_of_volume
 
 __version__ = "0.1.0"
 

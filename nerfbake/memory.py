@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 from nerfbake.errors import MemoryLimit
 
 DEFAULT = 4 << 30
-Scene = TypeVar("Scene")
+Counted = TypeVar("Counted")
 
 
 class _Allowance:
@@ -97,7 +97,7 @@ def scope() -> Iterator[None]:
         allowance.scopes -= 1
 
 
-def kept(scene: Scene) -> Scene:
+def kept(scene: Counted) -> Counted:
     """The same scene, from now on counted for as long as it lives, inside of memory_limit()."""
     allowance = _current.get()
     if allowance.keeps:

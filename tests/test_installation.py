@@ -19,8 +19,8 @@ from nerfbake.bench.extras import EXTRAS
 from nerfbake.bench.measure import measure
 from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
-from tests.formats.octree.octrees import small_octree
-from tests.rules/test_imports import imports, modules
+from tests.support.octrees import small_octree
+from tests.support.source import imports, modules
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 

@@ -26,7 +26,6 @@ from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.stages._field import field_of
 
 EDGES = (400, 800)
 LOOKUPS = ("nearest", "trilinear")
@@ -59,7 +58,7 @@ def compare_rendering(
     with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
         with progress("writing the structures"):
             rows = _written(scene, Path(folder))
-            views = cameras or nerfbake.orbit_cameras(scene, frames=FRAMES)
+            views = cameras or nerfbake.orbit_cameras(nerfbake.build_field(scene), frames=FRAMES)
             shown = str(Path(folder) / "cameras.json")
             io.save(shown, views)
         for edge in EDGES:
@@ -107,11 +106,15 @@ def rendering(path: str, cameras: str, edge: int, lookup: Any, truth: str) -> Wo
     views = [camera.resized(edge, edge) for camera in io.load(cameras, nerfbake.Cameras).cameras]
 
     def run() -> list[Any]:
-        return [nerfbake.render_field(scene, view, lookup=lookup) for view in views]
+        return [nerfbake.render_field(field, view, lookup=lookup) for view in views]
 
-    _, ready = seconds_of(lambda: nerfbake.render_field(scene, views[0].resized(8, 8), lookup=lookup))
-    field = field_of(scene)
-    nerfbake.render_field(scene, views[0], lookup=lookup)  # memory and caches as every later picture finds them
+    def prepare() -> nerfbake.RadianceField:
+        made = nerfbake.build_field(scene)
+        nerfbake.render_field(made, views[0].resized(8, 8), lookup=lookup)
+        return made
+
+    field, ready = seconds_of(prepare)
+    nerfbake.render_field(field, views[0], lookup=lookup)  # memory and caches as every later picture finds them
 
     def check(images: list[Any]) -> dict[str, Any]:
         seen = np.stack([image.colour for image in images])

@@ -33,7 +33,9 @@ def takes_shots(function: Command) -> Command:
     """Adds --cameras, --frame, --all, --turntable and --size; the command gets `shots`."""
 
     @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: an orbit around the scene]")
-    @click.option("--frame", type=click.IntRange(min=0), default=0, show_default=True, help="The camera to use, from 0.")
+    @click.option(
+        "--frame", type=click.IntRange(min=0), default=0, show_default=True, help="The camera to use, from 0."
+    )
     @click.option("--all", "every", is_flag=True, help="Render the views of all cameras.")
     @click.option("--turntable", type=click.IntRange(2, 1000), help="Render this many views around the scene.")
     @click.option("--size", type=PixelSize(), help="Size in pixels.  [default: the cameras', 800x800 for an orbit]")
@@ -56,7 +58,10 @@ def writes_pictures(function: Command) -> Command:
     """Adds --out, --depth, --alpha and --force; the command gets `pictures`."""
 
     @click.option(
-        "--out", required=True, type=click.Path(), help="A .png or '-'; for several views a .gif, a .png sheet or a folder."
+        "--out",
+        required=True,
+        type=click.Path(),
+        help="A .png or '-'; for several views a .gif, a .png sheet or a folder.",
     )
     @click.option(
         "--depth",

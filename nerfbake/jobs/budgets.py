@@ -52,11 +52,13 @@ def judge(
     """
     if budget.min_psnr is None:
         return None
-    views = views_of(steps, scene, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE)
+    # A field is built once, for the cameras and for the pictures.
+    seen = scene if isinstance(scene, nerfbake.Stage1) else nerfbake.build_field(scene)
+    views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE)
     file = Source(written)
     with file.blamed(steps, "judging"), io.rejected_unless_good(written):
         made = file.read(steps)
-        found = nerfbake.compare_scenes(scene, made.turned() if up == "y" else made, views, keep_pictures=False)
+        found = nerfbake.compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
         found.require(min_psnr=budget.min_psnr)
     decibels = float(found.means["a_b"]["psnr"])
     steps.say(f"{written}: {decibels:.2f} dB against {made_from}")

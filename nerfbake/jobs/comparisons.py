@@ -93,6 +93,9 @@ def compare_files(
     pages.require()
     first, second = as_source(a), as_source(b)
     (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
+    if isinstance(scene, _fields()):
+        with first.blamed(steps, "building the field"):
+            scene = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
     views = views_of(steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size)
     photographs = _photographs(seen.truth, views) if seen.truth else None
     if photographs and not seen.size:
@@ -114,10 +117,13 @@ def compare_files(
     return compared
 
 
+def _fields() -> tuple[type, ...]:
+    return nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume
+
+
 def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     """The scene, and what a reader wants to know of it."""
-    fields = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
-    kinds = (*fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
+    kinds = (*_fields(), nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
     scene, form, size = source.read_with_format(steps, *kinds)
     return scene, {"name": source.name, "content": str(scene), "format": form.name, "bytes": size}
 

@@ -45,10 +45,10 @@ class Shots:
         if self.turntable and self.cameras:
             raise UsageError("--turntable goes around the scene; allowed: it or --cameras")
 
-    def of(self, steps: Steps, scene: Any, name: str) -> Sequence[nerfbake.Camera]:
+    def of(self, steps: Steps, field: nerfbake.RadianceField, name: str) -> Sequence[nerfbake.Camera]:
         """The cameras; name: the scene's, for errors. Raises UsageError where there is no such frame."""
         frames = self.turntable or 1
-        views = views_of(steps, scene, self.cameras, name=name, frames=frames, edge=EDGE, size=self.size).cameras
+        views = views_of(steps, field, self.cameras, name=name, frames=frames, edge=EDGE, size=self.size).cameras
         chosen = views if self.several else views[self.frame : self.frame + 1]
         if not chosen:
             raise UsageError(f"--frame is {self.frame}; allowed: 0 to {len(views) - 1}")
@@ -148,11 +148,11 @@ def render_views(
     pictures = pictures if isinstance(pictures, Pictures) else Pictures(str(pictures))
     shots.require()
     pictures.require(several=shots.several)
-    scene = _read(steps, source, lod, choice)
-    views = shots.of(steps, scene, source.name)
+    field = _read(steps, source, lod, choice)
+    views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)
     paths = [pictures.out] if together else pictures.settle(views, several=shots.several)
-    drawn = _drawn(steps, source, views, _renderer(scene, mesh, options))
+    drawn = _drawn(steps, source, views, _renderer(field, mesh, options))
     if together:
         with io.blame(pictures.out):
             nerfbake.Cameras(tuple(views)).require_memory()
@@ -164,21 +164,25 @@ def render_views(
     return paths
 
 
-def _read(steps: Steps, source: Source, lod: int | None, choice: Choice) -> Any:
+def _read(steps: Steps, source: Source, lod: int | None, choice: Choice) -> nerfbake.RadianceField:
+    """The field of a scene, made once for its cameras and all of its pictures."""
     others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume)
     scene = choice.of(steps, source, source.read(steps, *others, nerfbake.SparseVoxelOctree))
-    if lod is None:
-        return scene
-    with source.blamed(steps, f"cutting at level {lod}"):
-        return nerfbake.cut_octree(scene, level=lod)
+    if lod is not None:
+        with source.blamed(steps, f"cutting at level {lod}"):
+            scene = nerfbake.cut_octree(scene, level=lod)
+    with source.blamed(steps, "building the field"):
+        return nerfbake.build_field(scene)
 
 
-def _renderer(scene: Any, mesh: PlacedMesh | None, options: dict[str, Any]) -> Callable[..., nerfbake.Image]:
+def _renderer(
+    field: nerfbake.RadianceField, mesh: PlacedMesh | None, options: dict[str, Any]
+) -> Callable[..., nerfbake.Image]:
     """What makes a picture of a camera."""
     if mesh is None:
-        return partial(nerfbake.render_field, scene, **options)
+        return partial(nerfbake.render_field, field, **options)
     meshes = io.load(mesh.path, nerfbake.Meshes).with_up(mesh.up)
-    return partial(nerfbake.render_field_and_meshes, scene, meshes, how=mesh.how, **options)
+    return partial(nerfbake.render_field_and_meshes, field, meshes, how=mesh.how, **options)
 
 
 def _drawn(

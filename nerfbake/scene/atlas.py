@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.surface import octahedron
-from nerfbake.kernels.surface.octahedron import Lookup
+from nerfbake.kernels.surface.octahedron import TexelLookup
 from nerfbake.scene.base import Scene
 from nerfbake.scene.mesh import Mesh
 
@@ -121,9 +121,9 @@ class OctahedralAtlas:
         """(rows, columns, 3) uint8: every tile with its gutter."""
         return octahedron.pack(self.tiles, self.border)
 
-    def show(self, directions: npt.NDArray[np.float64], lookup: Lookup) -> npt.NDArray[np.float32]:
+    def show(self, directions: npt.NDArray[np.float64], lookup: TexelLookup) -> npt.NDArray[np.float32]:
         """(T, N, 3) what each tile shows in N directions, decoded: colours in 0..1, slopes in -1..1."""
-        return self._decoded(octahedron.sample(self.tiles, directions, lookup), np.arange(len(self.tiles))[:, None])
+        return self._decoded(octahedron.read_maps(self.tiles, directions, lookup), np.arange(len(self.tiles))[:, None])
 
     def specular(
         self,
@@ -136,7 +136,7 @@ class OctahedralAtlas:
         Maps are read between texel centres, as atlas.glsl does.
         """
         tiles, weights = self.terms(labels, np.zeros((len(labels), 3), np.uint8) if features is None else features)
-        shown = octahedron.sample(self.tiles, directions[:, None], "bilinear", tiles)
+        shown = octahedron.read_maps(self.tiles, directions[:, None], "bilinear", tiles)
         return np.asarray((weights[..., None] * self._decoded(shown, tiles)).sum(axis=1), np.float32)
 
     def _decoded(self, shown: npt.NDArray[np.float32], tiles: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

@@ -24,13 +24,22 @@ class Scene:
         """Values that nobody can use; the structure must be sound."""
         return []
 
+    def unread_problems(self) -> list[Problem]:
+        """What the file holds beside the scene that nobody here can read; the scene itself is none the worse for it."""
+        return []
+
     def problems(self) -> list[Problem]:
         """Everything that is wrong; values are looked at once the structure is sound."""
-        return self.structure_problems() or self.value_problems()
+        return [*self.unread_problems(), *(self.structure_problems() or self.value_problems())]
 
     def require_sound(self) -> None:
         """Raises InvalidScene with the first structural problem, if there is one."""
         if problems := self.structure_problems():
+            raise InvalidScene(problems[0])
+
+    def require_usable(self) -> None:
+        """Raises InvalidScene with the first problem of the structure, or else of the values, if there is one."""
+        if problems := self.structure_problems() or self.value_problems():
             raise InvalidScene(problems[0])
 
 

@@ -20,6 +20,9 @@ class Basis(NamedTuple):
     kind: str
     size: int
 
+    def __str__(self) -> str:
+        return self.kind if self.kind == "RGBA" else f"{self.kind}{self.size}"
+
     @property
     def data_dim(self) -> int:
         return 3 * self.size + 1
@@ -34,6 +37,16 @@ def parse_basis(data_format: str) -> Basis:
         return Basis(match[1], int(match[2]))
     known = f"RGBA, SGk, ASGk, or SHk with k of {', '.join(map(str, SH_SIZES))}"
     raise InvalidScene(Problem("data_format", f"is {data_format[:40]!r}", known))
+
+
+def shown_basis(data_format: str) -> Basis:
+    """The same, of what pictures can be made of: SH and RGBA. Raises InvalidScene for other bases and for ''."""
+    if not data_format:
+        raise InvalidScene(Problem("data_format", "is not known", "SHk or RGBA"))
+    basis = parse_basis(data_format)
+    if basis.kind not in ("SH", "RGBA"):
+        raise InvalidScene(Problem("data_format", f"is {data_format}", "SHk or RGBA can be rendered"))
+    return basis
 
 
 def guess_data_format(data_dim: int) -> str:

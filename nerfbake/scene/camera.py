@@ -16,7 +16,7 @@ from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.lens import Lens, Raster, blind_rim, pixel_looks
 
-FOCAL = (1e-6, 1e9)  # pixels
+FOCAL_LENGTHS = (1e-6, 1e9)  # pixels
 MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
 MIN_VOLUME = 1e-12  # of the box that they span
 ORTHOGONAL = 1e-3  # how far a rotation's axes may be from it, for a writer's rounding
@@ -45,10 +45,10 @@ class Camera:
         if not (1 <= self.width <= MAX_EDGE and 1 <= self.height <= MAX_EDGE):
             raise self._wrong(f"has {self.width}x{self.height} pixels", f"1 to {MAX_EDGE:,} an edge")
         for focal in (self.fx, self.fy):
-            if not FOCAL[0] <= focal <= FOCAL[1]:
-                raise self._wrong(f"has focal length {focal:g}", f"{FOCAL[0]:g} to {FOCAL[1]:g} pixels")
-        if not (abs(self.cx) <= FOCAL[1] and abs(self.cy) <= FOCAL[1]):
-            raise self._wrong(f"has its centre at {self.cx:g}, {self.cy:g}", f"up to {FOCAL[1]:g} pixels away")
+            if not FOCAL_LENGTHS[0] <= focal <= FOCAL_LENGTHS[1]:
+                raise self._wrong(f"has focal length {focal:g}", f"{FOCAL_LENGTHS[0]:g} to {FOCAL_LENGTHS[1]:g} pixels")
+        if not (abs(self.cx) <= FOCAL_LENGTHS[1] and abs(self.cy) <= FOCAL_LENGTHS[1]):
+            raise self._wrong(f"has its centre at {self.cx:g}, {self.cy:g}", f"up to {FOCAL_LENGTHS[1]:g} pixels away")
         if self.pose.shape != (4, 4):
             raise self._wrong(f"has a pose of shape {self.pose.shape}", "4 x 4 finite numbers")
         if found := _pose_problem(self.pose.tolist()):

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
 
+WHITE = (1.0, 1.0, 1.0)
 GAP = 4  # pixels between the pictures of a contact sheet
 
 
@@ -28,7 +29,7 @@ class Image(Scene):
     colour: npt.NDArray[np.float32]
     alpha: npt.NDArray[np.float32]
     depth: npt.NDArray[np.float32]
-    background: tuple[float, float, float] | None = (1.0, 1.0, 1.0)
+    background: tuple[float, float, float] | None = WHITE
 
     def __post_init__(self) -> None:
         if self.colour.ndim != 3 or self.colour.shape[2] != 3 or self.alpha.shape != self.colour.shape[:2]:

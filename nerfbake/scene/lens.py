@@ -13,7 +13,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march import lens
 from nerfbake.kernels.maths.elementary import sine_cosine
 
-Model = Literal["polynomial", "rational", "fisheye"]
+LensModel = Literal["polynomial", "rational", "fisheye"]
 MOST = 1e6  # of a coefficient
 _COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
 
@@ -27,7 +27,7 @@ class Lens:
     fisheye     the angle from the axis is seen at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye module
     """
 
-    model: Model
+    model: LensModel
     k: tuple[float, ...] = ()
     p: tuple[float, float] = (0.0, 0.0)
 
@@ -48,10 +48,6 @@ class Lens:
     def bends(self) -> bool:
         """False if it shows what a pinhole does."""
         return self.model == "fisheye" or any(self.k) or any(self.p)
-
-    def distorted(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """(m, 2) on the plane (of a fisheye: as long as their angle) -> where they are seen; x right, y down."""
-        return lens.distort(points, *self._coefficients, self.p)
 
     def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
         """Where to look to see these points (m, 2): (m, 3) unit vectors, x right, y down, z ahead; and which exist."""

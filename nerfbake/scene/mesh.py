@@ -109,7 +109,7 @@ class Meshes(Scene):
         return f"mesh of {triangles:,} triangles over {sum(len(mesh.positions) for mesh in self.meshes):,} vertices"
 
 
-def box_of(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
+def vertex_box(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
     """(2, 3) world corners of the box around all vertices that a face uses."""
     held = [mesh.positions[mesh.faces.reshape(-1)] for mesh in meshes]
     corners = [(points.min(axis=0), points.max(axis=0)) for points in held]
@@ -117,7 +117,9 @@ def box_of(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
     return np.stack([np.min(low, axis=0), np.max(high, axis=0)]).astype(np.float64)
 
 
-def joined(meshes: Sequence[Mesh]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
+def joined_meshes(
+    meshes: Sequence[Mesh],
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
     """Positions (v, 3) and faces (t, 3) of all meshes as one, and (n + 1,) where each mesh's faces start."""
     vertex = np.cumsum([0] + [len(mesh.positions) for mesh in meshes])
     first = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.octree.lookup import Points, as_points, in_chunks, octree_values
+from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.octree.lookup import as_points, in_chunks, octree_values
 from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.node_rows import NodeData, Rows
 
 _PER_CHILD = 32  # bytes that the proof of an order takes for each child
 MAX_SIZE = 4096  # voxels along an axis
@@ -29,35 +31,6 @@ def _zeros() -> npt.NDArray[np.float64]:
 
 def _ones() -> npt.NDArray[np.float64]:
     return np.ones(3)
-
-
-class Rows(Protocol):
-    """(n, D) values, or what makes them: some rows at a time, or all with np.asarray()."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]: ...
-
-    @property
-    def nbytes(self) -> int: ...
-
-    def __getitem__(self, rows: slice, /) -> npt.NDArray[Any]: ...
-
-
-class _NodeData:
-    """The field node_data: rows that are still to be made become an array when it is first read."""
-
-    def __get__(self, octree: SparseVoxelOctree | None, owner: type) -> npt.NDArray[Any]:
-        if octree is None:
-            raise AttributeError("node_data")  # so that the field has no default
-        data = np.asarray(octree.node_rows)
-        self.__set__(octree, data)
-        return data
-
-    def __set__(self, octree: SparseVoxelOctree, rows: Rows) -> None:
-        octree.__dict__["node_rows"] = rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +53,7 @@ class SparseVoxelOctree(Scene):
 
     size: tuple[int, int, int]
     node_children: npt.NDArray[np.int32]
-    node_data: _NodeData = _NodeData()
+    node_data: NodeData = NodeData()  # noqa: RUF009 - a descriptor, no default
     data_format: str = ""
     origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
     voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)

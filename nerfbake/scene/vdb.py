@@ -13,19 +13,19 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.octree.lookup import as_points
 from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.vdb.slots import FAR
 from nerfbake.scene.base import number_problems
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.vdb_topology import VdbTopology
 
 MOST_DENSE = 16  # a leaf's voxels for each active one, up to which all of them are kept to be read
-CHUNK = 1 << 14  # points that a core reads in one go
-FAR = 1 << 40  # where no tile is, and whole numbers have not yet ended
+READ_CHUNK = 1 << 14  # points that a core reads in one go
 
 GridClass = Literal["unknown", "fog volume", "level set", "staggered"]
 GRID_CLASSES: tuple[GridClass, ...] = ("unknown", "fog volume", "level set", "staggered")
 
 
-class Rows(NamedTuple):
+class TableRows(NamedTuple):
     """What kernels.vdb.accessor reads.
 
     table (m + 1, C) float32, row 0 the background; or, dense, a row for each voxel of each leaf and of
@@ -92,7 +92,7 @@ class VdbTree:
         return number_problems(self.name, self.values) + number_problems("background", self.background)
 
     @cached_property
-    def rows(self) -> Rows:
+    def rows(self) -> TableRows:
         """The values of voxels in leaves as they are read."""
         table = np.concatenate([self.background[None], self.values[: self.topology.m]], dtype=np.float32)
         return _rows(self.topology, table)
@@ -162,9 +162,9 @@ class IndexGrid:
         return number_problems(self.name, self.table)
 
     @cached_property
-    def rows(self) -> Rows:
+    def rows(self) -> TableRows:
         """The table as it is read; itself where it is float32."""
-        return Rows(False, np.ascontiguousarray(self.table, np.float32))
+        return TableRows(False, np.ascontiguousarray(self.table, np.float32))
 
     def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
         """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., C) float32.
@@ -175,17 +175,17 @@ class IndexGrid:
         return _sample(self.topology, self.rows, points, lookup)
 
 
-def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> Rows:
+def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> TableRows:
     """One channel is read faster where each leaf has all of its voxels, as NanoVDB has them; where that is much more
     than there is, it stays as it is."""
     from nerfbake.kernels.vdb.accessor import dense_leaves
 
     if table.shape[1] > 1 or 512 * len(topology.leaf_mask) > MOST_DENSE * len(table):
-        return Rows(False, table)
-    return Rows(True, dense_leaves(topology.leaf_mask, table))
+        return TableRows(False, table)
+    return TableRows(True, dense_leaves(topology.leaf_mask, table))
 
 
-def _sample(topology: VdbTopology, rows: Rows, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:
+def _sample(topology: VdbTopology, rows: TableRows, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:
     # Imported on first use: numba takes half a second, and only reads need it.
     from nerfbake.kernels.vdb.accessor import nearest, trilinear
 
@@ -198,7 +198,7 @@ def _sample(topology: VdbTopology, rows: Rows, points: npt.ArrayLike, lookup: Lo
     def work(begin: int, end: int) -> None:
         read(topology.tables, *rows, flat[begin:end], out[begin:end])
 
-    over_chunks(work, len(flat), CHUNK)
+    over_chunks(work, len(flat), READ_CHUNK)
     return out.reshape(*array.shape[:-1], out.shape[1])
 
 

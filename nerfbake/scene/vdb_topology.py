@@ -16,45 +16,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Coords, Ints, Words
 from nerfbake.kernels.soundness import count_problem, plural
-from nerfbake.kernels.vdb.bitmask import Ints, Words, bits_kept, exclusive_sum, numbers_of, popcount, slots_of
+from nerfbake.kernels.vdb.bitmask import bits_kept, exclusive_sum, numbers_of, popcount
 from nerfbake.kernels.vdb.runs import rows_of_runs
-
-ROOT_BITS = 20  # of a tile's number along an axis
-TILE_EDGES = (8, 128, 4096)  # voxels along a tile in a lower node, in an upper node, in the root
-Coords = npt.NDArray[np.int32]
-
-
-class Cubes(NamedTuple):
-    """low (q, 3) int32 lowest voxels of cubes that are `edge` voxels wide."""
-
-    low: Coords
-    edge: int
-
-
-@dataclass(frozen=True, eq=False)
-class VdbTiles:
-    """Cubes of one value each, in place of nodes.
-
-    lower_mask (k, 64) uint64   the slots of each lower node that are such cubes, of 8^3 voxels
-    upper_mask (u, 512) uint64  the same of each upper node, 128^3
-    root_origin (r, 3) int32    lowest voxel of cubes of 4096^3, in the order of root_keys()
-    """
-
-    lower_mask: Words
-    upper_mask: Words
-    root_origin: Coords
-
-    @cached_property
-    def counts(self) -> tuple[int, int, int]:
-        """Tiles of 8^3, of 128^3, of 4096^3."""
-        return int(popcount(self.lower_mask).sum()), int(popcount(self.upper_mask).sum()), len(self.root_origin)
+from nerfbake.kernels.vdb.slots import origins_of, root_keys, slots_at, tiles_at
+from nerfbake.scene.vdb_tiles import TILE_EDGES, Cubes, VdbTiles, no_tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,25 +100,25 @@ class VdbTopology:
     @cached_property
     def lower_origin(self) -> Coords:
         """(k, 3) lowest voxel of each lower node."""
-        return _origins(self.root_origin, self.upper_mask, 5, 128)
+        return origins_of(self.root_origin, self.upper_mask, 5, 128)
 
     @cached_property
     def leaf_origin(self) -> Coords:
         """(l, 3) lowest voxel of each leaf."""
-        return _origins(self.lower_origin, self.lower_mask, 4, 8)
+        return origins_of(self.lower_origin, self.lower_mask, 4, 8)
 
     @property
     def coords(self) -> Coords:
         """(m, 3) the voxels in leaves, in order."""
-        return _origins(self.leaf_origin, self.leaf_mask, 3, 1)
+        return origins_of(self.leaf_origin, self.leaf_mask, 3, 1)
 
     @property
     def tile_cubes(self) -> list[Cubes]:
         """The tiles of 8^3, of 128^3, of 4096^3, in order; an empty list where there are none."""
         if self.tiles is None:
             return []
-        lower = _origins(self.lower_origin, self.tiles.lower_mask, 4, 8)
-        upper = _origins(self.root_origin, self.tiles.upper_mask, 5, 128)
+        lower = origins_of(self.lower_origin, self.tiles.lower_mask, 4, 8)
+        upper = origins_of(self.root_origin, self.tiles.upper_mask, 5, 128)
         return [Cubes(low, edge) for low, edge in zip((lower, upper, self.tiles.root_origin), TILE_EDGES, strict=True)]
 
     @cached_property
@@ -179,20 +152,20 @@ class VdbTopology:
     def nodes_at(self, coords: npt.NDArray[np.integer[Any]]) -> list[Ints]:
         """The upper node, the lower node and the leaf around each voxel (q, 3): three times (q,), -1 for none."""
         keys, own = root_keys(coords), root_keys(self.root_origin)
-        upper = _found(own, keys, coords)
-        lower = numbers_of(self.upper_mask, upper, _slots(coords, 5, 7))
-        return [upper, lower, numbers_of(self.lower_mask, lower, _slots(coords, 4, 3))]
+        upper = tiles_at(own, keys, coords)
+        lower = numbers_of(self.upper_mask, upper, slots_at(coords, 5, 7))
+        return [upper, lower, numbers_of(self.lower_mask, lower, slots_at(coords, 4, 3))]
 
     def rows_at(self, coords: npt.NDArray[np.integer[Any]]) -> Ints:
         """The number of the value that each voxel (q, 3) has, in a leaf or in a tile; -1 where it has none."""
         upper, lower, leaf = self.nodes_at(coords)
-        rows = numbers_of(self.leaf_mask, leaf, _slots(coords, 3, 0))
+        rows = numbers_of(self.leaf_mask, leaf, slots_at(coords, 3, 0))
         if self.tiles is None:
             return rows
         tiles, (small, middle, _) = self.tiles, self.tile_counts
-        in_lower = numbers_of(tiles.lower_mask, lower, _slots(coords, 4, 3))
-        in_upper = numbers_of(tiles.upper_mask, upper, _slots(coords, 5, 7))
-        in_root = _found(root_keys(tiles.root_origin), root_keys(coords), coords)
+        in_lower = numbers_of(tiles.lower_mask, lower, slots_at(coords, 4, 3))
+        in_upper = numbers_of(tiles.upper_mask, upper, slots_at(coords, 5, 7))
+        in_root = tiles_at(root_keys(tiles.root_origin), root_keys(coords), coords)
         starts = self.m, self.m + small, self.m + small + middle
         for found, start in zip((in_lower, in_upper, in_root), starts, strict=True):
             rows = np.where(found < 0, rows, found + start)
@@ -205,7 +178,7 @@ class VdbTopology:
 
         Other programs keep the tiles as they like. The masks must agree.
         """
-        tiles = self.tiles or _no_tiles(self)
+        tiles = self.tiles or no_tiles(self.upper_mask, self.lower_mask)
         upper, root = (np.argsort(root_keys(o), kind="stable") for o in (self.root_origin, tiles.root_origin))
         if not (np.diff(upper) < 0).any() and not (np.diff(root) < 0).any():
             return self, None
@@ -274,39 +247,6 @@ class VdbTopology:
                 found = f"has {plural(claimed, f'{above} node')}"
                 problems.append(Problem(name, found, f"{len(below):,}, as many as there are"))
         return problems
-
-
-def root_keys(coords: npt.NDArray[np.integer[Any]]) -> Ints:
-    """(m,) the numbers by which root tiles are sorted, those that NanoVDB gives them; coords (m, 3)."""
-    x, y, z = (coords[:, axis].astype(np.int64) >> 12 & (1 << ROOT_BITS) - 1 for axis in range(3))
-    return x << 42 | y << 21 | z
-
-
-def _no_tiles(topology: VdbTopology) -> VdbTiles:
-    masks = np.zeros_like(topology.lower_mask), np.zeros_like(topology.upper_mask)
-    return VdbTiles(*masks, np.zeros((0, 3), np.int32))
-
-
-def _found(keys: Ints, wanted: Ints, coords: npt.NDArray[np.integer[Any]]) -> Ints:
-    """(q,) where each wanted key stands among sorted ones, -1 where it does not, or lies beyond 32 bits."""
-    if not len(keys):
-        return np.full(len(wanted), -1)
-    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    near = ((coords >= -(1 << 31)) & (coords < 1 << 31)).all(axis=1)
-    return np.where((keys[place] == wanted) & near, place, -1)
-
-
-def _slots(coords: npt.NDArray[np.integer[Any]], bits: int, shift: int) -> Ints:
-    """(q,) the slot of each voxel in a node that has 2^bits of them along an axis, each 2^shift voxels wide."""
-    x, y, z = (coords[:, axis].astype(np.int64) >> shift & (1 << bits) - 1 for axis in range(3))
-    return x << 2 * bits | y << bits | z
-
-
-def _origins(above: Coords, masks: Words, bits: int, width: int) -> Coords:
-    row, slot = slots_of(masks)
-    low = (1 << bits) - 1
-    step = np.stack([slot >> 2 * bits, slot >> bits & low, slot & low], axis=1).astype(np.int32)
-    return above[row] + step * np.int32(width)
 
 
 def _require_shape(name: str, array: npt.NDArray[Any], width: int, dtype: type[np.generic]) -> None:

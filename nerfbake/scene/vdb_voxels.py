@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.vdb.bitmask import Ints, Words, group_bits
-from nerfbake.scene.vdb_topology import ROOT_BITS, VdbTopology, root_keys
+from nerfbake.kernels.arrays import Ints, Words
+from nerfbake.kernels.vdb.bitmask import group_bits
+from nerfbake.kernels.vdb.slots import ROOT_BITS, root_keys
+from nerfbake.scene.vdb_topology import VdbTopology
 
 LEAF_BITS, LOWER_BITS, UPPER_BITS = 9, 12, 15
 _STEPS = ((5, 7), (4, 3), (3, 0))  # bits of a slot along an axis, and the coordinate's bits below them

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import inverse, turned
 from nerfbake.kernels.soundness import plural
-from nerfbake.scene.base import MAX_WORLD, place_problems
+from nerfbake.scene.base import MAX_WORLD, Scene, place_problems
 from nerfbake.scene.octree import Layout
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 
@@ -34,7 +34,7 @@ class OctreeFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class Volume:
+class Volume(Scene):
     """Grids of one world.
 
     grids      VdbTree and IndexGrid, each with its own topology
@@ -124,11 +124,6 @@ class Volume:
         return replace(self, grids=grids, transform=_turned(self.transform))
 
     # -- soundness ---------------------------------------------------------------------------------------------
-    def require_sound(self) -> None:
-        """Raises InvalidScene with the first structural problem, if there is one."""
-        if problems := self.structure_problems():
-            raise InvalidScene(problems[0])
-
     def structure_problems(self) -> list[Problem]:
         return self._world_problems() + [problem for grid in self.grids for problem in grid.structure_problems()]
 
@@ -149,9 +144,9 @@ class Volume:
         """Values that no renderer can use."""
         return [problem for grid in self.grids for problem in grid.value_problems()]
 
-    def problems(self) -> list[Problem]:
-        """Everything that is wrong; values are looked at once the structure is sound. Grids that are not here, too."""
-        return [*self.unread, *(self.structure_problems() or self.value_problems())]
+    def unread_problems(self) -> list[Problem]:
+        """Grids of the file that are not here."""
+        return list(self.unread)
 
 
 def edges_of(transform: Transform) -> npt.NDArray[np.float64]:

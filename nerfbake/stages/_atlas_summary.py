@@ -47,7 +47,7 @@ def _of_field(field: SpecularField) -> dict[str, Any]:
     return {
         "texture": [W, H],
         "texels_used": int(np.count_nonzero(field.used)),
-        "colours": len(np.unique(colours.encode(field.features[field.used]))),
+        "colours": len(np.unique(colours.codes_of(field.features[field.used]))),
         "hidden_units": int(field.w0.shape[1]),
     }
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nerfbake.scene.camera import Camera, Cameras
 
-AGREE = 0.5  # length of the mean of all cameras' up: 1 where all agree
+_AGREE = 0.5  # length of the mean of all cameras' up: 1 where all agree
 ALONG = 0.95  # how much of it one axis has, for that axis to be called up
 
 
@@ -54,6 +54,6 @@ def _lens(camera: Camera) -> str:
 def _up(ups: npt.NDArray[np.float64]) -> str | None:
     mean = (ups / np.linalg.norm(ups, axis=1, keepdims=True)).mean(axis=0)
     length, axis = np.sqrt((mean * mean).sum()), int(np.argmax(np.abs(mean)))
-    if length < AGREE or abs(mean[axis]) < ALONG * length:
+    if length < _AGREE or abs(mean[axis]) < ALONG * length:
         return None
     return f"{'-' if mean[axis] < 0 else ''}{'xyz'[axis]}"

@@ -9,17 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
+from nerfbake.kernels.arrays import Indices, Ints
 from nerfbake.kernels.octree.means import mean_edge, opacity
 from nerfbake.kernels.octree.morton import dilate
 from nerfbake.kernels.octree.pyramid import INNER, Level, children_table, merge_equal
-from nerfbake.kernels.vdb.bitmask import Ints
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame
-from nerfbake.stages._node_values import NodeValues
+from nerfbake.stages._node_values import NodeRows
 
 _WORK_BYTES = 64  # a leaf's place and its nodes while the levels are made
-Rows = npt.NDArray[np.signedinteger[Any]]
 
 
 class Block(NamedTuple):
@@ -41,7 +40,7 @@ def blocks_of(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> list[Block]
     return blocks
 
 
-def octree_of(blocks: list[Block], data: npt.NDArray[Any], frame: OctreeFrame) -> SparseVoxelOctree:
+def octree_of_blocks(blocks: list[Block], data: npt.NDArray[Any], frame: OctreeFrame) -> SparseVoxelOctree:
     """The octree of these cubes, none of which may overlap or reach beyond the frame; data (rows, D), density last.
 
     Eight equal neighbours are one leaf; inner nodes hold the mean of their children by build_octree's rule, with the
@@ -55,7 +54,7 @@ def octree_of(blocks: list[Block], data: npt.NDArray[Any], frame: OctreeFrame) -
     return SparseVoxelOctree(
         size=frame.size,
         node_children=children_table(levels, all_slots=frame.layout == "full"),
-        node_data=NodeValues(levels, leaves),
+        node_data=NodeRows(levels, leaves),
         data_format=frame.data_format,
         origin=frame.origin,
         voxel_size=frame.voxel_size,
@@ -100,13 +99,13 @@ class _Leaves:
         self._data, self._width = data, width
         self.data_dim, self.dtype = int(data.shape[1]), data.dtype
 
-    def values(self, leaf: Rows) -> npt.NDArray[Any]:
+    def values(self, leaf: Indices) -> npt.NDArray[Any]:
         return self._data[leaf]
 
-    def opacity(self, leaf: Rows) -> npt.NDArray[np.float64]:
+    def opacity(self, leaf: Indices) -> npt.NDArray[np.float64]:
         return opacity(self._data[leaf, -1].astype(np.float32), self._width)
 
-    def same(self, leaves: Rows) -> npt.NDArray[np.bool_]:
+    def same(self, leaves: Indices) -> npt.NDArray[np.bool_]:
         """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
         sigma = self._data[leaves.reshape(-1), -1].reshape(-1, 8)
         same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)

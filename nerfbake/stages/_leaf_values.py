@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Indices
 from nerfbake.kernels.octree.halves import widened
-from nerfbake.kernels.octree.lockstep import Cubes, Source
+from nerfbake.kernels.octree.lockstep import OctreeCubes, Source
 from nerfbake.kernels.octree.means import mean_of_runs, opacity
 from nerfbake.kernels.octree.overlap import parts_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.stages._half import rounded
-
-Ints = npt.NDArray[np.signedinteger[Any]]
 
 _CHUNK = 1 << 13  # rows at a time: temporaries stay in the cache, and memory bounded
 
@@ -34,25 +33,25 @@ class LeafValues:
         self._means = np.empty((0, tree.data_dim), np.float32)
         self._mean_opacity = np.empty(0)
 
-    def values(self, leaf: Ints) -> npt.NDArray[Any]:
+    def values(self, leaf: Indices) -> npt.NDArray[Any]:
         """(m, D) in the octree's dtype. Raises InvalidScene where that dtype cannot hold a value."""
         return self._rounded(self._exact(leaf))
 
-    def hold(self, leaf: Ints) -> npt.NDArray[np.bool_]:
+    def hold(self, leaf: Indices) -> npt.NDArray[np.bool_]:
         """(m,) bool: these are not empty in the octree's dtype, in which a thin one may be 0."""
         return self._sigma(leaf) > 0
 
-    def _sigma(self, leaf: Ints) -> npt.NDArray[Any]:
+    def _sigma(self, leaf: Indices) -> npt.NDArray[Any]:
         return self._rounded(self._pick(leaf, self._source.density, self._means[:, -1]))
 
-    def opacity(self, leaf: Ints) -> npt.NDArray[np.float64]:
+    def opacity(self, leaf: Indices) -> npt.NDArray[np.float64]:
         """What each weighs in a mean."""
         own = opacity(self._pick(leaf, self._source.density, self._means[:, -1]), self._length)
         mean = np.flatnonzero(leaf >= len(self._cells))
         own[mean] = self._mean_opacity[leaf[mean] - len(self._cells)]
         return own
 
-    def same(self, leaves: Ints) -> npt.NDArray[np.bool_]:
+    def same(self, leaves: Indices) -> npt.NDArray[np.bool_]:
         """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
         sigma = self._sigma(leaves.reshape(-1)).reshape(-1, 8)
         same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)
@@ -61,7 +60,7 @@ class LeafValues:
             same[part] = (values == values[:, :1]).all(axis=(1, 2))
         return same
 
-    def add_means(self, voxels: Cubes, size: tuple[int, int, int]) -> None:
+    def add_means(self, voxels: OctreeCubes, size: tuple[int, int, int]) -> None:
         """Works out the means of the tree's nodes, from the deepest up, and of voxels made of several parts."""
         tree, C = self._tree, self._tree.N**3
         self._means = np.zeros((tree.n + len(voxels.row), self.data_dim), np.float32)
@@ -77,13 +76,13 @@ class LeafValues:
                 counts = held.reshape(-1, C).sum(axis=1)
                 self._set_means(part, parts, np.broadcast_to(1 / C, len(parts)), counts)
         for start in range(0, len(voxels.row), _CHUNK):
-            chunk = Cubes(*(array[start : start + _CHUNK] for array in voxels))
+            chunk = OctreeCubes(*(array[start : start + _CHUNK] for array in voxels))
             covered = parts_of(self._source, chunk, size)
             counts = np.bincount(covered.voxel, minlength=len(chunk.row))
             filled = np.flatnonzero(counts)  # the rest of what lies across cells covers only empty ones
             self._set_means(tree.n + start + filled, covered.part, covered.volume, counts[filled])
 
-    def _set_means(self, where: Ints, parts: Ints, volume: npt.NDArray[np.float64], counts: Ints) -> None:
+    def _set_means(self, where: Indices, parts: Indices, volume: npt.NDArray[np.float64], counts: Indices) -> None:
         def rows_at(begin: int, end: int) -> npt.NDArray[Any]:
             return widened(self._exact(parts[begin:end]))
 
@@ -91,7 +90,7 @@ class LeafValues:
         self._mean_opacity[where] = mean_of_runs(rows_at, self.opacity(parts), volume, counts, means)
         self._means[where] = means
 
-    def _exact(self, leaf: Ints) -> npt.NDArray[Any]:
+    def _exact(self, leaf: Indices) -> npt.NDArray[Any]:
         mean = leaf >= len(self._cells)
         if not mean.any():
             return self._cells.take(leaf, axis=0)
@@ -102,7 +101,7 @@ class LeafValues:
         values[mean] = self._means.take(leaf[mean] - len(self._cells), axis=0)
         return values
 
-    def _pick(self, leaf: Ints, cells: npt.NDArray[Any], means: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _pick(self, leaf: Indices, cells: npt.NDArray[Any], means: npt.NDArray[Any]) -> npt.NDArray[Any]:
         mean = np.flatnonzero(leaf >= len(cells))
         picked = cells.take(leaf, mode="clip")
         picked[mean] = means[leaf[mean] - len(cells)]
@@ -114,5 +113,5 @@ class LeafValues:
         return rounded(values, self.dtype, what="the tree", asked="float16")
 
 
-def _chunks(array: Ints) -> list[Ints]:
+def _chunks(array: Indices) -> list[Indices]:
     return [array[start : start + _CHUNK] for start in range(0, len(array), _CHUNK)]

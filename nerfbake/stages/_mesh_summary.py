@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.scene.mesh import Meshes, box_of, joined
+from nerfbake.scene.mesh import Meshes, joined_meshes, vertex_box
 
 # Bytes while edges are paired, as measured: a triangle has three edges, each in a few tables.
 _PER_TRIANGLE, _PER_VERTEX = 300, 60
@@ -25,7 +25,7 @@ def summary_of_meshes(scene: Meshes) -> dict[str, Any]:
     point do not count. All three are None where --max-memory has no room to find out.
     """
     arrays = [(m.positions, m.faces, m.uvs, m.texture, m.colours) for m in scene.meshes]
-    box = box_of(scene.meshes)
+    box = vertex_box(scene.meshes)
     return {
         "kind": "triangle mesh",
         "meshes": len(scene.meshes),
@@ -45,7 +45,7 @@ def _surface(scene: Meshes) -> dict[str, Any]:
         return {"pieces": None, "closed": None, "same_winding": None}
     from trimesh import graph  # it takes a while, and only meshes need it
 
-    positions, corners, _ = joined(scene.meshes)
+    positions, corners, _ = joined_meshes(scene.meshes)
     faces = _places(positions)[corners]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     if not len(faces):

@@ -7,12 +7,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Floats, Indices
 from nerfbake.kernels.octree.means import mean_of_runs
 from nerfbake.kernels.octree.pyramid import INNER, Level, child_counts
 from nerfbake.kernels.parallel import over_chunks
-
-Ints = npt.NDArray[np.signedinteger[Any]]
-Floats = npt.NDArray[np.float64]
 
 _CHUNK = 1 << 12  # rows at a time: temporaries stay in the second-level cache
 
@@ -23,14 +21,14 @@ class Leaves(Protocol):
     data_dim: int
     dtype: np.dtype[Any]
 
-    def values(self, leaf: Ints) -> npt.NDArray[Any]:
+    def values(self, leaf: Indices) -> npt.NDArray[Any]:
         """(m, D) in dtype."""
 
-    def opacity(self, leaf: Ints) -> Floats:
+    def opacity(self, leaf: Indices) -> Floats:
         """What each weighs in a mean."""
 
 
-class NodeValues:
+class NodeRows:
     """(n, D) rows in breadth-first order, of which only the means are kept: leaves are copied when they are asked for.
 
     So an octree can be written whose values do not fit beside those they come from. values[begin:end] gives some,

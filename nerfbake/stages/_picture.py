@@ -1,4 +1,4 @@
-"""Any scene that can be looked at: its picture, and what frames it."""
+"""Whatever can be looked at: its picture, and what frames it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,23 @@ import numpy.typing as npt
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import WORLD, Camera
 from nerfbake.scene.image import Image
-from nerfbake.scene.mesh import Meshes, box_of
+from nerfbake.scene.mesh import Meshes, vertex_box
+from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages._field import Radiance, field_of
+from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
-from nerfbake.stages.scene_to_image import render_field
+from nerfbake.stages.scene_to_field import FieldSource, build_field
 from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 
-Scene = Radiance | Meshes | Stage1 | BakedAtlas
+Visible = RadianceField | Meshes | Stage1 | BakedAtlas
 
 
-def picture(scene: Scene, camera: Camera) -> Image:
+def visible(scene: Visible | FieldSource) -> Visible:
+    """The same scene, or the field that is built of it. Raises as build_field()."""
+    return scene if isinstance(scene, Visible) else build_field(scene)
+
+
+def picture(scene: Visible, camera: Camera) -> Image:
     """What the camera sees, over white."""
     if isinstance(scene, Meshes):
         return render_meshes(scene, camera)
@@ -27,14 +33,14 @@ def picture(scene: Scene, camera: Camera) -> Image:
     return render_field(scene, camera)
 
 
-def frame(scene: Scene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Opposite corners (2, 3) of the box around everything that is there, in the world, and its axes as Field has them.
+def frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Opposite corners (2, 3) of the box around everything that is there, in the world, and the scene's own axes.
 
     The third axis is up: a field's own, and the world's for meshes, as nerf2mesh and its viewer have it.
     """
     if isinstance(scene, Meshes):
-        return box_of(scene.meshes), WORLD
+        return vertex_box(scene.meshes), WORLD
     if isinstance(scene, Stage1 | BakedAtlas):
-        return box_of(surfaces(scene)), WORLD
-    field = field_of(scene)
+        return vertex_box(surfaces(scene)), WORLD
+    field = require_field(scene)
     return field.world(field.box), field.axes

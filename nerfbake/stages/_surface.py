@@ -11,9 +11,8 @@ import numpy.typing as npt
 from nerfbake.kernels.surface import gbuffer
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
-from nerfbake.scene.mesh import Mesh, joined
+from nerfbake.scene.mesh import Mesh, joined_meshes
 
-WHITE = (1.0, 1.0, 1.0)
 _PIXEL_BYTES = 220  # while a picture is made (195 measured, and a lens' 25)
 
 
@@ -52,7 +51,7 @@ def paint(
     camera.require_memory(_PIXEL_BYTES)
     shape = (camera.height, camera.width)
     _, directions = camera.rays()
-    positions, faces, first = joined(meshes)
+    positions, faces, first = joined_meshes(meshes)
     seen = gbuffer.gbuffer(positions, faces, camera.pose, directions.reshape(*shape, 3))
     triangle, weights = seen.triangle.reshape(-1), seen.weights.reshape(-1, 3)
     hit = seen.triangle != gbuffer.NONE

@@ -12,7 +12,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.surface import mlp
 from nerfbake.kernels.surface.mlp import Shown
-from nerfbake.kernels.surface.octahedron import Lookup
+from nerfbake.kernels.surface.octahedron import TexelLookup
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.specular import SpecularField
 
@@ -37,12 +37,12 @@ def measure_atlas_error(
     field: SpecularField,
     *,
     directions: npt.NDArray[np.float64],
-    lookup: Lookup = "bilinear",
+    lookup: TexelLookup = "bilinear",
     thesis_fault: bool = False,
 ) -> AtlasError:
     """The error of an atlas over every used texel and N unit directions (N, 3).
 
-    lookup: kernels.octahedron.sample says which there are; `thesis` also truncates colours where the others round, and
+    lookup: kernels.octahedron.read_maps() says which there are; `thesis` also truncates colours where others round, and
     evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1
     norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the
     texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size, and
@@ -58,14 +58,14 @@ def measure_atlas_error(
     keys, counts = np.unique(_keys(atlas, field), return_counts=True)
     memory.require(f"{len(keys):,} colours", len(keys) * _COLOUR_BYTES)
     codes = (keys >> 40).astype(np.uint32)
-    features = colours.decode((keys & 0xFFFFFF).astype(np.uint32))
+    features = colours.colours_of((keys & 0xFFFFFF).astype(np.uint32))
     index, weight = atlas.terms((keys >> 24 & 0xFFFF).astype(np.uint16), features)
     table = atlas.show(directions, lookup).transpose(0, 2, 1).reshape(len(atlas.tiles), -1)
     shown = Shown(table, index, weight)
     asked = directions / np.abs(directions).sum(axis=1, keepdims=True) if thesis_fault else directions
     sums = _sums(field, codes, shown, asked, lookup)
     if thesis_fault:
-        first = codes == colours.encode(_first_met(field))
+        first = codes == colours.codes_of(_first_met(field))
         met = Shown(table, index[first], weight[first])
         sums[first] = _sums(field, codes[first], met, directions, lookup)
     means = (counts[:, None] * sums).sum(axis=0) / (counts.sum() * table.shape[1])
@@ -75,10 +75,10 @@ def measure_atlas_error(
 
 def _keys(atlas: OctahedralAtlas, field: SpecularField) -> npt.NDArray[np.uint64]:
     """Everything that a used texel's error depends on, in 64 bits: colour code, label, feature code."""
-    keys = colours.encode(field.features[field.used]).astype(np.uint64) << np.uint64(40)
+    keys = colours.codes_of(field.features[field.used]).astype(np.uint64) << np.uint64(40)
     keys |= atlas.labels[field.used].astype(np.uint64) << np.uint64(24)
     if atlas.features is not None:
-        keys |= colours.encode(atlas.features[field.used])
+        keys |= colours.codes_of(atlas.features[field.used])
     return keys
 
 
@@ -94,10 +94,10 @@ def _sums(
     codes: npt.NDArray[np.uint32],
     shown: Shown,
     directions: npt.NDArray[np.float64],
-    lookup: Lookup,
+    lookup: TexelLookup,
 ) -> npt.NDArray[np.float64]:
-    """(m, 4) the differences of m texels, kernels.mlp.compare."""
-    features = colours.decode(codes) / 255
+    """(m, 4) the differences of m texels, kernels.mlp.differences."""
+    features = colours.colours_of(codes) / 255
     if lookup == "thesis":
-        return mlp.compare_exactly(features, directions, field.w0, field.w1, shown)
-    return mlp.compare(features, mlp.split(directions, field.w0, field.w1), shown)
+        return mlp.exact_differences(features, directions, field.w0, field.w1, shown)
+    return mlp.differences(features, mlp.split_layers(directions, field.w0, field.w1), shown)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.maths.equations import solve_banded, solve_each
 from nerfbake.kernels.maths.products import product
@@ -16,8 +17,6 @@ from nerfbake.scene.atlas import ZERO_OFFSET, tetrahedron
 from nerfbake.scene.specular import SpecularField
 from nerfbake.stages.identifiers_to_clusters import FLATNESS, Clusters
 from nerfbake.stages.specular_to_identifiers import Identifiers
-
-Floats = npt.NDArray[np.float64]
 
 _OUTPUTS = 1 << 22  # of the MLP at a time: 16 MB
 _CELL_BITS = 5  # colours of a cell of 5-bit colour stand together in a fit
@@ -53,7 +52,7 @@ def bake_affine_maps(
     The centre c is the cluster's mean, moved as far as it takes for every offset to fit a byte without loss.
     """
     box = np.array([[255] * 3, [0] * 3])[:, None].repeat(clusters.K, axis=1)
-    bytes_ = colours.decode(identifiers.codes)
+    bytes_ = colours.colours_of(identifiers.codes)
     np.minimum.at(box[0], clusters.labels, bytes_)
     np.maximum.at(box[1], clusters.labels, bytes_)
     centres = np.clip(_means(identifiers, clusters), box[1] - (255 - ZERO_OFFSET), box[0] + ZERO_OFFSET)
@@ -84,7 +83,7 @@ def bake_grid_maps(field: SpecularField, identifiers: Identifiers, *, nodes: int
     left, right = np.zeros((nodes**3, steps[-1] + 1)), pull * _outputs(field, at_nodes, map_size)
     left[:, 0] = pull
     low, high = np.tril_indices(len(steps))
-    cubes, labels = np.unique(tetrahedron(colours.decode(identifiers.codes), nodes)[0][:, 0], return_inverse=True)
+    cubes, labels = np.unique(tetrahedron(colours.colours_of(identifiers.codes), nodes)[0][:, 0], return_inverse=True)
     for cube, (features, weight) in zip(cubes, _group(identifiers, labels), strict=True):
         index, share = tetrahedron(255 * features, nodes)
         corners = cube + steps

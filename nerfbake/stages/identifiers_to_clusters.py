@@ -57,10 +57,10 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
     cells = lloyd.bound_cells(points, _cells(identifiers.codes, _CELL_BITS))
     centres = _coarse_centres(identifiers, clusters, np.random.default_rng(seed))
     for _ in range(ROUNDS):
-        centres = lloyd.move(points, weight, lloyd.assign(points, cells, centres)[0], centres)
-    members = lloyd.nearest_members(*lloyd.assign(points, cells, centres), clusters)
+        centres = lloyd.move(points, weight, lloyd.nearest_centres(points, cells, centres)[0], centres)
+    members = lloyd.nearest_members(*lloyd.nearest_centres(points, cells, centres), clusters)
     members = np.unique(members[members >= 0])
-    labels = lloyd.assign(points, cells, points[members])[0]
+    labels = lloyd.nearest_centres(points, cells, points[members])[0]
     # Every member is its own nearest, so that no label is without colours; equal points share the first's.
     held = np.unique(labels)
     return Clusters(np.searchsorted(held, labels).astype(np.int32), members[held])
@@ -79,7 +79,7 @@ def cluster_planes(identifiers: Identifiers, *, clusters: int = 64, seed: int = 
     labels = found.labels
     for _ in range(PLANE_ROUNDS):
         fitted = planes.fit(points, features, identifiers.counts, labels, found.K, FLATNESS)
-        labels = planes.assign(points, features, cells, candidates, fitted)
+        labels = planes.nearest_planes(points, features, cells, candidates, fitted)
     held, compact = np.unique(labels, return_inverse=True)
     return Clusters(compact.astype(np.int32), found.members[held])
 
@@ -96,11 +96,13 @@ def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.G
     def end_of_a_start() -> npt.NDArray[np.float32]:
         centres = lloyd.seed(groups.mean, groups.weight, clusters, random)
         for _ in range(COARSE_ROUNDS):
-            centres = lloyd.move(groups.mean, groups.weight, lloyd.assign(groups.mean, cells, centres)[0], centres)
+            centres = lloyd.move(
+                groups.mean, groups.weight, lloyd.nearest_centres(groups.mean, cells, centres)[0], centres
+            )
         return centres
 
     def inertia(centres: npt.NDArray[np.float32]) -> float:
-        return float((lloyd.assign(groups.mean, cells, centres)[1] * groups.weight).sum())
+        return float((lloyd.nearest_centres(groups.mean, cells, centres)[1] * groups.weight).sum())
 
     if clusters > FEW:
         return end_of_a_start()

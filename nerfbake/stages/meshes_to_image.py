@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from nerfbake.kernels.surface.texture import bilinear
 from nerfbake.scene.camera import Camera
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Meshes
-from nerfbake.stages._surface import WHITE, Hits, paint
+from nerfbake.stages._surface import Hits, paint
 
 GREY = np.float32(0.75)
 _AMBIENT = np.float32(0.25)  # of the colour, where a surface is seen edge-on

@@ -14,7 +14,7 @@ from nerfbake.kernels.octree.pyramid import children_table, drop_empty, merge_eq
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.stages._leaf_values import LeafValues
-from nerfbake.stages._node_values import NodeValues
+from nerfbake.stages._node_values import NodeRows
 
 Resample = Literal["mean", "nearest"]
 
@@ -55,7 +55,7 @@ def build_octree(
     if (levels[-1].leaf >= source.link.size).any():
         leaves.add_means(mixed, size)
     levels = merge_equal(drop_empty(levels, leaves.hold), leaves.same)
-    values = NodeValues(levels, leaves)
+    values = NodeRows(levels, leaves)
     octree = SparseVoxelOctree(
         size=size,
         node_children=children_table(levels, all_slots=layout == "full"),

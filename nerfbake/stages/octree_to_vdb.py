@@ -17,7 +17,7 @@ from nerfbake.kernels.maths.affine import combined
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import popcount
-from nerfbake.kernels.vdb.bricks import Nodes, bricks_of
+from nerfbake.kernels.vdb.bricks import NodeNumbers, bricks_of
 from nerfbake.kernels.vdb.runs import rows_of_runs
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -78,7 +78,7 @@ def _grids(
     grids: tuple[str, ...],
     sigma: npt.NDArray[Any],
     topology: VdbTopology,
-    node: Nodes,
+    node: NodeNumbers,
     dtype: np.dtype[Any],
 ) -> Iterator[VdbTree | IndexGrid]:
     data, B = octree.node_data, (octree.data_dim - 1) // 3
@@ -98,7 +98,7 @@ def _grids(
                 yield tree(f"sh_{k}", _picked(data, node, [k, B + k, 2 * B + k]))
 
 
-def _colour(octree: SparseVoxelOctree, node: Nodes) -> npt.NDArray[np.float32]:
+def _colour(octree: SparseVoxelOctree, node: NodeNumbers) -> npt.NDArray[np.float32]:
     """(m, 3) sRGB: what a voxel shows on average."""
     basis = parse_basis(octree.data_format)
     first = _picked(octree.node_data, node, [0, basis.size, 2 * basis.size])
@@ -112,7 +112,7 @@ def _colour(octree: SparseVoxelOctree, node: Nodes) -> npt.NDArray[np.float32]:
     return colour
 
 
-def _picked(data: npt.NDArray[Any], node: Nodes, columns: list[int]) -> npt.NDArray[Any]:
+def _picked(data: npt.NDArray[Any], node: NodeNumbers, columns: list[int]) -> npt.NDArray[Any]:
     """(m, len(columns)) of each voxel's node these values."""
     flat, width = data.reshape(-1), np.int64(data.shape[1])
     picked = np.empty((len(node), len(columns)), data.dtype)
@@ -125,7 +125,7 @@ def _picked(data: npt.NDArray[Any], node: Nodes, columns: list[int]) -> npt.NDAr
     return picked
 
 
-def _table(data: npt.NDArray[Any], node: Nodes) -> npt.NDArray[Any]:
+def _table(data: npt.NDArray[Any], node: NodeNumbers) -> npt.NDArray[Any]:
     """(m + 1, D) zeros, and each voxel's node."""
     table = np.zeros((len(node) + 1, data.shape[1]), data.dtype)
 
@@ -150,9 +150,7 @@ def _transform(octree: SparseVoxelOctree, up: Up) -> npt.NDArray[np.float64]:
 
 # -- what may be asked -----------------------------------------------------------------------------------------
 def _require_usable(octree: SparseVoxelOctree, grids: tuple[str, ...], up: str) -> None:
-    octree.require_sound()
-    for problem in octree.value_problems():
-        raise InvalidScene(problem)
+    octree.require_usable()
     known = set(grids) <= set(GRIDS) and len(set(grids)) == len(grids) > 0
     if not known or ("index" in grids and len(grids) > 1):
         raise InvalidScene(Problem("grids", f"are {','.join(grids)!r}", "some of density, Cd, sh, or index alone"))

@@ -8,14 +8,14 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import length
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.scene.camera import Camera, Cameras, look_at
-from nerfbake.stages._picture import Scene, frame
+from nerfbake.stages._picture import Visible, frame
 
 FIELD_OF_VIEW = np.radians(40)
-MARGIN = 1.05
+_MARGIN = 1.05
 AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
-def orbit_cameras(scene: Scene, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
+def orbit_cameras(scene: Visible, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
     """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
 
     Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.
@@ -25,7 +25,7 @@ def orbit_cameras(scene: Scene, *, frames: int = 1, width: int = 800, height: in
     corners, axes = frame(scene)
     centre, radius = corners.mean(axis=0), length(corners[1] - corners[0]) / 2
     sine, cosine = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
-    distance = MARGIN * radius / sine
+    distance = _MARGIN * radius / sine
     focal = 0.5 * min(width, height) * cosine / sine
     turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
     poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]

@@ -12,18 +12,26 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.comparison import Comparison
-from nerfbake.scene.image import Image
-from nerfbake.stages._field import Radiance, field_of
-from nerfbake.stages._picture import Scene, picture
+from nerfbake.scene.image import WHITE, Image
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.stages._picture import Visible, picture, visible
+from nerfbake.stages.scene_to_field import FieldSource
 
 MAX_POINTS = 200_000  # leaves whose values are compared
 _PIXEL_BYTES = 280  # while two pictures are held and compared (238 measured, and the pictures' own)
 
 
 def compare_scenes(
-    a: Scene, b: Scene, cameras: Cameras, *, truth: Sequence[Image] | None = None, keep_pictures: bool = True
+    a: Visible | FieldSource,
+    b: Visible | FieldSource,
+    cameras: Cameras,
+    *,
+    truth: Sequence[Image] | None = None,
+    keep_pictures: bool = True,
 ) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
+
+    Fields are built where they are not given: who has one already saves the time.
 
     Without keep_pictures one view's are in memory at a time, and there is nothing to draw. Errors are on sRGB in 0..1,
     before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and for photographs of another
@@ -32,14 +40,15 @@ def compare_scenes(
     if truth is not None and len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
     cameras.require_covered()
+    one, other = visible(a), visible(b)
     views, pictures = [], []
     for i, camera in enumerate(cameras.cameras):
         camera.require_memory(_PIXEL_BYTES)
-        seen = {"a": picture(a, camera), "b": picture(b, camera)}
+        seen = {"a": picture(one, camera), "b": picture(other, camera)}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:
-            photograph = truth[i].over((1.0, 1.0, 1.0))
+            photograph = truth[i].over(WHITE)
             if photograph.alpha.shape != (camera.height, camera.width):
                 height, width = photograph.alpha.shape
                 found = f"has {width}x{height} pixels"
@@ -48,7 +57,7 @@ def compare_scenes(
         views.append(view)
         if keep_pictures:
             pictures.append((photograph, seen["a"], seen["b"]))
-    return Comparison(tuple(views), _value_errors(a, b), tuple(pictures))
+    return Comparison(tuple(views), _value_errors(one, other), tuple(pictures))
 
 
 def _errors(a: Image, b: Image) -> dict[str, float]:
@@ -56,15 +65,12 @@ def _errors(a: Image, b: Image) -> dict[str, float]:
     return {"psnr": psnr(x, y), "ssim": ssim(x, y), "max_error": float(np.abs(x - y).max())}
 
 
-def _value_errors(a: Scene, b: Scene) -> dict[str, Any]:
-    if not (isinstance(a, Radiance) and isinstance(b, Radiance)):
+def _value_errors(a: Visible, b: Visible) -> dict[str, Any]:
+    if not (isinstance(a, RadianceField) and isinstance(b, RadianceField)) or a.basis != b.basis:
         return {}
-    one, other = field_of(a), field_of(b)
-    if one.basis != other.basis:
-        return {}
-    points = one.leaf_centres(MAX_POINTS)
-    difference = np.abs(one.sample(points) - other.sample(points))
-    colours = difference[:, :-1].reshape(len(points), 3, one.basis.size)
+    points = a.leaf_centres(MAX_POINTS)
+    difference = np.abs(a.sample(points) - b.sample(points))
+    colours = difference[:, :-1].reshape(len(points), 3, a.basis.size)
     parts = {"sigma": difference[:, -1], "dc": colours[..., 0], "higher": colours[..., 1:]}
     return {name: _mean_and_max(part) for name, part in parts.items() if part.size}
 

@@ -9,14 +9,13 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.march.sh import band_of, sh_basis
 from nerfbake.kernels.maths.elementary import exp, log, sine_cosine
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.n3tree import N3Tree
 
-Floats = npt.NDArray[np.float64]
-
-EDGE = 2.5  # of the scene's cube, in world units, around the origin
+SCENE_EDGE = 2.5  # of the scene's cube, in world units, around the origin
 SHELL = 0.05  # how deep below a surface cells are as fine as at the surface, in world units
 SIGMA = 180.0  # density of the inside, 1/world unit
 _LIGHT = np.array([0.48, -0.36, 0.8])  # unit, towards the light; z is up
@@ -61,7 +60,7 @@ def _grown(shapes: list[Shape], finest: int, data_format: str) -> N3Tree:
     for level in range(1, finest + 1):
         memory.hold(f"a tree of {1 << level} cells an axis", 8 * len(nodes) * (2 * held + _CELL_BYTES))
         cells = (2 * nodes[:, None] + steps).reshape(-1, 3)
-        width = EDGE / (1 << level)
+        width = SCENE_EDGE / (1 << level)
         parts = [cells[start : start + _CHUNK] for start in range(0, len(cells), _CHUNK)]
         divided = np.concatenate([_divides(shapes, _centres(part, width), width, finest - level) for part in parts])
         offset = np.zeros(len(cells), np.int32)
@@ -79,7 +78,7 @@ def _grown(shapes: list[Shape], finest: int, data_format: str) -> N3Tree:
         child=np.concatenate(children),
         data=np.concatenate(values),
         offset=np.full(3, 0.5),
-        invradius=np.full(3, 1 / EDGE),
+        invradius=np.full(3, 1 / SCENE_EDGE),
         data_format=data_format,
     )
 
@@ -105,7 +104,7 @@ def _colour(random: np.random.Generator, hue: float) -> Floats:
 
 
 def _centres(cells: npt.NDArray[np.int64], width: float) -> Floats:
-    return np.asarray((cells + 0.5) * width - EDGE / 2, np.float64)
+    return np.asarray((cells + 0.5) * width - SCENE_EDGE / 2, np.float64)
 
 
 def _distances(shapes: list[Shape], points: Floats) -> Floats:
@@ -149,7 +148,7 @@ def _values(shapes: list[Shape], centres: Floats, width: float, B: int) -> npt.N
     p, which = centres[held], which[held]
     normal = _normals(shapes, p, which)
     colour = np.stack([shape.colour for shape in shapes])[which]
-    stripes = 0.82 + 0.18 * np.sign(sine_cosine(9 * (p + EDGE))[0].prod(axis=1, keepdims=True))
+    stripes = 0.82 + 0.18 * np.sign(sine_cosine(9 * (p + SCENE_EDGE))[0].prod(axis=1, keepdims=True))
     facing = (normal * _LIGHT).sum(axis=1)
     lit = np.clip(colour * stripes * (0.45 + 0.55 * np.maximum(facing, 0))[:, None], 0.02, 0.98)
     # The highlight is seen along d where -d is the mirrored light: a lobe of band weights exp(-l (l + 1) / 2 gloss).

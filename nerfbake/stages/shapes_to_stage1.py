@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import sigmoid, sine_cosine
 from nerfbake.kernels.maths.products import product
 from nerfbake.kernels.surface.raster import cover
@@ -16,11 +17,9 @@ from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
 from nerfbake.scene.stage1 import Stage1
 
-Floats = npt.NDArray[np.float64]
-
 HIDDEN = 32  # units, as nerf2mesh has them
 RADIUS, THICKNESS = 0.62, 0.27  # of the torus, in world units; its axis is y, which is up
-MARGIN = 0.04  # of the texture around the torus's patch, which no triangle uses
+_MARGIN = 0.04  # of the texture around the torus's patch, which no triangle uses
 _RINGS, _SIDES = 96, 48
 _LIGHT = np.array([0.42, 0.8, -0.43])  # unit, towards the light
 _STEPS, _BATCH, _RATE = 1000, 1024, 0.03
@@ -53,7 +52,7 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
 
 def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """Points and unit normals (..., 3) at texture coordinates: u around the axis, v around the tube."""
-    around, across = ((2 * np.pi * (t - MARGIN) / (1 - 2 * MARGIN)) for t in (u, v))
+    around, across = ((2 * np.pi * (t - _MARGIN) / (1 - 2 * _MARGIN)) for t in (u, v))
     (sine, cosine), (up, flat) = sine_cosine(around), sine_cosine(across)
     normals = np.stack([cosine * flat, up, sine * flat], axis=-1)
     middle = np.stack([cosine, np.zeros_like(around), sine], axis=-1)
@@ -61,7 +60,7 @@ def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
 
 
 def _mesh() -> Mesh:
-    u, v = (MARGIN + (1 - 2 * MARGIN) * np.linspace(0, 1, n + 1) for n in (_RINGS, _SIDES))
+    u, v = (_MARGIN + (1 - 2 * _MARGIN) * np.linspace(0, 1, n + 1) for n in (_RINGS, _SIDES))
     v, u = np.meshgrid(v, u, indexing="xy")
     points, _ = _torus(u, v)
     corner = np.arange(_RINGS)[:, None] * (_SIDES + 1) + np.arange(_SIDES)

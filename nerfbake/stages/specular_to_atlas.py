@@ -17,7 +17,7 @@ from nerfbake.stages.clusters_to_maps import bake_affine_maps, bake_grid_maps, b
 from nerfbake.stages.identifiers_to_clusters import Clusters, cluster_identifiers, cluster_planes
 from nerfbake.stages.specular_to_identifiers import Identifiers, identify_colours
 
-MAX_NODES = 16
+MAX_CUBE_NODES = 16
 _TEXEL_BYTES = 3 * 4 * 8  # a texel's channels, in up to four float64 copies at a time
 # A texel of the texture, while its colour is looked up and, for affine, its distance from a centre taken (72 measured).
 _LABEL_BYTES = {"kmeans": 32, "affine": 96, "grid": 32}
@@ -47,7 +47,7 @@ def bake_atlas(
     """
     for name, value, low, high in (
         ("map size", map_size, 2, MAX_MAP_SIZE),
-        ("nodes", nodes, 2, MAX_NODES),
+        ("nodes", nodes, 2, MAX_CUBE_NODES),
         ("border", border, 0, map_size // 2),
     ):
         if not low <= value <= high:
@@ -81,7 +81,7 @@ def label_texels(field: SpecularField, identifiers: Identifiers, clusters: Clust
     """(H, W) the cluster of each texel's colour; 0 where only unused texels have it."""
     table = np.zeros(colours.CODES, np.uint16)
     table[identifiers.codes] = clusters.labels
-    return table[colours.encode(field.features)]
+    return table[colours.codes_of(field.features)]
 
 
 class _Encoded(NamedTuple):

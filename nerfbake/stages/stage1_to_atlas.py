@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.sphere import fibonacci
-from nerfbake.kernels.surface.octahedron import Lookup
+from nerfbake.kernels.surface.octahedron import TexelLookup
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.atlas_to_error import AtlasError, measure_atlas_error
@@ -68,7 +68,7 @@ def measure_stage1_error(
     *,
     directions: int = 100,
     held_out: bool = False,
-    lookup: Lookup = "bilinear",
+    lookup: TexelLookup = "bilinear",
     thesis_fault: bool = False,
 ) -> list[AtlasError]:
     """The error of each cascade's atlas. held_out: in directions that no bake has seen, instead of the baking ones.

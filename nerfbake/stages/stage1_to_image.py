@@ -7,13 +7,13 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.surface.mlp import evaluate_each
-from nerfbake.kernels.surface.texture import nearest
+from nerfbake.kernels.surface.texture import nearest_texel
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages._surface import WHITE, Hits, paint
+from nerfbake.stages._surface import Hits, paint
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
@@ -47,10 +47,10 @@ def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
 
 def _mlp(stage1: Stage1, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
     field = stage1.fields[cascade]
-    return evaluate_each(nearest(field.features, hits.uvs) / np.float32(255), hits.directions, field.w0, field.w1)
+    return evaluate_each(nearest_texel(field.features, hits.uvs) / np.float32(255), hits.directions, field.w0, field.w1)
 
 
 def _atlas(baked: BakedAtlas, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
     atlas = baked.atlases[cascade]
-    features = None if atlas.features is None else nearest(atlas.features, hits.uvs)
-    return atlas.specular(nearest(atlas.labels, hits.uvs), features, hits.directions)
+    features = None if atlas.features is None else nearest_texel(atlas.features, hits.uvs)
+    return atlas.specular(nearest_texel(atlas.labels, hits.uvs), features, hits.directions)

@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.vdb.bitmask import Ints
+from nerfbake.kernels.arrays import Ints
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 from nerfbake.scene.vdb import IndexGrid
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame, Volume
-from nerfbake.stages._cube_levels import Block, blocks_of, octree_of
+from nerfbake.stages._cube_levels import Block, blocks_of, octree_of_blocks
 from nerfbake.stages._fog import density_of
 
 
@@ -38,7 +38,7 @@ def octree_of_volume(volume: Volume) -> SparseVoxelOctree:
         if low.min() < 0 or (low.max(axis=0) + (1 << height) > frame.size).any():
             size = "x".join(map(str, frame.size))
             raise InvalidScene(Problem("the volume", f"has voxels outside {size}", "voxels of its octree"))
-    return memory.kept(octree_of(blocks, data, frame))
+    return memory.kept(octree_of_blocks(blocks, data, frame))
 
 
 def octree_of_density(volume: Volume) -> SparseVoxelOctree:
@@ -67,7 +67,7 @@ def octree_of_density(volume: Volume) -> SparseVoxelOctree:
         raise InvalidScene(Problem(f"grid {grid.name!r}", found, f"{MAX_SIZE:,} along an axis of an octree"))
     frame = OctreeFrame((int(size[0]), int(size[1]), int(size[2])), "", "full", origin + low * voxel_size, voxel_size)
     return memory.kept(
-        octree_of([Block(block.low - low, block.height, block.row) for block in blocks], grid.values, frame)
+        octree_of_blocks([Block(block.low - low, block.height, block.row) for block in blocks], grid.values, frame)
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import scenes as suite_scenes
 from benchmarks.scenes import Sample, Scenes
-from nerfbake import orbit_cameras, render_field, sample_n3tree, sample_stage1, save
+from nerfbake import build_field, orbit_cameras, render_field, sample_n3tree, sample_stage1, save
 from nerfbake.bench.measure import Result, Work, measure_here
 from nerfbake.io import save_folder
 
@@ -28,11 +28,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tree = sample_n3tree(resolution=EDGE, basis="SH4")
     for name in ("chair_sh9", "chair_sh9_128", "chair_sh9_128_quant"):
         save(chairs / f"{name}.npz", tree)
-    views = orbit_cameras(tree, frames=2, width=EDGE, height=EDGE)
+    field = build_field(tree)
+    views = orbit_cameras(field, frames=2, width=EDGE, height=EDGE)
     save(chairs / "views" / "transforms.json", views)
     save(cameras / "transforms_test.json", views)
     for camera in views.cameras:
-        save(chairs / "views" / f"{camera.name}.png", render_field(tree, camera))
+        save(chairs / "views" / f"{camera.name}.png", render_field(field, camera))
     save_folder(folder / "nerf2mesh" / "mesh_stage1", sample_stage1(resolution=EDGE))
     return folder
 

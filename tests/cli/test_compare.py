@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake import N3Tree, SparseVoxelOctree, load, orbit_cameras, save
+from nerfbake import N3Tree, SparseVoxelOctree, build_field, load, orbit_cameras, save
 from tests.conftest import Shell
 from tests.support.scenes import n3tree
 
@@ -34,7 +34,8 @@ def test_a_budget_that_holds_and_one_that_does_not(shell: Shell, tmp_path: Path)
 
 @pytest.mark.usefixtures("tree_file")
 def test_volumes_have_budgets_too(shell: Shell, tmp_path: Path) -> None:
-    save(tmp_path / "c.json", orbit_cameras(load(tmp_path / "a.npz", N3Tree), frames=2, width=24, height=20))
+    field = build_field(load(tmp_path / "a.npz", N3Tree))
+    save(tmp_path / "c.json", orbit_cameras(field, frames=2, width=24, height=20))
     budget = ["--cameras", "c.json", "--min-psnr", "50"]
     assert shell("vdb", "a.npz", "good.nvdb", "--grids", "index", *budget).returncode == 0
     assert shell("compare", "a.npz", "good.nvdb", "--cameras", "c.json", "--min-psnr", "60").returncode == 0
@@ -124,7 +125,7 @@ def test_a_page_is_nothing_to_read(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("tree_file")
 def test_truth_from_a_folder(shell: Shell, tmp_path: Path) -> None:
     tree = load(tmp_path / "a.npz", N3Tree)
-    save(tmp_path / "cameras.json", orbit_cameras(tree, frames=2, width=24, height=20))
+    save(tmp_path / "cameras.json", orbit_cameras(build_field(tree), frames=2, width=24, height=20))
     assert shell("render", "a.npz", "--cameras", "cameras.json", "--all", "--out", "truth").returncode == 0
     done = shell("compare", "a.npz", "a.npz", "--cameras", "cameras.json", "--truth", "truth", "--json")
     told = json.loads(done.stdout)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
-from nerfbake import Depth, Meshes, build_octree, build_vdb, load, orbit_cameras, save
+from nerfbake import Depth, Meshes, build_field, build_octree, build_vdb, load, orbit_cameras, save
 from nerfbake.cli.main import run
 from tests.conftest import DATA, Shell
 from tests.support.captures import rig, write_colmap_binary
@@ -26,7 +26,7 @@ def scene(tmp_path: Path) -> Path:
     save(tmp_path / "a.npz", tree)
     save(tmp_path / "a.svo.pb", build_octree(tree))
     save(tmp_path / "a.nvdb", build_vdb(build_octree(tree), grids=("index",)))
-    save(tmp_path / "transforms.json", orbit_cameras(tree, frames=3, width=20, height=16))
+    save(tmp_path / "transforms.json", orbit_cameras(build_field(tree), frames=3, width=20, height=16))
     return tmp_path
 
 

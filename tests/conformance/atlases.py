@@ -93,7 +93,7 @@ def _looked_up(made: OctahedralAtlas, told: Facts) -> Facts:
     features = np.zeros((1, 3), np.uint8) if made.features is None else made.features[row, column][None]
     tiles, weights = made.terms(labels, features)
     directions, found = np.array([told["direction"]]), dict(told)
-    kinds: tuple[octahedron.Lookup, ...] = ("bilinear", "nearest", "thesis")
+    kinds: tuple[octahedron.TexelLookup, ...] = ("bilinear", "nearest", "thesis")
     for how in kinds:
         shown = made.show(directions, how)[:, 0]
         found[how] = (weights[0, :, None] * shown[tiles[0]]).sum(axis=0).tolist()

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from nerfbake.scene.vdb import GridClass, IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import OctreeFrame, Volume
 from tests.conformance.case import Case, Frozen, form_named

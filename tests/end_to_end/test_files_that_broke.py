@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from nerfbake import Meshes, build_octree, build_vdb, catalog, load, orbit_cameras, save
+from nerfbake import Meshes, build_field, build_octree, build_vdb, catalog, load, orbit_cameras, save
 from nerfbake.cli.main import run
 from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
@@ -56,7 +56,7 @@ def sound_files_went_through(tmp_path_factory: pytest.TempPathFactory) -> None:
         "a.svo.pb": octree,
         "a.vdb": build_vdb(octree, grids=("density", "sh")),
         "a.nvdb": build_vdb(octree, grids=("index",)),
-        "a.json": orbit_cameras(tree, frames=2, width=16, height=16),
+        "a.json": orbit_cameras(build_field(tree), frames=2, width=16, height=16),
         "a.obj": Meshes((cube(),)),
         "a.glb": Meshes((cube(),)),
     }

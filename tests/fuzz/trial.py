@@ -23,7 +23,7 @@ from nerfbake import catalog, io
 from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
-from nerfbake.stages._picture import picture
+from nerfbake.stages._picture import picture, visible
 from tests.fuzz.breakage import Case
 from tests.support.octrees import small_octree
 from tests.support.peaks import peak, resident
@@ -157,11 +157,11 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     if isinstance(scene, (*radiance, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)):
         yield "render", lambda: _drawn(scene)
     if isinstance(scene, radiance):
-        yield "trilinear", lambda: nerfbake.render_field(scene, _view(scene), lookup="trilinear")
+        yield "trilinear", lambda: _trilinear(scene)
     if isinstance(scene, nerfbake.Cameras):
         yield (
             "cameras",
-            lambda: [nerfbake.render_field(_scene(), camera.resized(EDGE, EDGE)) for camera in scene.cameras[:3]],
+            lambda: [nerfbake.render_field(_field(), camera.resized(EDGE, EDGE)) for camera in scene.cameras[:3]],
         )
         yield "names", lambda: [camera.name.encode() for camera in scene.cameras]
     for form in catalog.formats_of(kind):
@@ -180,8 +180,8 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
 
 
 @cache
-def _scene() -> nerfbake.SparseVoxelOctree:
-    return small_octree()
+def _field() -> nerfbake.RadianceField:
+    return nerfbake.build_field(small_octree())
 
 
 def _view(scene: Any) -> Camera:
@@ -189,7 +189,13 @@ def _view(scene: Any) -> Camera:
 
 
 def _drawn(scene: Any) -> Any:
-    return picture(scene, _view(scene)).pixels
+    seen = visible(scene)
+    return picture(seen, _view(seen)).pixels
+
+
+def _trilinear(scene: Any) -> Any:
+    field = nerfbake.build_field(scene)
+    return nerfbake.render_field(field, _view(field), lookup="trilinear")
 
 
 def _written(form: catalog.Format, scene: Any, place: Path) -> None:

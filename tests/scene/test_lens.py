@@ -6,6 +6,7 @@ from math import atan2, hypot
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -110,6 +111,16 @@ def test_nerfstudios_k4_is_no_denominator(tmp_path: Path) -> None:
     assert_allclose(bent.reshape(10, 14)[0], (np.arange(14) + 0.5 - 7) / 17.5, atol=1e-12)
 
 
+def bent(plane: npt.NDArray[np.float64], k: list[float], p: tuple[float, float]) -> npt.NDArray[np.float64]:
+    """Where a polynomial lens shows points (m, 2) of the plane: Brown's model, written out."""
+    x, y = plane.T
+    r2 = x * x + y * y
+    radial = 1 + sum(value * r2 ** (i + 1) for i, value in enumerate(k))
+    u = x * radial + 2 * p[0] * x * y + p[1] * (r2 + 2 * x * x)
+    v = y * radial + 2 * p[1] * x * y + p[0] * (r2 + 2 * y * y)
+    return np.stack([u, v], axis=1)
+
+
 coefficients = st.floats(-0.4, 0.4)
 
 
@@ -120,11 +131,11 @@ def test_what_is_found_is_right_and_the_nearest(k: list[float], p: tuple[float, 
     points = np.stack([x.ravel(), y.ravel()], axis=1)
     looks, fine = lens.looks(points)
     plane = looks[fine, :2] / looks[fine, 2:]
-    assert_allclose(lens.distorted(plane), points[fine], atol=2e-12)
+    assert_allclose(bent(plane, k, p), points[fine], atol=2e-12)
     assert fine[np.linalg.norm(points, axis=1) < 0.2].all()  # these lenses cover at least so much
     # On the way there from the middle nothing folds: what is seen moves outwards all the way.
     for target in plane[:: len(plane) // 5 + 1] if not any(p) else ():
-        way = np.linalg.norm(lens.distorted(np.linspace(0, 1, 50)[:, None] * target), axis=1)
+        way = np.linalg.norm(bent(np.linspace(0, 1, 50)[:, None] * target, k, p), axis=1)
         assert (np.diff(way) >= 0).all()
 
 

@@ -9,14 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from nerfbake import octree_of_density, orbit_cameras, render_field, summarise_scene
+from nerfbake import build_field, octree_of_density, orbit_cameras, render_field, summarise_scene
 from nerfbake.errors import InvalidScene
 from nerfbake.formats.volume import nanovdb as vdb_nanovdb
 from nerfbake.formats.volume import npz as vdb_npz
 from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.vdb_readers import SCENES, index, transform, tree
@@ -167,14 +168,14 @@ def test_a_small_file_of_large_tiles_stays_small() -> None:
             assert back.problems() == []
         with pytest.raises(InvalidScene, match="reaches over 4,096x4,096x4,224 voxels; allowed: 4,096 along an axis"):
             octree_of_density(back)
-        assert render_field(back, orbit_cameras(back, frames=1, width=4, height=4).cameras[0]).alpha.max() > 0.9
+        field = build_field(back)
+        assert render_field(field, orbit_cameras(field, frames=1, width=4, height=4).cameras[0]).alpha.max() > 0.9
 
 
 def test_colours_finer_than_a_tile_are_refused() -> None:
     density = VdbTree("density", with_tiles(), np.ones((4, 1), np.float32), np.zeros(1, np.float32))
     colour = tree([[3, 5, 6], [9, 1, 1]], channels=3, name="Cd")
-    camera = orbit_cameras(Volume((density,), transform()), frames=1, width=4, height=4).cameras[0]
     with pytest.raises(InvalidScene, match=r"grid 'Cd' has voxels where the density has one tile, at \(8, 0, 0\)"):
-        render_field(Volume((density, colour), transform()), camera)
+        build_field(Volume((density, colour), transform()))
     with pytest.raises(InvalidScene, match="grid 'Cd' stands elsewhere than the density"):
-        render_field(Volume((density, replace(colour, place=np.eye(3, 4))), transform()), camera)
+        build_field(Volume((density, replace(colour, place=np.eye(3, 4))), transform()))

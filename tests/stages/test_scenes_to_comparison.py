@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from nerfbake import Image, build_octree, compare_scenes, orbit_cameras
+from nerfbake import Image, build_field, build_octree, compare_scenes, orbit_cameras
 from nerfbake.errors import BudgetMissed, InvalidScene
 from nerfbake.scene.n3tree import N3Tree
 from tests.support.scenes import n3tree
@@ -21,7 +21,7 @@ def scenes() -> tuple[N3Tree, N3Tree]:
 
 def test_a_scene_against_itself_costs_nothing() -> None:
     a, _ = scenes()
-    found = compare_scenes(a, build_octree(a), orbit_cameras(a, frames=3, width=20, height=16))
+    found = compare_scenes(a, build_octree(a), orbit_cameras(build_field(a), frames=3, width=20, height=16))
     assert found.means["a_b"]["psnr"] > 60
     assert found.means["a_b"]["ssim"] == pytest.approx(1, abs=1e-4)
     assert found.values == {name: {"mean": 0.0, "max": 0.0} for name in ("sigma", "dc", "higher")}
@@ -30,7 +30,7 @@ def test_a_scene_against_itself_costs_nothing() -> None:
 
 def test_what_was_changed_is_what_is_found() -> None:
     a, b = scenes()
-    found = compare_scenes(a, b, orbit_cameras(a, frames=2, width=20, height=16))
+    found = compare_scenes(a, b, orbit_cameras(build_field(a), frames=2, width=20, height=16))
     assert found.values["sigma"] == {"mean": 0.5, "max": 0.5}
     assert found.values["dc"] == {"mean": 0.25, "max": 0.25}
     assert found.values["higher"] == {"mean": 0.0, "max": 0.0}
@@ -42,7 +42,7 @@ def test_what_was_changed_is_what_is_found() -> None:
 
 def test_budgets() -> None:
     a, b = scenes()
-    found = compare_scenes(a, b, orbit_cameras(a, width=20, height=16))
+    found = compare_scenes(a, b, orbit_cameras(build_field(a), width=20, height=16))
     psnr, error = found.means["a_b"]["psnr"], found.means["a_b"]["max_error"]
     found.require(min_psnr=psnr, max_error=error)
     with pytest.raises(BudgetMissed, match=r"mean PSNR of .* dB; allowed: --min-psnr"):
@@ -53,7 +53,7 @@ def test_budgets() -> None:
 
 def test_the_error_against_the_truth_is_shown_too() -> None:
     a, b = scenes()
-    cameras = orbit_cameras(a, width=120, height=60)
+    cameras = orbit_cameras(build_field(a), width=120, height=60)
     black = np.zeros((60, 120, 3), np.float32)
     truth = [Image(black, np.ones((60, 120), np.float32), np.zeros((60, 120), np.float32))]
     found = compare_scenes(a, b, cameras, truth=truth)
@@ -72,7 +72,7 @@ def test_the_error_against_the_truth_is_shown_too() -> None:
 
 def test_a_truth_and_the_sheet() -> None:
     a, b = scenes()
-    cameras = orbit_cameras(a, frames=2, width=20, height=16)
+    cameras = orbit_cameras(build_field(a), frames=2, width=20, height=16)
     clear = np.zeros((16, 20), np.float32)
     truth = [Image(np.zeros((16, 20, 3), np.float32), clear, clear, None)] * 2
     found = compare_scenes(a, b, cameras, truth=truth)
@@ -84,4 +84,4 @@ def test_a_truth_and_the_sheet() -> None:
     with pytest.raises(InvalidScene, match="truth has 1 pictures; allowed: 2"):
         compare_scenes(a, b, cameras, truth=truth[:1])
     with pytest.raises(InvalidScene, match="truth of 0000 has 20x16 pixels; allowed: 30x30"):
-        compare_scenes(a, b, orbit_cameras(a, frames=2, width=30, height=30), truth=truth)
+        compare_scenes(a, b, orbit_cameras(build_field(a), frames=2, width=30, height=30), truth=truth)

@@ -15,7 +15,7 @@ def test_values_are_rounded_to_halves_and_widened_again() -> None:
     assert half.values.dtype == np.float16
     assert_array_equal(half.values, made.grids[0].values.astype(np.float16))
     assert half.background.tolist() == [np.float32(np.float16(0.1))]
-    wide = cast_volume(volume(half), dtype="float32").grids[0]  # type: ignore[arg-type]
+    wide = cast_volume(volume(half), dtype="float32").grids[0]
     assert wide.values.dtype == np.float32
     assert_array_equal(wide.values, half.values.astype(np.float32))
 

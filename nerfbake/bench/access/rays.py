@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.accessor import Floats, Tables, child_of, leaf_at, voxel_of
+from nerfbake.kernels.vdb.accessor import Tables, child_of, leaf_at, voxel_of
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
@@ -65,7 +66,7 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
 @compiled()
 def march(
     tables: Tables,
-    table: Floats,
+    table: Singles,
     start: npt.NDArray[np.float64],
     forward: npt.NDArray[np.float64],
     step: npt.NDArray[np.float64],

@@ -21,7 +21,8 @@ from nerfbake.bench.access.nanovdb import compile_nanovdb, reading_in_cpp
 from nerfbake.bench.access.points import kinds_of_points
 from nerfbake.bench.measure import Work, seconds_of
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, Problem
-from nerfbake.kernels.vdb.accessor import Floats, trilinear
+from nerfbake.kernels.arrays import Singles
+from nerfbake.kernels.vdb.accessor import trilinear
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.volume import Volume
 
@@ -97,7 +98,7 @@ def _ours(name: str, home: Path, channels: int, limit: int) -> tuple[Any, int]:
     def read(points: npt.NDArray[np.float32]) -> Any:
         places, out = points.astype(np.float64), np.empty((len(points), channels), np.float32)
 
-        def work() -> Floats:
+        def work() -> Singles:
             structure.read(*structure.arrays, places, out)
             return out
 

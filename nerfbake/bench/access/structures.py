@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Points, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.vdb.accessor import Floats, Points, mixed
+from nerfbake.kernels.vdb.accessor import mixed
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 
@@ -38,7 +39,7 @@ def _bytes(part: Any) -> int:
     return sum(map(_bytes, part)) if isinstance(part, tuple) else part.nbytes if isinstance(part, np.ndarray) else 0
 
 
-def dense(size: Edges, topology: VdbTopology, values: Floats) -> Structure:
+def dense(size: Edges, topology: VdbTopology, values: Singles) -> Structure:
     """All voxels, x-major; values (m, C) of the active ones."""
     w, h, d = _padded(size)
     table = np.zeros((w * h * d, values.shape[1]), np.float32)
@@ -46,7 +47,7 @@ def dense(size: Edges, topology: VdbTopology, values: Floats) -> Structure:
     return Structure(read_dense, ((w, h, d), table))
 
 
-def pointers(size: Edges, topology: VdbTopology, values: Floats) -> Structure:
+def pointers(size: Edges, topology: VdbTopology, values: Singles) -> Structure:
     """A row number for each voxel, int32 as Plenoxels has it; the last row is that of nothing."""
     w, h, d = _padded(size)
     links = np.full(w * h * d, topology.m, np.int32)
@@ -81,7 +82,7 @@ def _flat(size: Edges, topology: VdbTopology) -> npt.NDArray[np.int64]:
 
 
 @compiled()
-def read_dense(padded: Edges, table: Floats, points: Points, out: Floats) -> None:
+def read_dense(padded: Edges, table: Singles, points: Points, out: Singles) -> None:
     """The rows themselves; padded is the array's size."""
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
@@ -90,7 +91,7 @@ def read_dense(padded: Edges, table: Floats, points: Points, out: Floats) -> Non
 
 
 @compiled()
-def read_pointers(padded: Edges, links: Links, table: Floats, points: Points, out: Floats) -> None:
+def read_pointers(padded: Edges, links: Links, table: Singles, points: Points, out: Singles) -> None:
     """Through the links."""
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
@@ -101,7 +102,7 @@ def read_pointers(padded: Edges, links: Links, table: Floats, points: Points, ou
 
 
 @compiled()
-def read_octree(size: Edges, links: Links, levels: int, table: Floats, points: Points, out: Floats) -> None:
+def read_octree(size: Edges, links: Links, levels: int, table: Singles, points: Points, out: Singles) -> None:
     """From the root for each of the eight."""
     top = len(table) - 1
     for i in range(len(points)):
@@ -136,11 +137,11 @@ def _leaf(size: Edges, links: Links, levels: int, nothing: int, x: int, y: int, 
 
 @compiled(inline=True)
 def _mix(
-    table: Floats,
+    table: Singles,
     r0: Any, r1: Any, r2: Any, r3: Any, r4: Any, r5: Any, r6: Any, r7: Any,
     points: Points,
     x: int, y: int, z: int,
-    out: Floats,
+    out: Singles,
     i: int,
 ) -> None:  # fmt: skip
     f0, f1, f2 = np.float32(points[i, 0] - x), np.float32(points[i, 1] - y), np.float32(points[i, 2] - z)

@@ -35,7 +35,7 @@ class _Layout(NamedTuple):
     """How many focal lengths a model's parameters start with, before cx and cy; what follows, as Lens has it."""
 
     focals: int
-    lens: lens.Model | None = None
+    lens: lens.LensModel | None = None
     k: tuple[int, ...] = ()  # where k1, k2, ... stand
     p: tuple[int, int] | None = None
 

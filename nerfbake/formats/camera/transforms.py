@@ -26,7 +26,7 @@ from nerfbake.formats.camera.transforms_lens import LENS_KEYS, lens_fields, lens
 from nerfbake.formats.wire.json import number, shown, within
 from nerfbake.kernels.maths.elementary import arctan, tangent
 from nerfbake.kernels.soundness import MAX_EDGE
-from nerfbake.scene.camera import FOCAL, Camera, Cameras
+from nerfbake.scene.camera import FOCAL_LENGTHS, Camera, Cameras
 
 # What would change rays, and is read by nobody here: a file that has one of these, other than 0 or false, is refused.
 _UNKNOWN = (
@@ -150,7 +150,7 @@ def _focal(fields: Fields, width: int, height: int, where: str) -> tuple[float, 
 def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | None:
     degrees, pixels, radians = (name.format(axis) for name in _FOCAL)
     if degrees not in fields and pixels in fields:
-        return number(fields, pixels, where, low=FOCAL[0], high=FOCAL[1])
+        return number(fields, pixels, where, low=FOCAL_LENGTHS[0], high=FOCAL_LENGTHS[1])
     key, unit, most = (degrees, "degrees", 180.0) if degrees in fields else (radians, "radians", np.pi)
     if key not in fields:
         return None

@@ -7,10 +7,10 @@ from typing import Any
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.json import number, shown, within
-from nerfbake.scene.lens import Lens, Model
+from nerfbake.scene.lens import Lens, LensModel
 
 # Names of COLMAP's models, as nerfstudio has them, with what k1, k2, ... mean there.
-_MODELS: dict[str, Model] = {
+_MODELS: dict[str, LensModel] = {
     **dict.fromkeys(("SIMPLE_PINHOLE", "PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"), "polynomial"),
     "FULL_OPENCV": "rational",
     **dict.fromkeys(("FISHEYE", "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
@@ -59,7 +59,7 @@ def lens_fields(lens: Lens | None) -> dict[str, Any]:
     }
 
 
-def _model(fields: Mapping[str, Any], where: str) -> Model | None:
+def _model(fields: Mapping[str, Any], where: str) -> LensModel | None:
     named = fields.get("camera_model")
     if named is not None and (not isinstance(named, str) or named not in _MODELS):
         raise InvalidFile(Problem(within(where, "camera_model"), f"is {shown(named)}", ", ".join(_MODELS)))

@@ -9,7 +9,7 @@ import numpy as np
 from nerfbake.formats.mesh.obj_reader import decode_obj
 from nerfbake.formats.mesh.obj_writer import encode_obj
 from nerfbake.formats.wire.texture import decode_texture, encode_texture
-from nerfbake.scene.mesh import Mesh, joined
+from nerfbake.scene.mesh import Mesh, joined_meshes
 from nerfbake.scene.stage1 import diffuse_name
 
 _MTL = "newmtl defaultMat\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\nmap_Kd {}\n"
@@ -25,7 +25,7 @@ def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None
         return None
     parts = decode_obj(files[name], name)
     texture = decode_texture(files[diffuse], diffuse, any_mode=True) if diffuse else None
-    positions, faces, _ = joined(parts)
+    positions, faces, _ = joined_meshes(parts)
     return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture)
 
 

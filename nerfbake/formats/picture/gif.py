@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as Pillow
 
-from nerfbake.kernels.picture.palette import COLOURS, UNKNOWN, nearest
+from nerfbake.kernels.picture.palette import ALL_COLOURS, UNKNOWN, nearest_colour
 from nerfbake.scene.animation import Animation
 
 Pixels = npt.NDArray[np.uint8]
@@ -28,7 +28,7 @@ _RESET = 2  # GIF's disposal method: back to transparency before the next pictur
 
 def encode(animation: Animation) -> Iterator[bytes]:
     palette = _palette(animation)
-    known = np.full(COLOURS, UNKNOWN, np.int16)
+    known = np.full(ALL_COLOURS, UNKNOWN, np.int16)
     pictures = [_indexed(frame.pixels, palette, known) for frame in animation.frames]
     how: dict[str, Any] = {"transparency": _LAST, "disposal": _RESET} if animation.transparent else {}
     file = io.BytesIO()
@@ -64,7 +64,7 @@ def _covered(pixels: Pixels, background: Pixels) -> Pixels:
 
 def _indexed(pixels: Pixels, palette: Pixels, known: npt.NDArray[np.int16]) -> Pillow.Image:
     opaque = pixels.shape[2] == 3
-    indices = nearest(pixels[..., :3].reshape(-1, 3), palette[: _LAST + opaque], known).reshape(pixels.shape[:2])
+    indices = nearest_colour(pixels[..., :3].reshape(-1, 3), palette[: _LAST + opaque], known).reshape(pixels.shape[:2])
     if not opaque:
         indices[pixels[..., 3] < 128] = _LAST
     picture = Pillow.fromarray(indices)

@@ -8,10 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.formats.wire import nanovdb_nodes as nano
-from nerfbake.kernels.vdb.bitmask import Ints, popcount
-from nerfbake.kernels.vdb.runs import Spread, reduce_runs, spread_of, spread_over, spread_with
+from nerfbake.kernels.arrays import Ints
+from nerfbake.kernels.vdb.bitmask import popcount
+from nerfbake.kernels.vdb.runs import RunSpread, reduce_runs, spread_of, spread_over, spread_with
 from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_topology import Cubes, VdbTopology
+from nerfbake.scene.vdb_tiles import Cubes
+from nerfbake.scene.vdb_topology import VdbTopology
 
 Nodes = npt.NDArray[Any]
 
@@ -68,5 +70,5 @@ def add_stats(grid: VdbTree, leaf: Nodes, lower: Nodes, upper: Nodes, root: Node
         root["stats"][:, :2] = grid.background
 
 
-def _set_stats(nodes: Nodes, spread: Spread) -> None:
+def _set_stats(nodes: Nodes, spread: RunSpread) -> None:
     nodes["stats"] = np.stack([spread.low, spread.high, spread.mean, spread.deviation], axis=1)

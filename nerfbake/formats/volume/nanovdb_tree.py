@@ -15,10 +15,13 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire import nanovdb_nodes as nano
 from nerfbake.formats.wire.nanovdb_values import Codes, Room, root_tiles_of, tiles_of, voxels_of
+from nerfbake.kernels.arrays import Bits, Ints
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import Bits, Ints, slots_of
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology, root_keys
+from nerfbake.kernels.vdb.bitmask import slots_of
+from nerfbake.kernels.vdb.slots import root_keys
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 
 _CHUNK = 1 << 12  # leaves' heads at a time
 Nodes = npt.NDArray[Any]

@@ -15,10 +15,12 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.volume.frame import NAME, frame_text
 from nerfbake.formats.volume.nanovdb_stats import add_stats, set_boxes
 from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.kernels.arrays import Ints, Words
 from nerfbake.kernels.maths.affine import inverse, placed
-from nerfbake.kernels.vdb.bitmask import Ints, Words, exclusive_sum, prefix_counts, slots_of
+from nerfbake.kernels.vdb.bitmask import exclusive_sum, prefix_counts, slots_of
+from nerfbake.kernels.vdb.slots import root_keys
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTopology, root_keys
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume, edges_of
 
 Nodes = npt.NDArray[Any]

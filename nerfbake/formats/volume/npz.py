@@ -21,11 +21,13 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem, one_line
 from nerfbake.formats.volume.frame import NAME, frame_text, parse_frame
 from nerfbake.formats.wire.npz_reader import ZIP_MAGIC, NpzReader
 from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.kernels.arrays import Words
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.soundness import place
-from nerfbake.kernels.vdb.bitmask import Words, exclusive_sum, popcount
+from nerfbake.kernels.vdb.bitmask import exclusive_sum, popcount
 from nerfbake.scene.vdb import GRID_CLASSES, IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 
 VERSION, FOREIGN = 1, 2  # and that of files which only other programs' grids need

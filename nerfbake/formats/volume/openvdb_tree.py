@@ -12,9 +12,11 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.openvdb_stream import Stream
 from nerfbake.formats.wire.openvdb_values import Kind, read_leaves, read_slots
 from nerfbake.formats.wire.vdb_held import Held
+from nerfbake.kernels.arrays import Words
 from nerfbake.kernels.maths.casting import cast
-from nerfbake.kernels.vdb.bitmask import Words, popcount
-from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
+from nerfbake.kernels.vdb.bitmask import popcount
+from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTopology
 
 
 class Tree(NamedTuple):

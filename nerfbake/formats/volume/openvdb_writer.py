@@ -25,8 +25,9 @@ import numpy.typing as npt
 from nerfbake.formats.volume.frame import NAME, frame_text
 from nerfbake.formats.wire.openvdb_packer import NodeValues, Packer
 from nerfbake.formats.wire.openvdb_stream import ACTIVE_MASK, ACTIVE_ONLY, ZIP, text
+from nerfbake.kernels.arrays import Ints, Words
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import Ints, Words, exclusive_sum, popcount
+from nerfbake.kernels.vdb.bitmask import exclusive_sum, popcount
 from nerfbake.kernels.vdb.runs import reduce_runs, rows_of_runs
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology

@@ -10,9 +10,10 @@ import numpy.typing as npt
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.wire import nanovdb_nodes as nano
 from nerfbake.formats.wire.vdb_held import Held, differs, joined
+from nerfbake.kernels.arrays import Bits, Ints
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import Bits, Ints, bits_of, words_of
+from nerfbake.kernels.vdb.bitmask import bits_of, words_of
 
 _CHUNK = 256  # leaves at a time by each core
 Nodes = npt.NDArray[Any]

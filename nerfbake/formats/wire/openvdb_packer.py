@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from nerfbake.formats.wire.deflate import deflate
 from nerfbake.formats.wire.openvdb_stream import ACTIVE_ONLY, ALL_VALUES
-from nerfbake.kernels.vdb.bitmask import Bits, Words, bits_of, exclusive_sum, popcount
+from nerfbake.kernels.arrays import Bits, Words
+from nerfbake.kernels.vdb.bitmask import bits_of, exclusive_sum, popcount
 from nerfbake.kernels.vdb.runs import reduce_runs
 
 MINUS, CHOSEN = 1, 3  # codes: inactive voxels are minus the background; or that or the background, as a mask says

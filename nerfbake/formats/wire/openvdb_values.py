@@ -25,9 +25,10 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.deflate import inflate
 from nerfbake.formats.wire.openvdb_stream import ACTIVE_MASK, ALL_VALUES, BLOSC, PACKED, Stream
 from nerfbake.formats.wire.vdb_held import Held, differs, joined
+from nerfbake.kernels.arrays import Words
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import Words, bits_of, exclusive_sum, popcount, words_of
+from nerfbake.kernels.vdb.bitmask import bits_of, exclusive_sum, popcount, words_of
 
 _CHUNK = 256  # leaves unpacked at a time by each core
 # Of the codes: how many inactive values follow, and whether a mask that chooses among them.

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.vdb.bitmask import Bits, Words
+from nerfbake.kernels.arrays import Bits, Words
 
 
 class Held(NamedTuple):

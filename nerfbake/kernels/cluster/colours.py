@@ -17,14 +17,14 @@ CODES = 1 << 24
 _SPREAD = dilate(np.arange(256)).astype(np.uint32)
 
 
-def encode(colours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
+def codes_of(colours: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
     """(..., 3) uint8 -> (...) codes."""
     r, g, b = (_SPREAD[colours[..., channel]] for channel in range(3))
     return (r << 2 | g << 1 | b).astype(np.uint32, copy=False)
 
 
-def decode(codes: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint8]:
-    """(...) codes -> (..., 3) uint8: the inverse of encode()."""
+def colours_of(codes: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint8]:
+    """(...) codes -> (..., 3) uint8: the inverse of codes_of()."""
     bits = codes[..., None] >> np.array([2, 1, 0], np.uint32) & 0x249249
     for shift, keep in ((2, 0x0C30C3), (4, 0x00F00F), (8, 0x0000FF)):  # every third bit -> pairs -> fours -> a byte
         bits = (bits | bits >> shift) & keep

@@ -14,61 +14,58 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
-
-Array = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int64]
-f32 = np.float32
 
 PARTS = 16
 TRIALS = 4  # draws among which each new seed is the best: 3 % less inertia than one draw
 
 
-class Cells(NamedTuple):
+class PointCells(NamedTuple):
     """Runs of points that lie close together."""
 
     start: Ints  # (c + 1,) cell c holds points start[c] to start[c + 1]
-    mean: Array  # (c, p)
-    radius: Array  # (c,) largest distance of a point to the mean
+    mean: Singles  # (c, p)
+    radius: Singles  # (c,) largest distance of a point to the mean
 
 
 class Groups(NamedTuple):
     """The weighted mean of the points of each cell, and their weight."""
 
-    mean: Array
+    mean: Singles
     weight: npt.NDArray[np.float64]
 
 
-def bound_cells(points: Array, start: Ints) -> Cells:
+def bound_cells(points: Singles, start: Ints) -> PointCells:
     """(m, p) points and where each of their cells starts, the end last."""
     mean = group(points, np.ones(len(points)), start).mean
     radius = np.empty(len(mean), np.float32)
     _radii(points, start, mean, radius)
-    return Cells(start, mean, radius)
+    return PointCells(start, mean, radius)
 
 
-def group(points: Array, weight: npt.NDArray[np.float64], start: Ints) -> Groups:
+def group(points: Singles, weight: npt.NDArray[np.float64], start: Ints) -> Groups:
     """The cells' weighted means (c, p) and weights (c,)."""
     total = np.zeros((len(start) - 1, points.shape[1] + 1))
     _cell_sums(points, weight, start, total)
     return Groups((total[:, :-1] / total[:, -1:]).astype(np.float32), total[:, -1])
 
 
-def seed(points: Array, weight: npt.NDArray[np.float64], K: int, random: np.random.Generator) -> Array:
+def seed(points: Singles, weight: npt.NDArray[np.float64], K: int, random: np.random.Generator) -> Singles:
     """(K, p) of the points, far apart: greedy k-means++ (Arthur and Vassilvitskii, 2007), weighted."""
     chosen = np.empty(K, np.int64)
     _seed(np.ascontiguousarray(points.T), weight, random.random((K, TRIALS)), chosen)
     return points[chosen]
 
 
-def assign(points: Array, cells: Cells, centres: Array) -> tuple[npt.NDArray[np.int32], Array]:
+def nearest_centres(points: Singles, cells: PointCells, centres: Singles) -> tuple[npt.NDArray[np.int32], Singles]:
     """(m,) the nearest centre of each point, the first of equals, and its squared distance."""
     label, distance = np.empty(len(points), np.int32), np.empty(len(points), np.float32)
-    _assign(points, *cells, np.ascontiguousarray(centres.T), label, distance)
+    _nearest_centres(points, *cells, np.ascontiguousarray(centres.T), label, distance)
     return label, distance
 
 
-def move(points: Array, weight: npt.NDArray[np.float64], label: npt.NDArray[np.int32], centres: Array) -> Array:
+def move(points: Singles, weight: npt.NDArray[np.float64], label: npt.NDArray[np.int32], centres: Singles) -> Singles:
     """(K, p) the weighted mean of each centre's points; a centre without any stays."""
     parts = np.zeros((PARTS, len(centres), points.shape[1] + 1))
     _label_sums(points, weight, label, parts)
@@ -79,7 +76,7 @@ def move(points: Array, weight: npt.NDArray[np.float64], label: npt.NDArray[np.i
     return moved
 
 
-def nearest_members(label: npt.NDArray[np.int32], distance: Array, K: int) -> Ints:
+def nearest_members(label: npt.NDArray[np.int32], distance: Singles, K: int) -> Ints:
     """(K,) the point closest to each centre among its own, the first of equals; -1 for a centre without any."""
     member = np.full(K, -1, np.int64)
     _nearest_members(label, distance, member)
@@ -87,7 +84,7 @@ def nearest_members(label: npt.NDArray[np.int32], distance: Array, K: int) -> In
 
 
 @compiled(parallel=True)
-def _radii(points: Array, start: Ints, mean: Array, radius: Array) -> None:
+def _radii(points: Singles, start: Ints, mean: Singles, radius: Singles) -> None:
     for c in prange(len(mean)):
         widest = 0.0
         for i in range(start[c], start[c + 1]):
@@ -99,7 +96,7 @@ def _radii(points: Array, start: Ints, mean: Array, radius: Array) -> None:
 
 
 @compiled(parallel=True)
-def _cell_sums(points: Array, weight: npt.NDArray[np.float64], start: Ints, total: npt.NDArray[np.float64]) -> None:
+def _cell_sums(points: Singles, weight: npt.NDArray[np.float64], start: Ints, total: npt.NDArray[np.float64]) -> None:
     p = points.shape[1]
     for c in prange(len(total)):
         for i in range(start[c], start[c + 1]):
@@ -109,7 +106,7 @@ def _cell_sums(points: Array, weight: npt.NDArray[np.float64], start: Ints, tota
 
 
 @compiled(inline=True)
-def squares(point: Array, others: Array, out: Array) -> None:
+def squares(point: Singles, others: Singles, out: Singles) -> None:
     """(n,) squared distances of a point (p,) to others (p, n): a vector register holds several others, and each sum
     runs from the first dimension to the last, whatever the register's width.
     """
@@ -128,7 +125,7 @@ def squares(point: Array, others: Array, out: Array) -> None:
 
 
 @compiled(parallel=True)
-def _seed(across: Array, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.float64], chosen: Ints) -> None:
+def _seed(across: Singles, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.float64], chosen: Ints) -> None:
     """across (p, m): the points' dimensions one after the other."""
     m = across.shape[1]
     K, trials = draws.shape
@@ -159,14 +156,14 @@ def _seed(across: Array, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.
 
 
 @compiled(parallel=True)
-def _assign(
-    points: Array,
+def _nearest_centres(
+    points: Singles,
     start: Ints,
-    mean: Array,
-    radius: Array,
-    across: Array,
+    mean: Singles,
+    radius: Singles,
+    across: Singles,
     label: npt.NDArray[np.int32],
-    distance: Array,
+    distance: Singles,
 ) -> None:
     """across (p, K): the centres' dimensions one after the other."""
     p, K = across.shape
@@ -198,7 +195,7 @@ def _assign(
 
 @compiled(parallel=True)
 def _label_sums(
-    points: Array, weight: npt.NDArray[np.float64], label: npt.NDArray[np.int32], parts: npt.NDArray[np.float64]
+    points: Singles, weight: npt.NDArray[np.float64], label: npt.NDArray[np.int32], parts: npt.NDArray[np.float64]
 ) -> None:
     m, p = points.shape
     for part in prange(len(parts)):
@@ -210,7 +207,7 @@ def _label_sums(
 
 
 @compiled()
-def _nearest_members(label: npt.NDArray[np.int32], distance: Array, member: npt.NDArray[Any]) -> None:
+def _nearest_members(label: npt.NDArray[np.int32], distance: Singles, member: npt.NDArray[Any]) -> None:
     for i in range(len(label)):
         k = label[i]
         if member[k] < 0 or distance[i] < distance[member[k]]:

@@ -9,25 +9,24 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from nerfbake.kernels.cluster.lloyd import PARTS, Cells, squares
+from nerfbake.kernels.arrays import Floats, Singles, f32
+from nerfbake.kernels.cluster.lloyd import PARTS, PointCells, squares
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.equations import solve_each
-
-Array = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.float64]
-f32 = np.float32
 
 _FAR = 1e9
 
 
-def nearest_clusters(cells: Cells, centres: Array, count: int) -> npt.NDArray[np.int32]:
+def nearest_clusters(cells: PointCells, centres: Singles, count: int) -> npt.NDArray[np.int32]:
     """(c, count) the clusters whose centres are closest to each cell's mean, in order; of equals the first."""
     found = np.empty((len(cells.mean), min(count, len(centres))), np.int32)
     _nearest_clusters(cells.mean, np.ascontiguousarray(centres.T), found)
     return found
 
 
-def fit(points: Array, features: Array, weight: Floats, label: npt.NDArray[np.int32], K: int, flatness: float) -> Array:
+def fit(
+    points: Singles, features: Singles, weight: Floats, label: npt.NDArray[np.int32], K: int, flatness: float
+) -> Singles:
     """(K, 4, p) the planes of K clusters; flatness pulls their slopes to 0, per unit of weight.
 
     A cluster without members gets a plane so far away that it stays without.
@@ -43,17 +42,17 @@ def fit(points: Array, features: Array, weight: Floats, label: npt.NDArray[np.in
     return solve_each(left + pull, right).astype(np.float32)
 
 
-def assign(
-    points: Array, features: Array, cells: Cells, candidates: npt.NDArray[np.int32], planes: Array
+def nearest_planes(
+    points: Singles, features: Singles, cells: PointCells, candidates: npt.NDArray[np.int32], planes: Singles
 ) -> npt.NDArray[np.int32]:
     """(m,) which plane comes closest to each point, among its cell's candidates; the first of equals."""
     label = np.empty(len(points), np.int32)
-    _assign(points, features, cells.start, candidates, planes, label)
+    _nearest_planes(points, features, cells.start, candidates, planes, label)
     return label
 
 
 @compiled(parallel=True)
-def _moments(points: Array, features: Array, weight: Floats, label: npt.NDArray[np.int32], moments: Floats) -> None:
+def _moments(points: Singles, features: Singles, weight: Floats, label: npt.NDArray[np.int32], moments: Floats) -> None:
     m, p = points.shape
     for part in prange(len(moments)):
         x = np.ones(4)
@@ -70,7 +69,7 @@ def _moments(points: Array, features: Array, weight: Floats, label: npt.NDArray[
 
 
 @compiled(parallel=True)
-def _nearest_clusters(mean: Array, across: Array, found: npt.NDArray[np.int32]) -> None:
+def _nearest_clusters(mean: Singles, across: Singles, found: npt.NDArray[np.int32]) -> None:
     """across (p, K): the centres' dimensions one after the other."""
     K, count = across.shape[1], found.shape[1]
     for c in prange(len(mean)):
@@ -89,12 +88,12 @@ def _nearest_clusters(mean: Array, across: Array, found: npt.NDArray[np.int32]) 
 
 
 @compiled(parallel=True)
-def _assign(
-    points: Array,
-    features: Array,
+def _nearest_planes(
+    points: Singles,
+    features: Singles,
     start: npt.NDArray[np.int64],
     candidates: npt.NDArray[np.int32],
-    planes: Array,
+    planes: Singles,
     label: npt.NDArray[np.int32],
 ) -> None:
     p, count = points.shape[1], candidates.shape[1]

@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 
-MAX_BYTES = 10
-CHUNK = 1 << 18  # bytes decoded at a time
+MAX_VARINT = 10
+_CHUNK = 1 << 18  # bytes decoded at a time
 
 
 def varint_sizes(values: npt.NDArray[np.int32]) -> int:
     """Bytes that these numbers take as varints."""
     size, low, high = values.size, int(values.min(initial=0)), int(values.max(initial=0))
     if low < 0:
-        size += (MAX_BYTES - 1) * int(np.count_nonzero(values < 0))
+        size += (MAX_VARINT - 1) * int(np.count_nonzero(values < 0))
     for bits in range(7, high.bit_length(), 7):
         size += int(np.count_nonzero(values >= 1 << bits))
     return size
@@ -38,7 +38,7 @@ def encode_varints(values: npt.NDArray[np.int32]) -> bytes:
     # Most numbers of a table are 0, which is a byte of 0: the others are put in between.
     at = np.flatnonzero(values != 0)
     some = values[at].astype(np.int64).view(np.uint64)
-    width = MAX_BYTES if low < 0 else -(-high.bit_length() // 7)
+    width = MAX_VARINT if low < 0 else -(-high.bit_length() // 7)
     longer = [some >= np.uint64(1 << 7 * k) for k in range(1, width)] + [np.zeros(len(some), bool)]
     extra = np.add.reduce(longer, dtype=np.int64)
     begin = at + np.cumsum(extra) - extra
@@ -56,15 +56,17 @@ def decode_varints(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
 
     Takes 4 bytes a number and a few megabytes. Raises InvalidFile for a number that never ends.
     """
-    parts = [data[start : start + CHUNK] for start in range(0, len(data), CHUNK)]
+    parts = [data[start : start + _CHUNK] for start in range(0, len(data), _CHUNK)]
     out = np.empty(sum(int(np.count_nonzero(part < 0x80)) for part in parts), np.int32)
     begin = filled = 0
     while begin < len(data):
-        part = data[begin : begin + CHUNK]
+        part = data[begin : begin + _CHUNK]
         ends = np.flatnonzero(part < 0x80)
         sizes = np.diff(ends, prepend=-1)
-        if not len(ends) or sizes.max() > MAX_BYTES:
-            raise InvalidFile(Problem(f"a varint behind byte {begin:,}", "does not end", f"{MAX_BYTES} bytes a number"))
+        if not len(ends) or sizes.max() > MAX_VARINT:
+            raise InvalidFile(
+                Problem(f"a varint behind byte {begin:,}", "does not end", f"{MAX_VARINT} bytes a number")
+            )
         values = _numbers(part, ends - sizes + 1, sizes)
         out[filled : filled + len(values)] = values
         # A number that the chunk's end cuts in two is read with the next chunk.

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.jit import compiled
 
 EMPTY = -1
-Ints = npt.NDArray[np.int64]
 
 
 class Cells(NamedTuple):

@@ -15,21 +15,14 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from nerfbake.kernels.arrays import Floats
+
 Coefficients = Sequence[float]
 
 EXACT = 1e-12  # how near a point that was found has to come to the one that was asked for
 _STEPS = 20  # of Newton; four are usual
 _ENTRIES = 4096  # of the table that the search starts from
 _CHUNK = 1 << 14  # points at a time: what is in work stays in a core's cache
-
-
-def distort(points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float]) -> Floats:
-    """Where a lens puts points (m, 2): (m, 2)."""
-    x, y = points.T
-    s = x * x + y * y
-    scale, _ = _scale(s, numerator, denominator)
-    return np.stack(_moved(x, y, s, scale, p), axis=1)
 
 
 def undistort(

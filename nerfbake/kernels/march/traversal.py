@@ -8,31 +8,29 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, new_path
-from nerfbake.kernels.maths.elementary import exp_parts as _exp_parts
+from nerfbake.kernels.maths.elementary import exp_parts
 
-BLOCK = 256  # rays that one core does before it takes the next
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
+_BLOCK = 256  # rays that one core does before it takes the next
 
-exp_parts: Any = compiled()(_exp_parts)
+compiled_exp_parts: Any = compiled()(exp_parts)
 
 
 @compiled(parallel=True)
 def march(
     cells: Cells,
-    values: Floats,
-    box: Doubles,
-    origin: Doubles,
-    directions: Doubles,
-    stop: Doubles,
-    basis: Floats,
+    values: Singles,
+    box: Floats,
+    origin: Floats,
+    directions: Floats,
+    stop: Floats,
+    basis: Singles,
     cut: float,
-    out: Floats,
+    out: Singles,
 ) -> None:
     """Front to back, until the ray leaves the box, reaches its stop or lets less than `cut` through.
 
@@ -42,11 +40,11 @@ def march(
     """
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
-    blocks, levels, B = (len(directions) + BLOCK - 1) // BLOCK, len(cells.bits), basis.shape[1]
+    blocks, levels, B = (len(directions) + _BLOCK - 1) // _BLOCK, len(cells.bits), basis.shape[1]
     for turn in prange(blocks):
         block = shuffled(turn, blocks)
         path = new_path(cells)
-        for ray in range(block * BLOCK, min((block + 1) * BLOCK, len(directions))):
+        for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
             d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
             # From where the ray enters: distances stay small, and exact, however far away the camera is.
@@ -72,13 +70,13 @@ def march(
                     row = -2 - slot
                     sigma = values[row, 3 * B]
                     depth = sigma * (min(ahead, end) - t) * world
-                    whole, rest = exp_parts(-depth)
+                    whole, rest = compiled_exp_parts(-depth)
                     kept = whole + whole * rest
                     r, g, b = sums(values, row, basis, ray)
                     weight = through * (1 - kept)
-                    red += weight * sigmoid(r)
-                    green += weight * sigmoid(g)
-                    blue += weight * sigmoid(b)
+                    red += weight * sigmoid_of(r)
+                    green += weight * sigmoid_of(g)
+                    blue += weight * sigmoid_of(b)
                     # The mean distance within the cell, of what is lost there.
                     far += weight * (start + t) * world + through * (1 - kept - depth * kept) / sigma
                     through *= kept
@@ -92,14 +90,14 @@ def march(
 
 
 @compiled()
-def sums(values: Floats, row: int, basis: Floats, ray: int) -> Any:
+def sums(values: Singles, row: int, basis: Singles, ray: int) -> Any:
     """A leaf's coefficients times the basis in a ray's direction, summed up: red, green, blue."""
     B = basis.shape[1]
     return _sum(values, row, 0, basis, ray), _sum(values, row, B, basis, ray), _sum(values, row, 2 * B, basis, ray)
 
 
 @compiled(inline=True)
-def _sum(values: Floats, row: int, first: int, basis: Floats, ray: int) -> Any:
+def _sum(values: Singles, row: int, first: int, basis: Singles, ray: int) -> Any:
     """Four sums at a time, always the same four: as fast as fastmath, and the same bits on every CPU."""
     B, zero = basis.shape[1], np.float32(0)
     s0, s1, s2, s3 = zero, zero, zero, zero
@@ -114,8 +112,8 @@ def _sum(values: Floats, row: int, first: int, basis: Floats, ray: int) -> Any:
 
 
 @compiled()
-def sigmoid(x: Any) -> Any:
-    whole, rest = exp_parts(-np.float64(x))
+def sigmoid_of(x: Any) -> Any:
+    whole, rest = compiled_exp_parts(-np.float64(x))
     return np.float32(1 / (1 + (whole + whole * rest)))
 
 
@@ -158,7 +156,7 @@ def within(place: float, low: float, high: float) -> int:
 
 
 @compiled()
-def span(box: Doubles, origin: Doubles, directions: Doubles, ray: int, stop: float) -> Any:
+def span(box: Floats, origin: Floats, directions: Floats, ray: int, stop: float) -> Any:
     """Where a ray enters the box and leaves it, or stops, in cells; and how many cells are one world unit."""
     d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]
     scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)

@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.cells import EMPTY, Cells, Ints, descend, new_path
+from nerfbake.kernels.march.cells import EMPTY, Cells, descend, new_path
 from nerfbake.kernels.march.traversal import (
-    BLOCK,
-    Doubles,
-    Floats,
+    _BLOCK,
     beyond,
-    exp_parts,
+    compiled_exp_parts,
     shuffled,
-    sigmoid,
+    sigmoid_of,
     span,
     sums,
     within,
@@ -34,23 +33,23 @@ GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; 
 @compiled(parallel=True)
 def march_smooth(
     cells: Cells,
-    values: Floats,
-    box: Doubles,
-    origin: Doubles,
-    directions: Doubles,
-    stop: Doubles,
-    basis: Floats,
+    values: Singles,
+    box: Floats,
+    origin: Floats,
+    directions: Floats,
+    stop: Floats,
+    basis: Singles,
     cut: float,
-    out: Floats,
+    out: Singles,
 ) -> None:
     """As traversal.march, but that positions count from the first cell's centre; the box goes from centre to centre."""
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
-    blocks, levels = (len(directions) + BLOCK - 1) // BLOCK, len(cells.bits)
+    blocks, levels = (len(directions) + _BLOCK - 1) // _BLOCK, len(cells.bits)
     for turn in prange(blocks):
         block = shuffled(turn, blocks)
         path, corners = new_path(cells), np.zeros((8, 4))
-        for ray in range(block * BLOCK, min((block + 1) * BLOCK, len(directions))):
+        for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
             d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
             o0, o1, o2 = origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2
@@ -77,12 +76,12 @@ def march_smooth(
                         at = t + length * (GAUSS if point == 0 else 1 - GAUSS)
                         sigma, r, g, b = _between(corners, o0 + at * d0 - x, o1 + at * d1 - y, o2 + at * d2 - z)
                         if sigma > 0:
-                            whole, rest = exp_parts(-sigma * 0.5 * length * world)
+                            whole, rest = compiled_exp_parts(-sigma * 0.5 * length * world)
                             kept = whole + whole * rest
                             lost = through * (1 - kept)
-                            red += lost * sigmoid(r / sigma)
-                            green += lost * sigmoid(g / sigma)
-                            blue += lost * sigmoid(b / sigma)
+                            red += lost * sigmoid_of(r / sigma)
+                            green += lost * sigmoid_of(g / sigma)
+                            blue += lost * sigmoid_of(b / sigma)
                             far += lost * (start + at) * world
                             through *= kept
                     if through < cut:
@@ -110,14 +109,14 @@ def _slot(cells: Cells, path: Ints, x: int, y: int, z: int) -> Any:
 def _fetch(
     cells: Cells,
     path: Ints,
-    values: Floats,
-    basis: Floats,
+    values: Singles,
+    basis: Singles,
     ray: int,
     x: int,
     y: int,
     z: int,
     fresh: int,
-    corners: Doubles,
+    corners: Floats,
 ) -> None:
     """Density, and density times the sums of coefficients, at the corners 4 dx + 2 dy + dz of a cube.
 
@@ -142,7 +141,7 @@ def _fetch(
 
 
 @compiled(inline=True)
-def _between(corners: Doubles, f0: float, f1: float, f2: float) -> Any:
+def _between(corners: Floats, f0: float, f1: float, f2: float) -> Any:
     """The corners' four values at a place in their cube, 0 to 1 along each axis."""
     sigma, r, g, b = 0.0, 0.0, 0.0, 0.0
     for corner in range(8):

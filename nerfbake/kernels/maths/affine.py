@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from nerfbake.kernels.arrays import Floats
 
 
 def turned(vectors: npt.NDArray[Any], matrix: Floats) -> Floats:

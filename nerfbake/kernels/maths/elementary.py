@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from nerfbake.kernels.arrays import Floats
 
 _STEPS = 32  # of a doubling, in a table
 # 2^(j / 32) by five whole square roots of 2^(j + 32 * 64), which are exact to their last bit.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.jit import compiled
-
-Floats = npt.NDArray[np.float64]
 
 _COLUMNS = 64  # of right sides that a core takes at a time
 

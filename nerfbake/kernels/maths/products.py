@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.jit import compiled
-
-Floats = npt.NDArray[np.float64]
 
 _ROWS, _COLUMNS = 8, 256  # of a tile of the result: 16 KB stay in the first-level cache
 _DEPENDENT = 1e-6  # of its length: a column that keeps less depends on those before it

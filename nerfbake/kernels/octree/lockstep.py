@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.octree.pyramid import INNER, Level
 
-Ints = npt.NDArray[np.int64]
-
 # Octant o = x + 2y + 4z: the steps of each axis.
-STEPS = tuple(np.arange(8) >> axis & 1 for axis in range(3))
-MAX_NUMBER = 2**31 - 1  # of a leaf: 32 bits keep the levels half as large
-CHUNK = 1 << 13  # cubes split at a time: temporaries stay in the cache, and memory bounded
+_STEPS = tuple(np.arange(8) >> axis & 1 for axis in range(3))
+_MAX_NUMBER = 2**31 - 1  # of a leaf: 32 bits keep the levels half as large
+_CHUNK = 1 << 13  # cubes split at a time: temporaries stay in the cache, and memory bounded
 
 
 class Source(NamedTuple):
@@ -32,7 +31,7 @@ class Source(NamedTuple):
     density: npt.NDArray[np.float32]  # (n C,) density of leaves, 0 in empty ones and where there is a child
 
 
-class Cubes(NamedTuple):
+class OctreeCubes(NamedTuple):
     """Octree nodes of one level: where they are, and the deepest source node that contains each."""
 
     x: Ints
@@ -41,18 +40,18 @@ class Cubes(NamedTuple):
     row: Ints
     depth: Ints
 
-    def take(self, which: npt.NDArray[np.bool_]) -> Cubes:
-        return Cubes(*(array[which] for array in self))
+    def take(self, which: npt.NDArray[np.bool_]) -> OctreeCubes:
+        return OctreeCubes(*(array[which] for array in self))
 
 
-def split(parents: Cubes) -> Cubes:
+def octants_of(parents: OctreeCubes) -> OctreeCubes:
     """The eight octants of every cube, parent after parent."""
-    place = (((q[:, None] << 1) + step).reshape(-1) for q, step in zip(parents[:3], STEPS, strict=True))
+    place = (((q[:, None] << 1) + step).reshape(-1) for q, step in zip(parents[:3], _STEPS, strict=True))
     x, y, z = place
-    return Cubes(x, y, z, np.repeat(parents.row, 8), np.repeat(parents.depth, 8))
+    return OctreeCubes(x, y, z, np.repeat(parents.row, 8), np.repeat(parents.depth, 8))
 
 
-def spans(cubes: Cubes, shift: int, size: tuple[int, int, int], *, centres: bool) -> list[tuple[Ints, Ints]]:
+def spans(cubes: OctreeCubes, shift: int, size: tuple[int, int, int], *, centres: bool) -> list[tuple[Ints, Ints]]:
     """Per axis the part of the grid that each cube of 2^shift voxels covers, from a to b, in units of 1 / 2W.
 
     With `centres` from its first to its last voxel centre, else from edge to edge. Cut at the grid's end.
@@ -65,9 +64,9 @@ def spans(cubes: Cubes, shift: int, size: tuple[int, int, int], *, centres: bool
     return found
 
 
-def descend(
-    source: Source, cubes: Cubes, shift: int, size: tuple[int, int, int], *, centres: bool
-) -> tuple[Ints, Cubes]:
+def descend_source(
+    source: Source, cubes: OctreeCubes, shift: int, size: tuple[int, int, int], *, centres: bool
+) -> tuple[Ints, OctreeCubes]:
     """Follows the source tree down as long as one of its cells contains the whole cube.
 
     -> (m,) the flat leaf cell that contains it (density 0: nothing there), or INNER, and the cubes with the deepest
@@ -96,7 +95,9 @@ def descend(
     return leaf, cubes._replace(row=row, depth=depth)
 
 
-def refine(source: Source, size: tuple[int, int, int], *, centres: bool, node_bytes: int) -> tuple[list[Level], Cubes]:
+def refine(
+    source: Source, size: tuple[int, int, int], *, centres: bool, node_bytes: int
+) -> tuple[list[Level], OctreeCubes]:
     """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
 
     -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
@@ -105,9 +106,9 @@ def refine(source: Source, size: tuple[int, int, int], *, centres: bool, node_by
     the nodes, at node_bytes each, take too much.
     """
     if _halves_alike(source, size, centres=centres):
-        return _follow(source, size, node_bytes), Cubes(*(np.zeros(0, np.int64) for _ in range(5)))
+        return _follow(source, size, node_bytes), OctreeCubes(*(np.zeros(0, np.int64) for _ in range(5)))
     shift = max(edge - 1 for edge in size).bit_length()
-    root = Cubes(*(np.zeros(1, np.int64) for _ in range(5)))
+    root = OctreeCubes(*(np.zeros(1, np.int64) for _ in range(5)))
     level, inner = _keep(source, root, root.row, np.zeros(1, np.uint8), shift, size, centres=centres)
     if not len(level.leaf):
         # Nothing anywhere: the root stays, an inner node without children.
@@ -117,15 +118,15 @@ def refine(source: Source, size: tuple[int, int, int], *, centres: bool, node_by
         shift -= 1
         found = []
         at = np.flatnonzero(level.leaf == INNER)
-        for start in range(0, len(at), CHUNK):
-            some = slice(start, start + CHUNK)
-            cubes = split(Cubes(*(array[some] for array in inner)))
+        for start in range(0, len(at), _CHUNK):
+            some = slice(start, start + _CHUNK)
+            cubes = octants_of(OctreeCubes(*(array[some] for array in inner)))
             parent, octant = np.repeat(at[some], 8), np.tile(np.arange(8, dtype=np.uint8), len(at[some]))
             found.append(_keep(source, cubes, parent, octant, shift, size, centres=centres))
             nodes += len(found[-1][0].leaf)
             _require_room(nodes, size, node_bytes)
         level = Level(*(np.concatenate(arrays) for arrays in zip(*(piece for piece, _ in found), strict=True)))
-        inner = Cubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
+        inner = OctreeCubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
         levels.append(level)
     # Whatever is still not within one leaf is a single voxel: a whole node of the source, or parts of several.
     exact = np.ones(len(inner.row), bool)
@@ -166,8 +167,8 @@ def _follow(source: Source, size: tuple[int, int, int], node_bytes: int) -> list
 
 def _number(level: Level, number: Ints, source: Source) -> None:
     """Numbers the voxels that are not within one leaf."""
-    if max(source.link.size, number.max(initial=0)) > MAX_NUMBER:
-        raise InvalidScene(Problem("the tree", f"has {source.link.size:,} cells", f"{MAX_NUMBER:,} with their voxels"))
+    if max(source.link.size, number.max(initial=0)) > _MAX_NUMBER:
+        raise InvalidScene(Problem("the tree", f"has {source.link.size:,} cells", f"{_MAX_NUMBER:,} with their voxels"))
     level.leaf[level.leaf == INNER] = number
 
 
@@ -177,21 +178,21 @@ def _require_room(nodes: int, size: tuple[int, int, int], node_bytes: int) -> No
 
 def _keep(
     source: Source,
-    cubes: Cubes,
+    cubes: OctreeCubes,
     parent: Ints,
     octant: npt.NDArray[np.uint8],
     shift: int,
     size: tuple[int, int, int],
     *,
     centres: bool,
-) -> tuple[Level, Cubes]:
+) -> tuple[Level, OctreeCubes]:
     """Of these cubes those in the grid that hold something; and of them again those to be split."""
     within = np.ones(len(parent), bool)
     for q, edge in zip(cubes[:3], size, strict=True):
         within &= q << shift < edge
     if not within.all():
         cubes, parent, octant = cubes.take(within), parent[within], octant[within]
-    leaf, cubes = descend(source, cubes, shift, size, centres=centres)
+    leaf, cubes = descend_source(source, cubes, shift, size, centres=centres)
     held = (leaf == INNER) | (source.density[leaf] > 0)
     # A leaf may not reach beyond the grid: its values would fill space that is none of its own.
     for q, edge in zip(cubes[:3], size, strict=True):

@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.octree.morton import dilate
 from nerfbake.kernels.parallel import over_chunks
 
-CHUNK = 1 << 15
+_CHUNK = 1 << 15
 SNAP = 1e-12  # in tree units: a point this close below a boundary counts as on it
-
-Points = npt.NDArray[np.float64]
 
 
 def as_points(points: npt.ArrayLike) -> Points:
@@ -39,7 +38,7 @@ def in_chunks(read: Callable[[Points], npt.NDArray[np.float32]], points: Points,
     def work(begin: int, end: int) -> None:
         out[begin:end] = read(flat[begin:end])
 
-    over_chunks(work, len(flat), CHUNK)
+    over_chunks(work, len(flat), _CHUNK)
     return out.reshape(*points.shape[:-1], width)
 
 

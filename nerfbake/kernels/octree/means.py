@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import expm1
 from nerfbake.kernels.parallel import over_chunks
 
-CHUNK = 1 << 12  # rows at a time: temporaries stay in the second-level cache
-
-Floats = npt.NDArray[np.float64]
+_CHUNK = 1 << 12  # rows at a time: temporaries stay in the second-level cache
 
 
 def opacity(sigma: npt.NDArray[Any], length: float) -> Floats:
@@ -57,7 +56,7 @@ def mean_of_runs(
     ends = np.cumsum(counts)
     out_opacity = np.zeros(len(counts))
     # Blocks of whole runs, each about as many rows.
-    edges = np.flatnonzero(np.diff(ends // CHUNK, prepend=-1, append=-1))
+    edges = np.flatnonzero(np.diff(ends // _CHUNK, prepend=-1, append=-1))
 
     def work(begin: int, end: int) -> None:
         for run, stop in zip(edges[begin:end], edges[begin + 1 : end + 1], strict=True):

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.octree.lockstep import Cubes, Ints, Source, spans
+from nerfbake.kernels.arrays import Ints
+from nerfbake.kernels.octree.lockstep import OctreeCubes, Source, spans
 
 
 class Parts(NamedTuple):
@@ -18,7 +19,7 @@ class Parts(NamedTuple):
     volume: npt.NDArray[np.float64]  # share of the voxel, 0..1; what is left of 1 is empty
 
 
-def parts_of(source: Source, voxels: Cubes, size: tuple[int, int, int]) -> Parts:
+def parts_of(source: Source, voxels: OctreeCubes, size: tuple[int, int, int]) -> Parts:
     """The leaves, and the nodes as large as possible, that lie in each voxel; parts of no density are left out.
 
     voxels: single voxels with a source node that contains each. Nodes on a voxel's border are cut open down to

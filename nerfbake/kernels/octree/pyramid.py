@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Ints = npt.NDArray[np.int64]
+from nerfbake.kernels.arrays import Ints
+
 INNER = -1  # in place of a leaf's number: the node has children
 
 

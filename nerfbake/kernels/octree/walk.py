@@ -6,13 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import Problem
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.soundness import place, plural
 
-Rows = npt.NDArray[np.int64]
 # Bytes that a walk takes for each node, for each cell of a level, and for each of those that points somewhere.
 _PER_NODE, _PER_CELL, _PER_POINTER = 25, 5, 80
 
@@ -20,14 +19,14 @@ _PER_NODE, _PER_CELL, _PER_POINTER = 25, 5, 80
 class Walk(NamedTuple):
     """What the walk found: per level the rows in breadth-first order and the cell that points to each."""
 
-    levels: list[Rows]
-    cells: list[Rows]  # flat index row * C + cell of the parent's cell; -1 for the root
+    levels: list[Ints]
+    cells: list[Ints]  # flat index row * C + cell of the parent's cell; -1 for the root
     problems: list[Problem]
 
 
 def walk(
     n: int,
-    targets: Callable[[Rows], tuple[Rows, Rows]],
+    targets: Callable[[Ints], tuple[Ints, Ints]],
     *,
     shape: tuple[int, ...],
     name: str,
@@ -80,7 +79,7 @@ class _Problems:
         self.name, self.shape, self.n, self.later = name, shape, n, later
         self.found: list[Problem] = []
 
-    def add(self, text: str, cell: Rows, target: Rows) -> None:
+    def add(self, text: str, cell: Ints, target: Ints) -> None:
         if not len(cell):
             return
         row = int(cell[0]) // int(np.prod(self.shape))
@@ -90,10 +89,10 @@ class _Problems:
         )
         self.found.append(Problem(self._place(cell), text.format(target[0]), f"0 (no child), {nodes}", len(cell)))
 
-    def add_deep(self, cell: Rows, max_levels: int) -> None:
+    def add_deep(self, cell: Ints, max_levels: int) -> None:
         self.found.append(
             Problem(self._place(cell), f"leads to level {max_levels}", f"levels 0 to {max_levels - 1}", len(cell))
         )
 
-    def _place(self, cell: Rows) -> str:
+    def _place(self, cell: Ints) -> str:
         return place(self.name, np.unravel_index(int(cell[0]), (self.n, *self.shape)))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log
-
-Pixels = npt.NDArray[np.float64]
 
 IDENTICAL = 100.0  # dB: what equal pictures count as, since a mean over views must stay a number
 _LN_10 = 2.302585092994046
@@ -15,13 +13,13 @@ _WINDOW, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-def psnr(a: Pixels, b: Pixels) -> float:
+def psnr(a: Floats, b: Floats) -> float:
     """Peak signal-to-noise ratio of (H, W, 3) in 0..1, in dB; IDENTICAL at most."""
     error = float(np.square(a - b).mean())
     return min(-10 / _LN_10 * float(log(error)), IDENTICAL) if error > 0 else IDENTICAL
 
 
-def ssim(a: Pixels, b: Pixels) -> float:
+def ssim(a: Floats, b: Floats) -> float:
     """Structural similarity of (H, W, 3) in 0..1: the mean over channels and over all places where an 11 x 11 Gaussian
     window (sigma 1.5) fits; 1 for equal pictures. Source: Wang et al., 2004. Pictures smaller than the window get one
     as large as they are.
@@ -31,7 +29,7 @@ def ssim(a: Pixels, b: Pixels) -> float:
     window = exp(-0.5 * (x / _SIGMA) ** 2)
     window /= window.sum()
 
-    def blur(values: Pixels) -> Pixels:
+    def blur(values: Floats) -> Floats:
         for axis in (0, 1):
             moved = np.moveaxis(values, axis, 0)
             count = len(moved) - size + 1

@@ -7,16 +7,16 @@ import numpy.typing as npt
 
 from nerfbake.kernels.jit import compiled
 
-Indices = npt.NDArray[np.uint8]
-
-COLOURS = 1 << 24
+ALL_COLOURS = 1 << 24
 UNKNOWN = -1
 
 
-def nearest(pixels: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8], known: npt.NDArray[np.int16]) -> Indices:
+def nearest_colour(
+    pixels: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8], known: npt.NDArray[np.int16]
+) -> npt.NDArray[np.uint8]:
     """(m,) uint8: each pixel's (m, 3) closest colour of the palette (K <= 256, 3), the first of equals.
 
-    known: (COLOURS,) full of UNKNOWN at first; what was found once for a palette is only looked up from then on.
+    known: (ALL_COLOURS,) full of UNKNOWN at first; what was found once for a palette is only looked up from then on.
     """
     found = np.empty(len(pixels), np.uint8)
     _nearest(pixels, palette.astype(np.int32), known, found)

@@ -16,10 +16,9 @@ import numpy.typing as npt
 from numba import prange
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.affine import inverse, turned
-
-Floats = npt.NDArray[np.float64]
 
 NONE = -1
 _ROWS = 16  # of a band: threads share out the bands, and no two write to the same pixel

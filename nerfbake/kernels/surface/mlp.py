@@ -15,12 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake.kernels.arrays import Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.maths.products import product
-
-Array = npt.NDArray[np.float32]
-f32 = np.float32
 
 _LOG2_E = f32(1.4426950408889634)
 # (2^r - 1) / r for r in [-1/2, 1/2], interpolated at Chebyshev points: 2^r to 1.4e-7, and 2^0 is 1, so that where all
@@ -33,12 +31,12 @@ _BIAS, _MANTISSA = np.int32(127), np.int32(23)
 class Split(NamedTuple):
     """The MLP for a set of n directions: h hidden units, padded with units of weight zero to a multiple of 4."""
 
-    by_direction: Array  # (h, n)
-    by_feature: Array  # (3, h)
-    w1: Array  # (3, h)
+    by_direction: Singles  # (h, n)
+    by_feature: Singles  # (3, h)
+    w1: Singles  # (3, h)
 
 
-def split(directions: npt.NDArray[Any], w0: Array, w1: Array) -> Split:
+def split_layers(directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> Split:
     """(n, 3) unit directions, w0 (6, h) with rows 0 to 2 for the direction, w1 (h, 3). Weights must be finite."""
     padding = -w0.shape[1] % 4  # whole passes of four
     w0, w1 = np.pad(w0, ((0, 0), (0, padding))), np.pad(w1, ((0, padding), (0, 0)))
@@ -46,17 +44,17 @@ def split(directions: npt.NDArray[Any], w0: Array, w1: Array) -> Split:
     return Split(by_direction, np.ascontiguousarray(w0[3:]), np.ascontiguousarray(w1.T))
 
 
-def evaluate(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Array, w1: Array) -> Array:
+def evaluate(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> Singles:
     """The specular colours in 0..1: (m, 3) features in 0..1, (n, 3) unit directions -> (m, 3, n), channel by channel.
 
     Within 1e-6 of exact arithmetic for weights of the size that training gives.
     """
     out = np.empty((len(features), 3 * len(directions)), np.float32)
-    _evaluate(features.astype(np.float32), *split(directions, w0, w1), out)
+    _evaluate(features.astype(np.float32), *split_layers(directions, w0, w1), out)
     return out.reshape(len(features), 3, -1)
 
 
-def evaluate_each(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Array, w1: Array) -> Array:
+def evaluate_each(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> Singles:
     """(m, 3) the specular colours in 0..1 of m features, each in its own one of m unit directions, (m, 3) both."""
     inputs = np.concatenate([directions, features], axis=1).astype(np.float32)
     out = np.empty((len(inputs), 3), np.float32)
@@ -64,7 +62,7 @@ def evaluate_each(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: 
     return out
 
 
-def project(features: npt.NDArray[Any], mlp: Split, basis: Array, shift: Array) -> Array:
+def project(features: npt.NDArray[Any], mlp: Split, basis: Singles, shift: Singles) -> Singles:
     """(m, p) outputs @ basis - shift, with outputs (m, 3n) as evaluate() gives them, but never stored.
 
     features (m, 3), basis (3n, p), shift (p,). Sums are in an order that no number of threads changes.
@@ -77,34 +75,34 @@ def project(features: npt.NDArray[Any], mlp: Split, basis: Array, shift: Array) 
 class Shown(NamedTuple):
     """What an atlas shows: row i is the sum over t of weight[i, t] table[tiles[i, t]], in 0..1."""
 
-    table: Array  # (T, 3n)
+    table: Singles  # (T, 3n)
     tiles: npt.NDArray[np.int32]  # (m, t)
-    weight: Array  # (m, t)
+    weight: Singles  # (m, t)
 
 
-def compare(features: npt.NDArray[Any], mlp: Split, shown: Shown) -> npt.NDArray[np.float64]:
+def differences(features: npt.NDArray[Any], mlp: Split, shown: Shown) -> npt.NDArray[np.float64]:
     """(m, 4) how far shown colours are from the MLP's, in 0..255, summed over channels and directions.
 
     |difference| and its square, of whole numbers (rounded), then of the numbers as they are.
     """
     out = np.empty((len(features), 4))
-    _compare(features.astype(np.float32), *mlp, *shown, out)
+    _differences(features.astype(np.float32), *mlp, *shown, out)
     return out
 
 
-def compare_exactly(
-    features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Array, w1: Array, shown: Shown
+def exact_differences(
+    features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles, shown: Shown
 ) -> npt.NDArray[np.float64]:
-    """Like compare(), with the MLP in float64 and whole numbers cut, not rounded: figures that hang on the last bit."""
+    """The same with the MLP in float64 and whole numbers cut, not rounded: figures that hang on the last bit."""
     by_direction = np.ascontiguousarray(product(directions, w0[:3]).T)
     by_feature = product(features, w0[3:])
     out = np.empty((len(features), 4))
-    _compare_exactly(by_feature, by_direction, np.ascontiguousarray(w1.T, np.float64), *shown, out)
+    _exact_differences(by_feature, by_direction, np.ascontiguousarray(w1.T, np.float64), *shown, out)
     return out
 
 
 @compiled(inline=True)
-def _show(feature: Array, by_direction: Array, by_feature: Array, w1: Array, out: Array) -> None:
+def _show(feature: Singles, by_direction: Singles, by_feature: Singles, w1: Singles, out: Singles) -> None:
     """One colour in every direction: (3n,)."""
     n, zero = by_direction.shape[1], f32(0)
     r, g, b = feature[0], feature[1], feature[2]
@@ -127,7 +125,7 @@ def _show(feature: Array, by_direction: Array, by_feature: Array, w1: Array, out
 
 
 @compiled(inline=True)
-def _sigmoid(x: Array) -> None:
+def _sigmoid(x: Singles) -> None:
     """1 / (1 + e^-x) in place. e^-x = 2^k 2^r, k whole: 2^k is k + 127 in a float's exponent bits, 2^r a polynomial."""
     bits = np.empty(x.size, np.int32)
     power = bits.view(np.float32)
@@ -144,7 +142,7 @@ def _sigmoid(x: Array) -> None:
 
 
 @compiled(parallel=True)
-def _evaluate(features: Array, by_direction: Array, by_feature: Array, w1: Array, out: Array) -> None:
+def _evaluate(features: Singles, by_direction: Singles, by_feature: Singles, w1: Singles, out: Singles) -> None:
     for i in prange(len(features)):
         _show(features[i], by_direction, by_feature, w1, out[i])
 
@@ -153,7 +151,7 @@ _exp_parts: Any = compiled()(exp_parts)
 
 
 @compiled(parallel=True)
-def _evaluate_each(inputs: Array, w0: Array, w1: Array, out: Array) -> None:
+def _evaluate_each(inputs: Singles, w0: Singles, w1: Singles, out: Singles) -> None:
     for i in prange(len(inputs)):
         r, g, b = f32(0), f32(0), f32(0)
         for k in range(len(w0)):
@@ -169,7 +167,13 @@ def _evaluate_each(inputs: Array, w0: Array, w1: Array, out: Array) -> None:
 
 @compiled(parallel=True)
 def _project(
-    features: Array, by_direction: Array, by_feature: Array, w1: Array, basis: Array, shift: Array, out: Array
+    features: Singles,
+    by_direction: Singles,
+    by_feature: Singles,
+    w1: Singles,
+    basis: Singles,
+    shift: Singles,
+    out: Singles,
 ) -> None:
     n, p = basis.shape
     whole = n - n % 4
@@ -189,9 +193,9 @@ def _project(
 @compiled(inline=True)
 def _apart(
     truth: npt.NDArray[Any],
-    table: Array,
+    table: Singles,
     index: npt.NDArray[np.int32],
-    weight: Array,
+    weight: Singles,
     half: np.float32,
     out: npt.NDArray[np.float64],
 ) -> None:
@@ -223,14 +227,14 @@ def _apart(
 
 
 @compiled(parallel=True)
-def _compare(
-    features: Array,
-    by_direction: Array,
-    by_feature: Array,
-    w1: Array,
-    table: Array,
+def _differences(
+    features: Singles,
+    by_direction: Singles,
+    by_feature: Singles,
+    w1: Singles,
+    table: Singles,
     index: npt.NDArray[np.int32],
-    weight: Array,
+    weight: Singles,
     out: npt.NDArray[np.float64],
 ) -> None:
     for i in prange(len(features)):
@@ -240,13 +244,13 @@ def _compare(
 
 
 @compiled(parallel=True)
-def _compare_exactly(
+def _exact_differences(
     by_feature: npt.NDArray[np.float64],
     by_direction: npt.NDArray[np.float64],
     w1: npt.NDArray[np.float64],
-    table: Array,
+    table: Singles,
     index: npt.NDArray[np.int32],
-    weight: Array,
+    weight: Singles,
     out: npt.NDArray[np.float64],
 ) -> None:
     hidden, n = by_direction.shape

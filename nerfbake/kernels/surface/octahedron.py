@@ -18,13 +18,13 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.surface.texture import blend
 
-Floats = npt.NDArray[np.float64]
-Lookup = Literal["bilinear", "nearest", "thesis"]
+TexelLookup = Literal["bilinear", "nearest", "thesis"]
 
 
-def encode(directions: npt.NDArray[Any]) -> Floats:
+def uv_of(directions: npt.NDArray[Any]) -> Floats:
     """(..., 3) directions of any length above 0 -> (..., 2) in [0, 1]."""
     d = np.asarray(directions, np.float64)
     p = d / np.abs(d).sum(axis=-1, keepdims=True)
@@ -33,8 +33,8 @@ def encode(directions: npt.NDArray[Any]) -> Floats:
     return np.asarray(np.where(p[..., 1:2] >= 0, flat, folded) / 2 + 0.5)
 
 
-def decode(uv: npt.NDArray[Any]) -> Floats:
-    """(..., 2) in [0, 1] -> (..., 3) unit directions: the inverse of encode()."""
+def directions_of(uv: npt.NDArray[Any]) -> Floats:
+    """(..., 2) in [0, 1] -> (..., 3) unit directions: the inverse of uv_of()."""
     flat = np.asarray(uv, np.float64) * 2 - 1
     y = 1 - np.abs(flat).sum(axis=-1, keepdims=True)
     flat = np.where(y >= 0, flat, (1 - np.abs(flat[..., ::-1])) * _sign(flat))
@@ -50,7 +50,7 @@ def texel_directions(R: int) -> Floats:
     """(R * R, 3) unit directions of the texels' centres, row by row."""
     centre = (np.arange(R) + 0.5) / R
     v, u = np.meshgrid(centre, centre, indexing="ij")
-    return decode(np.stack([u, v], axis=-1).reshape(-1, 2))
+    return directions_of(np.stack([u, v], axis=-1).reshape(-1, 2))
 
 
 def with_gutter(maps: npt.NDArray[Any], border: int) -> npt.NDArray[Any]:
@@ -70,8 +70,8 @@ def with_gutter(maps: npt.NDArray[Any], border: int) -> npt.NDArray[Any]:
     return maps[:, row, column]
 
 
-def sample(
-    maps: npt.NDArray[Any], directions: npt.NDArray[Any], how: Lookup, tiles: Any = slice(None)
+def read_maps(
+    maps: npt.NDArray[Any], directions: npt.NDArray[Any], how: TexelLookup, tiles: Any = slice(None)
 ) -> npt.NDArray[np.float32]:
     """What (K, R, R, C) maps show in (n, 3) directions -> (K, n, C) float32.
 
@@ -80,7 +80,7 @@ def sample(
     the directions, whole numbers (...) for directions (..., 3) -> (..., C).
     """
     R = maps.shape[1]
-    uv = encode(directions)
+    uv = uv_of(directions)
     if how != "bilinear":
         at = np.minimum((uv * (R - 1 if how == "thesis" else R)).astype(np.int64), R - 1)
         return np.asarray(maps[tiles, at[..., 1], at[..., 0]], np.float32)

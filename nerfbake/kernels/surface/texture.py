@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Whole = npt.NDArray[np.int64]
+from nerfbake.kernels.arrays import Ints
 
 
-def blend(fetch: Callable[[Whole, Whole], npt.NDArray[Any]], place: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+def blend(fetch: Callable[[Ints, Ints], npt.NDArray[Any]], place: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
     """Between the four texels around a place (..., 2), x and y in texel centres; fetch(y, x) gives texels (..., C)."""
     low = np.floor(place).astype(np.int64)
     fraction = (place - low).astype(np.float32)
@@ -28,7 +28,7 @@ def bilinear(texture: npt.NDArray[np.uint8], uvs: npt.NDArray[Any]) -> npt.NDArr
     return blend(lambda y, x: texture[y % H, x % W], uvs * (W, H) - 0.5) / np.float32(255)
 
 
-def nearest(texture: npt.NDArray[Any], uvs: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def nearest_texel(texture: npt.NDArray[Any], uvs: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(m, ...): the texel of (H, W, ...) that holds each of (m, 2) coordinates."""
     H, W = texture.shape[:2]
     x, y = ((uvs - np.floor(uvs)) * (W, H)).astype(np.int64).T

@@ -17,14 +17,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Ints, Points, Singles, Words
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.vdb.bitmask import Ints, Words, exclusive_sum, slots_of
+from nerfbake.kernels.vdb.bitmask import exclusive_sum, slots_of
+from nerfbake.kernels.vdb.slots import FAR
 
-Floats = npt.NDArray[np.float32]
-Points = npt.NDArray[np.float64]
-
-BLOCK = 64  # points whose leaves are found before the first is read: their places stay in the first-level cache
-FAR = float(1 << 40)  # where no tile is, and whole numbers have not yet ended
+_BLOCK = 64  # points whose leaves are found before the first is read: their places stay in the first-level cache
+_FAR = float(FAR)
 NO_LEAF = 1 << 40
 U = np.uint64
 F = np.float32
@@ -53,7 +52,7 @@ def _ranked(masks: Words, first: int) -> Words:
     return words
 
 
-def dense_leaves(leaf_mask: Words, table: Floats) -> Floats:
+def dense_leaves(leaf_mask: Words, table: Singles) -> Singles:
     """((l + 1) 512, C) the rows of all voxels of all leaves and of one that is empty; table (m + 1, C), row 0 the
     background.
     """
@@ -64,7 +63,7 @@ def dense_leaves(leaf_mask: Words, table: Floats) -> Floats:
 
 
 @compiled()
-def nearest(tables: Tables, dense: bool, table: Floats, points: Points, out: Floats) -> None:
+def nearest(tables: Tables, dense: bool, table: Singles, points: Points, out: Singles) -> None:
     """out (n, C): what stands at points (n, 3) in voxels, whose centres are whole numbers.
 
     table (m + 1, C): the active voxels' rows behind the background's; or, dense, what dense_leaves makes of it.
@@ -82,12 +81,12 @@ def nearest(tables: Tables, dense: bool, table: Floats, points: Points, out: Flo
 
 
 @compiled()
-def trilinear(tables: Tables, dense: bool, table: Floats, points: Points, out: Floats) -> None:
+def trilinear(tables: Tables, dense: bool, table: Singles, points: Points, out: Singles) -> None:
     """The same, of the eight voxels around each point, weighted as usual."""
-    rows, parts, flat = np.empty((BLOCK, 8), U), np.empty((BLOCK, 3), F), table.reshape(-1)
-    crossing, places = np.empty(BLOCK, U), np.empty((BLOCK, 3), np.int64)
-    for start in range(0, len(points), BLOCK):
-        count = min(BLOCK, len(points) - start)
+    rows, parts, flat = np.empty((_BLOCK, 8), U), np.empty((_BLOCK, 3), F), table.reshape(-1)
+    crossing, places = np.empty(_BLOCK, U), np.empty((_BLOCK, 3), np.int64)
+    for start in range(0, len(points), _BLOCK):
+        count = min(_BLOCK, len(points) - start)
         _voxels_around(tables, points[start : start + count], rows, parts, crossing, places)
         if not dense:
             for i in range(count):
@@ -110,7 +109,9 @@ def trilinear(tables: Tables, dense: bool, table: Floats, points: Points, out: F
 
 
 @compiled()
-def _voxels_around(tables: Tables, points: Points, voxels: Words, parts: Floats, crossing: Words, places: Ints) -> None:
+def _voxels_around(
+    tables: Tables, points: Points, voxels: Words, parts: Singles, crossing: Words, places: Ints
+) -> None:
     """For each point the numbers of the eight voxels around it (n, 8), z fastest, and how far it is beyond the first
     (n, 3). crossing and places are room to work in.
     """
@@ -141,8 +142,8 @@ def _voxels_around(tables: Tables, points: Points, voxels: Words, parts: Floats,
 @compiled()
 def _bounded(p: float) -> float:
     """Nearer than FAR, NaN too: two instructions, where a branch for such points took a sixth of all time."""
-    p = p if p > -FAR else -FAR
-    return p if p < FAR else FAR
+    p = p if p > -_FAR else -_FAR
+    return p if p < _FAR else _FAR
 
 
 @compiled()

@@ -8,11 +8,8 @@ Slot s of a node is bit s & 63 of word s >> 6. Slots 2, 3 and 64 of a node of 12
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Ints = npt.NDArray[np.int64]
-Words = npt.NDArray[np.uint64]
-Bits = npt.NDArray[np.bool_]
+from nerfbake.kernels.arrays import Bits, Ints, Words
 
 
 def group_bits(keys: Ints, bits: int) -> tuple[Ints, Words]:

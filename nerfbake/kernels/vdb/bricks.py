@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Ints, Words
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import Ints, Words
 
 _CHUNK = 512  # bricks at a time: their slots stay in the second-level cache
 _NOBODY = -1
-Nodes = npt.NDArray[np.int32]
+NodeNumbers = npt.NDArray[np.int32]
 
 
 class Bricks(NamedTuple):
@@ -29,13 +29,13 @@ class Bricks(NamedTuple):
 
     low: Ints
     mask: Words
-    node: Nodes
+    node: NodeNumbers
 
 
 class _Part(NamedTuple):
     """Filled leaves of one level: their numbers, where they start (brick << 9 | slot, rising), their edge."""
 
-    node: Nodes
+    node: NodeNumbers
     cell: Ints
     edge: int
 
@@ -77,7 +77,7 @@ def bricks_of(
 
 def _tree(
     children: npt.NDArray[np.int32], level_sizes: list[int], filled: npt.NDArray[np.bool_], size: Ints
-) -> tuple[Ints, Nodes, list[_Part]]:
+) -> tuple[Ints, NodeNumbers, list[_Part]]:
     """(p, 3) bricks, those at the end (s,) filled by one larger leaf each, and the leaves of the others."""
     inner = len(filled) - level_sizes[-1]
     slots = np.flatnonzero(children[:inner].reshape(-1) != 0)  # of nodes 1, 2, 3, ...

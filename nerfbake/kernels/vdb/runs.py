@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.vdb.bitmask import Ints, exclusive_sum
-
-Floats = npt.NDArray[np.float64]
+from nerfbake.kernels.arrays import Floats, Ints
+from nerfbake.kernels.vdb.bitmask import exclusive_sum
 
 
 def reduce_runs(ufunc: np.ufunc, rows: npt.NDArray[Any], counts: Ints, empty: float) -> npt.NDArray[Any]:
@@ -27,7 +26,7 @@ def rows_of_runs(counts: Ints, order: Ints) -> Ints:
     return np.arange(int(lengths.sum())) + np.repeat(exclusive_sum(counts)[order] - exclusive_sum(lengths), lengths)
 
 
-class Spread(NamedTuple):
+class RunSpread(NamedTuple):
     """Of each run: how many numbers, the least, the greatest, their mean, the sum of squares around it."""
 
     size: Ints
@@ -42,26 +41,26 @@ class Spread(NamedTuple):
         return np.sqrt(self.squares / np.maximum(self.size, 1))
 
 
-def spread_of(values: npt.NDArray[np.float32], counts: Ints, *, weight: int = 1) -> Spread:
+def spread_of(values: npt.NDArray[np.float32], counts: Ints, *, weight: int = 1) -> RunSpread:
     """Of runs of numbers: values (m,), each of which counts `weight` times."""
     exact = values.astype(np.float64)
     mean = reduce_runs(np.add, exact, counts, 0) / np.maximum(counts, 1)
     squares = weight * reduce_runs(np.add, (exact - np.repeat(mean, counts)) ** 2, counts, 0)
     low = reduce_runs(np.minimum, values, counts, np.inf)
-    return Spread(weight * counts, low, reduce_runs(np.maximum, values, counts, -np.inf), mean, squares)
+    return RunSpread(weight * counts, low, reduce_runs(np.maximum, values, counts, -np.inf), mean, squares)
 
 
-def spread_with(one: Spread, other: Spread) -> Spread:
+def spread_with(one: RunSpread, other: RunSpread) -> RunSpread:
     """Of each run of the one with the same run of the other: what spread_of() would say of both."""
     arrays: zip[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = zip(one, other, strict=True)
-    return spread_over(Spread(*(np.stack(both, axis=1).reshape(-1) for both in arrays)), np.full(len(one.size), 2))
+    return spread_over(RunSpread(*(np.stack(both, axis=1).reshape(-1) for both in arrays)), np.full(len(one.size), 2))
 
 
-def spread_over(parts: Spread, counts: Ints) -> Spread:
+def spread_over(parts: RunSpread, counts: Ints) -> RunSpread:
     """Of runs of spreads: what spread_of() would say of all their numbers together."""
     count = reduce_runs(np.add, parts.size, counts, 0)
     mean = reduce_runs(np.add, parts.mean * parts.size, counts, 0) / np.maximum(count, 1)
     apart = parts.size * (parts.mean - np.repeat(mean, counts)) ** 2
     low = reduce_runs(np.minimum, parts.low, counts, np.inf)
     high = reduce_runs(np.maximum, parts.high, counts, -np.inf)
-    return Spread(count, low, high, mean, reduce_runs(np.add, parts.squares + apart, counts, 0))
+    return RunSpread(count, low, high, mean, reduce_runs(np.add, parts.squares + apart, counts, 0))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
-from nerfbake import Comparison, Image, compare_scenes, orbit_cameras
+from nerfbake import Comparison, Image, build_field, compare_scenes, orbit_cameras
 from nerfbake.formats.page import comparison as comparison_html
 from nerfbake.scene.camera import Cameras
 from tests.support.scenes import n3tree
@@ -54,7 +54,7 @@ def compared(*, truth: bool = True, names: tuple[str, str] = ("one", "two")) -> 
     a = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=np.float32)
     b = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=np.float32)
     b.data[..., -1] += 0.5
-    cameras = orbit_cameras(a, frames=2, width=20, height=16).cameras
+    cameras = orbit_cameras(build_field(a), frames=2, width=20, height=16).cameras
     named = Cameras(tuple(replace(camera, name=name) for camera, name in zip(cameras, names, strict=True)))
     grey, whole = np.full((16, 20, 3), 0.5, np.float32), np.ones((16, 20), np.float32)
     return compare_scenes(a, b, named, truth=[Image(grey, whole, whole)] * 2 if truth else None)

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image as Pillow
 from PIL import ImageSequence
 
-from nerfbake import Animation, Image, orbit_cameras, render_field
+from nerfbake import Animation, Image, build_field, orbit_cameras, render_field
 from nerfbake.errors import InvalidScene
 from nerfbake.formats.picture import gif as animation_gif
 from tests.support.scenes import n3tree
@@ -20,8 +20,9 @@ Colour = tuple[float, float, float]
 def turning(background: Colour | None, frames: int = 5) -> Animation:
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=np.float32)
     tree.data[..., -1] *= 3
-    cameras = orbit_cameras(tree, frames=frames, width=40, height=30).cameras
-    return Animation(tuple(render_field(tree, camera, background=background) for camera in cameras))
+    field = build_field(tree)
+    cameras = orbit_cameras(field, frames=frames, width=40, height=30).cameras
+    return Animation(tuple(render_field(field, camera, background=background) for camera in cameras))
 
 
 def seen(animation: Animation) -> tuple[list[npt.NDArray[np.uint8]], dict[Any, Any]]:

@@ -17,7 +17,7 @@ from nerfbake.formats.volume import npz as vdb_npz
 from nerfbake.formats.wire.npz_writer import write_npz
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTiles
+from nerfbake.scene.vdb_tiles import VdbTiles
 from nerfbake.scene.volume import Volume
 from tests.conftest import REPOSITORY
 from tests.support.scenes import assert_same_octree, n3tree

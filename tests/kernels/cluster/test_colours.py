@@ -9,12 +9,12 @@ from nerfbake.kernels.cluster import colours
 
 def test_codes_by_hand() -> None:
     for colour, code in (((1, 0, 0), 4), ((0, 1, 0), 2), ((0, 0, 1), 1), ((2, 0, 0), 32), ((255, 255, 255), 2**24 - 1)):
-        assert colours.encode(np.array([colour], np.uint8)).tolist() == [code]
+        assert colours.codes_of(np.array([colour], np.uint8)).tolist() == [code]
 
 
 def test_every_code_is_one_colour() -> None:
     codes = np.arange(0, colours.CODES, 7, dtype=np.uint32)
-    np.testing.assert_array_equal(colours.encode(colours.decode(codes)), codes)
+    np.testing.assert_array_equal(colours.codes_of(colours.colours_of(codes)), codes)
 
 
 def test_runs_of_equal_values() -> None:

@@ -14,8 +14,8 @@ RANDOM = np.random.default_rng(8)
 
 def clouds(m: int) -> tuple[np.ndarray, np.ndarray]:
     """Points along a bent sheet, sorted into cells."""
-    codes = np.unique(colours.encode(RANDOM.integers(0, 256, (m, 3), np.uint8)))
-    f = colours.decode(codes) / 255
+    codes = np.unique(colours.codes_of(RANDOM.integers(0, 256, (m, 3), np.uint8)))
+    f = colours.colours_of(codes) / 255
     points = np.stack([f[:, 0], f[:, 1], f[:, 2], f[:, 0] * f[:, 1], np.sin(5 * f[:, 2])], axis=1)
     return (100 * points).astype(np.float32), colours.runs(codes >> np.uint32(15))
 
@@ -24,7 +24,7 @@ def clouds(m: int) -> tuple[np.ndarray, np.ndarray]:
 def test_pruning_changes_no_label(K: int) -> None:
     points, start = clouds(4000)
     centres = RANDOM.permutation(points)[:K]
-    label, distance = lloyd.assign(points, lloyd.bound_cells(points, start), centres)
+    label, distance = lloyd.nearest_centres(points, lloyd.bound_cells(points, start), centres)
     squares = ((points[:, None] - centres[None]).astype(float) ** 2).sum(axis=2)
     np.testing.assert_allclose(distance, squares.min(axis=1), rtol=1e-4, atol=1e-3)
     np.testing.assert_allclose(squares[np.arange(len(points)), label], squares.min(axis=1), rtol=1e-4, atol=1e-3)
@@ -36,7 +36,7 @@ def test_a_round_never_raises_the_inertia() -> None:
     centres = lloyd.seed(points, weight, 40, np.random.default_rng(0))
     inertia = []
     for _ in range(8):
-        label, distance = lloyd.assign(points, cells, centres)
+        label, distance = lloyd.nearest_centres(points, cells, centres)
         inertia.append(float(distance.astype(float) @ weight))
         centres = lloyd.move(points, weight, label, centres)
     assert all(later <= earlier * (1 + 1e-6) for earlier, later in pairwise(inertia))

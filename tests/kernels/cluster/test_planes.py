@@ -33,7 +33,7 @@ def test_points_go_to_the_plane_they_lie_in_and_an_empty_one_gets_none() -> None
     cells = lloyd.bound_cells(points, np.array([0, 150, 400]))
     candidates = planes.nearest_clusters(cells, RANDOM.normal(size=(3, 6)).astype(np.float32), 16)
     assert candidates.shape == (2, 3)
-    np.testing.assert_array_equal(planes.assign(points, features, cells, candidates, fitted), label)
+    np.testing.assert_array_equal(planes.nearest_planes(points, features, cells, candidates, fitted), label)
 
 
 def test_the_candidates_are_the_nearest() -> None:

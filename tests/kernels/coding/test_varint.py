@@ -37,7 +37,7 @@ def test_numbers_cut_in_two_by_a_chunk_are_read(monkeypatch: pytest.MonkeyPatch)
     values = np.random.default_rng(0).integers(-5, 2**31, 500).astype(np.int32)
     data = np.frombuffer(encode_varints(values), np.uint8)
     for chunk in (10, 11, 64, 1000):
-        monkeypatch.setattr("nerfbake.kernels.coding.varint.CHUNK", chunk)
+        monkeypatch.setattr("nerfbake.kernels.coding.varint._CHUNK", chunk)
         assert_array_equal(decode_varints(data), values)
 
 

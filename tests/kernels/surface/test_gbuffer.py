@@ -13,12 +13,12 @@ from nerfbake.errors import InvalidScene
 from nerfbake.kernels.surface.gbuffer import NONE, GBuffer, gbuffer
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.lens import Lens
-from nerfbake.scene.mesh import Mesh, joined
+from nerfbake.scene.mesh import Mesh, joined_meshes
 from tests.support.meshes import camera, cube, mesh, sphere, square, straight_down
 
 
 def see(view: Camera, *meshes: Mesh) -> GBuffer:
-    positions, faces, _ = joined(meshes)
+    positions, faces, _ = joined_meshes(meshes)
     rays = view.rays()[1].reshape(view.height, view.width, 3)
     return gbuffer(positions, faces, view.pose, rays)
 

@@ -38,7 +38,9 @@ def test_projection_is_a_product() -> None:
     features, directions = RANDOM.random((20, 3)), fibonacci(7)  # 21 outputs: not a multiple of 4
     basis, shift = RANDOM.normal(size=(21, 5)).astype("f4"), RANDOM.normal(size=5).astype("f4")
     expected = mlp.evaluate(features, directions, w0, w1).reshape(20, 21) @ basis - shift
-    np.testing.assert_allclose(mlp.project(features, mlp.split(directions, w0, w1), basis, shift), expected, atol=1e-4)
+    np.testing.assert_allclose(
+        mlp.project(features, mlp.split_layers(directions, w0, w1), basis, shift), expected, atol=1e-4
+    )
 
 
 def test_comparison_by_hand() -> None:
@@ -47,5 +49,7 @@ def test_comparison_by_hand() -> None:
     table = np.array([[125, 125, 125]], np.float32) / np.float32(255)
     shown = mlp.Shown(table, np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32))
     one, direction = np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])
-    np.testing.assert_allclose(mlp.compare(one, mlp.split(direction, w0, w1), shown), [[9, 27, 7.5, 18.75]], rtol=1e-4)
-    np.testing.assert_allclose(mlp.compare_exactly(one, direction, w0, w1, shown), [[6, 12, 7.5, 18.75]], rtol=1e-4)
+    np.testing.assert_allclose(
+        mlp.differences(one, mlp.split_layers(direction, w0, w1), shown), [[9, 27, 7.5, 18.75]], rtol=1e-4
+    )
+    np.testing.assert_allclose(mlp.exact_differences(one, direction, w0, w1, shown), [[6, 12, 7.5, 18.75]], rtol=1e-4)

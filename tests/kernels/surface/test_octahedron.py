@@ -15,22 +15,22 @@ from nerfbake.kernels.surface import octahedron
 def test_the_axes_by_hand() -> None:
     # Up is the middle, down all four corners; x and z are the middles of the edges.
     axes = np.array([[0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1], [0, -1, 0]])
-    uv = octahedron.encode(axes)
+    uv = octahedron.uv_of(axes)
     expected = np.array([[0.5, 0.5], [1, 0.5], [0, 0.5], [0.5, 1], [0.5, 0], [1, 1]])
     assert np.abs(uv - expected).max() < 1e-15
-    np.testing.assert_allclose(octahedron.decode(uv), axes, atol=1e-15)
+    np.testing.assert_allclose(octahedron.directions_of(uv), axes, atol=1e-15)
 
 
 @given(arrays(np.float64, (50, 3), elements=st.floats(-1, 1)))
 def test_there_and_back_anywhere_on_the_sphere(directions: np.ndarray) -> None:
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     unit = (directions / np.where(length > 1e-6, length, 1))[length[:, 0] > 1e-6]
-    assert np.abs(octahedron.decode(octahedron.encode(unit)) - unit).max(initial=0) < 1e-6
+    assert np.abs(octahedron.directions_of(octahedron.uv_of(unit)) - unit).max(initial=0) < 1e-6
 
 
 def test_there_and_back_everywhere_in_the_square() -> None:
     uv = np.random.default_rng(0).random((100_000, 2))
-    assert np.abs(octahedron.encode(octahedron.decode(uv)) - uv).max() < 1e-6
+    assert np.abs(octahedron.uv_of(octahedron.directions_of(uv)) - uv).max() < 1e-6
 
 
 def test_the_gutter_by_hand() -> None:
@@ -54,18 +54,20 @@ def test_the_gutter_goes_on_where_the_sphere_does(border: int) -> None:
 def test_a_smooth_function_is_looked_up_smoothly_everywhere() -> None:
     R = 64
     maps = (octahedron.texel_directions(R).reshape(1, R, R, 3) + 1).astype(np.float32)
-    asked = np.concatenate([fibonacci(5000), octahedron.decode(np.array([[0, 0.3], [1, 0.3], [0.3, 0], [0.3, 1]]))])
-    assert np.abs(octahedron.sample(maps, asked, "bilinear")[0] - 1 - asked).max() < 0.02  # a texel is 0.03 wide
+    asked = np.concatenate(
+        [fibonacci(5000), octahedron.directions_of(np.array([[0, 0.3], [1, 0.3], [0.3, 0], [0.3, 1]]))]
+    )
+    assert np.abs(octahedron.read_maps(maps, asked, "bilinear")[0] - 1 - asked).max() < 0.02  # a texel is 0.03 wide
 
 
 def test_lookups_by_hand() -> None:
     # Straight down the z axis is u = 1/2 at the last row, between columns 1 and 2 of 4.
     maps = np.arange(16, dtype=np.uint8).reshape(1, 4, 4, 1)
     asked = np.array([[0.0, 0.0, 1.0]])
-    assert octahedron.sample(maps, asked, "nearest").item() == 14
-    assert octahedron.sample(maps, asked, "thesis").item() == 13  # int(1/2 * 3) = 1, int(1 * 3) = 3
+    assert octahedron.read_maps(maps, asked, "nearest").item() == 14
+    assert octahedron.read_maps(maps, asked, "thesis").item() == 13  # int(1/2 * 3) = 1, int(1 * 3) = 3
     # Beyond the last row comes the last row mirrored: 14 and 13 below 13 and 14.
-    assert octahedron.sample(maps, asked, "bilinear").item() == 13.5
+    assert octahedron.read_maps(maps, asked, "bilinear").item() == 13.5
 
 
 @given(K=st.integers(1, 30), R=st.integers(2, 6), border=st.integers(0, 2))

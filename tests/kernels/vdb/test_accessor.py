@@ -10,7 +10,7 @@ from nerfbake import build_octree, build_vdb
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.vdb.accessor import dense_leaves, nearest, trilinear
 from nerfbake.scene.octree import Lookup
-from nerfbake.scene.vdb import CHUNK
+from nerfbake.scene.vdb import READ_CHUNK
 from tests.support.scenes import n3tree
 from tests.support.vdb_readers import SCENES, by_coords, index, tree
 
@@ -62,7 +62,7 @@ def test_leaves_with_little_in_them_stay_sparse() -> None:
 def test_many_points_read_as_each_does_alone() -> None:
     grid = tree(SCENES["a cloud"], background=0.5)
     random = np.random.default_rng(0)
-    voxels = grid.topology.coords[random.integers(0, grid.topology.m, 3 * CHUNK + 7)]
+    voxels = grid.topology.coords[random.integers(0, grid.topology.m, 3 * READ_CHUNK + 7)]
     points = voxels + random.uniform(-2, 2, voxels.shape)
     together = grid.sample(points, lookup="trilinear")
     some = np.arange(0, len(points), 997)

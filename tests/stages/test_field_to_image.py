@@ -13,7 +13,9 @@ from nerfbake import (
     Camera,
     Cameras,
     Image,
+    RadianceField,
     SparseVoxelOctree,
+    build_field,
     build_octree,
     build_vdb,
     cut_octree,
@@ -21,7 +23,7 @@ from nerfbake import (
     orbit_cameras,
     render_field,
 )
-from nerfbake.errors import InvalidScene, MemoryLimit
+from nerfbake.errors import InvalidScene, MemoryLimit, UsageError
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
@@ -33,11 +35,11 @@ from tests.conftest import DATA
 from tests.support.scenes import n3tree
 
 
-def solid(sigma: float, red: float = 0.0, **fields: Any) -> N3Tree:
+def solid(sigma: float, red: float = 0.0, **fields: Any) -> RadianceField:
     """The unit cube filled evenly; colours are the sigmoid of (red, 0, 0)."""
     data = np.zeros((1, 2, 2, 2, 4), np.float32)
     data[..., 0], data[..., 3] = red, sigma
-    return n3tree(data=data, data_format="RGBA", **fields)
+    return build_field(n3tree(data=data, data_format="RGBA", **fields))
 
 
 def front(edge: int = 5, distance: float = 3.0) -> Camera:
@@ -68,7 +70,7 @@ def test_densities_are_per_world_unit_whatever_the_box() -> None:
 def test_an_opaque_plane_stands_where_it_stands() -> None:
     data = np.zeros((1, 2, 2, 2, 4), np.float32)
     data[0, :, 1, :, 3] = 1e6  # the half y > 0.5
-    image = render_field(n3tree(data=data, data_format="RGBA"), front())
+    image = render_field(build_field(n3tree(data=data, data_format="RGBA")), front())
     assert_allclose(image.depth[2, 2], 3.0, atol=1e-4)
     assert_allclose(image.alpha[2, 2], 1)
 
@@ -78,17 +80,17 @@ def test_colours_are_spherical_harmonics_in_the_rays_direction() -> None:
     coefficients = np.random.default_rng(0).normal(0, 1, (3, 9))
     data[..., :27], data[..., 27] = coefficients.ravel(), 1e6
     camera = Camera(9, 7, 60.0, look_at(np.full(3, 0.5), 0.3, 0.4, 3))
-    image = render_field(n3tree(data=data, data_format="SH9"), camera)
+    image = render_field(build_field(n3tree(data=data, data_format="SH9")), camera)
     _, directions = camera.rays()
     expected = 1 / (1 + np.exp(-sh_basis(directions, 9) @ coefficients.T))
     assert_allclose(image.colour.reshape(-1, 3), expected, atol=1e-5)
 
 
 def test_backgrounds() -> None:
-    tree = solid(1.0, red=1)
-    clear = render_field(tree, front(), background=None)
+    field = solid(1.0, red=1)
+    clear = render_field(field, front(), background=None)
     for colour in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.2, 0.4, 0.6)):
-        over = render_field(tree, front(), background=colour)
+        over = render_field(field, front(), background=colour)
         assert_allclose(over.colour, clear.colour + (1 - clear.alpha[..., None]) * np.array(colour), atol=1e-6)
     assert clear.pixels.shape == (5, 5, 4)
     assert over.pixels.shape == (5, 5, 3)
@@ -111,9 +113,9 @@ def test_a_camera_inside_sees_only_what_is_ahead() -> None:
 @pytest.mark.parametrize("N", [2, 3])
 def test_an_octree_looks_like_the_tree_it_was_made_from(N: int) -> None:
     tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], N=N, data_format="SH4", dtype=np.float32)
-    octree = build_octree(tree, resample="nearest")
-    camera = orbit_cameras(tree, width=24, height=20).cameras[0]
-    a, b = render_field(tree, camera), render_field(octree, camera)
+    one, other = build_field(tree), build_field(build_octree(tree, resample="nearest"))
+    camera = orbit_cameras(one, width=24, height=20).cameras[0]
+    a, b = render_field(one, camera), render_field(other, camera)
     assert a.alpha.max() > 0.1
     assert_allclose(a.colour, b.colour, atol=2e-4)
     assert_allclose(a.alpha, b.alpha, atol=2e-4)
@@ -121,31 +123,42 @@ def test_an_octree_looks_like_the_tree_it_was_made_from(N: int) -> None:
 
 def test_pictures_are_the_same_every_time() -> None:
     tree = n3tree(splits=[(0, (1, 0, 1))])
-    camera = orbit_cameras(tree, width=33, height=31).cameras[0]
-    assert render_field(tree, camera).colour.tobytes() == render_field(tree, camera).colour.tobytes()
+    fields = build_field(tree), build_field(tree)
+    camera = orbit_cameras(fields[0], width=33, height=31).cameras[0]
+    pictures = {render_field(field, camera).colour.tobytes() for field in (*fields, fields[0])}
+    assert len(pictures) == 1
 
 
 def test_an_orbit_frames_everything() -> None:
     data = np.zeros((1, 2, 2, 2, 4), np.float32)
     data[0, 1, 1, 1, 3] = 1e6
-    tree = n3tree(data=data, data_format="RGBA", offset=np.full(3, 0.25), invradius=np.full(3, 0.1))
-    for camera in orbit_cameras(tree, frames=7, width=60, height=40).cameras:
-        alpha = render_field(tree, camera).alpha
+    field = build_field(n3tree(data=data, data_format="RGBA", offset=np.full(3, 0.25), invradius=np.full(3, 0.1)))
+    for camera in orbit_cameras(field, frames=7, width=60, height=40).cameras:
+        alpha = render_field(field, camera).alpha
         assert alpha.max() > 0.99
         assert not alpha[[0, -1]].any()
         assert not alpha[:, [0, -1]].any()
 
 
 def test_what_cannot_be_rendered_is_refused() -> None:
-    octree = build_octree(n3tree())
     with pytest.raises(InvalidScene, match="data_format is SG1; allowed: SHk or RGBA"):
-        render_field(n3tree(data_format="SG1"), front())
+        build_field(n3tree(data_format="SG1"))
     with pytest.raises(InvalidScene, match="transmittance_cut is 1; allowed: 0 to 1"):
-        render_field(octree, front(), transmittance_cut=1)
+        render_field(solid(1.0), front(), transmittance_cut=1)
     broken = n3tree()
     broken.data[0, 0, 0, 0, 0] = np.nan
     with pytest.raises(InvalidScene, match="is nan"):
-        render_field(broken, front())
+        build_field(broken)
+
+
+def test_a_scene_that_is_no_field_yet_says_what_makes_one() -> None:
+    scene: Any = n3tree()
+    for asked in (lambda: render_field(scene, front()), lambda: orbit_cameras(scene)):
+        with pytest.raises(UsageError, match=r"^N3Tree is no RadianceField; allowed: what build_field\(\) makes"):
+            asked()
+    picture: Any = render_field(solid(1.0), front())
+    with pytest.raises(UsageError, match=r"^Image has no radiance field; allowed: N3Tree, SparseVoxelOctree, Volume$"):
+        build_field(picture)
 
 
 @pytest.mark.parametrize(
@@ -182,12 +195,12 @@ def test_a_ray_ends_at_what_stands_in_its_way() -> None:
 
 def test_a_ray_along_a_boundary_is_not_held_up() -> None:
     # In the plane between two cells, and along the edge of four, whatever way rounding leans.
-    tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], data_format="SH1")
+    field = build_field(n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], data_format="SH1"))
     for lean in (0.0, 1e-17, -1e-17, 1e-12):
         pose = np.eye(4)
         pose[:3, :3] = look_at(np.zeros(3), -np.pi / 2 + lean, lean, 1.0)[:3, :3]
         pose[:3, 3] = 0.5, -2.0, 0.5
-        image = render_field(tree, Camera(3, 3, 1e6, pose), transmittance_cut=0)
+        image = render_field(field, Camera(3, 3, 1e6, pose), transmittance_cut=0)
         assert np.isfinite(image.colour).all()
         assert_allclose(image.alpha[0], image.alpha[0, 0], atol=0.7)
 
@@ -198,14 +211,16 @@ def test_density_between_centres_is_a_straight_line() -> None:
     sigma = np.array([0, 5.0, 1.0, 0, 0, 2.0, 7.0, 0.5])
     data = np.zeros((1, 8, 8, 8, 4), np.float32)
     data[..., 3] = sigma[:, None]
-    image = render_field(n3tree(N=8, data=data, data_format="RGBA"), front(), transmittance_cut=0, lookup="trilinear")
+    field = build_field(n3tree(N=8, data=data, data_format="RGBA"))
+    image = render_field(field, front(), transmittance_cut=0, lookup="trilinear")
     assert_allclose(image.alpha[2, 2], 1 - np.exp(-sigma.sum() / 8), rtol=1e-5)
 
 
 def test_what_is_empty_has_no_colour_to_mix_in() -> None:
     data = np.zeros((1, 8, 8, 8, 4), np.float32)
     data[0, 2:5, 2:5, 2:5] = 1.0, -2.0, 0.5, 4.0
-    image = render_field(n3tree(N=8, data=data, data_format="RGBA"), front(9), background=None, lookup="trilinear")
+    field = build_field(n3tree(N=8, data=data, data_format="RGBA"))
+    image = render_field(field, front(9), background=None, lookup="trilinear")
     seen = image.colour[image.alpha > 1e-3] / image.alpha[image.alpha > 1e-3, None]
     assert len(seen) > 9
     assert_allclose(seen, np.broadcast_to(1 / (1 + np.exp([-1.0, 2.0, -0.5])), seen.shape), rtol=1e-3)
@@ -216,8 +231,9 @@ def test_trilinear_is_what_sample_says(N: int) -> None:
     tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], N=N, data_format="SH1", dtype=np.float32)
     tree.data[0, 1, 0, 0, -1] = 0  # a large empty cell, to be jumped over
     octree = build_octree(tree, resample="nearest")
-    camera = orbit_cameras(tree, width=7, height=7).cameras[0]
-    image = render_field(tree, camera, transmittance_cut=0, lookup="trilinear")
+    field = build_field(tree)
+    camera = orbit_cameras(field, width=7, height=7).cameras[0]
+    image = render_field(field, camera, transmittance_cut=0, lookup="trilinear")
     origin, looks = camera.rays()
     width = 1 / N**3
     t = np.arange(0, 2 * np.linalg.norm(origin - 0.5), width / 20)
@@ -242,31 +258,28 @@ def grown(data_format: str = "SH4") -> SparseVoxelOctree:
 def test_a_volume_looks_like_the_octree_it_was_made_from(grids: tuple[str, ...], lookup: Any) -> None:
     octree = grown()
     for up in ("z", "y"):
-        volume = build_vdb(octree, grids=grids, up=up)
-        a, b = (
-            orbit_cameras(octree, width=24, height=20).cameras[0],
-            orbit_cameras(volume, width=24, height=20).cameras[0],
-        )
-        one, other = render_field(octree, a, lookup=lookup), render_field(volume, b, lookup=lookup)
+        fields = build_field(octree), build_field(build_vdb(octree, grids=grids, up=up))
+        views = [orbit_cameras(field, width=24, height=20).cameras[0] for field in fields]
+        one, other = (render_field(field, view, lookup=lookup) for field, view in zip(fields, views, strict=True))
         assert one.alpha.max() > 0.1
         assert_allclose(one.colour, other.colour, atol=2e-4)
         assert_allclose(one.depth, other.depth, atol=2e-3)
 
 
 def test_a_volume_without_coefficients_shows_its_colour_or_grey() -> None:
-    octree, camera = grown("SH1"), orbit_cameras(grown(), width=24, height=20).cameras[0]
-    image = render_field(octree, camera)
-    assert_allclose(render_field(build_vdb(octree), camera).colour, image.colour, atol=2e-4)
-    grey = render_field(build_vdb(octree, grids=("density",)), camera, background=(0.5, 0.5, 0.5))
+    octree, camera = grown("SH1"), orbit_cameras(build_field(grown()), width=24, height=20).cameras[0]
+    image = render_field(build_field(octree), camera)
+    assert_allclose(render_field(build_field(build_vdb(octree)), camera).colour, image.colour, atol=2e-4)
+    grey = render_field(build_field(build_vdb(octree, grids=("density",))), camera, background=(0.5, 0.5, 0.5))
     assert_allclose(grey.colour, 0.5, atol=1e-6)
     assert_allclose(grey.alpha, image.alpha, atol=2e-4)
     with pytest.raises(InvalidScene, match="the volume has the grids Cd; allowed: density among them, or index"):
-        render_field(build_vdb(octree, grids=("Cd",)), camera)
+        build_field(build_vdb(octree, grids=("Cd",)))
 
 
 def test_colours_of_other_voxels_are_looked_up() -> None:
     # Another program may have pruned one grid and not the other.
-    octree, camera = grown("SH1"), orbit_cameras(grown(), width=24, height=20).cameras[0]
+    octree, camera = grown("SH1"), orbit_cameras(build_field(grown()), width=24, height=20).cameras[0]
     density, colour = build_vdb(octree).grids
     more = np.concatenate([colour.topology.coords, [[40, 3, 5]]])
     topology, order = topology_of(more)
@@ -274,13 +287,14 @@ def test_colours_of_other_voxels_are_looked_up() -> None:
     assert isinstance(colour, VdbTree)
     other = dataclasses.replace(colour, topology=topology, values=values)
     pruned = Volume((density, other), build_vdb(octree).transform)
-    assert_allclose(render_field(pruned, camera).colour, render_field(octree, camera).colour, atol=2e-4)
+    one, expected = (render_field(build_field(scene), camera).colour for scene in (pruned, octree))
+    assert_allclose(one, expected, atol=2e-4)
 
 
 def test_more_cells_than_memory_has_are_refused() -> None:
     volume = build_vdb(grown())
     with memory_limit(100_000), pytest.raises(MemoryLimit, match=r"the volume as cells needs 146.0 KiB; allowed: 97.7"):
-        render_field(volume, front())
+        build_field(volume)
 
 
 @pytest.mark.parametrize("far", [4096, -8192, 1 << 30, -(1 << 31)])
@@ -288,11 +302,11 @@ def test_voxels_anywhere_in_32_bits_are_seen(far: int) -> None:
     coords = np.array([[0, 0, 0], [1, 0, 0], [0, far, 0]], np.int64)
     topology, _ = topology_of(coords)
     density = VdbTree("density", topology, np.full((3, 1), 50, np.float32), np.zeros(1, np.float32))
-    volume = Volume((density,), np.eye(4)[:3])
+    field = build_field(Volume((density,), np.eye(4)[:3]))
     for voxel in ([0, 0, 0], [0, far, 0]):
         # Its face seen from 2 away, along x; the voxel's sample stands at its centre.
         camera = Camera(1, 1, 1e4, look_at(np.array(voxel, float), np.pi, 0, 2.5))
-        image = render_field(volume, camera)
+        image = render_field(field, camera)
         assert_allclose(image.alpha, 1, atol=1e-6)
         assert_allclose(image.depth, 2.0, atol=0.05)
 
@@ -325,10 +339,10 @@ def over_white(path: Path) -> npt.NDArray[np.uint8]:
     ],
 )
 def test_the_chair_looks_as_its_description_says(name: str, expected: float, reference: str | None) -> None:
-    tree = load(CHAIR / f"{name}.npz", N3Tree)
+    field = build_field(load(CHAIR / f"{name}.npz", N3Tree))
     against_truth = []
     for camera in load(CHAIR / "views" / "transforms.json", Cameras).cameras:
-        pixels = render_field(tree, camera).pixels
+        pixels = render_field(field, camera).pixels
         against_truth.append(psnr(pixels, over_white(CHAIR / "views" / f"{camera.name}.png")))
         if reference:
             assert psnr(pixels, over_white(CHAIR / f"render_{reference}" / f"{camera.name}.png")) > 70
@@ -339,11 +353,11 @@ def test_the_chair_looks_as_its_description_says(name: str, expected: float, ref
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "expected"), [("chair_sh9", 34.938), ("chair_sh9_128", 30.48)])
 def test_held_out_views(name: str, expected: float) -> None:
-    tree, folder = load(CHAIR / f"{name}.npz", N3Tree), DATA / "nerf_synthetic" / "chair"
+    field, folder = build_field(load(CHAIR / f"{name}.npz", N3Tree)), DATA / "nerf_synthetic" / "chair"
     found = []
     for camera in load(folder / "transforms_test.json", Cameras).cameras:
         truth = load(folder / "test" / f"{camera.name}.png", Image)
-        seen = render_field(tree, camera.resized(400, 400))
+        seen = render_field(field, camera.resized(400, 400))
         white = truth.colour + (1 - truth.alpha[..., None])
         found.append(-10 * np.log10(((seen.colour.astype(float) - white) ** 2).mean()))
     assert len(found) == 25
@@ -355,9 +369,9 @@ def test_the_octree_at_the_trees_resolution_gives_the_same_picture() -> None:
     tree = load(CHAIR / "chair_sh9_128.npz", N3Tree)
     camera = load(CHAIR / "views" / "transforms.json", Cameras).cameras[0]
     octree = build_octree(tree)
-    image = render_field(tree, camera)
-    assert_allclose(image.colour, render_field(octree, camera).colour, atol=1e-4)
+    image = render_field(build_field(tree), camera)
+    assert_allclose(image.colour, render_field(build_field(octree), camera).colour, atol=1e-4)
     index = build_vdb(octree, grids=("index",))
-    assert_allclose(image.colour, render_field(index, camera).colour, atol=1e-4)
-    coarse = render_field(cut_octree(octree, level=6), camera)
-    assert 20 < psnr(render_field(tree, camera).pixels, coarse.pixels) < 40
+    assert_allclose(image.colour, render_field(build_field(index), camera).colour, atol=1e-4)
+    coarse = render_field(build_field(cut_octree(octree, level=6)), camera)
+    assert 20 < psnr(image.pixels, coarse.pixels) < 40

@@ -1,4 +1,4 @@
-"""Scene and camera -> picture: the reference that every bake is judged by."""
+"""Radiance field and camera -> picture: the reference that every bake is judged by."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.affine import placed, turned
 from nerfbake.scene.camera import Camera
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
-from nerfbake.stages._field import Field, Radiance, field_of
+from nerfbake.scene.radiance_field import RadianceField, require_field
 
-WHITE = (1.0, 1.0, 1.0)
 _RAY_BYTES, _BASIS_BYTES = 130, 5  # a pixel, and a pixel and coefficient, while rays are marched (129 and 4.8 measured)
 
 
 def render_field(
-    scene: Radiance,
+    field: RadianceField,
     camera: Camera,
     *,
     background: tuple[float, float, float] | None = WHITE,
@@ -26,7 +25,7 @@ def render_field(
     lookup: Lookup = "nearest",
     stop: npt.NDArray[np.float64] | None = None,
 ) -> Image:
-    """What the camera sees of the scene. Source: docs/conventions.md, "How a picture is made".
+    """What the camera sees of the field. Source: docs/conventions.md, "How a picture is made".
 
     Emission and absorption along the ray through each pixel's centre, front to back over a background (sRGB in 0..1;
     None: transparent). A ray ends where it lets less than transmittance_cut through, and at its stop: (H, W) distances
@@ -36,8 +35,9 @@ def render_field(
             sums along the ray are exact. trilinear: between the centres of cells of the finest level, density and
             coefficients are interpolated, the coefficients by density.
 
-    Raises InvalidScene for broken scenes, SG and ASG bases, and volumes without a density.
+    build_field() makes the field of a scene, once for all pictures; a scene itself is refused with UsageError.
     """
+    require_field(field)
     if not 0 <= transmittance_cut < 1:
         raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, without 1"))
     if lookup not in ("nearest", "trilinear"):
@@ -45,7 +45,6 @@ def render_field(
     shape = (camera.height, camera.width)
     if stop is not None and stop.shape != shape:
         raise InvalidScene(Problem("stop", f"has shape {stop.shape}", f"{shape}"))
-    field = field_of(scene)
     camera.require_memory(_RAY_BYTES + _BASIS_BYTES * field.basis.size)
     far_away = np.full(camera.height * camera.width, np.inf) if stop is None else stop.astype(np.float64).reshape(-1)
     out = _marched(field, camera, far_away, transmittance_cut, lookup)
@@ -57,7 +56,7 @@ def render_field(
 
 
 def _marched(
-    field: Field, camera: Camera, stop: npt.NDArray[np.float64], cut: float, lookup: Lookup
+    field: RadianceField, camera: Camera, stop: npt.NDArray[np.float64], cut: float, lookup: Lookup
 ) -> npt.NDArray[np.float32]:
     origin, looks = camera.rays()
     turn = field.place[:, :3]

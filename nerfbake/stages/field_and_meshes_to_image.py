@@ -8,18 +8,17 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Meshes
-from nerfbake.stages._field import Radiance
-from nerfbake.stages._surface import WHITE
+from nerfbake.scene.radiance_field import RadianceField, require_field
+from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
-from nerfbake.stages.scene_to_image import render_field
 
 Composite = Literal["stop", "ztest"]
 
 
 def render_field_and_meshes(
-    scene: Radiance,
+    field: RadianceField,
     meshes: Meshes,
     camera: Camera,
     *,
@@ -37,16 +36,17 @@ def render_field_and_meshes(
     """
     if how not in get_args(Composite):
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))
+    require_field(field)
     mesh = render_meshes(meshes, camera, background=None)
     solid = mesh.alpha > 0
     stop = np.where(solid, mesh.depth, np.inf).astype(np.float64) if how == "stop" else None
-    field = render_field(scene, camera, background=None, stop=stop, **options)
-    hidden = solid & (field.depth >= mesh.depth) & (how == "ztest")
-    near = np.where(hidden, 0, field.alpha).astype(np.float32)
+    fog = render_field(field, camera, background=None, stop=stop, **options)
+    hidden = solid & (fog.depth >= mesh.depth) & (how == "ztest")
+    near = np.where(hidden, 0, fog.alpha).astype(np.float32)
     left = (1 - near) * mesh.alpha
     alpha = near + left
-    colour = np.where(hidden[..., None], 0, field.colour) + left[..., None] * mesh.colour
-    far = near * field.depth + left * mesh.depth
+    colour = np.where(hidden[..., None], 0, fog.colour) + left[..., None] * mesh.colour
+    far = near * fog.depth + left * mesh.depth
     depth = np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
     image = Image(colour.astype(np.float32), alpha, depth, None)
     return image if background is None else image.over(background)

@@ -1,4 +1,4 @@
-"""VDB grids as a field of cells: nodes with a slot for each place, below a small octree of root tiles."""
+"""VDB grids -> the field that a marcher reads: nodes with a slot for each place, below a small octree of root tiles."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.maths.affine import inverse, turned
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.kernels.octree.morton import dilate
 from nerfbake.kernels.vdb.bitmask import slots_of
-from nerfbake.scene.basis import Basis, parse_basis
+from nerfbake.scene.basis import Basis, parse_basis, shown_basis
+from nerfbake.scene.radiance_field import RadianceField, leaf_box
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._field import Field, box_of, shown_basis
 from nerfbake.stages._fog import density_of
 
 _EDGE = 1e-6  # how near to 0 and 1 a colour may be, for its sigmoid to be undone
-Ints = npt.NDArray[np.int64]
 
 
-def field_of_volume(volume: Volume) -> Field:
+def field_of_volume(volume: Volume) -> RadianceField:
     """An index grid with the coefficients of an octree; or density, with sh_0, sh_1, ..., with Cd (or color), or grey.
 
     Tiles are cells as large as they are. A density without colours is grey, 0.5 of white: what it hides shows on a
     white background as well as on a black one. Raises InvalidScene where there is no density, or an index of unknown
-    columns.
+    columns, and for broken grids.
     """
+    volume.require_usable()
     first = volume.grids[0]
     if isinstance(first, IndexGrid):
         topology, basis = first.topology, shown_basis(volume.frame.data_format if volume.frame else "")
@@ -50,7 +51,7 @@ def field_of_volume(volume: Volume) -> Field:
     back = inverse(transform[:, :3])
     # A sample stands at its voxel's centre, half a cell from the cell's corner.
     place = np.column_stack([back, 0.5 - low - turned(transform[:, 3], back)])
-    return Field(cells, values[held], place, box_of(cells), basis)
+    return memory.kept(RadianceField(cells, values[held], place, leaf_box(cells), basis))
 
 
 def _colours(volume: Volume, density: VdbTree) -> tuple[npt.NDArray[np.float32], Basis]:

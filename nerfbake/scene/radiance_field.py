@@ -1,0 +1,102 @@
+"""What a marcher reads, whatever it was made from: a tree of cells, the values of what is not empty, and its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.march.cells import EMPTY, Cells, rows_at
+from nerfbake.kernels.maths.affine import inverse, placed, turned
+from nerfbake.scene.basis import Basis, shown_basis
+
+
+@dataclass(frozen=True, eq=False)
+class RadianceField:
+    """A radiance field over a tree of cells, ready to be looked at as often as wanted.
+
+    cells   the tree (kernels.march.cells); a leaf's slot says which row of the values is its own
+    values  (leaves, 3 B + 1) float32: B coefficients of red, of green, of blue, then the density per world unit
+    place   (3, 4) float64: cells of the last level = place @ (world, 1)
+    box     (2, 3) float64: in cells, around all leaves, or the whole tree where there are none
+    basis   SH or RGBA, in the field's own axes
+    """
+
+    cells: Cells
+    values: npt.NDArray[np.float32]
+    place: Points
+    box: Points
+    basis: Basis
+
+    def __post_init__(self) -> None:
+        shown_basis(str(self.basis))
+        _require_shape("values", self.values, (len(self.values), self.basis.data_dim), np.float32)
+        _require_shape("place", self.place, (3, 4), np.float64)
+        _require_shape("box", self.box, (2, 3), np.float64)
+
+    def __str__(self) -> str:
+        return f"{self.basis} field of {len(self.values):,} leaves over {self.cells.edge}^3 cells"
+
+    @property
+    def axes(self) -> Points:
+        """(3, 3) the field's own axes in the world, a row each, unit vectors; its SH are in these."""
+        rows = self.place[:, :3] / np.linalg.norm(self.place[:, :3], axis=1, keepdims=True)
+        return np.asarray(rows, np.float64)
+
+    def world(self, points: Points) -> Points:
+        """(m, 3) in cells -> the world."""
+        return turned(points - self.place[:, 3], inverse(self.place[:, :3]))
+
+    def sample(self, points: Points) -> npt.NDArray[np.float32]:
+        """(m, 3) in the world -> (m, 3 B + 1) of the leaf around each point, zeros where there is none."""
+        rows = rows_at(self.cells, placed(points, self.place))
+        found = np.zeros((len(points), self.basis.data_dim), np.float32)
+        found[rows >= 0] = self.values[rows[rows >= 0]]
+        return found
+
+    def leaf_centres(self, most: int) -> Points:
+        """(m, 3) world centres of the leaves, evenly thinned out to `most`."""
+        centres = [corners + width / 2 for corners, width in leaves_of(self.cells)] or [np.empty((0, 3))]
+        found = np.concatenate(centres)
+        return self.world(found[np.linspace(0, len(found) - 1, most).astype(int)] if len(found) > most else found)
+
+
+def require_field(scene: Any) -> RadianceField:
+    """The field itself. Raises UsageError for anything else: making one costs too much to be done for each picture."""
+    if not isinstance(scene, RadianceField):
+        raise UsageError(f"{type(scene).__name__} is no RadianceField; allowed: what build_field() makes of it")
+    return scene
+
+
+def leaves_of(cells: Cells) -> Iterator[tuple[Points, float]]:
+    """The lowest corners (m, 3) of each level's leaves, and their width, in cells of the last level."""
+    nodes, corner = np.zeros(1, np.int64), np.zeros((1, 3))
+    for first, bits, width in zip(cells.first, cells.bits, cells.width, strict=True):
+        steps = np.stack(np.unravel_index(np.arange(1 << 3 * bits), (1 << bits,) * 3), axis=1)
+        slots = cells.slots[first + (nodes[:, None] << 3 * bits) + np.arange(1 << 3 * bits)]
+        node, cell = np.nonzero(slots < EMPTY)
+        if len(node):
+            yield corner[node] + steps[cell] * width, float(width)
+        node, cell = np.nonzero(slots >= 0)
+        nodes, corner = slots[node, cell].astype(np.int64), corner[node] + steps[cell] * width
+
+
+def leaf_box(cells: Cells, limit: npt.ArrayLike = np.inf) -> Points:
+    """(2, 3) around all leaves, up to `limit`; around the whole tree where there are none."""
+    low, high = np.full(3, float(cells.edge)), np.zeros(3)
+    for corners, width in leaves_of(cells):
+        low = np.minimum(low, corners.min(axis=0))
+        high = np.maximum(high, corners.max(axis=0) + width)
+    high = np.minimum(high, limit)
+    return np.stack([low, high]) if (low < high).all() else np.array([[0.0] * 3, [cells.edge] * 3])
+
+
+def _require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    if array.shape != shape or array.dtype != dtype:
+        found = f"has shape {array.shape}, dtype {array.dtype}"
+        raise InvalidScene(Problem(f"the field's {name}", found, f"{shape} {np.dtype(dtype)}"))
