@@ -93,7 +93,7 @@ def compare_files(
     pages.require()
     first, second = as_source(a), as_source(b)
     (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
-    if isinstance(scene, _fields()):
+    if type(scene) in _fields():
         with first.blamed(steps, "building the field"):
             scene = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
     views = views_of(steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size)
