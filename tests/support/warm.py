@@ -1,7 +1,7 @@
 """Compiles every kernel into numba's cache, two processes side by side: `python -m tests.support.warm`.
 
-A test process that finds a kernel in no cache compiles it, and two that need it at the same time both do. Run before the
-tests, this compiles each one once. Where all are in the cache it only loads them.
+A test process that finds a kernel in no cache compiles it, and two that need it at the same time both do. Run before
+the tests, this compiles each one once. Where all are in the cache it only loads them.
 """
 
 from __future__ import annotations
