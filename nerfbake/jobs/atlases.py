@@ -31,7 +31,9 @@ def bake_atlas(
     missed. Options go to bake_stage1(). up: the mesh's axis that is up in scene.glb. report gets the atlas's facts,
     errors and sizes as soon as it is written, before it is judged. Raises NerfbakeError.
 
-        atlas = bake_atlas("mesh_stage1", "atlas_16", clusters=16, map_size=32)
+    >>> atlas = bake_atlas("mesh_stage1", "atlas_16", clusters=16, map_size=32)
+    >>> atlas.atlases[0].K
+    16
     """
     source = source if isinstance(source, Stage1Source) else Stage1Source(str(source))
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
@@ -57,7 +59,9 @@ def measure_atlas(atlas: str | Path, stage1: str | Path, *, steps: Steps = SILEN
 
     Reads both folders, writes nothing. Options go to measure_stage1_error(). Raises NerfbakeError.
 
-        errors = measure_atlas("atlas_16", "mesh_stage1", held_out=True)
+    >>> [error] = measure_atlas("atlas_16", "mesh_stage1", held_out=True)
+    >>> error.mae < 20
+    True
     """
     with steps.phase(f"reading {atlas}"):
         baked = io.load_folder(atlas, nerfbake.BakedAtlas)

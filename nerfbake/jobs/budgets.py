@@ -46,9 +46,11 @@ def judge(
 
     made_from: what words and errors call the scene. up: the axis of a volume's world that the scene's z became.
 
-        octree = nerfbake.build_octree(tree, resolution=64)
-        nerfbake.save("a.svo.pb", octree)
-        decibels = judge("a.svo.pb", tree, Budget(min_psnr=30), made_from="a.npz")
+    >>> tree = nerfbake.load("a.npz")
+    >>> nerfbake.save("judged.svo.npz", nerfbake.build_octree(tree)) > 0
+    True
+    >>> judge("judged.svo.npz", tree, Budget(min_psnr=50), made_from="a.npz") > 50
+    True
     """
     if budget.min_psnr is None:
         return None

@@ -87,8 +87,9 @@ def compare_files(
     all is written, before it is judged. Raises NerfbakeError; BudgetMissed, exit code 3, where `b` is further off than
     the limits allow.
 
-        compared = compare_files("a.npz", "a.svo.pb", seen=Seen(size=(64, 64)), limits=Limits(min_psnr=20))
-        decibels = compared.found.means["a_b"]["psnr"]
+    >>> compared = compare_files("a.npz", "a.npz", seen=Seen(size=(32, 32)), limits=Limits(min_psnr=90))
+    >>> compared.found.means["a_b"]["psnr"]
+    100.0
     """
     pages.require()
     first, second = as_source(a), as_source(b)

@@ -14,7 +14,8 @@ def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]
 
     Reads `source`, writes nothing. Raises NerfbakeError.
 
-        levels = describe_file("a.svo.pb")["nodes_per_level"]
+    >>> describe_file("a.npz")["kind"]
+    'PlenOctree (N3Tree)'
     """
     source = as_source(source)
     scene, form, size = source.read_with_format(steps)

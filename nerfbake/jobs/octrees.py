@@ -25,7 +25,9 @@ def bake_octree(
     go to build_octree(). no_child: how the file spells 'no child', 0 or -1. What is wrong with the arguments alone is
     told before anything is read. Raises NerfbakeError.
 
-        octree = bake_octree("a.npz", "a.svo.pb", resolution=64, budget=Budget(min_psnr=20))
+    >>> octree = bake_octree("a.npz", "a.svo.pb", resolution=16, budget=Budget(min_psnr=20))
+    >>> octree.size
+    (16, 16, 16)
     """
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree")
@@ -53,7 +55,8 @@ def bake_lod(
     the deepest one to keep, 0 is the root alone. no_child: how the file spells 'no child', 0 or -1. Raises
     NerfbakeError.
 
-        half = bake_lod("a.svo.pb", "a_5.svo.pb", level=5)
+    >>> bake_lod("a.svo.pb", "a_3.svo.pb", level=3).size
+    (8, 8, 8)
     """
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree")

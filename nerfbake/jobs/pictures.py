@@ -141,8 +141,10 @@ def render_views(
     lod: the level of an octree to show. choice: which grids of a volume. Options go to render_field(). All names are
     settled before the first picture is made. Raises NerfbakeError.
 
-        paths = render_views("a.npz", "views", Shots(turntable=3, size=(32, 32)))
-        render_views("a.npz", Pictures("a.png", depth="npy"), Shots(size=(32, 32)), lookup="trilinear")
+    >>> render_views("a.npz", "views", Shots(turntable=2, size=(32, 32)))
+    ['views/0000.png', 'views/0001.png']
+    >>> render_views("a.npz", Pictures("a.png", depth="npy"), Shots(size=(32, 32)), lookup="trilinear")
+    ['a.png']
     """
     source = as_source(source)
     pictures = pictures if isinstance(pictures, Pictures) else Pictures(str(pictures))

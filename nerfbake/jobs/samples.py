@@ -15,7 +15,8 @@ def write_sample_n3tree(target: AnyTarget, *, steps: Steps = SILENT, **options: 
 
     Reads nothing, writes `target`. Options go to sample_n3tree(). Raises NerfbakeError.
 
-        tree = write_sample_n3tree("a.npz", resolution=64)
+    >>> write_sample_n3tree("small.npz", resolution=16).resolution
+    16
     """
     target = as_target(target)
     target.require("N3Tree")
@@ -30,7 +31,8 @@ def write_sample_stage1(target: FolderTarget | str | Path, *, steps: Steps = SIL
 
     Reads nothing, writes the folder `target`. Options go to sample_stage1(). Raises NerfbakeError.
 
-        stage1 = write_sample_stage1("mesh_stage1", resolution=64)
+    >>> len(write_sample_stage1("torus", resolution=64).fields)
+    1
     """
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()

@@ -1,0 +1,115 @@
+"""Every command does what its job does: the same bytes, the same facts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+from nerfbake import build_octree, jobs, orbit_cameras, save
+from nerfbake.cli import main
+from nerfbake.jobs import Limits, Pages, Pictures, Seen, Shots
+from tests.support.scenes import n3tree
+
+JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
+    "svo": (
+        ["a.npz", "OUT.svo.pb", "--resolution", "3", "--profile", "bulk"],
+        lambda out: jobs.bake_octree("a.npz", jobs.Target(f"{out}.svo.pb", profile="bulk"), resolution=(3, 3, 3)),
+    ),
+    "lod": (
+        ["a.svo.pb", "OUT.svo.fb", "--level", "1"],
+        lambda out: jobs.bake_lod("a.svo.pb", f"{out}.svo.fb", level=1),
+    ),
+    "atlas": (
+        ["in", "OUT", "--clusters", "3", "--map-size", "8"],
+        lambda out: jobs.bake_atlas("in", out, clusters=3, map_size=8),
+    ),
+    "render": (
+        ["a.npz", "--out", "OUT", "--cameras", "c.json", "--all", "--depth", "npy", "--lookup", "trilinear"],
+        lambda out: jobs.render_views(
+            "a.npz", Pictures(out, depth="npy"), Shots("c.json", every=True), lookup="trilinear"
+        ),
+    ),
+    "compare": (
+        ["a.npz", "a.svo.pb", "--size", "9x9", "--html", "OUT.html", "--min-psnr", "20"],
+        lambda out: jobs.compare_files(
+            "a.npz", "a.svo.pb", seen=Seen(size=(9, 9)), limits=Limits(min_psnr=20), pages=Pages(html=f"{out}.html")
+        ),
+    ),
+    "sample octree": (
+        ["OUT.npz", "--resolution", "8"],
+        lambda out: jobs.write_sample_n3tree(f"{out}.npz", resolution=8),
+    ),
+    "sample nerf2mesh": (
+        ["OUT", "--resolution", "32"],
+        lambda out: jobs.write_sample_stage1(out, resolution=32),
+    ),
+}
+FACTS: dict[str, tuple[list[str], Callable[[], Any]]] = {
+    "info": (["a.svo.pb"], lambda: jobs.describe_file("a.svo.pb")),
+    "atlas-error": (
+        ["baked", "in", "--directions", "9"],
+        lambda: [error._asdict() for error in jobs.measure_atlas("baked", "in", directions=9)],
+    ),
+}
+# Those whose work is a stage's, io's or the benchmarks' own, a call between the words.
+NO_JOB = {"vdb", "convert", "check", "bench formats", "bench atlas", "bench access", "bench render"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("jobs")
+    tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
+    save(folder / "a.npz", tree)
+    save(folder / "a.svo.pb", build_octree(tree))
+    save(folder / "c.json", orbit_cameras(tree, frames=2, width=9, height=9))
+    jobs.write_sample_stage1(folder / "in", resolution=32)
+    jobs.bake_atlas(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
+    return folder
+
+
+def written(folder: Path, stem: str) -> dict[str, bytes]:
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    names = {str(path.relative_to(folder)): path for path in paths}
+    return {name.removeprefix(stem): path.read_bytes() for name, path in names.items() if name.startswith(stem)}
+
+
+@pytest.mark.parametrize("command", JOBS)
+def test_a_command_writes_what_its_job_writes(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    arguments, job = JOBS[command]
+    stem = command.replace(" ", "-")
+    line = [*command.split(), *(word.replace("OUT", f"{stem}-command") for word in arguments), "-q"]
+    assert main.run(line) == 0
+    job(f"{stem}-job")
+    by_command, by_job = written(folder, f"{stem}-command"), written(folder, f"{stem}-job")
+    assert by_command
+    assert by_command == by_job
+
+
+@pytest.mark.parametrize("command", FACTS)
+def test_a_command_prints_what_its_job_finds(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    arguments, job = FACTS[command]
+    assert main.run([command, *arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(job()))
+
+
+def commands(group: click.Group, prefix: str = "") -> dict[str, click.Command]:
+    found: dict[str, click.Command] = {}
+    for name, command in group.commands.items():
+        found |= commands(command, f"{name} ") if isinstance(command, click.Group) else {f"{prefix}{name}": command}
+    return found
+
+
+def test_every_command_is_in_these_tables_and_keeps_to_one_allowance() -> None:
+    known = commands(main.cli)
+    assert set(known) == set(JOBS) | set(FACTS) | NO_JOB
+    for command in known.values():
+        assert "--max-memory" in [option for parameter in command.params for option in parameter.opts]

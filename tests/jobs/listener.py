@@ -1,0 +1,22 @@
+"""Somebody who writes down what a job says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class Listener:
+    """phases, in order of their start; said, line by line."""
+
+    def __init__(self) -> None:
+        self.phases: list[str] = []
+        self.said: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    @contextmanager
+    def phase(self, text: str) -> Iterator[None]:
+        self.phases.append(text)
+        yield

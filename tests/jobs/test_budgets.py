@@ -1,0 +1,43 @@
+"""Budgets: what was written, looked at beside what it was made from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nerfbake import N3Tree, build_octree, build_vdb, load, save
+from nerfbake.errors import BudgetMissed, InvalidFile
+from nerfbake.jobs import Budget, judge
+from tests.jobs.listener import Listener
+
+
+def test_the_file_is_judged_not_what_it_was_made_from(folder: Path, listener: Listener) -> None:
+    tree = load("a.npz", N3Tree)
+    decibels = judge("a.svo.pb", tree, Budget(50, "cameras.json"), made_from="a.npz", steps=listener)
+    assert decibels is not None
+    assert listener.said == [f"a.svo.pb: {decibels:.2f} dB against a.npz"]
+    (folder / "a.svo.pb").write_bytes(b"broken on its way to the disk")
+    with pytest.raises(InvalidFile, match=r"a\.svo\.pb"):
+        judge("a.svo.pb", tree, Budget(50, "cameras.json"), made_from="a.npz")
+
+
+@pytest.mark.usefixtures("folder")
+def test_without_a_limit_nothing_is_read() -> None:
+    assert judge("none", None, Budget(), made_from="none") is None
+
+
+def test_what_is_missed_is_renamed(folder: Path) -> None:
+    with pytest.raises(BudgetMissed, match=r"a\.svo\.pb: the picture has a mean PSNR of"):
+        judge("a.svo.pb", load("a.npz", N3Tree), Budget(200, "cameras.json"), made_from="a.npz")
+    assert sorted(path.name for path in folder.glob("*.svo.pb*")) == ["a.svo.pb.rejected"]
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_volume_whose_y_is_up_is_turned_back() -> None:
+    tree = load("a.npz", N3Tree)
+    save("y.nvdb", build_vdb(build_octree(tree), grids=("index",), up="y"))
+    decibels = judge("y.nvdb", tree, Budget(50, "cameras.json"), made_from="a.npz", up="y")
+    assert decibels is not None
+    with pytest.raises(BudgetMissed):
+        judge("y.nvdb", tree, Budget(50, "cameras.json"), made_from="a.npz")

@@ -1,0 +1,35 @@
+"""The example in each job's docstring, run as it stands."""
+
+from __future__ import annotations
+
+import doctest
+from pathlib import Path
+
+import pytest
+
+import nerfbake
+from nerfbake import jobs
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where examples find a PlenOctree, an octree, a stage-1 folder and its atlas."""
+    folder = tmp_path_factory.mktemp("examples")
+    jobs.write_sample_n3tree(folder / "a.npz", resolution=16, basis="SH1")
+    jobs.write_sample_stage1(folder / "mesh_stage1", resolution=64)
+    return folder
+
+
+LAST = ("bake_lod", "measure_atlas")  # their examples read what another example wrote
+ORDER = [*(name for name in jobs.JOBS if name not in LAST), *LAST]
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_an_example_runs(name: str, workshop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(workshop)
+    known = {"nerfbake": nerfbake} | {known: getattr(jobs, known) for known in jobs.__all__}
+    (example,) = doctest.DocTestFinder().find(getattr(jobs, name), name, globs=known)
+    assert example.examples, f"{name}'s docstring has no example"
+    said: list[str] = []
+    doctest.DocTestRunner().run(example, out=said.append)
+    assert said == []

@@ -1,0 +1,50 @@
+"""What jobs read and write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nerfbake import N3Tree, Stage1, load
+from nerfbake.errors import InvalidFile, InvalidScene
+from nerfbake.jobs import Source, Stage1Source, Target
+from nerfbake.jobs.files import as_source, as_target
+from nerfbake.jobs.steps import SILENT
+from nerfbake.memory import left, memory_limit
+from tests.jobs.listener import Listener
+
+
+def test_a_path_is_enough() -> None:
+    assert as_source(Path("a.npz")) == as_source("a.npz") == Source("a.npz")
+    assert as_source(Source("-")).name == "stdin"
+    assert as_target("a.svo.pb") == Target("a.svo.pb", to=None, force=False)
+    assert as_target(Target("a", to="svo.pb")).to == "svo.pb"
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_source_tells_its_step_and_is_blamed(listener: Listener) -> None:
+    scene, form, size = Source("a.npz").read_with_format(listener, N3Tree)
+    assert (form.name, size, listener.phases) == ("npz", Path("a.npz").stat().st_size, ["reading a.npz"])
+    assert isinstance(scene, N3Tree)
+    with pytest.raises(InvalidScene, match=r"^a.npz: too much"), Source("a.npz").blamed(listener, "working"):
+        raise InvalidScene("too much")
+    with pytest.raises(InvalidFile, match="holds an octree"):
+        Source("a.svo.pb").read(SILENT, N3Tree)
+
+
+def test_parts_from_anywhere_are_a_stage1_folder(stage1: Path) -> None:
+    parts = Stage1Source("", (str(stage1 / "feat1_0.png"),), str(stage1 / "mlp.json"))
+    read = parts.read(SILENT)
+    assert (read.fields[0].features == load(stage1, Stage1).fields[0].features).all()
+    assert parts.name == str(stage1 / "feat1_0.png")
+
+
+def test_what_a_stage1_folder_was_read_from_is_given_back(stage1: Path) -> None:
+    parts = Stage1Source("", (str(stage1 / "feat1_0.png"),), str(stage1 / "mlp.json"))
+    with memory_limit(1 << 28):
+        before = left()
+        read = parts.read(SILENT)
+        assert left() < before
+        del read
+        assert left() == before

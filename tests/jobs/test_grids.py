@@ -1,0 +1,27 @@
+"""Which grids of a volume a job works on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nerfbake import N3Tree, Volume, build_octree, build_vdb, load
+from nerfbake.errors import NerfbakeError, UsageError
+from nerfbake.jobs import Choice, Source
+from nerfbake.jobs.steps import SILENT
+
+
+@pytest.mark.usefixtures("folder")
+def test_grids_by_name_and_an_axis() -> None:
+    octree = build_octree(load(Path("a.npz"), N3Tree))
+    volume, source = build_vdb(octree, grids=("density", "Cd")), Source("a.vdb")
+    assert Choice().of(SILENT, source, volume) is volume
+    chosen = Choice(("Cd",)).of(SILENT, source, volume)
+    assert isinstance(chosen, Volume)
+    assert [grid.name for grid in chosen.grids] == ["Cd"]
+    assert (Choice(up="y").of(SILENT, source, volume).transform != volume.transform).any()
+    with pytest.raises(NerfbakeError, match=r"^a.vdb: "):
+        Choice(("nothing",)).of(SILENT, source, volume)
+    with pytest.raises(UsageError, match=r"a\.vdb is no volume; allowed: no --grid and no --up"):
+        Choice(("Cd",)).of(SILENT, source, octree)

@@ -1,0 +1,112 @@
+"""Pictures of a file: names, places, and what stands beside them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerfbake import (
+    Cameras,
+    Depth,
+    Image,
+    Meshes,
+    N3Tree,
+    build_octree,
+    build_vdb,
+    cut_octree,
+    load,
+    render_field,
+    save,
+)
+from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
+from nerfbake.jobs import Choice, Pictures, PlacedMesh, Shots, render_views
+from tests.jobs.listener import Listener
+from tests.support.meshes import cube
+
+ALL = Shots(cameras="cameras.json", every=True)
+
+
+def test_every_view_is_a_file_of_its_name(folder: Path, listener: Listener) -> None:
+    wanted = Pictures("views", depth="npy", alpha=True)
+    paths = render_views("a.npz", wanted, ALL, steps=listener)
+    assert paths == [f"views/000{i}.png" for i in range(3)]
+    beside = [f"000{i}{ending}" for i in range(3) for ending in (".alpha.png", ".depth.npy", ".png")]
+    assert sorted(path.name for path in (folder / "views").iterdir()) == beside
+    assert load("views/0001.depth.npy", Depth).distance.shape == (16, 20)
+    assert listener.phases == ["reading a.npz", "reading cameras.json"] + [f"rendering 000{i}" for i in range(3)]
+    assert [line.split(":")[0] for line in listener.said] == paths
+
+
+@pytest.mark.usefixtures("folder")
+def test_one_of_the_cameras_is_what_the_stage_renders() -> None:
+    assert render_views("a.npz", "b.png", Shots("cameras.json", frame=2), transmittance_cut=0.5) == ["b.png"]
+    camera = load("cameras.json", Cameras).cameras[2]
+    save("c.png", render_field(load("a.npz", N3Tree), camera, transmittance_cut=0.5))
+    assert Path("b.png").read_bytes() == Path("c.png").read_bytes()
+    with pytest.raises(UsageError, match="--frame is 3; allowed: 0 to 2"):
+        render_views("a.npz", "d.png", Shots("cameras.json", frame=3))
+
+
+@pytest.mark.usefixtures("folder")
+def test_several_in_one_file_hold_the_same_pictures() -> None:
+    turn = Shots(turntable=3, size=(8, 6))
+    for out in ("turn.gif", "turn.png"):
+        assert render_views("a.npz", out, turn) == [out]
+    render_views("a.npz", "turn", turn)
+    sheet = load("turn.png", Image).colour
+    np.testing.assert_array_equal(sheet[:6, 12:20], load("turn/0001.png", Image).colour)
+    with pytest.raises(OutputError, match=r"turn\.gif: exists already"):
+        render_views("none", "turn.gif", turn)
+    render_views("a.npz", Pictures("turn.gif", force=True), turn)
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_level_a_grid_and_a_mesh_change_what_is_seen() -> None:
+    octree = build_octree(load("a.npz", N3Tree))
+    save("l.svo.npz", cut_octree(octree, level=1))
+    save("a.vdb", build_vdb(octree, grids=("density", "Cd")))
+    save("m.obj", Meshes((cube(0.3),)))
+    shot = Shots("cameras.json")
+    render_views("a.svo.pb", "level.png", shot, lod=1)
+    render_views("l.svo.npz", "cut.png", shot)
+    assert Path("level.png").read_bytes() == Path("cut.png").read_bytes()
+    render_views("a.vdb", "whole.png", shot)
+    render_views("a.vdb", "grey.png", shot, choice=Choice(("density",)))
+    render_views("a.npz", "alone.png", shot)
+    render_views("a.npz", "mesh.png", shot, mesh=PlacedMesh("m.obj", how="ztest"))
+    for one, other in (("whole", "grey"), ("alone", "mesh")):
+        assert np.abs(load(f"{one}.png", Image).colour - load(f"{other}.png", Image).colour).max() > 0.1
+    with pytest.raises(UsageError, match=r"a\.npz is no volume; allowed: no --grid and no --up"):
+        render_views("a.npz", "b.png", shot, choice=Choice(up="y"))
+
+
+@pytest.mark.parametrize(
+    ("pictures", "shots", "said"),
+    [
+        ("-", Shots(turntable=3), "stdout takes one picture"),
+        (Pictures("-", alpha=True), Shots(), "--depth and --alpha write files beside a picture"),
+        (Pictures("a.gif", depth="png"), Shots(turntable=3), "--depth and --alpha write files beside a picture"),
+        ("a.gif", Shots(), "has no ending that a picture is written with"),
+        ("a.png", Shots(cameras="c.json", turntable=3), "--turntable goes around the scene"),
+        (Pictures("there.png", depth="npy"), Shots(), "there.depth.npy: exists already"),
+    ],
+)
+def test_what_arguments_alone_can_tell_is_told_before_anything_is_read(
+    pictures: Pictures | str, shots: Shots, said: str, folder: Path
+) -> None:
+    (folder / "there.depth.npy").touch()
+    with pytest.raises(NerfbakeError, match=re.escape(said)):
+        render_views("none", pictures, shots)
+
+
+def test_all_names_are_settled_before_the_first_picture(folder: Path) -> None:
+    (folder / "views").mkdir()
+    (folder / "views" / "0002.alpha.png").touch()
+    with pytest.raises(OutputError, match=r"0002\.alpha\.png: exists already"):
+        render_views("a.npz", Pictures("views", alpha=True), ALL)
+    assert [path.name for path in (folder / "views").iterdir()] == ["0002.alpha.png"]
+    with pytest.raises(InvalidScene, match=r"^a.svo.pb: level is 9"):
+        render_views("a.svo.pb", "b.png", lod=9)
