@@ -1,7 +1,7 @@
 """What a format must offer: the shape of its module, and the options that its encode() takes.
 
 A module of `formats/` that stands in the catalog has the functions of FileFormat, or of FolderFormat if it holds more
-than one file; one of volumes has VolumeFormat's, too. tests/test_contract.py holds every module to them.
+than one file; one of volumes has VolumeFormat's, too. tests/rules/test_contract.py holds every module to them.
 
 encode()'s own signature says which options a format takes: keyword-only arguments, each with its type and its default.
     def encode(octree: SparseVoxelOctree, *, no_child: Literal[0, -1] = 0) -> Iterator[bytes | memoryview]:
