@@ -8,41 +8,70 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
+from nerfbake import contract
 from nerfbake.errors import InvalidFile, UsageError
 
 
 class Format(NamedTuple):
-    """A way to write a scene as bytes."""
+    """A way to write a scene as the bytes of a file."""
 
     name: str  # what --to takes and info prints
     scene: str  # name of the scene type that it holds
     suffix: str  # the ending of its files
-    module: str  # in `formats`: has encode(scene, **options) and decode(view, ...)
+    module: str  # in `formats`: what contract.FileFormat says, contract.VolumeFormat if it holds volumes
     title: str
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
-    profiles: tuple[str, ...] = ()  # what encode's `profile` takes, the one it writes unless told otherwise first
     readable: bool = True  # False: written for people to look at, without decode() and recognise()
-    key: str = ""  # of a folder: the file by which it is known
-    members: tuple[str, ...] = ()  # of a folder: files that stand for it, as they mean nothing without the others
     beside: bool = False  # decode() takes the folder where the file stands, too
 
-    def load_module(self) -> Any:
-        return import_module(f"nerfbake.formats.{self.module}")
+    def load_module(self) -> contract.FileFormat:
+        return cast(contract.FileFormat, import_module(f"nerfbake.formats.{self.module}"))
 
+    def load_volume_module(self) -> contract.VolumeFormat:
+        return cast(contract.VolumeFormat, self.load_module())
+
+    def require_options(self, given: Mapping[str, object]) -> None:
+        """Raises UsageError for options that the format does not take, or other values than it takes."""
+        contract.require_options(self.name, self.load_module().encode, given)
+
+    def choices(self, option: str) -> tuple[str, ...]:
+        """The values that an option of the format may have, its default first; none if it has no such option."""
+        known = contract.options_of(self.load_module().encode)
+        return known[option].choices if option in known else ()
+
+
+class FolderKind(NamedTuple):
+    """A kind of folder that holds a scene."""
+
+    name: str  # what info prints
+    scene: str  # name of the scene type that it holds
+    module: str  # in `formats`: what contract.FolderFormat says
+    title: str
+    key: str  # the file by which it is known
+    members: tuple[str, ...] = ()  # files that stand for the folder, as they mean nothing without the others
+
+    def load_module(self) -> contract.FolderFormat:
+        return cast(contract.FolderFormat, import_module(f"nerfbake.formats.{self.module}"))
+
+    def require_options(self, given: Mapping[str, object]) -> None:
+        """Raises UsageError for options that this kind of folder does not take, or other values than it takes."""
+        contract.require_options(self.name, self.load_module().encode, given)
+
+
+AnyFormat = Format | FolderKind
 
 _OCTREE = "SparseVoxelOctree"
-_BULK, _REPORT = ("bulk", "report"), ("report", "bulk")
 
-# Longer endings stand before the endings they contain.
+# Longer endings stand before the endings they contain. Formats that share an ending are asked in this order.
 FORMATS = (
     Format("svo.npz", _OCTREE, ".svo.npz", "octree.npz", "octree, plain NumPy arrays"),
-    Format("svo.pb", _OCTREE, ".svo.pb", "octree.protobuf", "octree, Protocol Buffers", profiles=_REPORT),
-    Format("svo.json", _OCTREE, ".svo.json", "octree.json", "octree, JSON", profiles=_BULK),
-    Format("svo.bson", _OCTREE, ".svo.bson", "octree.bson", "octree, BSON", profiles=_BULK),
-    Format("svo.fb", _OCTREE, ".svo.fb", "octree.flatbuffers", "octree, FlatBuffers", profiles=_BULK),
-    Format("svo.capnp", _OCTREE, ".svo.capnp", "octree.capnp", "octree, Cap'n Proto", profiles=_BULK),
+    Format("svo.pb", _OCTREE, ".svo.pb", "octree.protobuf", "octree, Protocol Buffers"),
+    Format("svo.json", _OCTREE, ".svo.json", "octree.json", "octree, JSON"),
+    Format("svo.bson", _OCTREE, ".svo.bson", "octree.bson", "octree, BSON"),
+    Format("svo.fb", _OCTREE, ".svo.fb", "octree.flatbuffers", "octree, FlatBuffers"),
+    Format("svo.capnp", _OCTREE, ".svo.capnp", "octree.capnp", "octree, Cap'n Proto"),
     Format("vdb.npz", "Volume", ".vdb.npz", "volume.npz", "VDB grids, plain NumPy arrays"),
     Format("npz", "N3Tree", ".npz", "field.n3tree", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
     Format("depth.png", "Depth", ".depth.png", "picture.depth_png", "depth, thousandths of a world unit"),
@@ -63,13 +92,13 @@ FORMATS = (
 _COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
 _LLFF, _NSVF = ("poses_bounds.npy",), ("intrinsics.txt",)
 FOLDERS = (
-    Format("stage1", "Stage1", "", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
-    Format("atlas", "BakedAtlas", "", "atlas.folder", "octahedral atlas", key="atlas.json"),
-    Format("thesis", "BakedAtlas", "", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png"),
-    Format("transforms", "Cameras", "", "camera.transforms_folder", "capture's cameras", key="transforms.json"),
-    Format("colmap", "Cameras", "", "camera.colmap", "COLMAP model", key="sparse/0/images.bin", members=_COLMAP),
-    Format("llff", "Cameras", "", "camera.llff", "LLFF's poses", key="poses_bounds.npy", members=_LLFF),
-    Format("nsvf", "Cameras", "", "camera.nsvf", "NSVF's capture", key="intrinsics.txt", members=_NSVF),
+    FolderKind("stage1", "Stage1", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
+    FolderKind("atlas", "BakedAtlas", "atlas.folder", "octahedral atlas", key="atlas.json"),
+    FolderKind("thesis", "BakedAtlas", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png"),
+    FolderKind("transforms", "Cameras", "camera.transforms_folder", "capture's cameras", key="transforms.json"),
+    FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", key="sparse/0/images.bin", members=_COLMAP),
+    FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", key="poses_bounds.npy", members=_LLFF),
+    FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", key="intrinsics.txt", members=_NSVF),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
@@ -155,8 +184,8 @@ ADVICE = {
 }
 
 
-def load_compression() -> Any:
-    return import_module(COMPRESSION)
+def load_compression() -> contract.Compression:
+    return cast(contract.Compression, import_module(COMPRESSION))
 
 
 def uncompressed(name: str) -> str:
@@ -198,12 +227,20 @@ def formats_of(scene: str) -> list[Format]:
     return [form for form in FORMATS if form.scene == scene]
 
 
-def folders_of(scene: str) -> list[Format]:
+def folders_of(scene: str) -> list[FolderKind]:
     """The kinds of folders that hold this scene type, the one to write first."""
     return [form for form in FOLDERS if form.scene == scene]
 
 
-def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> Format:
+def folder_to_write(scene: str) -> FolderKind:
+    """The kind of folder that this scene type is written as. Raises UsageError."""
+    for kind in folders_of(scene):
+        return kind
+    known = ", ".join(dict.fromkeys(kind.scene for kind in FOLDERS))
+    raise UsageError(f"a {scene} is not written as a folder; allowed: {known}")
+
+
+def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> FolderKind:
     """The kind of folder that these files are; of several the first that holds a wanted scene. Raises InvalidFile."""
     for form in sorted(FOLDERS, key=lambda form: form.scene not in wanted):
         if form.load_module().recognise(files):
@@ -214,7 +251,7 @@ def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> Format:
     )
 
 
-def folder_of_member(name: str) -> Format | None:
+def folder_of_member(name: str) -> FolderKind | None:
     """The kind of folder that a file of this name stands for, if there is one."""
     return next((form for form in FOLDERS if name in form.members), None)
 
@@ -225,8 +262,8 @@ def require_content(head: bytes) -> None:
         raise InvalidFile("is a Git-LFS pointer, not the file itself; allowed: the file, which `git lfs pull` fetches")
 
 
-def format_of_content(path: str, head: bytes) -> Format:
-    """The format of something to read, by its ending, or by its first bytes (512 or more, if there are so many).
+def format_of_content(path: str, view: memoryview) -> Format:
+    """The format of something to read, by its ending; where that leaves several, by what each says of the bytes.
 
     A stream has no ending, and some endings cover others: an octree's .svo.npz may have been renamed to .npz.
     """
@@ -234,10 +271,10 @@ def format_of_content(path: str, head: bytes) -> Format:
     by_ending = [form for form in known if path.lower().endswith(form.suffix)]
     likely = [form for form in known if not by_ending or form.suffix.endswith(by_ending[0].suffix)]
     for form in likely if len(likely) > 1 else []:
-        if form.load_module().recognise(head):
+        if form.load_module().recognise(view):
             return form
     if by_ending:
         return by_ending[0]
-    start = head[:8].hex(" ") or "nothing"
+    start = bytes(view[:8]).hex(" ") or "nothing"
     endings = ", ".join(form.suffix for form in known)
     raise InvalidFile(f"starts with {start}, as no known format does; allowed: {endings}")

@@ -8,7 +8,7 @@ import click
 
 import nerfbake
 from nerfbake.cli.params import reads, speaks, writes_octree
-from nerfbake.cli.volumes import WARP_NOTE, chooses_grids, codec_for, codec_option, form_of, is_volume
+from nerfbake.cli.volumes import chooses_grids, codec_option, is_volume, tell_of_halves
 from nerfbake.cli.words import Words
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import Source, Target
@@ -31,7 +31,7 @@ def convert(
     source: Source,
     target: Target,
     layout: Literal["full", "compact"] | None,
-    no_child: int,
+    no_child: int | None,
     choice: Choice,
     codec: str | None,
     half: bool,
@@ -52,33 +52,26 @@ def convert(
     if is_volume(target):
         if layout or no_child:
             raise UsageError("a volume has no child slots; allowed: no --layout and no --no-child")
-        target.require("Volume")
-        codecs = codec_for(form_of(target), codec)
-        _to_volume(source, target, choice, codecs, half=half, words=words)
+        _to_volume(source, target, choice, codec, half=half, words=words)
         return
-    target.require("SparseVoxelOctree")
-    if codec:
-        raise UsageError("an octree has no codecs; allowed: no --codec, or .zst behind OUT")
+    target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
     octree = source.read(words, nerfbake.SparseVoxelOctree, nerfbake.Volume)
     if half and not isinstance(octree, nerfbake.Volume):
         raise UsageError("--half is for volumes; allowed: `nerfbake svo --dtype float16`")
     octree = choice.of(words, source, octree)
     if isinstance(octree, nerfbake.Volume):
         octree = _octree(source, octree, choice, half=half, words=words)
-    target.write(words, octree.with_layout(layout or octree.layout), no_child=no_child)
+    target.write(words, octree.with_layout(layout or octree.layout), no_child=no_child, codec=codec)
 
 
-def _to_volume(
-    source: Source, target: Target, choice: Choice, codecs: dict[str, str], *, half: bool, words: Words
-) -> None:
+def _to_volume(source: Source, target: Target, choice: Choice, codec: str | None, *, half: bool, words: Words) -> None:
+    form = target.require("Volume", codec=codec)
     volume = choice.whole(words, source, source.read(words, nerfbake.Volume))
-    if form_of(target) == "nvdb" and half and not isinstance(volume.grids[0], nerfbake.IndexGrid):
-        words.say(WARP_NOTE)
-    if half or form_of(target) == "nvdb":
-        # NanoVDB's halves are codes between a leaf's ends, which lose digits: only for those who ask.
+    if half or not form.load_volume_module().KEEPS_HALVES:
         with source.blamed(words, "rounding"):
             volume = nerfbake.cast_volume(volume, dtype="float16" if half else "float32")
-    target.write(words, volume, **codecs)
+    tell_of_halves(words, form, volume)
+    target.write(words, volume, codec=codec)
 
 
 def _octree(source: Source, volume: Any, choice: Choice, *, half: bool, words: Words) -> Any:

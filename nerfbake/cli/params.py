@@ -202,7 +202,7 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
             type=click.Choice(["0", "-1"]),
             default="0",
             show_default=True,
-            callback=lambda ctx, param, value: int(value),
+            callback=lambda ctx, param, value: int(value) or None,  # 0 is what formats write by themselves
             help="The number that stands for 'no child' in OUT.",
         )
         @functools.wraps(function)

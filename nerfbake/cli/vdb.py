@@ -8,14 +8,13 @@ import click
 
 import nerfbake
 from nerfbake.cli.params import Resolution, judges, reads, speaks, writes
-from nerfbake.cli.volumes import WARP_NOTE, codec_for, codec_option, form_of, require_grids
+from nerfbake.cli.volumes import codec_option, require_grids, tell_of_halves
 from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge
 from nerfbake.jobs.files import Source, Target
 
 GRIDS = "Some of density, Cd (the mean colour over all directions), sh (SH coefficients); or index (all in one table)."
-DEFAULT_GRIDS = {"vdb": "density,Cd", "nvdb": "density", "vdb.npz": "density,Cd"}
 
 
 @click.command()
@@ -54,12 +53,9 @@ def vdb(
       nerfbake vdb chair.svo.pb chair.nvdb --grids index --half
       nerfbake vdb chair.npz - --to nvdb | nerfbake info -
     """
-    target.require("Volume")
+    form = target.require("Volume", codec=codec)
     budget.require(target)
-    form = form_of(target)
-    codecs = codec_for(form, codec)
-    wanted = tuple((grids or DEFAULT_GRIDS[form]).split(","))
-    require_grids(form, wanted, half=half)
+    wanted = require_grids(form, grids, half=half)
     scene: Any = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
     judged = None if budget.min_psnr is None else scene  # the tree goes as soon as nobody needs it
     options: Any = {"sigma_min": sigma_min}
@@ -69,7 +65,6 @@ def vdb(
         elif resolution:
             raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
         volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, **options)
-    if form == "nvdb" and half and wanted == ("density",):
-        words.say(WARP_NOTE)
-    target.write(words, volume, **codecs)
+    tell_of_halves(words, form, volume)
+    target.write(words, volume, codec=codec)
     judge(target.path, judged, budget, made_from=source.name, up=up, steps=words)

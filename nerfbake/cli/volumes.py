@@ -8,13 +8,14 @@ from typing import Any
 
 import click
 
-from nerfbake import catalog, io
+import nerfbake
+from nerfbake import catalog
+from nerfbake.cli.words import Words
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Target
 from nerfbake.jobs.grids import Choice
 
 GRIDS = ("density", "Cd", "sh", "index")
-DEFAULT_CODEC = {"vdb": "zip", "nvdb": "none"}  # .vdb.npz has none
 
 codec_option = click.option(
     "--codec",
@@ -49,30 +50,21 @@ def is_volume(target: Target) -> bool:
     return catalog.is_ending(target.path if target.to is None else f".{target.to.removeprefix('.')}", "Volume")
 
 
-def form_of(target: Target) -> str:
-    """vdb, nvdb or vdb.npz."""
-    return io.uncompressed(io.format_for(target.path, "Volume", to=target.to).name)
+def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tuple[str, ...]:
+    """These grids, or those that the format has where nobody says which.
+
+    Raises UsageError, before any work is done, for grids that it cannot hold.
+    """
+    module = form.load_volume_module()
+    wanted = tuple(grids.split(",")) if grids else module.DEFAULT_GRIDS
+    if not set(wanted) <= set(GRIDS) or len(set(wanted)) < len(wanted) or ("index" in wanted and len(wanted) > 1):
+        raise UsageError(f"--grids are {','.join(wanted)!r}; allowed: some of density, Cd, sh, or index alone")
+    module.require_grids(wanted, half=half)
+    return wanted
 
 
-def codec_for(form: str, codec: str | None) -> dict[str, str]:
-    """What encode() takes. Raises UsageError where the format has no codecs."""
-    if form in DEFAULT_CODEC:
-        return {"codec": codec or DEFAULT_CODEC[form]}
-    if codec:
-        raise UsageError(f"a .{form} has no codecs; allowed: no --codec, .{form}.zst")
-    return {}
-
-
-def require_grids(form: str, grids: tuple[str, ...], *, half: bool) -> None:
-    """Raises UsageError, before any work is done, for grids that this format does not hold."""
-    if not set(grids) <= set(GRIDS) or len(set(grids)) < len(grids) or ("index" in grids and len(grids) > 1):
-        raise UsageError(f"--grids are {','.join(grids)!r}; allowed: some of density, Cd, sh, or index alone")
-    if form == "vdb" and "index" in grids:
-        raise UsageError("a .vdb has no index grids; allowed: density, Cd, sh; or a .nvdb, a .vdb.npz")
-    if form == "nvdb" and (len(grids) > 1 or "sh" in grids):
-        raise UsageError(f"a .nvdb would hold the grids {','.join(grids)}; allowed: one of density, Cd, index")
-    if form == "nvdb" and half and "Cd" in grids:
-        raise UsageError("a .nvdb has no half colours; allowed: no --half, or another grid")
-
-
-WARP_NOTE = "note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros"
+def tell_of_halves(words: Words, form: catalog.Format, volume: nerfbake.Volume) -> None:
+    """Says what other programs make of a density in halves."""
+    note, first = form.load_volume_module().HALF_NOTE, volume.grids[0]
+    if note and isinstance(first, nerfbake.VdbTree) and first.values.dtype == "float16":
+        words.say(note)

@@ -11,6 +11,8 @@ from nerfbake.catalog import (
     ADVICE,
     COMPRESSION_MAGIC,
     NOUNS,
+    AnyFormat,
+    FolderKind,
     Format,
     compressed,
     folder_of_content,
@@ -20,13 +22,14 @@ from nerfbake.catalog import (
     load_compression,
     uncompressed,
 )
+from nerfbake.contract import Scene
 from nerfbake.errors import InvalidFile, NerfbakeError, Problem
 from nerfbake.io.sources import STREAM, Folder, blame, read_file, read_stdin, reading_name
 
-Scene = TypeVar("Scene")
+Kind = TypeVar("Kind")
 
 
-def load(source: str | Path, *kinds: type[Scene], sound: bool = True) -> Scene:
+def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
     """The scene in a file of any format, in a folder of any kind, or on stdin ('-').
 
     kinds: the scene types that are wanted; another one raises InvalidFile. sound=False gives a scene back even if its
@@ -36,12 +39,13 @@ def load(source: str | Path, *kinds: type[Scene], sound: bool = True) -> Scene:
     return load_with_format(source, *kinds, sound=sound)[0]
 
 
-def load_with_format(source: str | Path, *kinds: type[Scene], sound: bool = True) -> tuple[Scene, Format, int]:
+def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True) -> tuple[Kind, AnyFormat, int]:
     """Like load(), with the file's format and its size in bytes, or those of a folder."""
     name = reading_name(source)
     with blame(name):
         with memory.scope():
             member = folder_of_member(Path(source).name)
+            form: AnyFormat
             if str(source) != STREAM and Path(source).is_dir():
                 scene, form, size = _decode_folder(Path(source), kinds)
             elif member and Path(source).is_file():
@@ -57,14 +61,13 @@ def load_with_format(source: str | Path, *kinds: type[Scene], sound: bool = True
 def check(source: str | Path) -> list[Problem]:
     """Everything that is wrong with a file: what keeps it from being read, else its structure, else its values."""
     try:
-        scene: Any = load(source, sound=False)
+        scene: Scene = load(source, sound=False)
     except NerfbakeError as error:
         return [error.problem]
-    problems: list[Problem] = scene.problems()
-    return problems
+    return scene.problems()
 
 
-def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
+def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> tuple[Any, Format, int]:
     stream = str(source) == STREAM
     view = read_stdin() if stream else read_file(Path(source))
     path, size = "" if stream else str(source), len(view)
@@ -74,8 +77,8 @@ def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[An
         path = uncompressed(path)
     if not len(view):
         raise InvalidFile("is empty; allowed: a file that nerfbake reads")
-    form = format_of_content(path, bytes(view[:512]))
-    extra: dict[str, Any] = {}
+    form = format_of_content(path, view)
+    extra: dict[str, object] = {}
     if form.companion and path:
         extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
     if form.beside and path:
@@ -85,7 +88,7 @@ def _decode_file(source: str | Path, kinds: tuple[type[Scene], ...]) -> tuple[An
     return scene, compressed(form) if packed else form, size
 
 
-def _decode_folder(path: Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
+def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> tuple[Any, FolderKind, int]:
     files = Folder(path, {})
     form = folder_of_content(files, *(kind.__name__ for kind in kinds))
     _require_kind(form, kinds)
@@ -93,20 +96,20 @@ def _decode_folder(path: Path, kinds: tuple[type[Scene], ...]) -> tuple[Any, For
     return form.load_module().decode(files), form, size
 
 
-def _decode_member(path: Path, form: Format, kinds: tuple[type[Scene], ...]) -> tuple[Any, Format, int]:
+def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> tuple[Any, FolderKind, int]:
     """A file that means nothing without those beside it: its folder, read from this file."""
     _require_kind(form, kinds)
     return form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size
 
 
-def _require_kind(form: Format, kinds: tuple[type[Scene], ...]) -> None:
+def _require_kind(form: AnyFormat, kinds: tuple[type[Kind], ...]) -> None:
     if kinds and form.scene not in [kind.__name__ for kind in kinds]:
         allowed = " or ".join(NOUNS[kind.__name__] for kind in kinds)
         advice = f" ({ADVICE[form.scene]})" if form.scene in ADVICE else ""
         raise InvalidFile(f"holds {NOUNS[form.scene]}{advice}; allowed: {allowed}")
 
 
-def load_folder(source: str | Path, kind: type[Scene], *, more: Mapping[str, memoryview] | None = None) -> Scene:
+def load_folder(source: str | Path, kind: type[Kind], *, more: Mapping[str, memoryview] | None = None) -> Kind:
     """The scene of this type in a folder, and in `more` files as if they stood there.
 
     Raises NerfbakeError naming the folder and the file in it.
@@ -119,12 +122,12 @@ def load_folder(source: str | Path, kind: type[Scene], *, more: Mapping[str, mem
         return decode_files(Folder(path, more or {}), kind)
 
 
-def decode_files(files: Mapping[str, memoryview], kind: type[Scene]) -> Scene:
+def decode_files(files: Mapping[str, memoryview], kind: type[Kind]) -> Kind:
     """The scene of this type in files of these names, wherever they come from."""
     modules = [form.load_module() for form in folders_of(kind.__name__)]
     module = next((module for module in modules if module.recognise(files)), modules[0])
     with memory.scope():
-        scene: Scene = module.decode(files)
+        scene: Kind = module.decode(files)
     return memory.kept(scene)
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from nerfbake.catalog import (
     COMPRESSED,
     Format,
     compressed,
-    folders_of,
+    folder_to_write,
     format_named,
     format_of_path,
     formats_of,
@@ -24,14 +24,22 @@ from nerfbake.io.targets import replacing, replacing_folder
 
 
 def save(
-    target: str | Path, scene: Any, *, to: str | None = None, force: bool = False, parents: bool = False, **options: Any
+    target: str | Path,
+    scene: object,
+    *,
+    to: str | None = None,
+    force: bool = False,
+    parents: bool = False,
+    **options: object,
 ) -> int:
     """Writes a scene in the format that the target's ending names (or `to`, always for '-'); gives its size in bytes.
 
-    parents: makes the folders that lead there; options go to the format's encode(). Raises OutputError if the target
-    exists and `force` is not given, or if it cannot be written; what stood there before is then untouched.
+    parents: makes the folders that lead there; options are the format's own. Raises UsageError for an option that it
+    does not take; OutputError if the target exists and `force` is not given, or if it cannot be written; what stood
+    there before is then untouched.
     """
     form = format_for(target, type(scene).__name__, to=to)
+    form.require_options(options)
     pieces = form.load_module().encode(scene, **options)
     if form.suffix.endswith(COMPRESSED):
         pieces = load_compression().compress(pieces)
@@ -44,15 +52,17 @@ def save(
             return _write_all(file, pieces)
 
 
-def save_folder(target: str | Path, scene: Any, *, force: bool = False, **options: Any) -> dict[str, int]:
+def save_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> dict[str, int]:
     """Writes a scene as a folder; gives the size in bytes of each file.
 
-    Options go to the format. The folder appears whole or not at all. With `force` it replaces one that stands there,
-    whatever is in that.
+    options are those of the kind of folder. Raises UsageError for one that it does not take. The folder appears whole
+    or not at all. With `force` it replaces one that stands there, whatever is in that.
     """
+    kind = folder_to_write(type(scene).__name__)
+    kind.require_options(options)
     sizes = {}
     with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
-        for name, pieces in folders_of(type(scene).__name__)[0].load_module().encode(scene, **options):
+        for name, pieces in kind.load_module().encode(scene, **options):
             with open(folder / name, "xb") as file:
                 sizes[name] = _write_all(file, pieces)
     return sizes

@@ -14,7 +14,6 @@ from typing import Any
 
 import nerfbake
 from nerfbake import catalog, io, memory
-from nerfbake.errors import UsageError
 from nerfbake.jobs.steps import Steps
 
 
@@ -33,7 +32,7 @@ class Source:
         """The scene, of one of these types. Raises NerfbakeError."""
         return self.read_with_format(steps, *kinds)[0]
 
-    def read_with_format(self, steps: Steps, *kinds: type) -> tuple[Any, catalog.Format, int]:
+    def read_with_format(self, steps: Steps, *kinds: type) -> tuple[Any, catalog.AnyFormat, int]:
         """The scene, its file's format and its size in bytes (of a stream: of what was read)."""
         with steps.phase(f"reading {self.name}"):
             return io.load_with_format(self.path, *kinds)
@@ -97,20 +96,24 @@ class Target:
     force: bool = False
     profile: str | None = None
 
-    def require(self, scene: str) -> None:
-        """Raises, before any work is done, if a scene of this type could not be written here."""
+    def require(self, scene: str, **options: Any) -> catalog.Format:
+        """The format to write; an option of it that is None was not given.
+
+        Raises, before any work is done, if a scene of this type could not be written here with these options.
+        """
         form = io.format_for(self.path, scene, to=self.to)
-        if self.profile and not form.profiles:
-            raise UsageError(f"{form.name} is written in one way only; allowed: no --profile")
+        form.require_options(self._given(options))
         io.require_absent(self.path, force=self.force)
+        return form
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> None:
-        """Options go to the format's encode()."""
-        if self.profile:
-            options["profile"] = self.profile
+        """Options go to the format, but for those that are None."""
         with steps.phase(f"writing {self.path}"):
-            size = io.save(self.path, scene, to=self.to, force=self.force, **options)
+            size = io.save(self.path, scene, to=self.to, force=self.force, **self._given(options))
         steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
+
+    def _given(self, options: dict[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in {"profile": self.profile, **options}.items() if value is not None}
 
 
 @dataclass(frozen=True)

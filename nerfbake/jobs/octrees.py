@@ -14,7 +14,7 @@ def bake_octree(
     source: AnySource,
     target: AnyTarget,
     *,
-    no_child: int = 0,
+    no_child: int | None = None,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
     **options: Any,
@@ -22,15 +22,15 @@ def bake_octree(
     """Resamples a PlenOctree to a sparse voxel octree, and gives what it wrote; `nerfbake svo` is this.
 
     Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. Options
-    go to build_octree(). no_child: how the file spells 'no child', 0 or -1. What is wrong with the arguments alone is
-    told before anything is read. Raises NerfbakeError.
+    go to build_octree(). no_child: how the file spells 'no child', 0 or -1; None: as is usual for the format. What is
+    wrong with the arguments alone is told before anything is read. Raises NerfbakeError.
 
     >>> octree = bake_octree("a.npz", "a.svo.pb", resolution=16, budget=Budget(min_psnr=20))
     >>> octree.size
     (16, 16, 16)
     """
     source, target = as_source(source), as_target(target)
-    target.require("SparseVoxelOctree")
+    target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
     tree = source.read(steps, nerfbake.N3Tree)
     with source.blamed(steps, "building the octree"):
@@ -45,21 +45,21 @@ def bake_lod(
     target: AnyTarget,
     *,
     level: int,
-    no_child: int = 0,
+    no_child: int | None = None,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> nerfbake.SparseVoxelOctree:
     """Cuts an octree at a level, and gives what it wrote; `nerfbake lod` is this.
 
     Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. level:
-    the deepest one to keep, 0 is the root alone. no_child: how the file spells 'no child', 0 or -1. Raises
-    NerfbakeError.
+    the deepest one to keep, 0 is the root alone. no_child: how the file spells 'no child', 0 or -1; None: as
+    is usual for the format. Raises NerfbakeError.
 
     >>> bake_lod("a.svo.pb", "a_3.svo.pb", level=3).size
     (8, 8, 8)
     """
     source, target = as_source(source), as_target(target)
-    target.require("SparseVoxelOctree")
+    target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
     octree = source.read(steps, nerfbake.SparseVoxelOctree)
     with source.blamed(steps, f"cutting at level {level}"):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nerfbake import catalog
-from nerfbake.catalog import Format
+from nerfbake.catalog import AnyFormat
 from tests.conftest import REPOSITORY
 
 HOME = REPOSITORY / "schemas" / "conformance"
@@ -23,19 +23,19 @@ Facts = dict[str, Any]
 class Frozen:
     """A file, or a folder, and how it is written: a format of the catalog, and what its encode() takes."""
 
-    form: Format
+    form: AnyFormat
     scene: Any
     options: Facts = field(default_factory=dict)
     compressed: bool = False
 
     def pieces(self) -> Any:
         """What is written: pieces of bytes, or of a folder names with such pieces."""
-        pieces = self.form.load_module().encode(self.scene, **self.options)
+        pieces: Any = self.form.load_module().encode(self.scene, **self.options)
         return catalog.load_compression().compress(pieces) if self.compressed else pieces
 
     def written(self, name: str) -> dict[str, bytes]:
         """All files by their paths below HOME; `name` is the file's or the folder's."""
-        if self.form in catalog.FOLDERS:
+        if isinstance(self.form, catalog.FolderKind):
             return {f"{name}/{file}": b"".join(pieces) for file, pieces in self.pieces()}
         return {name: b"".join(self.pieces())}
 
@@ -68,7 +68,7 @@ class Case:
             ending = catalog.COMPRESSED if frozen.compressed else ""
             files[name] = {"format": frozen.form.name + ending, "options": frozen.options}
             packers = {path: packed_by(path) for path in frozen.written(name)}
-            files[name]["packed_by"] = packers if frozen.form in catalog.FOLDERS else packers[name]
+            files[name]["packed_by"] = packers if isinstance(frozen.form, catalog.FolderKind) else packers[name]
         tolerance = {"stored": self.stored, "computed": self.computed}
         return {"about": self.about, "files": files, "tolerance": tolerance, **self.facts}
 
@@ -77,8 +77,8 @@ class Case:
         found: dict[str, dict[str, str]] = {}
         files = json.loads(self.path.read_text())["files"] if self.path.exists() else {}
         for name, told in files.items():
-            folder = form_named(told["format"].removesuffix(catalog.COMPRESSED)) in catalog.FOLDERS
-            found |= told["packed_by"] if folder else {name: told["packed_by"]}
+            kind = form_named(told["format"].removesuffix(catalog.COMPRESSED))
+            found |= told["packed_by"] if isinstance(kind, catalog.FolderKind) else {name: told["packed_by"]}
         return found
 
 
@@ -116,7 +116,7 @@ def require_like(
         assert type(found) is type(expected) or type(found) is float, place
 
 
-def form_named(name: str) -> Format:
+def form_named(name: str) -> AnyFormat:
     return next(form for form in (*catalog.FORMATS, *catalog.FOLDERS) if form.name == name)
 
 

@@ -23,8 +23,8 @@ import PIL.ImageSequence
 import zstandard
 from PIL import features
 
+from nerfbake import catalog
 from nerfbake.catalog import uncompressed
-from tests.conformance.case import form_named
 
 PICTURES = (".png", ".gif", ".html", ".glb")
 
@@ -98,7 +98,7 @@ def _plain(name: str) -> Callable[[bytes], Any]:
     """The same grids, not packed."""
 
     def unpack(data: bytes) -> Any:
-        module = form_named(name).load_module()
+        module = catalog.format_named(name, "Volume").load_module()
         return b"".join(module.encode(module.decode(memoryview(data)), codec="none"))
 
     return unpack

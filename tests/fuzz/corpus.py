@@ -35,7 +35,7 @@ _CHECKSUM_AT = slice(8, 16)  # in NanoVDB's GridData
 
 def names() -> list[str]:
     """The formats that are read, folders last."""
-    return [form.name for form in (*catalog.FORMATS, *catalog.FOLDERS) if form.readable]
+    return [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
 
 
 @cache

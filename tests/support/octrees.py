@@ -15,7 +15,7 @@ from tests.support.scenes import n3tree
 
 FORMATS = {form.name: form for form in catalog.formats_of("SparseVoxelOctree")}
 # (format's name, profile): svo.npz is written in one way only.
-SPELLINGS = [(name, profile) for name, form in FORMATS.items() for profile in form.profiles or (None,)]
+SPELLINGS = [(name, profile) for name, form in FORMATS.items() for profile in form.choices("profile") or (None,)]
 every_spelling = pytest.mark.parametrize(("name", "profile"), SPELLINGS)
 
 

@@ -13,6 +13,7 @@ from nerfbake import catalog
 from nerfbake.bench.formats.libraries import LIBRARIES
 from nerfbake.bench.formats.serializations import RAW, Serialization
 from nerfbake.bench.measure import Work
+from nerfbake.contract import FileFormat
 from nerfbake.io.sources import read_file
 from nerfbake.scene.octree import SparseVoxelOctree
 
@@ -99,5 +100,5 @@ def _read_scene(path: str) -> SparseVoxelOctree:
     return octree
 
 
-def _module(name: str) -> Any:
+def _module(name: str) -> FileFormat:
     return catalog.format_named(name, "SparseVoxelOctree").load_module()

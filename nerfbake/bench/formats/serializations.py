@@ -29,11 +29,15 @@ class Serialization(NamedTuple):
 def serializations() -> Iterator[Serialization]:
     """Every row that there is: the floor, our formats in each profile, those with .zst, then the libraries' own use."""
     forms = catalog.formats_of("SparseVoxelOctree")
-    ours = [(form.name, profile) for form in forms for profile in form.profiles or (None,)]
+    ours = [(form.name, profile) for form in forms for profile in _profiles(form)]
     yield Serialization(RAW, RAW)
     yield from (Serialization("format", name, profile) for name, profile in ours)
-    yield from (Serialization("format", form.name, (form.profiles or (None,))[0], packed=True) for form in forms)
+    yield from (Serialization("format", form.name, _profiles(form)[0], packed=True) for form in forms)
     yield from (Serialization("library", library.name, slow=library.slow) for library in LIBRARIES)
+
+
+def _profiles(form: catalog.Format) -> tuple[str | None, ...]:
+    return form.choices("profile") or (None,)
 
 
 def chosen(names: Iterable[str]) -> list[Serialization]:

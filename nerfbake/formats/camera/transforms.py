@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.capture import DEFAULT_EDGE, Folder, PictureSizes, Size, names_of, room_for, size_note
 from nerfbake.formats.camera.transforms_frames import parse, poses_of
@@ -44,8 +45,9 @@ Fields = Mapping[str, Any]
 Intrinsics = dict[str, Any]  # what a Camera takes beside pose and name
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of a transforms.json."""
+    head = bytes(view[:HEAD])
     start = head.lstrip()[:2]
     told = any(key in head for key in (b"camera_angle_x", b"fl_x", b"frames", b"camera_model", b"aabb_scale"))
     return (start[:1] == b"{" or start in (b"//", b"/*")) and told

@@ -11,19 +11,21 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.wire.npz_reader import ZIP_MAGIC, NpzReader
+from nerfbake.formats.wire.npz_names import npz_keys
+from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.formats.wire.npz_writer import write_npz
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.n3tree import N3Tree
 
+_TOLD_BY = {"child", "data_dim", "invradius", "invradius3"}
 _CHUNK = 1 << 13  # cells dequantised at a time: all coefficients of these stay in the cache
 
 
-def recognise(head: bytes) -> bool:
-    """True for the first bytes of a zip archive that does not call itself an octree's."""
-    return head[:4] in ZIP_MAGIC
+def recognise(view: memoryview) -> bool:
+    """True for an archive with some of the names that no other program's checkpoint has."""
+    return not _TOLD_BY.isdisjoint(npz_keys(view))
 
 
 def decode(view: memoryview, *, companion: bool = False) -> N3Tree:

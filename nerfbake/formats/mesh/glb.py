@@ -10,9 +10,9 @@ from nerfbake.formats.wire.texture import encode_texture
 from nerfbake.scene.mesh import Mesh, Meshes
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for glTF's magic number."""
-    return head[:4] == b"glTF"
+    return bytes(view[:4]) == b"glTF"
 
 
 def encode(scene: Meshes, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:

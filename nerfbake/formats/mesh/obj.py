@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.mesh.obj_reader import decode_obj
 from nerfbake.formats.mesh.obj_writer import encode_obj
@@ -17,8 +18,9 @@ from nerfbake.scene.mesh import Meshes
 _KEYWORD = re.compile(rb"^(v|vt|vn|mtllib|o|g|usemtl) ", re.MULTILINE)
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for text with a line such as an .obj starts with."""
+    head = bytes(view[:HEAD])
     return b"\0" not in head and _KEYWORD.search(head) is not None
 
 

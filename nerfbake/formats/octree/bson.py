@@ -10,8 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.octree.fields import MAX_2GIB, Profile, children_with, octree_of, require_size, small_fields
+from nerfbake.formats.octree.fields import (
+    MAX_2GIB,
+    NoChild,
+    Profile,
+    children_with,
+    octree_of,
+    require_size,
+    small_fields,
+)
 from nerfbake.formats.wire.bson import (
     ARRAY,
     DOCUMENT,
@@ -27,12 +36,15 @@ from nerfbake.formats.wire.bson import (
 from nerfbake.scene.octree import SparseVoxelOctree
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of a document with the octree's fields."""
+    head = bytes(view[:HEAD])
     return starts_document(head) and b"type_url\0" in head
 
 
-def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:
+def encode(
+    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+) -> Iterator[bytes | memoryview]:
     """The document in pieces. Raises InvalidScene above BSON's 2 GiB."""
     children = Large.of("node_children", octree.node_children, INT32, blob=profile == "bulk")
     data = Large.of("node_data", octree.node_data, DOUBLE, blob=profile == "bulk")

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nerfbake.formats.octree.fields import Profile, children_with, octree_of, small_fields
+from nerfbake.contract import HEAD
+from nerfbake.formats.octree.fields import NoChild, Profile, children_with, octree_of, small_fields
 from nerfbake.formats.wire.blob import array_fields, blob_in
 from nerfbake.formats.wire.capnp import Field, Message, write_struct
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -23,8 +24,9 @@ _DATA_WORDS, _POINTERS = 2, 10  # of the schema's struct
 _MAX_SECTION = 64
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for a segment table, then a pointer to a struct at least as large as the schema's."""
+    head = bytes(view[:HEAD])
     if len(head) < 16:
         return False
     count = 1 + int.from_bytes(head[:4], "little")
@@ -32,7 +34,9 @@ def recognise(head: bytes) -> bool:
     return bool(kind & 3 == 0) and _DATA_WORDS <= data < _MAX_SECTION and _POINTERS <= pointers < _MAX_SECTION
 
 
-def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:
+def encode(
+    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+) -> Iterator[bytes | memoryview]:
     """The message in pieces. Raises InvalidScene for an array that a Cap'n Proto list cannot count."""
     small = small_fields(octree)
     children, data = children_with(octree.node_children, no_child), octree.node_data

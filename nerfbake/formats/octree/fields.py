@@ -28,6 +28,7 @@ from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 
 Profile = Literal["report", "bulk"]
+NoChild = Literal[0, -1]
 
 TYPE_URLS = {
     "float32": "type.googleapis.com/google.protobuf.FloatValue",

@@ -15,6 +15,7 @@ import numpy as np
 from nerfbake.formats.octree.fields import (
     MAX_2GIB,
     SMALL_SIZE,
+    NoChild,
     Profile,
     children_with,
     octree_of,
@@ -28,12 +29,14 @@ from nerfbake.scene.octree import SparseVoxelOctree
 IDENTIFIER = b"SVO1"
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of a file with the schema's identifier."""
-    return head[4:8] == IDENTIFIER
+    return bytes(view[4:8]) == IDENTIFIER
 
 
-def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:
+def encode(
+    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+) -> Iterator[bytes | memoryview]:
     """The file in pieces. Raises InvalidScene above FlatBuffers' 2 GiB."""
     widened = 4 if profile == "report" else octree.node_data.itemsize
     size = octree.node_children.nbytes + octree.node_data.size * widened + SMALL_SIZE

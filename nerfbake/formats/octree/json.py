@@ -18,8 +18,9 @@ import numpy.typing as npt
 import orjson
 
 from nerfbake import memory
+from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.octree.fields import Profile, children_with, octree_of, require_finite, small_fields
+from nerfbake.formats.octree.fields import NoChild, Profile, children_with, octree_of, require_finite, small_fields
 from nerfbake.formats.wire.blob import Blob, blob_of
 from nerfbake.formats.wire.json import parse_object
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -30,14 +31,17 @@ _CHUNK = 3 << 17  # numbers, or bytes: base64 needs a multiple of 3
 _ROUNDED_TWICE = np.float32(7.038531e-26)
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of a JSON object with the octree's fields."""
+    head = bytes(view[:HEAD])
     return head.lstrip()[:1] == b"{" and any(
         name in head for name in (b'"type_url"', b'"node_children"', b'"node_data"')
     )
 
 
-def encode(octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "bulk") -> Iterator[bytes | memoryview]:
+def encode(
+    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+) -> Iterator[bytes | memoryview]:
     """The object in pieces. Raises InvalidScene for a NaN or an infinity that JSON cannot say."""
     require_finite(octree, "svo.json", node_data=profile == "report")
     pieces = _list if profile == "report" else _blob

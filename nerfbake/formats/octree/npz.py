@@ -20,20 +20,21 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.octree.fields import assemble, children_with
-from nerfbake.formats.wire.npz_reader import ZIP_MAGIC, NpzReader
+from nerfbake.formats.octree.fields import NoChild, assemble, children_with
+from nerfbake.formats.wire.npz_names import npz_keys
+from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.formats.wire.npz_writer import write_npz
 from nerfbake.scene.octree import SparseVoxelOctree
 
 VERSION = 1
 
 
-def recognise(head: bytes) -> bool:
-    """True for the first bytes of the archives that encode() writes."""
-    return head[:4] in ZIP_MAGIC and b"svo_version.npy" in head[:64]
+def recognise(view: memoryview) -> bool:
+    """True for an archive that calls itself an octree's."""
+    return "svo_version" in npz_keys(view)
 
 
-def encode(octree: SparseVoxelOctree, *, no_child: int = 0) -> Iterator[bytes | memoryview]:
+def encode(octree: SparseVoxelOctree, *, no_child: NoChild = 0) -> Iterator[bytes | memoryview]:
     arrays: dict[str, npt.ArrayLike] = {
         "svo_version": np.int64(VERSION),
         "size": np.array(octree.size, np.int32),

@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import (
     MAX_2GIB,
     SMALL_SIZE,
     TYPE_URLS,
+    NoChild,
     Profile,
     children_with,
     octree_of,
@@ -31,13 +33,14 @@ from nerfbake.scene.octree import SparseVoxelOctree
 _CHUNK = 1 << 18
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of the message: a type_url, as every known writer gives one."""
+    head = bytes(view[:HEAD])
     return head[:1] == b"\x0a" and b"type.googleapis.com/" in head[:64]
 
 
 def encode(
-    octree: SparseVoxelOctree, *, no_child: int = 0, profile: Profile = "report"
+    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "report"
 ) -> Iterator[bytes | memoryview]:
     """The message in pieces, fields in the order of their numbers. Raises InvalidScene above protobuf's 2 GiB.
 

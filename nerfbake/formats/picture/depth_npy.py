@@ -13,9 +13,9 @@ from nerfbake.formats.wire.npy import MAX_HEADER, npy_pieces, read_header
 from nerfbake.scene.depth import Depth
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of an .npy."""
-    return head[:6] == np.lib.format.MAGIC_PREFIX
+    return bytes(view[:6]) == np.lib.format.MAGIC_PREFIX
 
 
 def encode(depth: Depth) -> Iterator[bytes | memoryview]:

@@ -15,9 +15,9 @@ STEPS = 1000  # of grey in a world unit
 _MOST = 65535
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for a PNG with 16 bits of grey."""
-    return head[:8] == b"\x89PNG\r\n\x1a\n" and head[24:26] == b"\x10\x00"
+    return bytes(view[:8]) == b"\x89PNG\r\n\x1a\n" and bytes(view[24:26]) == b"\x10\x00"
 
 
 def encode(depth: Depth) -> Iterator[bytes]:

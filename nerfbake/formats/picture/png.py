@@ -11,9 +11,9 @@ from nerfbake.formats.wire.picture import opened, png_of
 from nerfbake.scene.image import Image
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for a PNG's signature and colours."""
-    return head[:8] == b"\x89PNG\r\n\x1a\n"
+    return bytes(view[:8]) == b"\x89PNG\r\n\x1a\n"
 
 
 def encode(image: Image) -> Iterator[bytes]:

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from nerfbake.errors import InvalidScene, Problem
+from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.formats.volume.nanovdb_reader import read_file
 from nerfbake.formats.volume.nanovdb_writer import write_grid
 from nerfbake.formats.wire import nanovdb_nodes as nano
@@ -26,11 +26,21 @@ from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
 
 Codec = Literal["none", "zip"]
+DEFAULT_GRIDS = ("density",)
+KEEPS_HALVES = False  # they are codes between the ends of a leaf
+HALF_NOTE = "note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros"
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of a NanoVDB file of any version."""
-    return head[:7] == b"NanoVDB"
+    return bytes(view[:7]) == b"NanoVDB"
+
+
+def require_grids(grids: tuple[str, ...], *, half: bool) -> None:
+    if len(grids) > 1 or "sh" in grids:
+        raise UsageError(f"a .nvdb would hold the grids {','.join(grids)}; allowed: one of density, Cd, index")
+    if half and "Cd" in grids:
+        raise UsageError("a .nvdb has no half colours; allowed: no --half, or another grid")
 
 
 def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryview]:

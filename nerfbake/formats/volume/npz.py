@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, InvalidScene, Problem, one_line
 from nerfbake.formats.volume.frame import NAME, frame_text, parse_frame
-from nerfbake.formats.wire.npz_reader import ZIP_MAGIC, NpzReader
+from nerfbake.formats.wire.npz_names import npz_keys
+from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.formats.wire.npz_writer import write_npz
 from nerfbake.kernels.arrays import Words
 from nerfbake.kernels.maths.casting import cast
@@ -30,6 +31,9 @@ from nerfbake.scene.vdb_tiles import VdbTiles
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 
+DEFAULT_GRIDS = ("density", "Cd")
+KEEPS_HALVES = True
+HALF_NOTE = None
 VERSION, FOREIGN = 1, 2  # and that of files which only other programs' grids need
 MAX_GRIDS = 100  # each may bring nine members, and NpzReader takes a thousand
 MAX_NAME = 9_999  # characters that it takes in a text
@@ -37,9 +41,13 @@ INDEX = "index"  # the class of an IndexGrid; the others are OpenVDB's
 _LEVELS = (("upper", 512, 0), ("lower", 64, 0), ("leaf", 8, 1))  # 64-bit words of a mask, and the first rank
 
 
-def recognise(head: bytes) -> bool:
-    """True for the first bytes of the archives that encode() writes."""
-    return head[:4] in ZIP_MAGIC and b"vdb_version.npy" in head[:64]
+def recognise(view: memoryview) -> bool:
+    """True for an archive that calls itself a volume's."""
+    return "vdb_version" in npz_keys(view)
+
+
+def require_grids(grids: tuple[str, ...], *, half: bool) -> None:
+    """Any of them, together and in halves, too."""
 
 
 def encode(volume: Volume) -> Iterator[bytes | memoryview]:

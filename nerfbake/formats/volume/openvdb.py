@@ -15,7 +15,7 @@ import struct
 from collections.abc import Iterator
 from typing import Literal
 
-from nerfbake.errors import InvalidScene, Problem
+from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.formats.volume.openvdb_reader import read_file
 from nerfbake.formats.volume.openvdb_writer import TYPES, write_grid
 from nerfbake.formats.wire.openvdb_stream import MAGIC, UUID, VERSION, text
@@ -23,11 +23,19 @@ from nerfbake.scene.vdb import IndexGrid
 from nerfbake.scene.volume import Volume
 
 LIBRARY = (10, 0)  # the version of OpenVDB whose files these are like
+DEFAULT_GRIDS = ("density", "Cd")
+KEEPS_HALVES = True
+HALF_NOTE = None
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of an OpenVDB file of any version."""
-    return head[:8] == MAGIC.to_bytes(8, "little")
+    return bytes(view[:8]) == MAGIC.to_bytes(8, "little")
+
+
+def require_grids(grids: tuple[str, ...], *, half: bool) -> None:
+    if "index" in grids:
+        raise UsageError("a .vdb has no index grids; allowed: density, Cd, sh; or a .nvdb, a .vdb.npz")
 
 
 def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator[bytes | memoryview]:

@@ -20,11 +20,10 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.npy import read_header
+from nerfbake.formats.wire.npz_names import MAX_MEMBERS, ZIP_MAGIC
 from nerfbake.kernels.maths.casting import cast
 
-ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 MAX_INFLATION = 1032  # deflate's own bound: 258 bytes for a quarter of a byte
-MAX_MEMBERS = 1000
 
 
 class NpzReader:

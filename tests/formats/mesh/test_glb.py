@@ -268,5 +268,5 @@ def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
 
 
 def test_a_stream_is_known_by_its_first_bytes() -> None:
-    assert glb_format.recognise(glb({}))
-    assert not glb_format.recognise(b"v 0 0 0\n")
+    assert glb_format.recognise(memoryview(glb({})))
+    assert not glb_format.recognise(memoryview(b"v 0 0 0\n"))

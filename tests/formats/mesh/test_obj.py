@@ -50,6 +50,6 @@ def test_a_damaged_obj_is_read_or_refused(tmp_path: Path) -> None:
 
 
 def test_a_stream_is_known_by_its_first_bytes() -> None:
-    assert obj.recognise(b"# Blender\nmtllib a.mtl\nv 0 0 0\n")
-    assert not obj.recognise(b'{"frames": [],\n"v": 1}')
-    assert not obj.recognise(b"\0v 1 2 3\nv ")
+    assert obj.recognise(memoryview(b"# Blender\nmtllib a.mtl\nv 0 0 0\n"))
+    assert not obj.recognise(memoryview(b'{"frames": [],\n"v": 1}'))
+    assert not obj.recognise(memoryview(b"\0v 1 2 3\nv "))

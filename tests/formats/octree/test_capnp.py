@@ -93,7 +93,7 @@ def by_pycapnp(octree: SparseVoxelOctree) -> Any:
 def test_what_pycapnp_writes_is_read(octree: SparseVoxelOctree) -> None:
     octree = replace(octree, extra_data=None)
     data = by_pycapnp(octree).to_bytes()
-    assert octree_capnp.recognise(data[:512])
+    assert octree_capnp.recognise(memoryview(data[:512]))
     back = read("svo.capnp", data)
     assert_same_octree(back, replace(octree, data_format=octree.data_format or back.data_format))
 

@@ -63,7 +63,7 @@ def test_what_flatc_writes_is_read(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(fields))
     tool("flatc", "--binary", "-o", tmp_path, SCHEMAS / "svo.fbs", tmp_path / "a.json")
     (binary,) = tmp_path.glob("*.fb")
-    assert octree_flatbuffers.recognise(binary.read_bytes())
+    assert octree_flatbuffers.recognise(memoryview(binary.read_bytes()))
     back = read("svo.fb", binary.read_bytes())
     assert_same_octree(back, replace(octree, origin=np.zeros(3), data_format="SH4" if back.data_format else ""))
 

@@ -58,7 +58,7 @@ def test_any_finite_float_survives(name: str, profile: str | None, bits: list[in
 @every_spelling
 def test_no_other_format_claims_it(name: str, profile: str | None) -> None:
     head = written(name, profile, small_octree())[:512]
-    assert [form for form, line in FORMATS.items() if line.load_module().recognise(head)] == [name]
+    assert [form for form, line in FORMATS.items() if line.load_module().recognise(memoryview(head))] == [name]
 
 
 @every_spelling
@@ -70,7 +70,7 @@ def test_strided_arrays_are_written_in_order(name: str, profile: str | None) -> 
 
 @pytest.mark.parametrize("name", ["svo.npz", "svo.pb", "svo.bson", "svo.fb", "svo.capnp"])
 def test_bulk_arrays_are_views_of_the_file(name: str) -> None:
-    data = written(name, "bulk" if FORMATS[name].profiles else None, small_octree())
+    data = written(name, "bulk" if FORMATS[name].choices("profile") else None, small_octree())
     whole = np.frombuffer(data, np.uint8)
     octree = read(name, data)
     assert np.shares_memory(octree.node_data, whole)
@@ -80,7 +80,7 @@ def test_bulk_arrays_are_views_of_the_file(name: str) -> None:
 @pytest.mark.parametrize("name", ["svo.npz", "svo.pb", "svo.bson", "svo.fb", "svo.capnp"])
 def test_bulk_arrays_are_handed_over_not_copied(name: str) -> None:
     octree = small_octree()
-    options = {"profile": "bulk"} if FORMATS[name].profiles else {}
+    options = {"profile": "bulk"} if FORMATS[name].choices("profile") else {}
     pieces = [np.frombuffer(piece, np.uint8) for piece in FORMATS[name].load_module().encode(octree, **options)]
     assert any(np.shares_memory(piece, octree.node_data) for piece in pieces)
     assert any(np.shares_memory(piece, octree.node_children) for piece in pieces)
@@ -88,7 +88,7 @@ def test_bulk_arrays_are_handed_over_not_copied(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["svo.npz", "svo.pb", "svo.json", "svo.bson", "svo.fb", "svo.capnp"])
 def test_halves_stay_halves_in_bulk(name: str) -> None:
-    profile = "bulk" if FORMATS[name].profiles else None
+    profile = "bulk" if FORMATS[name].choices("profile") else None
     sizes = [len(written(name, profile, small_octree(dtype))) for dtype in (np.float32, np.float16)]
     saved = small_octree().node_data.nbytes // 2
     assert sizes[0] - sizes[1] == pytest.approx(saved * (4 / 3 if name == "svo.json" else 1), abs=8)
@@ -114,7 +114,7 @@ def test_files_are_read_whatever_their_profile(name: str, profile: str | None, s
     assert_same_octree(load(path, SparseVoxelOctree), octree)
 
 
-@pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if form.profiles])
+@pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if form.choices("profile")])
 @given(octree=octrees(dtypes=[np.float32]))
 @settings(max_examples=10)
 def test_level_sizes_that_lie_are_refused(name: str, octree: SparseVoxelOctree) -> None:
@@ -134,6 +134,6 @@ def test_level_sizes_that_lie_are_refused(name: str, octree: SparseVoxelOctree) 
 def test_the_chair_survives_every_format(chair: Path, dtype: Any) -> None:
     octree = build_octree(load(chair / "chair_sh9.npz", N3Tree), resolution=128, dtype=dtype)
     for name, form in FORMATS.items():
-        for profile in form.profiles or (None,):
+        for profile in form.choices("profile") or (None,):
             back = read(name, written(name, profile, octree), limit=8 << 30)
             assert_same_octree(back, octree)

@@ -72,7 +72,7 @@ def read(data: bytes, limit: int = 1 << 24) -> SparseVoxelOctree:
 @given(octrees(), st.sampled_from([0, -1]))
 def test_round_trips_are_exact(octree: SparseVoxelOctree, no_child: int) -> None:
     data = written(octree, no_child=no_child)
-    assert octree_protobuf.recognise(data[:512])
+    assert octree_protobuf.recognise(memoryview(data[:512]))
     assert_same_octree(read(data), replace(octree, data_format=read(data).data_format))
     assert written(octree, no_child=no_child) == data
 

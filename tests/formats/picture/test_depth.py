@@ -27,7 +27,7 @@ def test_steps_are_thousandths_and_nothing_met_is_0() -> None:
     with Pillow.open(io.BytesIO(data)) as seen:
         assert_array_equal(np.asarray(seen), [[0, 1, 1500], [2000, 65535, 3251]])
     assert data[24:26] == b"\x10\x00"  # 16 bits of grey, in the PNG's own header
-    assert depth_png.recognise(data[:512])
+    assert depth_png.recognise(memoryview(data[:512]))
     assert_array_equal(depth_png.decode(memoryview(data)).distance[0], np.array([0, 0.001, 1.5], np.float32))
 
 
@@ -39,7 +39,7 @@ def test_what_16_bits_do_not_hold_is_refused() -> None:
 def test_numpy_reads_what_is_written() -> None:
     data = b"".join(bytes(piece) for piece in depth_npy.encode(Depth(distances())))
     assert_array_equal(np.load(io.BytesIO(data)), distances())
-    assert depth_npy.recognise(data[:512])
+    assert depth_npy.recognise(memoryview(data[:512]))
     assert_array_equal(depth_npy.decode(memoryview(data)).distance, distances())
 
 

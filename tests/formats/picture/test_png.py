@@ -25,7 +25,7 @@ def picture(background: tuple[float, float, float] | None) -> Image:
 def test_what_is_written_is_read_and_pillow_reads_it_too(background: tuple[float, float, float] | None) -> None:
     image = picture(background)
     data = b"".join(image_png.encode(image))
-    assert image_png.recognise(data[:512])
+    assert image_png.recognise(memoryview(data[:512]))
     with Pillow.open(io.BytesIO(data)) as seen:
         assert seen.mode == ("RGBA" if background is None else "RGB")
         assert np.asarray(seen).tobytes() == image.pixels.tobytes()

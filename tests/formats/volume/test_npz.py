@@ -53,7 +53,7 @@ def arrays_of(data: bytes) -> dict[str, Any]:
 def test_what_is_written_is_read(scene: str, kind: str) -> None:
     made = volume(GRIDS[kind](SCENES[scene]), tree(SCENES["one voxel"], name="other"))
     data = encoded(made)
-    assert vdb_npz.recognise(data[:512])
+    assert vdb_npz.recognise(memoryview(data[:512]))
     back = decoded(data)
     assert back.problems() == []
     assert_array_equal(back.transform, made.transform)

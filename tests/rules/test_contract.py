@@ -1,0 +1,339 @@
+"""What every format and every kind of folder offers, and what becomes of an option that it does not take."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import io as bytes_io
+import struct
+import sys
+import time
+import tracemalloc
+import types
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+
+from nerfbake import build_octree, build_vdb, catalog, load
+from nerfbake.catalog import AnyFormat
+from nerfbake.contract import Option, options_of
+from nerfbake.errors import InvalidFile, InvalidScene, UsageError
+from nerfbake.formats.wire.npz_names import MAX_MEMBERS, npz_keys
+from nerfbake.io import save, save_folder
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from tests.conftest import REPOSITORY
+from tests.support.scenes import n3tree
+
+READ = [form for form in catalog.FORMATS if form.readable]
+WRITTEN: list[AnyFormat] = [
+    *catalog.FORMATS,
+    *dict.fromkeys(catalog.folder_to_write(each.scene) for each in catalog.FOLDERS),
+]
+every_written = pytest.mark.parametrize("form", WRITTEN, ids=lambda form: form.name)
+
+
+# -- signatures ------------------------------------------------------------------------------------------------
+def parameters(function: Callable[..., Any]) -> tuple[list[str], dict[str, inspect.Parameter]]:
+    """The names of the positional parameters, and the keyword-only ones."""
+    known = inspect.signature(function).parameters
+    assert all(each.kind not in (each.VAR_KEYWORD, each.VAR_POSITIONAL) for each in known.values())
+    keywords = {name: each for name, each in known.items() if each.kind == inspect.Parameter.KEYWORD_ONLY}
+    return [name for name in known if name not in keywords], keywords
+
+
+def is_plain(kind: Any) -> bool:
+    """A type whose values a command line, a message and a test can tell."""
+    if get_origin(kind) in (Union, types.UnionType):
+        return all(is_plain(each) for each in get_args(kind))
+    return get_origin(kind) in (Literal, Mapping) or kind in (bool, int, float, types.NoneType) or is_mapping(kind)
+
+
+def is_mapping(kind: Any) -> bool:
+    return isinstance(get_origin(kind), type) and issubclass(get_origin(kind), Mapping)
+
+
+@every_written
+def test_encode_takes_a_scene_and_options_with_types_and_defaults(form: AnyFormat) -> None:
+    encode = form.load_module().encode
+    scene, options = parameters(encode)
+    hints = get_type_hints(encode)
+    assert [hints[name].__name__ for name in scene] == [form.scene]
+    for name, option in options.items():
+        assert is_plain(hints[name]), name
+        assert option.default is not inspect.Parameter.empty, name
+        assert Option(hints[name], option.default).allows(option.default), name
+    assert list(options_of(encode)) == list(options)
+
+
+@pytest.mark.parametrize("form", READ, ids=lambda form: form.name)
+def test_a_format_recognises_and_decodes_a_view(form: catalog.Format) -> None:
+    module = form.load_module()
+    assert parameters(module.recognise) == (["view"], {})
+    given, beside = parameters(module.decode)
+    assert given == ["view"]
+    # What the catalog's line says that decode() takes is what it takes.
+    assert ("companion" in beside, "beside" in beside) == (bool(form.companion), form.beside)
+    assert set(beside) <= {"companion", "beside"}
+    assert get_type_hints(module.decode)["return"].__name__ == form.scene
+
+
+@pytest.mark.parametrize("form", [form for form in catalog.FORMATS if not form.readable], ids=lambda form: form.name)
+def test_what_is_only_written_does_not_say_that_it_is_read(form: catalog.Format) -> None:
+    assert not any(hasattr(form.load_module(), name) for name in ("decode", "recognise"))
+
+
+@pytest.mark.parametrize("kind", catalog.FOLDERS, ids=lambda kind: kind.name)
+def test_a_folder_recognises_and_decodes_files(kind: catalog.FolderKind) -> None:
+    module = kind.load_module()
+    assert parameters(module.recognise) == (["files"], {})
+    given, member = parameters(module.decode)
+    assert given == ["files"]
+    assert ("member" in member) >= bool(kind.members)
+    assert get_type_hints(module.decode)["return"].__name__ == kind.scene
+
+
+@pytest.mark.parametrize("form", catalog.formats_of("Volume"), ids=lambda form: form.name)
+def test_a_format_of_volumes_says_what_it_can_hold(form: catalog.Format) -> None:
+    module = form.load_volume_module()
+    for half in (False, True):
+        module.require_grids(module.DEFAULT_GRIDS, half=half)
+    assert isinstance(module.KEEPS_HALVES, bool)
+    assert module.HALF_NOTE is None or isinstance(module.HALF_NOTE, str)
+
+
+GRIDS = [("density",), ("Cd",), ("sh",), ("index",), ("density", "Cd"), ("density", "sh"), ("density", "Cd", "sh")]
+
+
+@pytest.mark.parametrize("form", catalog.formats_of("Volume"), ids=lambda form: form.name)
+def test_grids_are_refused_beforehand_exactly_if_they_cannot_be_written(form: catalog.Format, tmp_path: Path) -> None:
+    octree, module = build_octree(n3tree(data_format="SH4")), form.load_volume_module()
+    for grids in GRIDS:
+        for half in (False, True):
+            try:
+                module.require_grids(grids, half=half)
+            except UsageError:
+                with pytest.raises(InvalidScene):
+                    save(tmp_path / f"a{form.suffix}", build_vdb(octree, grids=grids, half=half), force=True)
+            else:
+                save(tmp_path / f"a{form.suffix}", build_vdb(octree, grids=grids, half=half), force=True)
+
+
+# -- options ---------------------------------------------------------------------------------------------------
+@every_written
+def test_a_wrong_option_is_one_line_that_names_the_format(form: AnyFormat) -> None:
+    with pytest.raises(UsageError) as error:
+        form.require_options({"colour": 1})
+    assert str(error.value).startswith(f"{form.name} takes no option 'colour'; allowed: ")
+    assert str(error.value).endswith("allowed: none") == (not options_of(form.load_module().encode))
+
+
+@every_written
+def test_a_wrong_value_is_one_line_that_names_what_is_allowed(form: AnyFormat) -> None:
+    for name, option in options_of(form.load_module().encode).items():
+        for wrong in ("x\n", ["x"], np.zeros(3)):
+            with pytest.raises(UsageError) as error:
+                form.require_options({name: wrong})
+            assert str(error.value).startswith(f"option {name!r} of {form.name} is ")
+            assert str(error.value).endswith(f"; allowed: {option.allowed}")
+        form.require_options({name: option.default})
+
+
+def test_saving_goes_through_it_and_leaves_nothing(tmp_path: Path) -> None:
+    octree = build_octree(n3tree())
+    for name, options, said in (
+        ("a.svo.npz", {"profile": "bulk"}, r"svo\.npz takes no option 'profile'; allowed: no_child \(0, -1\)"),
+        ("a.svo.pb", {"profile": "x"}, r"option 'profile' of svo\.pb is 'x'; allowed: report, bulk"),
+        ("a.svo.pb.zst", {"no_child": 1}, r"option 'no_child' of svo\.pb\.zst is 1; allowed: 0, -1"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            save(tmp_path / name, octree, **options)
+    cameras = Cameras((Camera(4, 4, (4.0, 4.0), np.eye(4), "a"),))
+    with pytest.raises(UsageError, match="transforms takes no option 'up'; allowed: none"):
+        save_folder(tmp_path / "capture", cameras, up="y")
+    with pytest.raises(UsageError, match="a SparseVoxelOctree is not written as a folder; allowed: Stage1"):
+        save_folder(tmp_path / "octree", octree)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_an_option_allows() -> None:
+    def encode(
+        scene: object,
+        *,
+        codec: Literal["zip", "none"] = "none",
+        least: float | None = None,
+        sides: Mapping[str, int] | None = None,
+        half: bool = False,
+    ) -> None: ...
+
+    known = options_of(encode)
+    assert known["codec"].choices == ("none", "zip")
+    assert (known["codec"].allowed, known["least"].allowed) == ("zip, none", "a number, None")
+    assert all(known["least"].allows(value) for value in (1, 1.5, np.float32(1), None))
+    assert not any(known["least"].allows(value) for value in (True, "1"))
+    assert [known["half"].allows(value) for value in (True, False, 1, None)] == [True, True, False, False]
+    assert known["sides"].allows({"a": 1})
+    assert not known["sides"].allows(["a"])
+
+
+# -- recognising -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("form", READ, ids=lambda form: form.name)
+def test_nobody_recognises_noise(form: catalog.Format) -> None:
+    noise = np.random.default_rng(0)
+    for size in (0, 1, 7, 64, 5000):
+        assert not form.load_module().recognise(memoryview(noise.bytes(size)))
+
+
+@pytest.mark.parametrize("kind", catalog.FOLDERS, ids=lambda kind: kind.name)
+def test_no_kind_of_folder_recognises_other_files(kind: catalog.FolderKind, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_bytes(b"none of ours")
+    with pytest.raises(InvalidFile, match="is a folder that nerfbake does not know"):
+        load(tmp_path)
+    assert not kind.load_module().recognise(_Empty())
+
+
+class _Empty(dict[str, memoryview]):
+    """A folder without files."""
+
+    def names(self, folder: str) -> list[str]:
+        return []
+
+    def head(self, name: str) -> bytes:
+        return b""
+
+
+class Checkpoint:
+    """Another program's checkpoint, an .npz as well: a format of two functions."""
+
+    @staticmethod
+    def recognise(view: memoryview) -> bool:
+        return "links" in npz_keys(view)
+
+    @staticmethod
+    def decode(view: memoryview) -> SparseVoxelOctree:
+        return build_octree(n3tree())
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_two_kinds_of_npz_are_told_apart_by_what_they_hold(
+    before: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever line stands first, whatever stands first in the archive, with its ending, another, or none."""
+    toy = catalog.Format("ckpt", "SparseVoxelOctree", ".npz", "toy", "a toy")
+    lines = list(catalog.FORMATS)
+    lines.insert(next(i for i, form in enumerate(lines) if form.name == "npz") + (not before), toy)
+    monkeypatch.setattr(catalog, "FORMATS", tuple(lines))
+    monkeypatch.setitem(sys.modules, "nerfbake.formats.toy", cast(types.ModuleType, Checkpoint))
+    save(tmp_path / "tree.npz", n3tree())
+    np.savez(tmp_path / "ckpt.npz", density_data=np.zeros(1000), links=np.zeros(3))
+    for ending in (".npz", ".bin"):
+        for name, kind in (("tree", N3Tree), ("ckpt", SparseVoxelOctree)):
+            path = tmp_path / f"{name}{ending}"
+            path.write_bytes((tmp_path / f"{name}.npz").read_bytes())
+            assert isinstance(load(path), kind)
+
+
+def archive(names: list[str], *, comment: bytes = b"", zip64: bool = False) -> bytes:
+    file = bytes_io.BytesIO()
+    with zipfile.ZipFile(file, "w") as made:
+        for name in names:
+            with made.open(f"{name}.npy", "w", force_zip64=zip64) as member:
+                member.write(b"x")
+        made.comment = comment
+    return file.getvalue()
+
+
+def test_an_archives_names_are_its_directorys() -> None:
+    names = ["a", "links", "svo_version"]
+    assert npz_keys(memoryview(archive(names))) == set(names)
+    assert npz_keys(memoryview(archive(names, comment=b"PK" * 1000))) == set(names)
+    assert npz_keys(memoryview(archive(names)[:-30])) == {"a"}  # cut short
+    assert npz_keys(memoryview(archive([]))) == set()
+    assert npz_keys(memoryview(b"no archive")) == set()
+
+
+def test_the_names_of_a_huge_archive_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zipfile, "ZIP64_LIMIT", 10)  # so that a small one is written as one above 4 GiB
+    monkeypatch.setattr(zipfile, "ZIP_FILECOUNT_LIMIT", 1)
+    data = archive(["a", "b"], zip64=True)
+    assert b"PK\6\6" in data
+    assert npz_keys(memoryview(data)) == {"a", "b"}
+
+
+def lies(data: bytes) -> Iterator[bytes]:
+    """Archives that claim what is not so."""
+    end = data.rindex(b"PK\5\6")
+    for at, size in ((8, 2), (10, 2), (12, 4), (16, 4), (20, 2)):
+        for value in (b"\0", b"\1", b"\x7f", b"\xff"):
+            yield data[: end + at] + (value * size) + data[end + at + size :]
+    first = data.index(b"PK\1\2")
+    for at in (28, 30, 32):
+        yield data[: first + at] + b"\xff\xff" + data[first + at + 2 :]
+    yield data + b"PK\5\6"
+    yield data[:4]
+    yield b"PK\3\4" + b"\xff" * 200
+    wide = struct.pack("<4sQ2H2I4Q", b"PK\6\6", 44, 45, 45, 0, 0, 1, 1, 2**63, 2**63)
+    yield b"PK\3\4" + wide + struct.pack("<4sIQI", b"PK\6\7", 0, 4, 1) + data[end:]
+
+
+def test_lying_archives_are_recognised_or_not_without_an_error() -> None:
+    for lie in lies(archive(["a", "b"])):
+        for form in READ:
+            assert form.load_module().recognise(memoryview(lie)) in (True, False)
+
+
+def test_recognising_takes_next_to_no_time_and_memory() -> None:
+    """An archive whose directory is 60 MB of names, and noise of that size."""
+    entry = struct.pack("<4s6H3I5H2I", b"PK\1\2", *[0] * 9, 5, *[0] * 4, 0, 0) + b"links"
+    directory = entry * (60_000_000 // len(entry))
+    end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, len(directory), 0, 0)
+    for data in (b"PK\3\4" + directory + end, b"{" + b" " * 60_000_000):
+        modules = [form.load_module() for form in READ]
+        tracemalloc.start()
+        start = time.perf_counter()
+        for module in modules:
+            module.recognise(memoryview(data))
+        assert time.perf_counter() - start < 5
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+        tracemalloc.stop()
+    names = [f"{k:09}" for k in range(MAX_MEMBERS + 10)]
+    assert len(npz_keys(memoryview(archive(names)))) == MAX_MEMBERS
+
+
+# -- nobody else knows formats ---------------------------------------------------------------------------------
+def literals(path: Path) -> Iterator[tuple[int, str]]:
+    """The texts in a file's code, but for help texts and docstrings."""
+    tree = ast.parse(path.read_text())
+    words: set[ast.AST] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr):
+            words |= set(ast.walk(node)) if isinstance(node.value, ast.Constant) else set()
+        if isinstance(node, ast.keyword) and node.arg in ("help", "short_help", "metavar"):
+            words |= set(ast.walk(node))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in words:
+            yield node.lineno, node.value
+
+
+# Pictures are named by their ending where a command writes many into a folder, or depth beside them.
+PICTURES = {form.name for scene in ("Image", "Depth", "Animation") for form in catalog.formats_of(scene)}
+WORDS = {"json", "html"}  # that stand for a format after a dot alone: options are called so
+
+
+def test_no_command_names_a_format() -> None:
+    """By its name or by its ending; transforms.json and such are files inside of folders."""
+    names = {form.name for form in catalog.FORMATS} - PICTURES
+    assert {"vdb", "nvdb", "vdb.npz", "svo.pb"} < names
+    found = []
+    for folder in ("cli", "jobs"):
+        for path in sorted((REPOSITORY / "nerfbake" / folder).rglob("*.py")):
+            for line, text in literals(path):
+                words = {word.strip(",;:()'") for word in text.split()}
+                if words & {f".{name}" for name in names} or text in names - WORDS:
+                    found.append(f"{path.name}:{line} {text!r}")
+    assert found == []
