@@ -10,7 +10,7 @@ from typing import Any
 import click
 import pytest
 
-from nerfbake import build_octree, jobs, orbit_cameras, save
+from nerfbake import build_field, build_octree, jobs, orbit_cameras, save
 from nerfbake.cli import main
 from nerfbake.jobs import Limits, Pages, Pictures, Seen, Shots
 from tests.support.scenes import n3tree
@@ -66,7 +66,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
     save(folder / "a.npz", tree)
     save(folder / "a.svo.pb", build_octree(tree))
-    save(folder / "c.json", orbit_cameras(tree, frames=2, width=9, height=9))
+    save(folder / "c.json", orbit_cameras(build_field(tree), frames=2, width=9, height=9))
     jobs.write_sample_stage1(folder / "in", resolution=32)
     jobs.bake_atlas(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
     return folder

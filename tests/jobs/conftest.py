@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake import build_octree, orbit_cameras, save
+from nerfbake import build_field, build_octree, orbit_cameras, save
 from nerfbake.jobs import write_sample_stage1
 from tests.jobs.listener import Listener
 from tests.support.scenes import n3tree
@@ -19,7 +19,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")
     save("a.npz", tree)
     save("a.svo.pb", build_octree(tree))
-    save("cameras.json", orbit_cameras(tree, frames=3, width=20, height=16))
+    save("cameras.json", orbit_cameras(build_field(tree), frames=3, width=20, height=16))
     return tmp_path
 
 

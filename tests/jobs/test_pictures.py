@@ -14,6 +14,7 @@ from nerfbake import (
     Image,
     Meshes,
     N3Tree,
+    build_field,
     build_octree,
     build_vdb,
     cut_octree,
@@ -44,7 +45,7 @@ def test_every_view_is_a_file_of_its_name(folder: Path, listener: Listener) -> N
 def test_one_of_the_cameras_is_what_the_stage_renders() -> None:
     assert render_views("a.npz", "b.png", Shots("cameras.json", frame=2), transmittance_cut=0.5) == ["b.png"]
     camera = load("cameras.json", Cameras).cameras[2]
-    save("c.png", render_field(load("a.npz", N3Tree), camera, transmittance_cut=0.5))
+    save("c.png", render_field(build_field(load("a.npz", N3Tree)), camera, transmittance_cut=0.5))
     assert Path("b.png").read_bytes() == Path("c.png").read_bytes()
     with pytest.raises(UsageError, match="--frame is 3; allowed: 0 to 2"):
         render_views("a.npz", "d.png", Shots("cameras.json", frame=3))

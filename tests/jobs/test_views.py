@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import N3Tree, load, orbit_cameras
+from nerfbake import N3Tree, build_field, load, orbit_cameras
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.jobs.steps import SILENT
 from nerfbake.jobs.views import read_cameras, views_of
@@ -19,15 +19,15 @@ from tests.support.captures import rig, write_colmap_binary
 
 @pytest.mark.usefixtures("folder")
 def test_a_capture_or_an_orbit_in_any_size() -> None:
-    tree = load("a.npz", N3Tree)
-    around = views_of(SILENT, tree, None, name="a.npz", frames=4, edge=30)
+    field = build_field(load("a.npz", N3Tree))
+    around = views_of(SILENT, field, None, name="a.npz", frames=4, edge=30)
     assert [(view.width, view.height) for view in around.cameras] == [(30, 30)] * 4
-    np.testing.assert_array_equal(around.cameras[1].pose, orbit_cameras(tree, frames=4).cameras[1].pose)
+    np.testing.assert_array_equal(around.cameras[1].pose, orbit_cameras(field, frames=4).cameras[1].pose)
     for cameras in (None, "cameras.json"):
-        resized = views_of(SILENT, tree, cameras, name="a.npz", frames=3, edge=30, size=(10, 8))
+        resized = views_of(SILENT, field, cameras, name="a.npz", frames=3, edge=30, size=(10, 8))
         assert [(view.width, view.height) for view in resized.cameras] == [(10, 8)] * 3
     with pytest.raises(InvalidScene, match=r"^a.npz: frames are 0"):
-        views_of(SILENT, tree, None, name="a.npz", frames=0, edge=30)
+        views_of(SILENT, field, None, name="a.npz", frames=0, edge=30)
 
 
 def test_where_cameras_are_from_and_what_was_taken_for_granted_is_said(tmp_path: Path, listener: Listener) -> None:
