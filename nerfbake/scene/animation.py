@@ -11,7 +11,14 @@ from nerfbake.scene.image import Image
 
 @dataclass(frozen=True, eq=False)
 class Animation(Scene):
-    """frames: pictures of one size, all transparent or none; after the last comes the first."""
+    """frames: pictures of one size, all transparent or none; after the last comes the first.
+
+    >>> from nerfbake import Animation, build_field, orbit_cameras, render_field, sample_n3tree
+    >>> field = build_field(sample_n3tree(resolution=8))
+    >>> views = orbit_cameras(field, frames=3, width=16, height=12).cameras
+    >>> print(Animation(tuple(render_field(field, view) for view in views)))
+    animation of 3 pictures of 16x12
+    """
 
     frames: tuple[Image, ...]
 

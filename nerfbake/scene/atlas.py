@@ -40,6 +40,12 @@ class OctahedralAtlas:
     slope     of `affine`: what byte 255 stands for in maps 1 to 3 of the cluster with the steepest ones
     slopes    (K,) uint8, of `affine`: each cluster's share of that
     Source: docs/formats/atlas.md, "Octahedral maps"; `kmeans` is "The thesis' method" there.
+
+    >>> import numpy as np
+    >>> from nerfbake import OctahedralAtlas
+    >>> atlas = OctahedralAtlas("kmeans", np.zeros((2, 8, 8, 3), np.uint8), np.zeros((4, 4), np.uint16))
+    >>> atlas.K, atlas.R, atlas.border
+    (2, 8, 1)
     """
 
     method: Method
@@ -185,6 +191,13 @@ class BakedAtlas(Scene):
     meshes  None where there is none
     files   meshes and diffuse textures, by name, as they were given
     facts   how it was baked and how well, for atlas.json
+
+    >>> import numpy as np
+    >>> from nerfbake import BakedAtlas, OctahedralAtlas
+    >>> atlas = OctahedralAtlas("kmeans", np.zeros((2, 8, 8, 3), np.uint8), np.zeros((4, 4), np.uint16))
+    >>> baked = BakedAtlas((atlas,), (None,), {}, {})
+    >>> len(baked.atlases), baked.meshes
+    (1, (None,))
     """
 
     atlases: tuple[OctahedralAtlas, ...]

@@ -31,6 +31,13 @@ class Camera:
     focal   in pixels: one for both axes, or (fx, fy)
     centre  (cx, cy), where the optical axis meets the picture, in pixels from its upper left corner; None: the middle
     lens    what it does beside perspective; None: a pinhole
+
+    >>> import numpy as np
+    >>> from nerfbake import Camera
+    >>> camera = Camera(4, 3, 5.0, np.eye(4), "front")
+    >>> origin, directions = camera.rays()
+    >>> directions.shape
+    (12, 3)
     """
 
     width: int
@@ -136,6 +143,12 @@ class Cameras(Scene):
     dialect  whose conventions their file follows; '' for cameras that were made and not read
     source   the file or files of a folder that they were read from; '' for a file of its own
     notes    what was taken for granted, a line each
+
+    >>> import numpy as np
+    >>> from nerfbake import Camera, Cameras
+    >>> cameras = Cameras((Camera(4, 3, 5.0, np.eye(4), "front"),))
+    >>> print(cameras)
+    1 camera
     """
 
     cameras: tuple[Camera, ...]

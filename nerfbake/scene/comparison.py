@@ -36,6 +36,13 @@ class Comparison(Scene):
     values   {sigma, dc, higher}: mean and largest absolute difference at the centres of a's leaves; {} where the two
              hold values of different kinds
     pictures for each camera the truth (or None), a and b, over white; () where they were not kept
+
+    >>> from nerfbake import build_field, build_octree, compare_scenes, orbit_cameras, sample_n3tree
+    >>> tree = sample_n3tree(resolution=8)
+    >>> views = orbit_cameras(build_field(tree), width=16, height=12)
+    >>> found = compare_scenes(tree, build_octree(tree), views)
+    >>> [verdict.holds for verdict in found.judge(min_psnr=40.0)]
+    [True]
     """
 
     views: tuple[dict[str, Any], ...]

@@ -15,7 +15,13 @@ from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 
 @dataclass(frozen=True, eq=False)
 class Depth(Scene):
-    """distance (H, W) float32: along each pixel's ray, in world units; 0 where it meets nothing."""
+    """distance (H, W) float32: along each pixel's ray, in world units; 0 where it meets nothing.
+
+    >>> import numpy as np
+    >>> from nerfbake import Depth
+    >>> print(Depth(np.array([[0.0, 1.5, 2.5]], np.float32)))
+    depth of 3x1, 1.5 to 2.5 world units
+    """
 
     distance: npt.NDArray[np.float32]
 

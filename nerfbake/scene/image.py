@@ -24,6 +24,13 @@ class Image(Scene):
     alpha   (H, W) float32: what the ray has lost to the scene, 0..1
     depth   (H, W) float32: the expected distance at which it is lost, in world units; 0 where nothing is met
     background  'colour' is over this sRGB colour; None: the picture is transparent
+
+    >>> import numpy as np
+    >>> from nerfbake import Image
+    >>> grey, whole = np.full((2, 4, 3), 0.5, np.float32), np.ones((2, 4), np.float32)
+    >>> image = Image(grey, whole, 3 * whole)
+    >>> image.size, image.pixels.dtype
+    ((4, 2), dtype('uint8'))
     """
 
     colour: npt.NDArray[np.float32]

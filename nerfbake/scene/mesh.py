@@ -28,6 +28,12 @@ class Mesh:
     faces      (t, 3) uint32, counter-clockwise from outside
     texture    (H, W, 3) uint8, sRGB, shown as it is; None: a surface of one colour, lit from the camera
     colours    (v, 3) float32, sRGB in 0..1, times the texture; None: white on a texture, else grey
+
+    >>> import numpy as np
+    >>> from nerfbake import Mesh
+    >>> mesh = Mesh(np.eye(3, dtype=np.float32), None, np.array([[0, 1, 2]], np.uint32))
+    >>> mesh.positions[mesh.faces].shape
+    (1, 3, 3)
     """
 
     positions: npt.NDArray[np.float32]
@@ -88,7 +94,14 @@ def require_few(count: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Meshes(Scene):
-    """Everything that a mesh file shows, a mesh for each material."""
+    """Everything that a mesh file shows, a mesh for each material.
+
+    >>> import numpy as np
+    >>> from nerfbake import Mesh, Meshes
+    >>> mesh = Mesh(np.eye(3, dtype=np.float32), None, np.array([[0, 1, 2]], np.uint32))
+    >>> print(Meshes((mesh, mesh)))
+    mesh of 2 triangles over 6 vertices
+    """
 
     meshes: tuple[Mesh, ...]
 

@@ -31,6 +31,13 @@ class N3Tree(Scene):
     dialect  how the file spelled it: 'svox', 'legacy', 'quantised', 'quantised+retained'
     ndc      True for a forward-facing scene, whose cube is not a box of the world
     Rows that the root does not reach (freed ones) are junk and never read.
+
+    >>> from nerfbake import sample_n3tree
+    >>> tree = sample_n3tree(resolution=8)
+    >>> tree.child.shape[1:], tree.data.shape[1:], tree.data_format
+    ((2, 2, 2), (2, 2, 2, 28), 'SH9')
+    >>> tree.sample([[0.0, 0.0, 0.1], [9.0, 9.0, 9.0]]).shape
+    (2, 28)
     """
 
     child: npt.NDArray[np.int32]

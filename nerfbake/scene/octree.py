@@ -49,6 +49,13 @@ class SparseVoxelOctree(Scene):
     as they are met. c = n is the report's `full` layout; c = nodes above the last level is `compact`.
     A node without any child is a leaf and fills its cube; in a node that has children, an octant without one
     is empty. What an internal node holds is what its level should show (stages.n3tree_to_octree has the rule).
+
+    >>> import numpy as np
+    >>> from nerfbake import SparseVoxelOctree
+    >>> grey = np.array([[0, 0, 0, 50]], np.float32)
+    >>> octree = SparseVoxelOctree((2, 2, 2), np.zeros((1, 8), np.int32), grey, "RGBA")
+    >>> octree.sample([[0.5, 1.5, 0.5], [2.5, 0.5, 0.5]])[:, 3]
+    array([50.,  0.], dtype=float32)
     """
 
     size: tuple[int, int, int]

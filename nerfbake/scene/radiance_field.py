@@ -25,6 +25,14 @@ class RadianceField:
     place   (3, 4) float64: cells of the last level = place @ (world, 1)
     box     (2, 3) float64: in cells, around all leaves, or the whole tree where there are none
     basis   SH or RGBA, in the field's own axes
+
+    >>> import numpy as np
+    >>> from nerfbake import build_field, sample_n3tree
+    >>> field = build_field(sample_n3tree(resolution=8))
+    >>> field.cells.edge, str(field.basis)
+    (8, 'SH9')
+    >>> field.sample(np.array([[0.0, 0.0, 9.0]])).shape
+    (1, 28)
     """
 
     cells: Cells

@@ -23,6 +23,12 @@ class SpecularField:
     w1        (h, 3) float32
     used      (H, W) bool: the texels that some triangle shows; the others do not weigh
     Source: nerf2mesh; docs/formats/atlas.md, "The stage-1 folder".
+
+    >>> import numpy as np
+    >>> from nerfbake import SpecularField
+    >>> features, used = np.full((4, 4, 3), 128, np.uint8), np.ones((4, 4), bool)
+    >>> print(SpecularField(features, np.eye(6, 8, dtype=np.float32), np.eye(8, 3, dtype=np.float32), used))
+    feature texture of 4x4, 16 texels used, MLP 6-8-3
     """
 
     features: npt.NDArray[np.uint8]

@@ -23,6 +23,13 @@ class Stage1(Scene):
              scene that was made and not read there are none
     cameras  (c, 3) float64 where the training cameras stand, in the meshes' own world; None if nobody knows
     Source: nerf2mesh and its forks; docs/formats/atlas.md, "The stage-1 folder".
+
+    >>> import numpy as np
+    >>> from nerfbake import SpecularField, Stage1
+    >>> features, used = np.full((4, 4, 3), 128, np.uint8), np.ones((4, 4), bool)
+    >>> field = SpecularField(features, np.eye(6, 8, dtype=np.float32), np.eye(8, 3, dtype=np.float32), used)
+    >>> print(Stage1((field,), (None,)))
+    feature texture of 4x4, 16 texels used, MLP 6-8-3
     """
 
     fields: tuple[SpecularField, ...]

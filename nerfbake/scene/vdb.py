@@ -47,6 +47,14 @@ class VdbTree:
                 which are minus the background; None where all are active
     place       (3, 4) float64 the grid's own transform, where it is not the volume's
     stored      how its file held the values, where that says more than their dtype: 'double', 'Fp8', ...
+
+    >>> import numpy as np
+    >>> from nerfbake import VdbTree
+    >>> from nerfbake.scene.vdb_voxels import topology_of
+    >>> topology, order = topology_of(np.array([[1, 0, 0], [0, 0, 0]]))
+    >>> tree = VdbTree("density", topology, np.array([[3], [1]], np.float32)[order], np.zeros(1, np.float32))
+    >>> tree.sample([[0.5, 0, 0]], lookup="trilinear")
+    array([[2.]], dtype=float32)
     """
 
     name: str
@@ -130,6 +138,13 @@ class IndexGrid:
     """One topology for any number of channels: voxel i of the order of VdbTopology has row i + 1 of the table.
 
     table (m + 1, C) float32 or float16; row 0 is the background.  Source: PlenVDB, 4.2 (its M_vdb).
+
+    >>> from nerfbake import build_octree, build_vdb, sample_n3tree
+    >>> (grid,) = build_vdb(build_octree(sample_n3tree(resolution=8)), grids=("index",)).grids
+    >>> len(grid.table) == 1 + grid.topology.m
+    True
+    >>> grid.sample([[3, 3, 1]]).shape
+    (1, 28)
     """
 
     name: str

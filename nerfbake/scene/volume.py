@@ -43,6 +43,13 @@ class Volume(Scene):
     frame      what turns the voxels back into the octree they came from; None in files of other programs
     checksum   what the file said of itself: 'none', 'half' or 'full'
     unread     grids of the file that are not here: what each is instead of what it might be
+
+    >>> from nerfbake import build_octree, build_vdb, sample_n3tree
+    >>> volume = build_vdb(build_octree(sample_n3tree(resolution=8)))
+    >>> volume.labels
+    ['density', 'Cd']
+    >>> volume.grid("density").sample(volume.index_of([[0.0, 0.0, 99.0]]))
+    array([[0.]], dtype=float32)
     """
 
     grids: tuple[VdbTree | IndexGrid, ...]

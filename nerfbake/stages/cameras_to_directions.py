@@ -21,6 +21,13 @@ def weigh_directions(
     cameras (c, 3) stand in the mesh's own world. Every face counts by its area, for every camera that its front turns
     to; what stands between them does not. A line of sight counts for the direction closest to it. Raises InvalidScene
     if no camera sees any front. Source: the future work of the K-means thesis (docs/sources.md).
+
+    >>> import numpy as np
+    >>> from nerfbake import Mesh, weigh_directions
+    >>> triangle = Mesh(np.eye(3, dtype=np.float32), None, np.array([[0, 1, 2]], np.uint32))
+    >>> weights = weigh_directions(triangle, np.array([[9.0, 9.0, 9.0]]), np.concatenate([np.eye(3), -np.eye(3)]))
+    >>> weights.shape, round(float(weights.mean()), 6)
+    ((6,), 1.0)
     """
     a, b, c = (mesh.positions[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
     across = np.cross(b - a, c - a)

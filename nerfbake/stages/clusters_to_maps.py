@@ -24,7 +24,16 @@ _NODE_WEIGHT = 1e-4  # pull of a grid's node towards the MLP's own outputs there
 
 
 def bake_snapped_maps(field: SpecularField, identifiers: Identifiers, clusters: Clusters, *, map_size: int) -> Floats:
-    """(K, R, R, 3) what the MLP shows for the colour that stands for each cluster, 0..1."""
+    """(K, R, R, 3) what the MLP shows for the colour that stands for each cluster, 0..1.
+
+    >>> import numpy as np
+    >>> from nerfbake import bake_snapped_maps, cluster_identifiers, identify_colours, sample_stage1
+    >>> field = sample_stage1(resolution=16).fields[0]
+    >>> identifiers = identify_colours(field, directions=np.eye(3))
+    >>> clusters = cluster_identifiers(identifiers, clusters=4)
+    >>> bake_snapped_maps(field, identifiers, clusters, map_size=8).shape
+    (4, 8, 8, 3)
+    """
     return _as_maps(_outputs(field, identifiers.features[clusters.members], map_size), map_size)
 
 

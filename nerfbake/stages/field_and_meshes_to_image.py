@@ -33,6 +33,14 @@ def render_field_and_meshes(
            laid over the mesh, elsewhere the mesh is seen alone. For pictures with depth that are there already; wrong
            where a ray meets something on both sides of the mesh.
     Source: TR-24-01 (docs/sources.md), section 5.2.
+
+    >>> import numpy as np
+    >>> from nerfbake import Mesh, Meshes, build_field, orbit_cameras, render_field_and_meshes, sample_n3tree
+    >>> field = build_field(sample_n3tree(resolution=8))
+    >>> triangle = Mesh(np.eye(3, dtype=np.float32), None, np.array([[0, 1, 2]], np.uint32))
+    >>> (view,) = orbit_cameras(field, width=16, height=12).cameras
+    >>> render_field_and_meshes(field, Meshes((triangle,)), view).size
+    (16, 12)
     """
     if how not in get_args(Composite):
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))

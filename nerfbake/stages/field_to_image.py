@@ -36,6 +36,12 @@ def render_field(
             coefficients are interpolated, the coefficients by density.
 
     build_field() makes the field of a scene, once for all pictures; a scene itself is refused with UsageError.
+
+    >>> from nerfbake import build_field, orbit_cameras, render_field, sample_n3tree
+    >>> field = build_field(sample_n3tree(resolution=8))
+    >>> image = render_field(field, orbit_cameras(field, width=16, height=12).cameras[0])
+    >>> image.size, bool(image.alpha.max() > 0.5)
+    ((16, 12), True)
     """
     require_field(field)
     if not 0 <= transmittance_cut < 1:

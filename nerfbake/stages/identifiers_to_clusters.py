@@ -49,6 +49,13 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
 
     Greedy k-means++ on the means of cells of 5-bit colour starts the rounds. `nerfbake bench atlas` compares
     it with scikit-learn's KMeans.
+
+    >>> import numpy as np
+    >>> from nerfbake import cluster_identifiers, identify_colours, sample_stage1
+    >>> field = sample_stage1(resolution=16).fields[0]
+    >>> identifiers = identify_colours(field, directions=np.eye(3))
+    >>> cluster_identifiers(identifiers, clusters=4).K
+    4
     """
     points, weight = identifiers.points, identifiers.counts
     if not 1 <= clusters <= min(len(points), MAX_CLUSTERS):
@@ -71,6 +78,13 @@ def cluster_planes(identifiers: Identifiers, *, clusters: int = 64, seed: int = 
 
     From cluster_identifiers()'s on, each round fits a plane to every cluster and gives each colour to the plane that
     comes closest: after 6 rounds affine maps have half the squared error of those of plain clusters.
+
+    >>> import numpy as np
+    >>> from nerfbake import cluster_planes, identify_colours, sample_stage1
+    >>> field = sample_stage1(resolution=16).fields[0]
+    >>> identifiers = identify_colours(field, directions=np.eye(3))
+    >>> cluster_planes(identifiers, clusters=2).K
+    2
     """
     found = cluster_identifiers(identifiers, clusters=clusters, seed=seed)
     points, features = identifiers.points, identifiers.features.astype(np.float32)

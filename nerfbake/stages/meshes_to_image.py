@@ -20,6 +20,13 @@ def render_meshes(scene: Meshes, camera: Camera, *, background: tuple[float, flo
 
     A texture is shown as it is, between its texels' centres; a mesh without one is grey, or has its vertices' colours,
     and is lit from the camera. Alpha is 0 or 1, depth the distance along the ray. Nothing is smoothed at edges.
+
+    >>> import numpy as np
+    >>> from nerfbake import Mesh, Meshes, orbit_cameras, render_meshes
+    >>> triangle = Meshes((Mesh(np.eye(3, dtype=np.float32), None, np.array([[0, 1, 2]], np.uint32)),))
+    >>> image = render_meshes(triangle, orbit_cameras(triangle, width=16, height=12).cameras[0])
+    >>> image.size, sorted(set(image.alpha.flat)) == [0, 1]
+    ((16, 12), True)
     """
     return paint(scene.meshes, camera, lambda _, hits: surface_colours(hits), background)
 

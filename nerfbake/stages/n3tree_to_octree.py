@@ -41,6 +41,11 @@ def build_octree(
     level can be shown. The float32 values of leaves are copied from the tree when they are asked for.
 
     Raises InvalidScene if the tree is broken, holds values that no renderer can use, or stands in NDC; MemoryLimit.
+
+    >>> from nerfbake import build_octree, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=16), resolution=8)
+    >>> octree.size, octree.grid_level, octree.data_format
+    ((8, 8, 8), 3, 'SH9')
     """
     size = _grid_size(tree, resolution)
     if resample not in ("mean", "nearest"):

@@ -12,7 +12,12 @@ from nerfbake.scene.radiance_field import RadianceField, leaf_box
 
 
 def field_of_octree(octree: SparseVoxelOctree) -> RadianceField:
-    """Its leaves with a density above 0; a density alone is grey. Raises InvalidScene for what cannot be shown."""
+    """Its leaves with a density above 0; a density alone is grey. Raises InvalidScene for what cannot be shown.
+
+    >>> from nerfbake import build_octree, field_of_octree, sample_n3tree
+    >>> print(field_of_octree(build_octree(sample_n3tree(resolution=8))))
+    SH9 field of 167 leaves over 8^3 cells
+    """
     octree.require_usable()
     # A density alone is grey, as it is in a volume.
     alone = octree.data_dim == 1 and not octree.data_format

@@ -14,6 +14,11 @@ def cut_octree(octree: SparseVoxelOctree, *, level: int) -> SparseVoxelOctree:
     level: 0 (the root alone) to the level of single voxels. The grid is coarsened with it, a voxel to each cube of
     that level, in place in the world. In both layouts what remains is the start of what was there; nothing is
     computed. Source: TR-24-01 (docs/sources.md), 5.1.
+
+    >>> from nerfbake import build_octree, cut_octree, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=8))
+    >>> len(octree.level_sizes), len(cut_octree(octree, level=1).level_sizes)
+    (4, 2)
     """
     if not 0 <= level <= octree.grid_level:
         raise InvalidScene(Problem("level", f"is {level}", f"0 to {octree.grid_level}, the level of single voxels"))

@@ -55,6 +55,13 @@ def build_vdb(
     0. half: values are float16. up: the world's axis that the field's z becomes; `y` turns (x, y, z) into
     (x, z, -y) in the transform alone, voxels and SH stay as they are. Raises InvalidScene; MemoryLimit,
     before any voxel is made.
+
+    >>> from nerfbake import build_octree, build_vdb, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=8))
+    >>> [grid.name for grid in build_vdb(octree).grids]
+    ['density', 'Cd']
+    >>> [grid.name for grid in build_vdb(octree, grids=("index",)).grids]
+    ['index']
     """
     _require_usable(octree, grids, up)
     if sigma_min is not None and not sigma_min >= 0:

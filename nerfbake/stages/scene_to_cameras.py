@@ -19,6 +19,11 @@ def orbit_cameras(scene: Visible, *, frames: int = 1, width: int = 800, height: 
     """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
 
     Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.
+
+    >>> from nerfbake import build_field, orbit_cameras, sample_n3tree
+    >>> cameras = orbit_cameras(build_field(sample_n3tree(resolution=8)), frames=3, width=16, height=12)
+    >>> [(camera.name, camera.width, camera.height) for camera in cameras.cameras]
+    [('0000', 16, 12), ('0001', 16, 12), ('0002', 16, 12)]
     """
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))

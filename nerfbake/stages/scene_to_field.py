@@ -27,6 +27,13 @@ def build_field(scene: FieldSource) -> RadianceField:
 
     Raises InvalidScene for what cannot be shown: broken scenes, SG and ASG bases, volumes without a density. Raises
     UsageError for what has no field.
+
+    >>> from nerfbake import build_field, build_octree, sample_n3tree
+    >>> tree = sample_n3tree(resolution=8)
+    >>> print(build_field(tree))
+    SH9 field of 167 leaves over 8^3 cells
+    >>> print(build_field(build_octree(tree)))
+    SH9 field of 167 leaves over 8^3 cells
     """
     if type(scene) not in _STAGES:
         known = ", ".join(kind.__name__ for kind in _STAGES)

@@ -35,6 +35,11 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     of cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
+
+    >>> from nerfbake import sample_n3tree, summarise_scene
+    >>> facts = summarise_scene(sample_n3tree(resolution=8))
+    >>> facts["kind"], facts["basis"], facts["dtype"]
+    ('PlenOctree (N3Tree)', 'SH', 'float16')
     """
     if isinstance(scene, Volume):
         return _of_volume(scene)

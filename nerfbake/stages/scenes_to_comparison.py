@@ -36,6 +36,13 @@ def compare_scenes(
     Without keep_pictures one view's are in memory at a time, and there is nothing to draw. Errors are on sRGB in 0..1,
     before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and for photographs of another
     number or size than the cameras', and for lenses that do not cover their pictures.
+
+    >>> from nerfbake import build_field, build_octree, compare_scenes, orbit_cameras, sample_n3tree
+    >>> tree = sample_n3tree(resolution=8)
+    >>> field = build_field(tree)
+    >>> found = compare_scenes(field, build_octree(tree), orbit_cameras(field, width=16, height=12))
+    >>> found.means["a_b"]["psnr"] > 40
+    True
     """
     if truth is not None and len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))

@@ -40,6 +40,10 @@ def sample_n3tree(*, resolution: int = 128, basis: str = "SH9", seed: int = 0) -
     resolution: cells along an axis at the finest level, a power of two. Surfaces are as fine as that (the floor one
     level coarser), insides and empty space as coarse as they can be. The same arguments give the same bytes.
     Raises InvalidScene, MemoryLimit.
+
+    >>> from nerfbake import sample_n3tree
+    >>> print(sample_n3tree(resolution=8, basis="SH4"))
+    SH4 PlenOctree of 8^3, 54 nodes
     """
     if resolution < 4 or resolution & (resolution - 1):
         raise InvalidScene(Problem("resolution", f"is {resolution}", "a power of two from 4"))

@@ -31,6 +31,10 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
 
     resolution: texels along the textures' edges, 16 to 8192. The same arguments give the same bytes. Raises
     InvalidScene, MemoryLimit.
+
+    >>> from nerfbake import sample_stage1
+    >>> print(sample_stage1(resolution=16))
+    feature texture of 16x16, 256 texels used, MLP 6-32-3
     """
     if not 16 <= resolution <= 8192:
         raise InvalidScene(Problem("resolution", f"is {resolution}", "16 to 8192 texels"))

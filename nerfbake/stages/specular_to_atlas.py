@@ -44,6 +44,13 @@ def bake_atlas(
     counts, 1 on average. centres: kmeans' maps show the snapped colour, or the mean of the cluster. The same arguments
     give the same bytes on every CPU, whatever the number of threads. Raises InvalidScene for sizes out of range and
     more clusters than colours, MemoryLimit for maps that would take too much while they are made.
+
+    >>> from nerfbake import bake_atlas, sample_stage1
+    >>> field = sample_stage1(resolution=16).fields[0]
+    >>> print(bake_atlas(field, clusters=4, map_size=8))
+    kmeans atlas of 4 maps of 8x8
+    >>> print(bake_atlas(field, method="grid", nodes=2, map_size=8))
+    grid atlas of 8 maps of 8x8
     """
     for name, value, low, high in (
         ("map size", map_size, 2, MAX_MAP_SIZE),

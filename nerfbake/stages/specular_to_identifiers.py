@@ -49,6 +49,13 @@ def identify_colours(
 
     direction_weights (N,): how much each direction counts, 1 on average. The u x 3N outputs (1.7 GB for a 2048x2048
     texture) are projected one colour at a time and never stored. Raises MemoryLimit.
+
+    >>> import numpy as np
+    >>> from nerfbake import identify_colours, sample_stage1
+    >>> field = sample_stage1(resolution=16).fields[0]
+    >>> identifiers = identify_colours(field, directions=np.eye(3))
+    >>> int(identifiers.counts.sum()) == int(field.used.sum())
+    True
     """
     # Sorting beats counting in a table of all 2^24 colours: 0.25 s against 0.69 s for 4 million texels.
     codes, counts = np.unique(colours.codes_of(field.features[field.used]), return_counts=True)

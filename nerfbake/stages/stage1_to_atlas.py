@@ -32,6 +32,11 @@ def bake_stage1(
 
     direction_set `cameras` lets each direction count as often as the training cameras look along it at the cascade's
     mesh; the errors stay evenly weighted. Raises InvalidScene where cameras or a mesh are missing for that.
+
+    >>> from nerfbake import bake_stage1, sample_stage1
+    >>> baked = bake_stage1(sample_stage1(resolution=16), directions=20, clusters=4, map_size=8)
+    >>> print(baked.atlases[0])
+    kmeans atlas of 4 maps of 8x8
     """
     evenly = fibonacci(directions)
     atlases = tuple(
@@ -74,6 +79,12 @@ def measure_stage1_error(
     """The error of each cascade's atlas. held_out: in directions that no bake has seen, instead of the baking ones.
 
     Raises InvalidScene if there are not as many atlases as cascades.
+
+    >>> from nerfbake import bake_stage1, measure_stage1_error, sample_stage1
+    >>> stage1 = sample_stage1(resolution=16)
+    >>> (error,) = measure_stage1_error(bake_stage1(stage1, clusters=4, map_size=8), stage1, held_out=True)
+    >>> error.texels == int(stage1.fields[0].used.sum())
+    True
     """
     if len(baked.atlases) != len(stage1.fields):
         raise InvalidScene(

@@ -25,6 +25,12 @@ def render_stage1(
     Of a Stage1 specular is the MLP, of a BakedAtlas it is what atlas.glsl shows; both at the nearest texel, as the
     viewer of nerf2mesh (its renderer.html) has it, maps between texels. Raises InvalidScene where a mesh is missing.
     Source: docs/formats/atlas.md, "The stage-1 folder".
+
+    >>> from nerfbake import orbit_cameras, render_stage1, sample_stage1
+    >>> stage1 = sample_stage1(resolution=16)
+    >>> image = render_stage1(stage1, orbit_cameras(stage1, width=16, height=12).cameras[0])
+    >>> image.size, bool(image.alpha.max() == 1)
+    ((16, 12), True)
     """
 
     def colours(cascade: int, hits: Hits) -> npt.NDArray[np.float32]:

@@ -27,6 +27,12 @@ def octree_of_volume(volume: Volume) -> SparseVoxelOctree:
     the octree was baked at its tree's own resolution.
 
     Raises InvalidScene where the grids hold no octree: other programs' files, and those without coefficients.
+
+    >>> from nerfbake import build_octree, build_vdb, octree_of_volume, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=8))
+    >>> back = octree_of_volume(build_vdb(octree, grids=("index",)))
+    >>> back.size == octree.size, back.level_sizes == octree.level_sizes
+    (True, True)
     """
     if volume.frame is None:
         raise InvalidScene(Problem("the volume", "does not say which octree it was", "what `nerfbake vdb` writes"))
@@ -47,6 +53,11 @@ def octree_of_density(volume: Volume) -> SparseVoxelOctree:
     The density is the grid `density`, or the only one with one channel. Voxels and tiles above 0 are leaves, each at
     its own level, in a box of the world's axes around them; a transform may swap and mirror axes. Raises InvalidScene
     for level sets, for transforms that turn or shear, and for boxes of more than 4096 voxels along an axis.
+
+    >>> from nerfbake import build_octree, build_vdb, octree_of_density, sample_n3tree
+    >>> smoke = build_vdb(build_octree(sample_n3tree(resolution=8)), grids=("density",))
+    >>> octree_of_density(smoke).data_dim
+    1
     """
     grid = density_of(volume)
     for problem in (*grid.structure_problems(), *grid.value_problems()):

@@ -15,7 +15,13 @@ from nerfbake.stages._half import rounded
 
 def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volume:
     """The volume with values of this type; an index' table is not made wider. Raises InvalidScene, naming the grid,
-    where values do not fit."""
+    where values do not fit.
+
+    >>> from nerfbake import build_octree, build_vdb, cast_volume, sample_n3tree
+    >>> volume = build_vdb(build_octree(sample_n3tree(resolution=8)))
+    >>> {grid.values.dtype.name for grid in cast_volume(volume, dtype="float16").grids}
+    {'float16'}
+    """
     wanted = np.dtype(dtype)
 
     def cast(grid: VdbTree | IndexGrid) -> VdbTree | IndexGrid:

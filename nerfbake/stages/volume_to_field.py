@@ -31,6 +31,11 @@ def field_of_volume(volume: Volume) -> RadianceField:
     Tiles are cells as large as they are. A density without colours is grey, 0.5 of white: what it hides shows on a
     white background as well as on a black one. Raises InvalidScene where there is no density, or an index of unknown
     columns, and for broken grids.
+
+    >>> from nerfbake import build_octree, build_vdb, field_of_volume, sample_n3tree
+    >>> volume = build_vdb(build_octree(sample_n3tree(resolution=8)), grids=("density", "sh"))
+    >>> str(field_of_volume(volume).basis)
+    'SH9'
     """
     volume.require_usable()
     first = volume.grids[0]
