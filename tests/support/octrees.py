@@ -19,9 +19,11 @@ SPELLINGS = [(name, profile) for name, form in FORMATS.items() for profile in fo
 every_spelling = pytest.mark.parametrize(("name", "profile"), SPELLINGS)
 
 
-def written(name: str, profile: str | None, octree: SparseVoxelOctree, **options: Any) -> bytes:
-    if profile:
-        options["profile"] = profile
+def written(name: str, profile: str | None, octree: SparseVoxelOctree, *, no_child: int = 0) -> bytes:
+    """The file; a format that spells "no child" in one way alone does so."""
+    options: dict[str, Any] = {"profile": profile} if profile else {}
+    if FORMATS[name].choices("no_child"):
+        options["no_child"] = no_child
     return b"".join(FORMATS[name].load_module().encode(octree, **options))
 
 

@@ -80,7 +80,7 @@ def test_the_command(tmp_path: Path, shell: Shell) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["a.svo.pb", "--formats", "xml"], 2, "no format is called 'xml'; allowed: raw, svo.npz, svo.pb report"),
+        (["a.svo.pb", "--formats", "xml"], 2, "no format is called 'xml'; allowed: raw, svo.npz, "),
         (["a.svo.pb", "--plot", "a.pdf"], 2, "the ending of 'a.pdf' names no picture; allowed: .png, .svg"),
         (["a.svo.pb", "-o", "a.svo.pb"], 4, "a.svo.pb: exists already; allowed: a new file, or --force"),
         (["nothing.svo.pb"], 1, "nothing.svo.pb: No such file"),
