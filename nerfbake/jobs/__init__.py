@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.comparisons import Pages as Pages
     from nerfbake.jobs.comparisons import Seen as Seen
     from nerfbake.jobs.comparisons import compare_files as compare_files
+    from nerfbake.jobs.conversions import convert_file as convert_file
     from nerfbake.jobs.descriptions import describe_file as describe_file
     from nerfbake.jobs.files import FolderTarget as FolderTarget
     from nerfbake.jobs.files import Source as Source
@@ -40,12 +41,15 @@ if TYPE_CHECKING:
     from nerfbake.jobs.samples import write_sample_n3tree as write_sample_n3tree
     from nerfbake.jobs.samples import write_sample_stage1 as write_sample_stage1
     from nerfbake.jobs.steps import Steps as Steps
+    from nerfbake.jobs.volumes import bake_volume as bake_volume
 
 JOBS = {
     "bake_atlas": "atlases",
     "bake_lod": "octrees",
     "bake_octree": "octrees",
+    "bake_volume": "volumes",
     "compare_files": "comparisons",
+    "convert_file": "conversions",
     "describe_file": "descriptions",
     "judge": "budgets",
     "measure_atlas": "atlases",

@@ -54,8 +54,10 @@ def judge(
     """
     if budget.min_psnr is None:
         return None
-    # A field is built once, for the cameras and for the pictures.
-    seen = scene if isinstance(scene, nerfbake.Stage1) else nerfbake.build_field(scene)
+    seen = scene
+    if not isinstance(scene, nerfbake.Stage1):
+        with steps.phase("building the field"), io.blame(made_from):
+            seen = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
     views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE)
     file = Source(written)
     with file.blamed(steps, "judging"), io.rejected_unless_good(written):

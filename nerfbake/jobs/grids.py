@@ -1,4 +1,4 @@
-"""Which grids of a volume a job works on, and how they stand."""
+"""Which grids of a volume a job reads or writes, and how they stand."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import nerfbake
+from nerfbake import catalog
 from nerfbake.errors import InvalidFile, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
+
+GRIDS = ("density", "Cd", "sh", "index")
 
 
 @dataclass(frozen=True)
@@ -41,3 +44,23 @@ class Choice:
 
 
 AS_IT_IS = Choice()
+
+
+def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tuple[str, ...]:
+    """These grids, or those that the format has where nobody says which.
+
+    Raises UsageError, before any work is done, for grids that it cannot hold.
+    """
+    module = form.load_volume_module()
+    wanted = tuple(grids.split(",")) if grids else module.DEFAULT_GRIDS
+    if not set(wanted) <= set(GRIDS) or len(set(wanted)) < len(wanted) or ("index" in wanted and len(wanted) > 1):
+        raise UsageError(f"--grids are {','.join(wanted)!r}; allowed: some of density, Cd, sh, or index alone")
+    module.require_grids(wanted, half=half)
+    return wanted
+
+
+def tell_of_halves(steps: Steps, form: catalog.Format, volume: nerfbake.Volume) -> None:
+    """Says what other programs make of a density in halves."""
+    note, first = form.load_volume_module().HALF_NOTE, volume.grids[0]
+    if note and isinstance(first, nerfbake.VdbTree) and first.values.dtype == "float16":
+        steps.say(note)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from nerfbake import N3Tree, build_octree, build_vdb, load, save
-from nerfbake.errors import BudgetMissed, InvalidFile
+from nerfbake.errors import BudgetMissed, InvalidFile, InvalidScene
 from nerfbake.jobs import Budget, judge
 from tests.jobs.listener import Listener
+from tests.support.scenes import n3tree
 
 
 def test_the_file_is_judged_not_what_it_was_made_from(folder: Path, listener: Listener) -> None:
@@ -20,6 +22,13 @@ def test_the_file_is_judged_not_what_it_was_made_from(folder: Path, listener: Li
     (folder / "a.svo.pb").write_bytes(b"broken on its way to the disk")
     with pytest.raises(InvalidFile, match=r"a\.svo\.pb"):
         judge("a.svo.pb", tree, Budget(50, "cameras.json"), made_from="a.npz")
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_scene_that_cannot_be_seen_is_blamed_by_its_name() -> None:
+    lobes = n3tree(data_format="SG2", extra_data=np.ones((2, 4), np.float32))
+    with pytest.raises(InvalidScene, match=r"^lobes\.npz: data_format is SG2"):
+        judge("a.svo.pb", lobes, Budget(50), made_from="lobes.npz")
 
 
 @pytest.mark.usefixtures("folder")

@@ -16,6 +16,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where examples find a PlenOctree, an octree, a stage-1 folder and its atlas."""
     folder = tmp_path_factory.mktemp("examples")
     jobs.write_sample_n3tree(folder / "a.npz", resolution=16, basis="SH1")
+    jobs.bake_octree(folder / "a.npz", folder / "octree.svo.npz")
     jobs.write_sample_stage1(folder / "mesh_stage1", resolution=64)
     return folder
 

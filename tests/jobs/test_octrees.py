@@ -33,7 +33,7 @@ def test_an_output_that_cannot_be_is_told_before_anything_is_read(folder: Path) 
         bake_octree("none", "b.obj")
     with pytest.raises(UsageError, match="has no ending that an octree is written with"):
         bake_lod("none", "b.obj", level=1)
-    with pytest.raises(UsageError, match=r"svo\.npz is written in one way only"):
+    with pytest.raises(UsageError, match=r"svo\.npz takes no option 'profile'"):
         bake_octree("none", Target("b.svo.npz", profile="bulk"))
     with pytest.raises(OutputError, match="exists already"):
         bake_lod("none", "a.svo.pb", level=1)

@@ -37,7 +37,8 @@ def test_every_view_is_a_file_of_its_name(folder: Path, listener: Listener) -> N
     beside = [f"000{i}{ending}" for i in range(3) for ending in (".alpha.png", ".depth.npy", ".png")]
     assert sorted(path.name for path in (folder / "views").iterdir()) == beside
     assert load("views/0001.depth.npy", Depth).distance.shape == (16, 20)
-    assert listener.phases == ["reading a.npz", "reading cameras.json"] + [f"rendering 000{i}" for i in range(3)]
+    before = ["reading a.npz", "building the field", "reading cameras.json"]
+    assert listener.phases == before + [f"rendering 000{i}" for i in range(3)]
     assert [line.split(":")[0] for line in listener.said] == paths
 
 

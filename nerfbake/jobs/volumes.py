@@ -1,0 +1,60 @@
+"""Volumes from files to files: baked from a PlenOctree or an octree."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import nerfbake
+from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.grids import require_grids, tell_of_halves
+from nerfbake.jobs.steps import SILENT, Steps
+
+
+def bake_volume(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    grids: str | None = None,
+    half: bool = False,
+    codec: str | None = None,
+    resolution: int | tuple[int, int, int] | None = None,
+    sigma_min: float | None = None,
+    up: Literal["y", "z"] = "z",
+    budget: Budget = UNLIMITED,
+    steps: Steps = SILENT,
+) -> nerfbake.Volume:
+    """Makes VDB grids of a PlenOctree or an octree, and gives what it wrote; `nerfbake vdb`.
+
+    Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed.
+
+    grids       some of density, Cd, sh, with commas between them, or index; None: those that are usual for the format
+    half        values are float16
+    codec       of the format: none or zip; None: as is usual for it
+    resolution  of a PlenOctree, as build_octree() has it; sigma_min, for both, as it has that
+    up          the axis that points up in `target`; in `source` it is z
+
+    Raises NerfbakeError.
+
+    >>> volume = bake_volume("a.npz", "a.vdb.npz", grids="density,sh", resolution=16)
+    >>> [grid.name for grid in volume.grids]
+    ['density', 'sh_0']
+    """
+    source, target = as_source(source), as_target(target)
+    form = target.require("Volume", codec=codec)
+    budget.require(target)
+    wanted = require_grids(form, grids, half=half)
+    scene: nerfbake.N3Tree | nerfbake.SparseVoxelOctree
+    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    judged = None if budget.min_psnr is None else scene  # the tree goes as soon as nobody needs it
+    with source.blamed(steps, "building the grids"):
+        if isinstance(scene, nerfbake.N3Tree):
+            scene = nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min)
+        elif resolution:
+            raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
+        volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, sigma_min=sigma_min)
+    tell_of_halves(steps, form, volume)
+    target.write(steps, volume, codec=codec)
+    judge(target.path, judged, budget, made_from=source.name, up=up, steps=steps)
+    return volume
