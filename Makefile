@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup tools demo test test-quick test-slow test-cpus fuzz lint schemas golden bench clean
+.PHONY: help setup tools demo test test-quick test-slow test-cpus fuzz lint schemas golden api bench clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -101,6 +101,9 @@ schemas: setup tools  ## each schema through its own compiler; we generate no co
 
 golden: setup  ## what is missing in schemas/conformance: frozen bytes of every format; say why in the commit
 	$(BIN)/python -m tests.conformance
+
+api: setup  ## docs/api.md anew, from the docstrings
+	$(BIN)/python docs/api.py
 
 bench: setup  ## the figures of the documentation, anew: benchmarks/results; hours
 	$(BIN)/python -m benchmarks

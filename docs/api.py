@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import Any
 
 import nerfbake
+from nerfbake import jobs
 
 PAGE = Path(__file__).with_name("api.md")
 HEAD = """# API
 
-Every public name of `nerfbake`, made from its docstring (`make api`). [Python](python.md) shows how
-they go together. Letters stand for sizes, everywhere the same: n nodes, m leaves, D values of a node, B functions of a
-basis, K clusters. Each example runs in the tests.
+Every public name of `nerfbake` and of `nerfbake.jobs`, made from its docstring (`make api`). [Python](python.md) shows
+how they go together. Letters stand for sizes, everywhere the same: n nodes, m leaves, D values of a node, B functions
+of a basis, K clusters. Each example runs in the tests.
 """
 SECTIONS = {
-    "Files": "nerfbake.io nerfbake.memory nerfbake.errors",
-    "Scenes": "nerfbake.scene",
-    "Stages": "nerfbake.stages",
+    "Files": (nerfbake, "nerfbake.io nerfbake.memory nerfbake.errors"),
+    "Scenes": (nerfbake, "nerfbake.scene"),
+    "Stages": (nerfbake, "nerfbake.stages"),
+    "Jobs": (jobs, "nerfbake.jobs"),
 }
 
 
@@ -34,14 +36,14 @@ def main() -> None:
 def page() -> str:
     """The text of docs/api.md."""
     parts = [HEAD]
-    for title, layers in SECTIONS.items():
+    for title, (package, layers) in SECTIONS.items():
         parts.append(f"## {title}\n")
-        for name in nerfbake.__all__:
-            thing = getattr(nerfbake, name)
+        for name in package.__all__:
+            thing = getattr(package, name)
             if thing.__module__.startswith(tuple(layers.split())):
                 parts += [
                     f"### {name}\n",
-                    f"```python\n{signature(name, thing)}\n```\n",
+                    f"```py\n{signature(name, thing)}\n```\n",
                     *blocks(inspect.getdoc(thing) or ""),
                 ]
     return "\n".join(parts)

@@ -52,6 +52,13 @@ class NerfbakeError(Exception):
     """The parent of every error that nerfbake raises on purpose; str() is the one line a user reads.
 
     `io` adds the name of the file that is to blame.
+
+    >>> from nerfbake import NerfbakeError, load
+    >>> try:
+    ...     load("missing.npz")
+    ... except NerfbakeError as error:
+    ...     print(error.exit_code, error)
+    1 missing.npz: No such file or directory
     """
 
     exit_code = 1

@@ -47,7 +47,16 @@ _current: ContextVar[_Allowance] = ContextVar("allowance", default=_default)
 
 @contextmanager
 def memory_limit(limit: int) -> Iterator[None]:
-    """Bounds, in bytes, what everything inside the block holds together."""
+    """Bounds, in bytes, what everything inside the block holds together.
+
+    >>> from nerfbake import NerfbakeError, memory_limit, sample_n3tree
+    >>> with memory_limit(1 << 20):
+    ...     try:
+    ...         tree = sample_n3tree(resolution=64)
+    ...     except NerfbakeError as error:
+    ...         print(type(error).__name__)
+    MemoryLimit
+    """
     token = _current.set(_Allowance(limit, keeps=True))
     try:
         with scope():

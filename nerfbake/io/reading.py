@@ -35,6 +35,11 @@ def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
     kinds: the scene types that are wanted; another one raises InvalidFile. sound=False gives a scene back even if its
     structure is broken, for scene.problems(). memory_limit() bounds what it may take. Raises NerfbakeError naming the
     file.
+
+    >>> from nerfbake import N3Tree, load, sample_n3tree, save
+    >>> size = save("small.npz", sample_n3tree(resolution=8))
+    >>> load("small.npz", N3Tree).data_format
+    'SH9'
     """
     return load_with_format(source, *kinds, sound=sound)[0]
 

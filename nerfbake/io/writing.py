@@ -37,6 +37,13 @@ def save(
     parents: makes the folders that lead there; options are the format's own. Raises UsageError for an option that it
     does not take; OutputError if the target exists and `force` is not given, or if it cannot be written; what stood
     there before is then untouched.
+
+    >>> from nerfbake import build_octree, load, sample_n3tree, save
+    >>> octree = build_octree(sample_n3tree(resolution=8))
+    >>> save("small.svo.pb", octree, profile="report") == save("small.svo.npz", octree)
+    False
+    >>> print(load("small.svo.pb"))
+    SH9 octree of 8x8x8, 205 nodes, float32, full
     """
     form = format_for(target, type(scene).__name__, to=to)
     form.require_options(options)
