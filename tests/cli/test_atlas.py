@@ -1,4 +1,4 @@
-"""atlas, atlas-error, sample nerf2mesh: whole runs, and whatever is wrong said in one line."""
+"""`nerfbake atlas`: whole runs, and whatever is wrong said in one line."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import struct
 import zlib
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
+from nerfbake import Stage1, load, orbit_cameras, save
 from nerfbake.cli.main import run
 from nerfbake.formats.wire.texture import encode_texture
 from tests.support.atlas_scenes import mlp_json, stage1_folder, texture
@@ -48,6 +48,8 @@ def weights(rows: int, columns: int, value: float = 0.5) -> list[list[float]]:
 
 
 WHOLE = encode_texture(texture())
+
+
 HOSTILE: dict[str, tuple[dict[str, bytes | None], str]] = {
     "no MLP": ({"mlp_json": None}, "mlp.json is missing"),
     "no feature": ({"feat1_0_png": None}, "feat1_0 is missing"),
@@ -157,59 +159,32 @@ def test_from_a_texture_and_an_mlp_alone(tmp_path: Path, capsys: pytest.CaptureF
     assert run(["atlas", out]) == 2
 
 
-def test_the_error_that_is_printed_is_the_error_that_was_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_atlas_that_misses_its_budget_is_kept_as_rejected(
+    sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, out = str(tmp_path / "in"), str(tmp_path / "out")
-    assert run(["sample", "nerf2mesh", source, "--resolution", "64"]) == 0
-    for method in ("kmeans", "affine", "grid"):
-        assert run(["atlas", source, out, "--method", method, "--map-size", "32", "--force"]) == 0
-        written = json.loads((tmp_path / "out" / "atlas.json").read_text())["errors"]
-        capsys.readouterr()
-        assert run(["atlas-error", out, source, "--json"]) == 0
-        assert json.loads(capsys.readouterr().out) == written
-        assert run(["atlas-error", out, source, "--json", "--held-out"]) == 0
-        held_out = json.loads(capsys.readouterr().out)[0]["mae"]
-        assert held_out != written[0]["mae"]
-        assert held_out == pytest.approx(written[0]["mae"], rel=0.2)
+    save(sample / "cameras.json", orbit_cameras(load(sample / "in", Stage1), frames=2, width=40, height=40), force=True)
+    arguments = ["atlas", str(sample / "in"), str(tmp_path / "out"), "--clusters", "2", "--map-size", "8"]
+    arguments += ["--cameras", str(sample / "cameras.json")]
+    for _ in range(2):  # the second time there is a rejected one already
+        assert run([*arguments, "--min-psnr", "80"]) == 3
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert last.startswith(f"error: {tmp_path}/out: the picture has a mean PSNR of ")
+        assert [path.name for path in tmp_path.iterdir()] == ["out.rejected"]
+    assert (tmp_path / "out.rejected" / "atlas.json").exists()
+    assert run([*arguments, "--min-psnr", "10"]) == 0
+    assert f"dB against {sample}/in" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "named"),
-    [
-        ("atlas.json", b"{}", "is no atlas description"),
-        ("atlas.json", b'{"nerfbake_atlas": 1, "cascades": [{"method": "magic"}]}', "method is magic"),
-        ("atlas.json", b'{"nerfbake_atlas": 1, "cascades": [{"method": "kmeans", "maps": -1}]}', "maps is -1"),
-        ("atlas_0.png", WHOLE, "has 32x24 texels"),
-        ("labels_0.png", encode_texture(np.full((24, 32, 3), 255, np.uint8)), "is 65535; allowed: 0 to 2"),
-    ],
-)
-def test_a_broken_atlas_is_one_line(
-    name: str, content: bytes, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, out = stage1_folder(tmp_path / "in"), tmp_path / "out"
-    assert run(["atlas", str(folder), str(out), "--clusters", "3", "--map-size", "8"]) == 0
-    (out / name).write_bytes(content)
-    capsys.readouterr()
-    assert run(["atlas-error", str(out), str(folder)]) == 1
+def test_without_a_mesh_no_budget_is_promised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = stage1_folder(tmp_path / "in", mesh_0_obj=None)
+    assert run(["atlas", str(folder), str(tmp_path / "out"), "--clusters", "3", "--min-psnr", "10"]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert named in line
+    assert line.startswith(f"error: {folder}: mesh_0.obj is missing; allowed: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
-def test_info_and_check_of_folders_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder, out = stage1_folder(tmp_path / "in"), tmp_path / "out"
-    assert run(["atlas", str(folder), str(out), "--clusters", "3", "--map-size", "8"]) == 0
-    written = json.loads((out / "atlas.json").read_text())["errors"][0]
-    for path in (folder, out, out / "atlas_0.png"):
-        assert run(["check", str(path)]) == 0
-        assert run(["info", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "cascade 0" in said
-    assert "hidden units        8" in said
-    assert run(["info", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["bytes_on_disk"] == sum(path.stat().st_size for path in out.iterdir())
-    assert told["cascades"]["0"]["errors"] == written
-    (out / "labels_0.png").unlink()
-    assert run(["check", str(out)]) == 1
-    assert "labels_0.png is missing" in capsys.readouterr().out
+def test_a_broken_diffuse_texture_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = stage1_folder(tmp_path / "in", feat0_0_png=b"\x89PNG")
+    assert run(["atlas", str(folder), str(tmp_path / "out"), "--clusters", "3"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {folder}: feat0_0.png cannot be read")

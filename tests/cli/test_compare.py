@@ -1,48 +1,17 @@
-"""`nerfbake compare`, and budgets right after writing, as a shell sees them."""
+"""`nerfbake compare` as a shell sees it."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from nerfbake import N3Tree, SparseVoxelOctree, build_field, load, orbit_cameras, save
+from nerfbake import N3Tree, build_field, load, orbit_cameras, save
+from nerfbake.cli.main import run
+from tests.cli.telling import told
 from tests.conftest import Shell
-from tests.support.scenes import n3tree
-
-
-@pytest.fixture
-def tree_file(tmp_path: Path) -> Path:
-    save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
-    return tmp_path / "a.npz"
-
-
-@pytest.mark.usefixtures("tree_file")
-def test_a_budget_that_holds_and_one_that_does_not(shell: Shell, tmp_path: Path) -> None:
-    assert shell("svo", "a.npz", "good.svo.pb", "--min-psnr", "50").returncode == 0
-    assert (tmp_path / "good.svo.pb").exists()
-    done = shell("svo", "a.npz", "bad.svo.pb", "--resolution", "1", "--min-psnr", "50")
-    assert done.returncode == 3
-    assert done.stderr.decode().splitlines()[-1].startswith("error: bad.svo.pb: the picture has a mean PSNR of ")
-    assert not (tmp_path / "bad.svo.pb").exists()
-    assert load(tmp_path / "bad.svo.pb.rejected", SparseVoxelOctree).problems() == []
-    assert shell("lod", "good.svo.pb", "l.svo.pb", "--level", "0", "--min-psnr", "50").returncode == 3
-    assert (tmp_path / "l.svo.pb.rejected").exists()
-    assert shell("svo", "a.npz", "-", "--to", "svo.pb", "--min-psnr", "50").returncode == 2
-
-
-@pytest.mark.usefixtures("tree_file")
-def test_volumes_have_budgets_too(shell: Shell, tmp_path: Path) -> None:
-    field = build_field(load(tmp_path / "a.npz", N3Tree))
-    save(tmp_path / "c.json", orbit_cameras(field, frames=2, width=24, height=20))
-    budget = ["--cameras", "c.json", "--min-psnr", "50"]
-    assert shell("vdb", "a.npz", "good.nvdb", "--grids", "index", *budget).returncode == 0
-    assert shell("compare", "a.npz", "good.nvdb", "--cameras", "c.json", "--min-psnr", "60").returncode == 0
-    assert shell("vdb", "a.npz", "grey.vdb", "--grids", "density", *budget).returncode == 3
-    assert sorted(path.name for path in tmp_path.glob("*vdb*")) == ["good.nvdb", "grey.vdb.rejected"]
-    # Judged in the octree's own world, although the file stands in another.
-    assert shell("vdb", "a.npz", "turned.nvdb", "--grids", "index", "--up", "y", *budget).returncode == 0
 
 
 @pytest.mark.usefixtures("tree_file")
@@ -115,14 +84,6 @@ def test_a_page_that_cannot_be_is_one_line(
 
 
 @pytest.mark.usefixtures("tree_file")
-def test_a_page_is_nothing_to_read(shell: Shell, tmp_path: Path) -> None:
-    (tmp_path / "page.html").write_text("<!DOCTYPE html>")
-    done = shell("info", "page.html")
-    assert done.returncode == 1
-    assert done.stderr.startswith(b"error: page.html: starts with 3c 21 44 4f 43 54 59 50, as no known format does")
-
-
-@pytest.mark.usefixtures("tree_file")
 def test_truth_from_a_folder(shell: Shell, tmp_path: Path) -> None:
     tree = load(tmp_path / "a.npz", N3Tree)
     save(tmp_path / "cameras.json", orbit_cameras(build_field(tree), frames=2, width=24, height=20))
@@ -134,3 +95,23 @@ def test_truth_from_a_folder(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "truth" / "0001.png").unlink()
     done = shell("compare", "a.npz", "a.npz", "--cameras", "cameras.json", "--truth", "truth")
     assert (done.returncode, done.stderr) == (1, b"error: truth/0001.png: No such file or directory\n")
+
+
+def test_an_atlas_against_the_mlp_in_pictures(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folders = [str(sample / "in"), str(sample / "out")]
+    sheet = sample / "sheet.png"
+    errors = told(["compare", *folders, "--size", "48x48", "--sheet", str(sheet)], capsys)["mean"]["a_b"]
+    assert 25 < errors["psnr"] < 60
+    assert sheet.stat().st_size > 1000
+    assert told(["compare", folders[0], folders[0], "--size", "48x48"], capsys)["mean"]["a_b"]["psnr"] == 100
+    assert run(["compare", *folders, "--size", "48x48", "--min-psnr", "90"]) == 3
+    # Of the mesh inside scene.glb only the diffuse look is shown: it is further off than the atlas.
+    flat = told(["compare", folders[0], str(sample / "out" / "scene.glb"), "--size", "48x48"], capsys)["mean"]["a_b"]
+    assert flat["psnr"] < errors["psnr"] - 3
+
+
+def test_an_atlas_without_its_mesh_says_so(sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(sample / "out", tmp_path / "out")
+    (tmp_path / "out" / "mesh_0.obj").unlink()
+    assert run(["compare", str(sample / "in"), str(tmp_path / "out"), "--size", "8x8"]) == 1
+    assert f"error: {tmp_path}/out: mesh_0.obj is missing" in capsys.readouterr().err

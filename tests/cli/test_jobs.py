@@ -15,6 +15,11 @@ from nerfbake.cli import main
 from nerfbake.jobs import Limits, Pages, Pictures, Seen, Shots
 from tests.support.scenes import n3tree
 
+# atlas.json tells the options that were given; the command gives them all.
+ATLAS_DEFAULTS: Any = {
+    "method": "kmeans", "nodes": 7, "directions": 100, "direction_set": "fibonacci", "centres": "snapped",
+    "border": 1, "seed": 0,
+}  # fmt: skip
 JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "svo": (
         ["a.npz", "OUT.svo.pb", "--resolution", "3", "--profile", "bulk"],
@@ -26,7 +31,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     ),
     "atlas": (
         ["in", "OUT", "--clusters", "3", "--map-size", "8"],
-        lambda out: jobs.bake_atlas("in", out, clusters=3, map_size=8),
+        lambda out: jobs.bake_atlas("in", out, **{**ATLAS_DEFAULTS, "clusters": 3, "map_size": 8}),
     ),
     "render": (
         ["a.npz", "--out", "OUT", "--cameras", "c.json", "--all", "--depth", "npy", "--lookup", "trilinear"],
@@ -45,7 +50,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "compare": (
         ["a.npz", "a.svo.pb", "--size", "9x9", "--html", "OUT.html", "--min-psnr", "20"],
         lambda out: jobs.compare_files(
-            "a.npz", "a.svo.pb", seen=Seen(size=(9, 9)), limits=Limits(min_psnr=20), pages=Pages(html=f"{out}.html")
+            "a.npz", "a.svo.pb", seen=Seen(size=(9, 9)), limits=Limits(min_psnr=20.0), pages=Pages(html=f"{out}.html")
         ),
     ),
     "sample octree": (
@@ -80,10 +85,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def written(folder: Path, stem: str) -> dict[str, bytes]:
+def written(folder: Path, stem: str) -> dict[str, Any]:
+    """What all files hold whose names start so; of JSON what it says, in whatever order."""
     paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     names = {str(path.relative_to(folder)): path for path in paths}
-    return {name.removeprefix(stem): path.read_bytes() for name, path in names.items() if name.startswith(stem)}
+    return {name.removeprefix(stem): _held(path) for name, path in names.items() if name.startswith(stem)}
+
+
+def _held(path: Path) -> Any:
+    return json.loads(path.read_text()) if path.suffix == ".json" else path.read_bytes()
 
 
 @pytest.mark.parametrize("command", JOBS)

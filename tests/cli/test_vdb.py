@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import build_octree, load, save
-from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake import N3Tree, SparseVoxelOctree, build_field, build_octree, load, orbit_cameras, save
 from nerfbake.scene.volume import Volume
 from tests.conftest import Shell
 from tests.support.scenes import assert_same_octree, n3tree
@@ -160,3 +159,16 @@ def test_y_up_is_judged_and_turned_back(shell: Shell, tmp_path: Path) -> None:
     for name, options in (("y", ["--up", "y"]), ("z", [])):
         assert shell("render", f"{name}.vdb", "--out", f"{name}.png", "--size", "24x20", *options).returncode == 0
     assert (tmp_path / "y.png").read_bytes() == (tmp_path / "z.png").read_bytes()
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_volumes_have_budgets_too(shell: Shell, tmp_path: Path) -> None:
+    field = build_field(load(tmp_path / "a.npz", N3Tree))
+    save(tmp_path / "c.json", orbit_cameras(field, frames=2, width=24, height=20))
+    budget = ["--cameras", "c.json", "--min-psnr", "50"]
+    assert shell("vdb", "a.npz", "good.nvdb", "--grids", "index", *budget).returncode == 0
+    assert shell("compare", "a.npz", "good.nvdb", "--cameras", "c.json", "--min-psnr", "60").returncode == 0
+    assert shell("vdb", "a.npz", "grey.vdb", "--grids", "density", *budget).returncode == 3
+    assert sorted(path.name for path in tmp_path.glob("*vdb*")) == ["good.nvdb", "grey.vdb.rejected"]
+    # Judged in the octree's own world, although the file stands in another.
+    assert shell("vdb", "a.npz", "turned.nvdb", "--grids", "index", "--up", "y", *budget).returncode == 0

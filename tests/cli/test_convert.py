@@ -1,20 +1,38 @@
-"""The octree formats as a shell sees them: profiles, compression, pipes."""
+"""`nerfbake convert` as a shell sees it: formats, profiles, compression, pipes."""
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 
 from nerfbake import load, save
 from nerfbake.cli.main import run
-from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
 from tests.support.octrees import FORMATS, small_octree
 from tests.support.scenes import assert_same_octree, n3tree
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_a_pipeline(shell: Shell, tmp_path: Path) -> None:
+    first = shell("svo", "a.npz", "-", "--to", "svo.pb", "--layout", "compact")
+    assert (first.returncode, first.stderr.count(b"\n")) == (0, 1)
+    second = shell("convert", "-", "-", "--to", "svo.npz", "-q", stdin=first.stdout)
+    assert (second.returncode, second.stderr) == (0, b"")
+    third = shell("lod", "-", "b.svo.pb", "--level", "1", stdin=second.stdout)
+    assert third.returncode == 0
+    assert third.stdout == b""
+    octree = load(tmp_path / "b.svo.pb", SparseVoxelOctree)
+    assert (octree.size, octree.layout, octree.level_sizes) == ((2, 2, 2), "compact", [1, 8])
+    told = json.loads(shell("info", "-", "--json", stdin=second.stdout).stdout)
+    assert (told["format"], told["nodes_per_level"]) == ("svo.npz", [1, 8, 8])
+    with np.load(io.BytesIO(second.stdout)) as npz:
+        assert npz["size"].tolist() == [4, 4, 4]
 
 
 @pytest.mark.parametrize("suffix", ["", ".zst"])
@@ -81,13 +99,6 @@ def test_what_zstd_itself_compressed_is_read(tmp_path: Path) -> None:
     assert_same_octree(load(tmp_path / "b.svo.pb.zst", SparseVoxelOctree), octree)
 
 
-def test_a_plenoctree_may_be_compressed_too(tmp_path: Path) -> None:
-    assert run(["sample", "octree", str(tmp_path / "a.npz.zst"), "--resolution", "8", "-q"]) == 0
-    (tmp_path / "a_poses_bounds.npy").touch()
-    assert load(tmp_path / "a.npz.zst", N3Tree).ndc
-    assert run(["svo", str(tmp_path / "a.npz.zst"), str(tmp_path / "a.svo.pb"), "-q"]) == 1  # it faces forward
-
-
 def test_a_file_that_is_not_compressed_although_it_says_so_is_read_by_its_content(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -106,3 +117,10 @@ def test_same_scene_same_bytes(tmp_path: Path) -> None:
             save(a, small_octree())
             save(b, small_octree())
             assert a.read_bytes() == b.read_bytes()
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_a_plenoctree_is_told_what_makes_an_octree_of_it(shell: Shell) -> None:
+    done = shell("convert", "a.npz", "b.svo.pb")
+    assert done.returncode == 1
+    assert b"(`nerfbake svo` makes an octree of it); allowed: an octree or a volume\n" in done.stderr

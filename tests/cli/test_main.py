@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,9 @@ import pytest
 
 from nerfbake import sample_n3tree, save
 from nerfbake.cli import main
+from nerfbake.cli.main import run
 from nerfbake.errors import LONGEST_LINE, OutputError, PipeClosed
+from tests.conftest import Shell
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +129,31 @@ def test_a_read_only_installation_without_a_home_works(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "kernels are compiled anew" in done.stderr
     assert (folder / "a.png").exists()
+
+
+def test_a_reader_that_closes_the_pipe_is_no_error(shell: Shell, tmp_path: Path) -> None:
+    shell("sample", "octree", "a.npz", "--resolution", "32")
+    command = f"{sys.executable} -m nerfbake svo a.npz - --to svo.pb -q | head -c 10 > head; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("141\n", "")
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_bytes_are_not_poured_over_a_terminal(tmp_path: Path) -> None:
+    leader, follower = pty.openpty()
+    command = [sys.executable, "-m", "nerfbake", "svo", "a.npz", "-", "--to", "svo.pb"]
+    done = subprocess.run(command, cwd=tmp_path, stdout=follower, stderr=subprocess.PIPE, check=False)
+    os.close(follower)
+    os.close(leader)
+    assert (done.returncode, done.stderr) == (2, b"error: stdout is a terminal; allowed: a pipe or a file\n")
+
+
+def test_help_of_every_command_shows_a_line_to_paste(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("svo", "convert", "lod", "info", "check", "sample octree"):
+        assert run([*command.split(), "--help"]) == 0
+        assert f"  nerfbake {command} " in capsys.readouterr().out
+
+
+def test_a_command_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["nonsense"]) == 2
+    assert capsys.readouterr().err.startswith("error: No such command 'nonsense'")

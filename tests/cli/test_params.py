@@ -1,4 +1,4 @@
-"""An option that would change nothing is refused, before anything is read; one that is not given never is."""
+"""What arguments and options may be: sizes, and none that would change nothing."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake.cli.main import run
+from nerfbake.cli.params import Size
 
 REFUSED = [
     ("atlas in out --nodes 7", "--nodes has no effect with --method kmeans; allowed: --nodes with --method grid"),
@@ -37,3 +38,8 @@ def test_options_without_effect_are_refused(
     assert run(line.split()) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert named in said
+
+
+@pytest.mark.parametrize(("text", "size"), [("100", 100), ("1.5KiB", 1536), ("2 MB", 2_000_000), ("4gib", 4 << 30)])
+def test_sizes(text: str, size: int) -> None:
+    assert Size().convert(text, None, None) == size
