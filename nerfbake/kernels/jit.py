@@ -14,7 +14,7 @@ import numba
 
 # Of the libraries that share a parallel loop out to threads, numba would take TBB wherever it is installed. There each
 # loop takes longer than the loops before it (1,500 small ones, six times over: 0.09, 0.15, 0.29, 0.58, 0.84 and 1.14
-# CPU seconds); OpenMP's stay as they are. Numba's own `workqueue` ends a process whose threads start loops side by side.
+# CPU seconds); OpenMP's stay as they are. Numba's own `workqueue` ends a process that starts two loops side by side.
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
 
