@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Meshes, render_field, render_field_and_meshes, render_meshes
 from nerfbake.errors import InvalidScene
-from tests.stages.test_field_to_image import front, solid
+from tests.support.fields import front, solid
 from tests.support.meshes import mesh
 
 BLUE = np.tile(np.array([0, 0, 1], np.float32), (4, 1))

@@ -1,50 +1,23 @@
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import (
     Camera,
-    Cameras,
-    Image,
-    RadianceField,
-    SparseVoxelOctree,
     build_field,
     build_octree,
-    build_vdb,
-    cut_octree,
-    load,
     orbit_cameras,
     render_field,
 )
-from nerfbake.errors import InvalidScene, MemoryLimit, UsageError
+from nerfbake.errors import InvalidScene, UsageError
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_voxels import topology_of
-from nerfbake.scene.volume import Volume
-from tests.conftest import DATA
+from tests.support.fields import front, solid
 from tests.support.scenes import n3tree
-
-
-def solid(sigma: float, red: float = 0.0, **fields: Any) -> RadianceField:
-    """The unit cube filled evenly; colours are the sigmoid of (red, 0, 0)."""
-    data = np.zeros((1, 2, 2, 2, 4), np.float32)
-    data[..., 0], data[..., 3] = red, sigma
-    return build_field(n3tree(data=data, data_format="RGBA", **fields))
-
-
-def front(edge: int = 5, distance: float = 3.0) -> Camera:
-    """Looks along +y at the unit cube's middle, from so far away; its middle pixel meets the cube head on."""
-    return Camera(edge, edge, 4.0 * edge, look_at(np.full(3, 0.5), -np.pi / 2, 0, distance), "front")
 
 
 @pytest.mark.parametrize("sigma", [0.1, 1.0, 30.0])
@@ -245,133 +218,3 @@ def test_trilinear_is_what_sample_says(N: int) -> None:
 
 
 # -- volumes ---------------------------------------------------------------------------------------------------
-def grown(data_format: str = "SH4") -> SparseVoxelOctree:
-    """An octree with leaves at three levels and empty space, around the world's origin."""
-    tree = n3tree(splits=[(0, (1, 0, 1)), (1, (1, 1, 1))], data_format=data_format, dtype=np.float32)
-    tree.data[0, 0, 0, :, -1] = 0
-    octree = build_octree(tree, resample="nearest")
-    return dataclasses.replace(octree, origin=np.full(3, -0.5), voxel_size=octree.voxel_size * [1, 2, 1])
-
-
-@pytest.mark.parametrize("lookup", ["nearest", "trilinear"])
-@pytest.mark.parametrize("grids", [("index",), ("density", "sh")])
-def test_a_volume_looks_like_the_octree_it_was_made_from(grids: tuple[str, ...], lookup: Any) -> None:
-    octree = grown()
-    for up in ("z", "y"):
-        fields = build_field(octree), build_field(build_vdb(octree, grids=grids, up=up))
-        views = [orbit_cameras(field, width=24, height=20).cameras[0] for field in fields]
-        one, other = (render_field(field, view, lookup=lookup) for field, view in zip(fields, views, strict=True))
-        assert one.alpha.max() > 0.1
-        assert_allclose(one.colour, other.colour, atol=2e-4)
-        assert_allclose(one.depth, other.depth, atol=2e-3)
-
-
-def test_a_volume_without_coefficients_shows_its_colour_or_grey() -> None:
-    octree, camera = grown("SH1"), orbit_cameras(build_field(grown()), width=24, height=20).cameras[0]
-    image = render_field(build_field(octree), camera)
-    assert_allclose(render_field(build_field(build_vdb(octree)), camera).colour, image.colour, atol=2e-4)
-    grey = render_field(build_field(build_vdb(octree, grids=("density",))), camera, background=(0.5, 0.5, 0.5))
-    assert_allclose(grey.colour, 0.5, atol=1e-6)
-    assert_allclose(grey.alpha, image.alpha, atol=2e-4)
-    with pytest.raises(InvalidScene, match="the volume has the grids Cd; allowed: density among them, or index"):
-        build_field(build_vdb(octree, grids=("Cd",)))
-
-
-def test_colours_of_other_voxels_are_looked_up() -> None:
-    # Another program may have pruned one grid and not the other.
-    octree, camera = grown("SH1"), orbit_cameras(build_field(grown()), width=24, height=20).cameras[0]
-    density, colour = build_vdb(octree).grids
-    more = np.concatenate([colour.topology.coords, [[40, 3, 5]]])
-    topology, order = topology_of(more)
-    values = np.concatenate([colour.values, [[0.1, 0.2, 0.3]]]).astype(np.float32)[order]
-    assert isinstance(colour, VdbTree)
-    other = dataclasses.replace(colour, topology=topology, values=values)
-    pruned = Volume((density, other), build_vdb(octree).transform)
-    one, expected = (render_field(build_field(scene), camera).colour for scene in (pruned, octree))
-    assert_allclose(one, expected, atol=2e-4)
-
-
-def test_more_cells_than_memory_has_are_refused() -> None:
-    volume = build_vdb(grown())
-    with memory_limit(100_000), pytest.raises(MemoryLimit, match=r"the volume as cells needs 146.0 KiB; allowed: 97.7"):
-        build_field(volume)
-
-
-@pytest.mark.parametrize("far", [4096, -8192, 1 << 30, -(1 << 31)])
-def test_voxels_anywhere_in_32_bits_are_seen(far: int) -> None:
-    coords = np.array([[0, 0, 0], [1, 0, 0], [0, far, 0]], np.int64)
-    topology, _ = topology_of(coords)
-    density = VdbTree("density", topology, np.full((3, 1), 50, np.float32), np.zeros(1, np.float32))
-    field = build_field(Volume((density,), np.eye(4)[:3]))
-    for voxel in ([0, 0, 0], [0, far, 0]):
-        # Its face seen from 2 away, along x; the voxel's sample stands at its centre.
-        camera = Camera(1, 1, 1e4, look_at(np.array(voxel, float), np.pi, 0, 2.5))
-        image = render_field(field, camera)
-        assert_allclose(image.alpha, 1, atol=1e-6)
-        assert_allclose(image.depth, 2.0, atol=0.05)
-
-
-# -- the real chair --------------------------------------------------------------------------------------------
-CHAIR = DATA / "plenoctree" / "chair"
-
-
-def psnr(a: npt.NDArray[np.uint8], b: npt.NDArray[np.uint8]) -> float:
-    return float(-10 * np.log10(((a.astype(float) - b) ** 2).mean() / 255**2))
-
-
-def over_white(path: Path) -> npt.NDArray[np.uint8]:
-    image = load(path, Image)
-    colour = image.colour + (1 - image.alpha[..., None])
-    return np.asarray(np.rint(255 * np.clip(colour, 0, 1)), np.uint8)
-
-
-@pytest.mark.data
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "expected", "reference"),
-    [
-        ("chair_sh9", 34.58, "chair_sh9"),
-        ("chair_sh9_128", 30.23, "chair_sh9_128"),
-        ("chair_sh9_128_legacy", 30.23, "chair_sh9_128"),
-        ("chair_sh9_128_fragmented", 30.23, None),
-        ("chair_sh9_128_quant", 30.27, None),
-        ("chair_sh9_128_quant_retain1", 30.28, None),
-    ],
-)
-def test_the_chair_looks_as_its_description_says(name: str, expected: float, reference: str | None) -> None:
-    field = build_field(load(CHAIR / f"{name}.npz", N3Tree))
-    against_truth = []
-    for camera in load(CHAIR / "views" / "transforms.json", Cameras).cameras:
-        pixels = render_field(field, camera).pixels
-        against_truth.append(psnr(pixels, over_white(CHAIR / "views" / f"{camera.name}.png")))
-        if reference:
-            assert psnr(pixels, over_white(CHAIR / f"render_{reference}" / f"{camera.name}.png")) > 70
-    assert np.mean(against_truth) == pytest.approx(expected, abs=0.02)
-
-
-@pytest.mark.data
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "expected"), [("chair_sh9", 34.938), ("chair_sh9_128", 30.48)])
-def test_held_out_views(name: str, expected: float) -> None:
-    field, folder = build_field(load(CHAIR / f"{name}.npz", N3Tree)), DATA / "nerf_synthetic" / "chair"
-    found = []
-    for camera in load(folder / "transforms_test.json", Cameras).cameras:
-        truth = load(folder / "test" / f"{camera.name}.png", Image)
-        seen = render_field(field, camera.resized(400, 400))
-        white = truth.colour + (1 - truth.alpha[..., None])
-        found.append(-10 * np.log10(((seen.colour.astype(float) - white) ** 2).mean()))
-    assert len(found) == 25
-    assert np.mean(found) == pytest.approx(expected, abs=0.02)
-
-
-@pytest.mark.data
-def test_the_octree_at_the_trees_resolution_gives_the_same_picture() -> None:
-    tree = load(CHAIR / "chair_sh9_128.npz", N3Tree)
-    camera = load(CHAIR / "views" / "transforms.json", Cameras).cameras[0]
-    octree = build_octree(tree)
-    image = render_field(build_field(tree), camera)
-    assert_allclose(image.colour, render_field(build_field(octree), camera).colour, atol=1e-4)
-    index = build_vdb(octree, grids=("index",))
-    assert_allclose(image.colour, render_field(build_field(index), camera).colour, atol=1e-4)
-    coarse = render_field(build_field(cut_octree(octree, level=6)), camera)
-    assert 20 < psnr(image.pixels, coarse.pixels) < 40
