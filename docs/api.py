@@ -60,7 +60,8 @@ def signature(name: str, thing: Callable[..., Any]) -> str:
         starred = starred or each.kind in (each.KEYWORD_ONLY, each.VAR_POSITIONAL)
         stars = {each.VAR_POSITIONAL: "*", each.VAR_KEYWORD: "**"}.get(each.kind, "")
         default = "" if each.default is each.empty else f" = {_shown(each.default)}"
-        parameters.append(f"{stars}{each.name}: {each.annotation}{default}")
+        annotation = getattr(each.annotation, "__forward_arg__", each.annotation)  # as named tuples hold them
+        parameters.append(f"{stars}{each.name}: {annotation}{default}")
     line = f"{name}({', '.join(parameters)})"
     if len(line) > 100:
         line = f"{name}(\n    " + ",\n    ".join(parameters) + ",\n)"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import click
@@ -207,7 +206,7 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
         )
         @functools.wraps(function)
         def command(*args: Any, target: Target, profile: str | None, **others: Any) -> Any:
-            return function(*args, target=replace(target, profile=profile), **others)
+            return function(*args, target=target._replace(profile=profile), **others)
 
         return command
 

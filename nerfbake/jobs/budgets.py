@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import io
@@ -15,8 +14,7 @@ from nerfbake.jobs.views import views_of
 FRAMES, EDGE = 8, 400  # the views around a scene that a budget is judged from, and their pixels along an edge
 
 
-@dataclass(frozen=True)
-class Budget:
+class Budget(NamedTuple):
     """What the pictures of an output may lose.
 
     min_psnr  the least mean PSNR against what it was made from, in dB; None: it may lose anything, and no picture is

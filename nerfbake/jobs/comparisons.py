@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import io
@@ -16,8 +15,7 @@ from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """Whose views are compared.
 
     cameras  a capture; None: 8 views around the first scene
@@ -30,16 +28,14 @@ class Seen:
     size: tuple[int, int] | None = None
 
 
-@dataclass(frozen=True)
-class Limits:
+class Limits(NamedTuple):
     """How far the second scene may be off: its mean PSNR in dB, and a pixel's channel in 0..1; None: any distance."""
 
     min_psnr: float | None = None
     max_error: float | None = None
 
 
-@dataclass(frozen=True)
-class Pages:
+class Pages(NamedTuple):
     """What is written of a comparison: a .png of all its pictures, a .html page with everything; None: neither."""
 
     sheet: str | None = None
@@ -62,8 +58,7 @@ class Pages:
 AROUND, NO_LIMITS, NO_PAGES = Seen(), Limits(), Pages()
 
 
-@dataclass(frozen=True)
-class Compared:
+class Compared(NamedTuple):
     """a, b: the two files' name, content, format and bytes; found: how far they are apart."""
 
     a: dict[str, Any]
@@ -109,12 +104,12 @@ def compare_files(
     if pages.sheet:
         io.save(pages.sheet, found.sheet, force=pages.force)
     if pages.html:
-        io.save(pages.html, found, force=pages.force, a=facts, b=others, **asdict(limits))
+        io.save(pages.html, found, force=pages.force, a=facts, b=others, **limits._asdict())
     compared = Compared(facts, others, found)
     if report is not None:
         report(compared)
     with second.blamed(steps, "judging"):
-        found.require(**asdict(limits))
+        found.require(**limits._asdict())
     return compared
 
 

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import catalog, io, memory
 from nerfbake.jobs.steps import Steps
 
 
-@dataclass(frozen=True)
-class Source:
+class Source(NamedTuple):
     """A file or a folder to read, or '-' for stdin."""
 
     path: str
@@ -44,8 +42,7 @@ class Source:
             yield
 
 
-@dataclass(frozen=True)
-class Stage1Source:
+class Stage1Source(NamedTuple):
     """A stage-1 folder of nerf2mesh, or feature textures and an MLP from anywhere.
 
     folder      '' where `features` and `mlp` stand in for it
@@ -82,8 +79,7 @@ class Stage1Source:
             yield
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """A file to write, or '-' for stdout.
 
     to       the format; None: the one that the path's ending names
@@ -116,8 +112,7 @@ class Target:
         return {name: value for name, value in {"profile": self.profile, **options}.items() if value is not None}
 
 
-@dataclass(frozen=True)
-class FolderTarget:
+class FolderTarget(NamedTuple):
     """A folder to write. force: replace one that exists, and all that is in it."""
 
     path: str

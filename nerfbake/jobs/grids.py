@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import catalog
@@ -14,8 +13,7 @@ from nerfbake.jobs.steps import Steps
 GRIDS = ("density", "Cd", "sh", "index")
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """Which grids of a volume, by name or number, and which axis of its world is up; nothing chosen: as it is."""
 
     grids: tuple[str, ...] = ()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import nerfbake
 from nerfbake import catalog, io
@@ -19,8 +18,7 @@ from nerfbake.jobs.views import views_of
 EDGE = 800  # pixels of an orbit's pictures
 
 
-@dataclass(frozen=True)
-class Shots:
+class Shots(NamedTuple):
     """Which views are rendered.
 
     cameras    a capture; None: an orbit around the scene
@@ -60,8 +58,7 @@ class Shots:
 ONE_SHOT = Shots()
 
 
-@dataclass(frozen=True)
-class Pictures:
+class Pictures(NamedTuple):
     """Where pictures go, and what is written beside each of them.
 
     out    of one picture a .png, or '-' for stdout; of several a .gif, a .png that shows them all, or a folder
@@ -110,8 +107,7 @@ class Pictures:
             io.save(beside, plane, force=self.force)
 
 
-@dataclass(frozen=True)
-class PlacedMesh:
+class PlacedMesh(NamedTuple):
     """Opaque triangles in a field's world.
 
     path  an .obj or .glb
