@@ -42,10 +42,10 @@ def measure_atlas_error(
 ) -> AtlasError:
     """The error of an atlas over every used texel and N unit directions (N, 3).
 
-    lookup: kernels.octahedron.read_maps() says which there are; `thesis` also truncates colours where others round, and
-    evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by their L1
-    norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets (the
-    texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size, and
+    lookup: kernels.surface.octahedron.read_maps() says which there are; `thesis` also truncates colours where others
+    round, and evaluates the MLP in float64. thesis_fault: the published evaluation divides its table of directions by
+    their L1 norm in place, so that it asks the MLP at non-unit directions for all but the first colour that it meets
+    (the texture is read by columns from the bottom left). Raises InvalidScene if the textures differ in size, and
     MemoryLimit.
     Source: docs/formats/atlas.md, "What the published code gets wrong".
 
