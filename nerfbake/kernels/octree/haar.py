@@ -1,0 +1,145 @@
+"""The region-adaptive Haar transform over the leaves of an octree: pairs merge, a bit of the Morton code at a time.
+
+Points (leaves, in Morton order) that differ in the lowest bit alone are a pair; then those in the next bit, and so on
+up to the root, three binary levels for each level of the octree. What has no partner waits. A larger leaf has zeros for
+its lower bits and no neighbour in its cube, so that it enters at its own level without any rule of its own.
+
+    sum        = p low + q high      p = sqrt(l / (l + h)), q = sqrt(h / (l + h))
+    difference = p high - q low      l, h: how many leaves are in the lower and the upper half
+
+    low  = p sum - q difference      high = q sum + p difference
+
+The sum goes on to the next level and the difference is a coefficient: the transform is orthonormal. Every term is
+rounded to float64 in the order that is written here, so that all CPUs make the same numbers.
+Source: de Queiroz and Chou, "Compression of 3D point clouds using a region-adaptive hierarchical transform", 2016,
+with the weight 1 for every leaf.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.jit import compiled
+
+Ints = npt.NDArray[np.int64]
+Counts = npt.NDArray[np.int32]
+Floats = npt.NDArray[np.float64]
+
+
+class Merges(NamedTuple):
+    """The m - 1 pairs of m points, from the coarsest binary level to the finest, in Morton order within a level.
+
+    low, high              (m - 1,) int32 the first point of the lower and of the upper half
+    low_count, high_count  (m - 1,) int32 how many points each half has
+    ends                   (levels,) int64 where the pairs of each binary level end, the coarsest first
+    """
+
+    low: Counts
+    high: Counts
+    low_count: Counts
+    high_count: Counts
+    ends: Ints
+
+    @property
+    def rows(self) -> Counts:
+        """(m,) the point in whose place each row of coefficients comes out: the mean first, then the pairs in order."""
+        return np.concatenate([np.zeros(1, np.int32), self.high])
+
+
+def leaf_codes(masks: npt.NDArray[np.uint8], levels: int) -> tuple[Ints, Ints]:
+    """(m,) rising Morton codes of the leaves' lowest voxels, and (m,) which leaf of the breadth-first order each is.
+
+    masks: of every node above the last level the children that it has, breadth-first; they must be sound.
+    """
+    nodes, found, first = np.zeros(1, np.int64), [], 0
+    for level in range(levels):
+        own = masks[first : first + len(nodes)]
+        first += len(nodes)
+        found.append(nodes[own == 0] << 3 * (levels - level))
+        nodes = children_of(nodes, own)
+    codes = np.concatenate([*found, nodes])
+    order = np.argsort(codes, kind="stable")
+    return codes[order], order
+
+
+def children_of(codes: Ints, masks: npt.NDArray[np.uint8]) -> Ints:
+    """The Morton codes of all children of a level's nodes, in order."""
+    parent, octant = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
+    return codes[parent] << 3 | octant
+
+
+def merges_of(codes: Ints, levels: int) -> Merges:
+    """The pairs of points with these rising Morton codes, under a root of so many octree levels."""
+    m, bits = len(codes), 3 * levels
+    level, low = np.zeros(m, np.int64), np.zeros(m, np.int32)
+    high_count = np.zeros(m, np.int32)
+    _pair_up(codes, level, low, high_count)
+    # A stable sort keeps the Morton order within a level.
+    high = 1 + np.argsort(-level[1:], kind="stable")
+    counts = np.bincount(bits - 1 - level[1:], minlength=bits)
+    return Merges(
+        low[high], high.astype(np.int32), (high - low[high]).astype(np.int32), high_count[high], counts.cumsum()
+    )
+
+
+def forward(points: Floats, merges: Merges) -> None:
+    """(m, C) values of points become coefficients, in place: each pair's difference stands where its upper half did."""
+    _forward(points, merges.low, merges.high, merges.low_count, merges.high_count)
+
+
+def inverse(points: Floats, merges: Merges) -> None:
+    """(m, C) coefficients become the values of points, in place."""
+    _inverse(points, merges.low, merges.high, merges.low_count, merges.high_count)
+
+
+# -- compiled --------------------------------------------------------------------------------------------------
+@compiled()
+def _pair_up(codes: Ints, level: Ints, low: Counts, high_count: Counts) -> None:
+    """Of every point but the first: the highest bit in which it differs from the one before. There the half that it
+    begins meets the half that `low` begins; high_count is how many points are in its own.
+    """
+    m = len(codes)
+    stack = np.zeros(m + 1, np.int64)  # the points whose halves are still open, the first at the bottom
+    depth = 1
+    for i in range(1, m):
+        differ, bit = codes[i] ^ codes[i - 1], -1
+        while differ != 0:
+            differ >>= 1
+            bit += 1
+        level[i] = bit
+        while depth > 1 and level[stack[depth - 1]] < bit:
+            depth -= 1
+            high_count[stack[depth]] = i - stack[depth]
+        low[i] = stack[depth - 1]
+        stack[depth] = i
+        depth += 1
+    while depth > 1:
+        depth -= 1
+        high_count[stack[depth]] = m - stack[depth]
+
+
+@compiled()
+def _forward(points: Floats, low: Counts, high: Counts, low_count: Counts, high_count: Counts) -> None:
+    for pair in range(len(low) - 1, -1, -1):
+        p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
+        q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
+        a, b = points[low[pair]], points[high[pair]]
+        for c in range(points.shape[1]):
+            below, above = a[c], b[c]
+            a[c] = p * below + q * above
+            b[c] = p * above - q * below
+
+
+@compiled()
+def _inverse(points: Floats, low: Counts, high: Counts, low_count: Counts, high_count: Counts) -> None:
+    for pair in range(len(low)):
+        p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
+        q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
+        a, b = points[low[pair]], points[high[pair]]
+        for c in range(points.shape[1]):
+            total, difference = a[c], b[c]
+            a[c] = p * total - q * difference
+            b[c] = q * total + p * difference

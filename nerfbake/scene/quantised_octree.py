@@ -1,0 +1,135 @@
+"""An octree as the whole numbers of a compressed file: which nodes there are, and coefficients of a transform."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.soundness import plural
+from nerfbake.scene.base import Scene, edge_problems, place_problems
+from nerfbake.scene.basis import Basis, parse_basis
+from nerfbake.scene.octree import MAX_SIZE
+
+MAX_VALUE = (1 << 30) - 1  # of a coefficient, in steps
+STEPS = (1e-9, 1e9)  # what a step and a scale may be
+
+
+def _zeros() -> npt.NDArray[np.float64]:
+    return np.zeros(3)
+
+
+def _ones() -> npt.NDArray[np.float64]:
+    return np.ones(3)
+
+
+@dataclass(frozen=True, eq=False)
+class QuantisedOctree(Scene):
+    """The m leaves of an octree over a grid of W x H x D voxels, transformed and rounded to whole numbers.
+
+    size           (W, H, D) voxels along x, y, z, as SparseVoxelOctree has it
+    masks          (c,) uint8 which children each node has that is above the level of single voxels, breadth-first; bit
+                   x + 2y + 4z for the octant; 0 = a leaf
+    values         (m, 3B + 1) int32, in steps: the channels of colour in falling variance, then density. Row 0 is the
+                   sum of all leaves; then there is a row for each pair of the region-adaptive Haar transform
+                   (kernels.octree.haar), from the coarsest binary level to the finest, in Morton order within each
+    mixing         (3B, 3B) int16: the basis's coefficients (rows; red, green, blue) = mixing_scale * mixing * channels
+    mixing_scale   one unit of mixing
+    colour_step    of every channel of colour
+    density_step   of the channel of density v
+    density_scale  sigma = density_scale * (e^v - 1), in 1/world unit
+    data_format    SHk or RGBA
+    origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size
+    """
+
+    size: tuple[int, int, int]
+    masks: npt.NDArray[np.uint8]
+    values: npt.NDArray[np.int32]
+    mixing: npt.NDArray[np.int16]
+    mixing_scale: float
+    colour_step: float
+    density_step: float
+    density_scale: float
+    data_format: str
+    origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
+    voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
+
+    def __post_init__(self) -> None:
+        size = tuple(int(edge) for edge in self.size)
+        object.__setattr__(self, "size", size)
+        if len(size) != 3 or not all(1 <= edge <= MAX_SIZE for edge in size):
+            raise InvalidScene(Problem("size", f"is {'x'.join(map(str, size))}", f"1 to {MAX_SIZE} voxels an axis"))
+        if (basis := parse_basis(self.data_format)).kind not in ("SH", "RGBA"):
+            raise InvalidScene(Problem("data_format", f"is {self.data_format}", "SHk or RGBA"))
+        D, m = basis.data_dim, len(self.values)
+        for name, shape, dtype in (
+            ("masks", self.masks.shape[:1], np.uint8),
+            ("values", (max(m, 1), D), np.int32),
+            ("mixing", (D - 1, D - 1), np.int16),
+        ):
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype != dtype:
+                allowed = f"{shape} {np.dtype(dtype)}"
+                raise InvalidScene(Problem(name, f"has shape {array.shape}, dtype {array.dtype}", allowed))
+        for name in ("mixing_scale", "colour_step", "density_step", "density_scale"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+            if not STEPS[0] <= getattr(self, name) <= STEPS[1]:
+                raise InvalidScene(Problem(name, f"is {getattr(self, name):g}", f"{STEPS[0]:g} to {STEPS[1]:g}"))
+        for name in ("origin", "voxel_size"):
+            value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
+            object.__setattr__(self, name, value)
+
+    def __str__(self) -> str:
+        size = "x".join(map(str, self.size))
+        return f"{self.data_format} octree of {size}, {self.m:,} leaves, step {self.colour_step:g}"
+
+    @property
+    def m(self) -> int:
+        """Leaves."""
+        return len(self.values)
+
+    @property
+    def basis(self) -> Basis:
+        return parse_basis(self.data_format)
+
+    @property
+    def grid_level(self) -> int:
+        """The level whose nodes are single voxels, which have no masks: log2 of the root cube's edge."""
+        return max(edge - 1 for edge in self.size).bit_length()
+
+    @property
+    def level_sizes(self) -> list[int]:
+        """Nodes in each level from the root to the last that has any; the masks must be sound."""
+        return mask_levels(self.masks, self.grid_level)
+
+    def structure_problems(self) -> list[Problem]:
+        problems = place_problems("origin", self.origin) + edge_problems("voxel_size", self.voxel_size)
+        sizes = mask_levels(self.masks, self.grid_level)
+        above = sum(sizes[: self.grid_level])
+        if above != len(self.masks):
+            problems.append(
+                Problem("masks", f"have {plural(len(self.masks), 'node')}", f"{above:,} above the last level")
+            )
+            return problems
+        leaves = sum(sizes) - int(np.count_nonzero(self.masks))
+        if leaves != self.m:
+            found = f"have {plural(self.m, 'row')}"
+            problems.append(Problem("values", found, f"{leaves:,}, one a leaf"))
+        return problems
+
+    def value_problems(self) -> list[Problem]:
+        most = max(int(self.values.max()), -int(self.values.min()))
+        return [Problem("values", f"reach {most:,}", f"{MAX_VALUE:,}")] if most > MAX_VALUE else []
+
+
+def mask_levels(masks: npt.NDArray[np.uint8], levels: int) -> list[int]:
+    """Nodes in each level that these masks speak of, the root's first; the sum of the first `levels` is how many masks
+    there should be. It ends where the masks do."""
+    bits = np.array([bin(mask).count("1") for mask in range(256)])
+    sizes, first = [1], 0
+    while len(sizes) <= levels and sizes[-1] and first + sizes[-1] <= len(masks):
+        first += sizes[-1]
+        sizes.append(int(bits[masks[first - sizes[-1] : first]].sum()))
+    return sizes if sizes[-1] else sizes[:-1]
