@@ -7,13 +7,22 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.maths.elementary import expm1
+from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.octree import haar
+from nerfbake.kernels.octree.means import mean_edge
+from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
+from nerfbake.kernels.octree.pyramid import children_table
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import Scene, edge_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
-from nerfbake.scene.octree import MAX_SIZE
+from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 
 MAX_VALUE = (1 << 30) - 1  # of a coefficient, in steps
+_CHUNK = 1 << 15  # leaves at a time
 STEPS = (1e-9, 1e9)  # what a step and a scale may be
 
 
@@ -104,6 +113,12 @@ class QuantisedOctree(Scene):
         """Nodes in each level from the root to the last that has any; the masks must be sound."""
         return mask_levels(self.masks, self.grid_level)
 
+    @property
+    def steps(self) -> npt.NDArray[np.float64]:
+        """(3B + 1,) the step of each channel."""
+        return np.append(np.full(3 * self.basis.size, self.colour_step), self.density_step)
+
+    # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
         problems = place_problems("origin", self.origin) + edge_problems("voxel_size", self.voxel_size)
         sizes = mask_levels(self.masks, self.grid_level)
@@ -122,6 +137,48 @@ class QuantisedOctree(Scene):
     def value_problems(self) -> list[Problem]:
         most = max(int(self.values.max()), -int(self.values.min()))
         return [Problem("values", f"reach {most:,}", f"{MAX_VALUE:,}")] if most > MAX_VALUE else []
+
+    # -- the octree again --------------------------------------------------------------------------------------
+    def leaf_values(self) -> npt.NDArray[np.float32]:
+        """(m, 3B + 1) float32 what the leaves hold, breadth-first; the same bits on every CPU.
+
+        The coefficients times their steps go backwards through the Haar transform. A coefficient of the basis is then
+        the sum over the channels, from the first to the last, of the channel times (mixing times mixing_scale), and
+        the density density_scale * expm1(v), with kernels.maths.elementary's expm1 and 0 for a v below 0. All of it is
+        float64, one operation after the other, and what comes out is rounded to float32. The structure must be sound.
+        """
+        levels = haar.levels_of(self.masks, self.grid_level)
+        codes, leaf = haar.leaf_codes(levels, self.grid_level)
+        merges = haar.merges_of(codes, self.grid_level)
+        memory.require("the leaves of the octree", self.m * self.values.shape[1] * (8 + 4))
+        points = np.empty(self.values.shape)
+        for first in range(0, self.m, _CHUNK):
+            some = slice(first, first + _CHUNK)
+            points[merges.rows[some]] = self.values[some] * self.steps
+        haar.inverse(points, merges)
+        values = np.empty(self.values.shape, np.float32)
+        mixing = np.ascontiguousarray((self.mixing * self.mixing_scale).T)
+        for first in range(0, self.m, _CHUNK):
+            some = slice(first, first + _CHUNK)
+            rows = leaf[some]
+            values[rows, :-1] = cast(product(points[some, :-1], mixing), np.float32)
+            values[rows, -1] = cast(self.density_scale * expm1(np.maximum(points[some, -1], 0)), np.float32)
+        return values
+
+    def restored(self) -> SparseVoxelOctree:
+        """The octree that this stands for, `full`: its leaves, and inner nodes by build_octree's rule, with a voxel's
+        width for the finest cell's. Raises InvalidScene, MemoryLimit."""
+        self.require_usable()
+        levels = haar.levels_of(self.masks, self.grid_level)
+        leaves = LeafRows(self.leaf_values(), mean_edge(self.voxel_size))
+        return SparseVoxelOctree(
+            size=self.size,
+            node_children=children_table(levels, all_slots=True),
+            node_data=NodeRows(levels, leaves),
+            data_format=self.data_format,
+            origin=self.origin,
+            voxel_size=self.voxel_size,
+        )
 
 
 def mask_levels(masks: npt.NDArray[np.uint8], levels: int) -> list[int]:

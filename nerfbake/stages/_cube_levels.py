@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.kernels.arrays import Indices, Ints
-from nerfbake.kernels.octree.means import mean_edge, opacity
+from nerfbake.kernels.arrays import Ints
+from nerfbake.kernels.octree.means import mean_edge
 from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
 from nerfbake.kernels.octree.pyramid import INNER, Level, children_table, merge_equal
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame
-from nerfbake.stages._node_values import NodeRows
 
 _WORK_BYTES = 64  # a leaf's place and its nodes while the levels are made
 
@@ -48,7 +48,7 @@ def octree_of_blocks(blocks: list[Block], data: npt.NDArray[Any], frame: OctreeF
     """
     count = sum(len(block.low) for block in blocks)
     memory.require("the octree", count * (data.shape[1] * data.itemsize + _WORK_BYTES))
-    leaves = _Leaves(data, mean_edge(frame.voxel_size))
+    leaves = LeafRows(data, mean_edge(frame.voxel_size))
     height = max(edge - 1 for edge in frame.size).bit_length()
     levels = merge_equal(_levels(blocks, height), leaves.same)
     return SparseVoxelOctree(
@@ -90,26 +90,3 @@ def _sorted(block: Block) -> tuple[Ints, Ints]:
     codes = x | y << 1 | z << 2
     order = np.argsort(codes)
     return codes[order], block.row[order]
-
-
-class _Leaves:
-    """The octree's leaves by number: rows of values."""
-
-    def __init__(self, data: npt.NDArray[Any], width: float) -> None:
-        self._data, self._width = data, width
-        self.data_dim, self.dtype = int(data.shape[1]), data.dtype
-
-    def values(self, leaf: Indices) -> npt.NDArray[Any]:
-        return self._data[leaf]
-
-    def opacity(self, leaf: Indices) -> npt.NDArray[np.float64]:
-        return opacity(self._data[leaf, -1].astype(np.float32), self._width)
-
-    def same(self, leaves: Indices) -> npt.NDArray[np.bool_]:
-        """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
-        sigma = self._data[leaves.reshape(-1), -1].reshape(-1, 8)
-        same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)
-        some = np.flatnonzero(same)
-        values = self.values(leaves[some].reshape(-1)).reshape(len(some), 8, self.data_dim)
-        same[some] = (values == values[:, :1]).all(axis=(1, 2))
-        return same

@@ -10,11 +10,11 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.octree.lockstep import Source, refine
 from nerfbake.kernels.octree.means import mean_edge
+from nerfbake.kernels.octree.node_values import NodeRows
 from nerfbake.kernels.octree.pyramid import children_table, drop_empty, merge_equal
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.stages._leaf_values import LeafValues
-from nerfbake.stages._node_values import NodeRows
 
 Resample = Literal["mean", "nearest"]
 

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.octree.pyramid import INNER, Level
 
 Ints = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int32]
@@ -49,31 +50,42 @@ class Merges(NamedTuple):
         return np.concatenate([np.zeros(1, np.int32), self.high])
 
 
-def leaf_codes(masks: npt.NDArray[np.uint8], levels: int) -> tuple[Ints, Ints]:
-    """(m,) rising Morton codes of the leaves' lowest voxels, and (m,) which leaf of the breadth-first order each is.
+def levels_of(masks: npt.NDArray[np.uint8], levels: int) -> list[Level]:
+    """The octree's levels, its leaves numbered breadth-first.
 
     masks: of every node above the last level the children that it has, breadth-first; they must be sound.
     """
-    nodes, found, first = np.zeros(1, np.int64), [], 0
-    for level in range(levels):
-        own = masks[first : first + len(nodes)]
-        first += len(nodes)
-        found.append(nodes[own == 0] << 3 * (levels - level))
-        nodes = children_of(nodes, own)
-    codes = np.concatenate([*found, nodes])
-    order = np.argsort(codes, kind="stable")
-    return codes[order], order
+    found, first, leaves = [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.zeros(1, np.int32))], 0, 0
+    for depth in range(levels + 1):
+        level = found[-1]
+        own = masks[first : first + len(level.leaf)] if depth < levels else np.zeros(len(level.leaf), np.uint8)
+        ends = own == 0
+        level.leaf[:] = np.where(ends, leaves + np.cumsum(ends) - 1, INNER)
+        first, leaves = first + len(own), leaves + int(ends.sum())
+        parent, octant = np.nonzero(np.unpackbits(own[:, None], axis=1, bitorder="little"))
+        if not len(parent):
+            break
+        found.append(Level(parent.astype(np.int32), octant.astype(np.uint8), np.empty(len(parent), np.int32)))
+    return found
 
 
-def children_of(codes: Ints, masks: npt.NDArray[np.uint8]) -> Ints:
-    """The Morton codes of all children of a level's nodes, in order."""
-    parent, octant = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
-    return codes[parent] << 3 | octant
+def leaf_codes(levels: list[Level], height: int) -> tuple[Ints, Ints]:
+    """(m,) rising Morton codes of the leaves' lowest voxels, and (m,) the number of each; height: the last level's."""
+    nodes, codes, leaves = np.zeros(1, np.int64), [], []
+    for depth, level in enumerate(levels):
+        if depth:
+            nodes = nodes[level.parent] << 3 | level.octant
+        ends = level.leaf != INNER
+        codes.append(nodes[ends] << 3 * (height - depth))
+        leaves.append(level.leaf[ends].astype(np.int64))
+    all_codes = np.concatenate(codes)
+    order = np.argsort(all_codes, kind="stable")
+    return all_codes[order], np.concatenate(leaves)[order]
 
 
-def merges_of(codes: Ints, levels: int) -> Merges:
-    """The pairs of points with these rising Morton codes, under a root of so many octree levels."""
-    m, bits = len(codes), 3 * levels
+def merges_of(codes: Ints, height: int) -> Merges:
+    """The pairs of points with these rising Morton codes, under a root 2^height voxels wide."""
+    m, bits = len(codes), 3 * height
     level, low = np.zeros(m, np.int64), np.zeros(m, np.int32)
     high_count = np.zeros(m, np.int32)
     _pair_up(codes, level, low, high_count)

@@ -10,7 +10,7 @@ from nerfbake.kernels.octree import haar
 
 def test_three_leaves_by_hand() -> None:
     # Octants 0, 1 and 6 of a root of one level: 0 and 1 meet in the first bit, then 6 meets both in the last.
-    codes, order = haar.leaf_codes(np.array([0b01000011], np.uint8), 1)
+    codes, order = haar.leaf_codes(haar.levels_of(np.array([0b01000011], np.uint8), 1), 1)
     assert codes.tolist() == [0, 1, 6]
     assert order.tolist() == [0, 1, 2]
     merges = haar.merges_of(codes, 1)
@@ -29,7 +29,7 @@ def test_three_leaves_by_hand() -> None:
 def test_a_larger_leaf_enters_at_its_own_level() -> None:
     # The root has a leaf in octant 0 and a node in octant 1, which has two voxels, 0 and 7.
     masks = np.array([0b11, 0, 0b10000001], np.uint8)
-    codes, order = haar.leaf_codes(masks, 2)
+    codes, order = haar.leaf_codes(haar.levels_of(masks, 2), 2)
     assert codes.tolist() == [0, 8, 15]
     assert order.tolist() == [0, 1, 2]
     merges = haar.merges_of(codes, 2)
@@ -55,7 +55,7 @@ def test_the_transform_is_orthonormal_and_comes_back(seed: int, m: int, levels: 
 
 
 def test_a_single_leaf_is_its_own_mean() -> None:
-    codes, _ = haar.leaf_codes(np.zeros(1, np.uint8), 3)
+    codes, _ = haar.leaf_codes(haar.levels_of(np.zeros(1, np.uint8), 3), 3)
     merges = haar.merges_of(codes, 3)
     points = np.array([[7.0]])
     haar.forward(points, merges)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats, Indices
-from nerfbake.kernels.octree.means import mean_of_runs
+from nerfbake.kernels.octree.means import mean_of_runs, opacity
 from nerfbake.kernels.octree.pyramid import INNER, Level, child_counts
 from nerfbake.kernels.parallel import over_chunks
 
@@ -91,3 +91,26 @@ class NodeRows:
         # A mean of something never rounds to nothing: where a level is cut, it is a leaf.
         means[means[:, -1] == 0, -1] = np.nextafter(self.dtype.type(0), self.dtype.type(1))
         return weight
+
+
+class LeafRows:
+    """Leaves by number: rows of values (m, D), density last, and what they weigh in cells of this width."""
+
+    def __init__(self, data: npt.NDArray[Any], width: float) -> None:
+        self._data, self._width = data, width
+        self.data_dim, self.dtype = int(data.shape[1]), data.dtype
+
+    def values(self, leaf: Indices) -> npt.NDArray[Any]:
+        return self._data[leaf]
+
+    def opacity(self, leaf: Indices) -> Floats:
+        return opacity(self._data[leaf, -1].astype(np.float32), self._width)
+
+    def same(self, leaves: Indices) -> npt.NDArray[np.bool_]:
+        """(m, 8) leaves -> (m,) bool: all eight hold exactly the same values."""
+        sigma = self._data[leaves.reshape(-1), -1].reshape(-1, 8)
+        same: npt.NDArray[np.bool_] = np.all(sigma == sigma[:, :1], axis=1)
+        some = np.flatnonzero(same)
+        values = self.values(leaves[some].reshape(-1)).reshape(len(some), 8, self.data_dim)
+        same[some] = (values == values[:, :1]).all(axis=(1, 2))
+        return same
