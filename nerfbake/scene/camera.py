@@ -217,7 +217,27 @@ def look_at(
     """(4, 4) pose that looks at a point from so far away; angles in radians, in these axes (rows; the third is up)."""
     (across, along), (up, flat) = sine_cosine(azimuth), sine_cosine(elevation)
     away = np.array([flat * along, flat * across, up])
-    right = np.array([-across, along, 0.0])
+    return _posed(centre, away, np.array([-across, along, 0.0]), distance, axes)
+
+
+def look_from(
+    centre: npt.NDArray[np.float64],
+    away: npt.NDArray[np.float64],
+    distance: float,
+    axes: npt.NDArray[np.float64] = WORLD,
+) -> npt.NDArray[np.float64]:
+    """The same from a direction (3,) of length 1 in these axes, which is not the third's own."""
+    flat = np.sqrt(away[0] * away[0] + away[1] * away[1])
+    return _posed(centre, away, np.array([-away[1] / flat, away[0] / flat, 0.0]), distance, axes)
+
+
+def _posed(
+    centre: npt.NDArray[np.float64],
+    away: npt.NDArray[np.float64],
+    right: npt.NDArray[np.float64],
+    distance: float,
+    axes: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float64]:
     pose = np.eye(4)
     pose[:3, :3] = turned(np.stack([right, np.cross(away, right), away]), axes.T).T
     pose[:3, 3] = centre + distance * turned(away, axes.T)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import length
 from nerfbake.kernels.maths.elementary import sine_cosine
-from nerfbake.scene.camera import Camera, Cameras, look_at
+from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.scene.camera import Camera, Cameras, look_at, look_from
 from nerfbake.stages._picture import Visible, frame
 
 FIELD_OF_VIEW = np.radians(40)
@@ -25,13 +27,34 @@ def orbit_cameras(scene: Visible, *, frames: int = 1, width: int = 800, height: 
     >>> [(camera.name, camera.width, camera.height) for camera in cameras.cameras]
     [('0000', 16, 12), ('0001', 16, 12), ('0002', 16, 12)]
     """
+    centre, distance, axes = _stand(scene, frames)
+    turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
+    poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]
+    return _cameras(poses, width, height, 1.0)
+
+
+def sphere_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0) -> Cameras:
+    """Cameras evenly on the whole sphere around the scene, from below, too; edge x edge pixels.
+
+    They look from the golden spiral of kernels.maths.sphere, whose places are others for every number of frames. zoom:
+    how much larger the scene is seen than where all of it is framed.
+    """
+    centre, distance, axes = _stand(scene, frames)
+    poses = [look_from(centre, away, distance, axes) for away in fibonacci(frames)]
+    return _cameras(poses, edge, edge, zoom)
+
+
+def _stand(scene: Visible, frames: int) -> tuple[npt.NDArray[np.float64], float, npt.NDArray[np.float64]]:
+    """What cameras look at, how far away they are, and the scene's axes. Raises InvalidScene for a number of frames."""
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))
     corners, axes = frame(scene)
-    centre, radius = corners.mean(axis=0), length(corners[1] - corners[0]) / 2
+    radius = length(corners[1] - corners[0]) / 2
+    sine, _ = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
+    return corners.mean(axis=0), _MARGIN * radius / sine, axes
+
+
+def _cameras(poses: list[npt.NDArray[np.float64]], width: int, height: int, zoom: float) -> Cameras:
     sine, cosine = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
-    distance = _MARGIN * radius / sine
-    focal = 0.5 * min(width, height) * cosine / sine
-    turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
-    poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]
+    focal = zoom * (0.5 * min(width, height) * cosine / sine)
     return Cameras(tuple(Camera(width, height, focal, pose, f"{i:04d}") for i, pose in enumerate(poses)))

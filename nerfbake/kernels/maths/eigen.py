@@ -1,4 +1,4 @@
-"""Eigenvectors of symmetric matrices and triangular factors, with the same last bit on every CPU, as LAPACK would not."""
+"""Eigenvectors and triangular factors of symmetric matrices, with the same last bit on every CPU, unlike LAPACK's."""
 
 from __future__ import annotations
 

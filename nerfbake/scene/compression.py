@@ -1,0 +1,47 @@
+"""A compressed octree with what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from nerfbake.errors import BudgetMissed, Problem
+from nerfbake.scene.quantised_octree import QuantisedOctree
+
+
+@dataclass(frozen=True, eq=False)
+class Compression:
+    """What a search found.
+
+    pruned       the share of leaves, of those with a density, that were left out
+    size         bytes of its file
+    error        the mean squared difference of its pictures from the original's, sRGB in 0..1
+    loss         dB of PSNR against photographs: measured, or predicted as 10 log10(1 + error / M)
+    source_psnr  dB of the original against photographs, as it was measured, or assumed for M
+    views        how many views error and loss are of
+    """
+
+    quantised: QuantisedOctree
+    pruned: float
+    size: int
+    error: float
+    loss: float
+    measured: bool
+    source_psnr: float
+    views: int
+
+    def __str__(self) -> str:
+        how = f"measured on {self.views} views" if self.measured else f"predicted on {self.views} views"
+        return f"{100 * self.pruned:.1f} % pruned, {self.loss:.3f} dB {how} of a source of {self.source_psnr:.2f} dB"
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What a script wants to read."""
+        facts = {name: value for name, value in vars(self).items() if name != "quantised"}
+        return {"leaves": self.quantised.m, "step": self.quantised.colour_step, **facts}
+
+    def require(self, max_loss: float) -> None:
+        """Raises BudgetMissed where it loses more."""
+        if self.loss > max_loss:
+            problem = Problem("the octree", f"loses {self.loss:.3f} dB at the finest step", f"--max-loss {max_loss:g}")
+            raise BudgetMissed(problem)

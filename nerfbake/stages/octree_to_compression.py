@@ -1,0 +1,194 @@
+"""Octree -> the whole numbers of a file that is as small, or as good, as was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import BudgetMissed, InvalidScene, Problem
+from nerfbake.kernels.march.cells import EMPTY
+from nerfbake.kernels.maths.elementary import exp, log
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.compression import Compression
+from nerfbake.scene.image import Image
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.stages._coefficients import Coefficients, Rows, transform, visible_leaves
+from nerfbake.stages._loss import Cost, Judge, measuring_judge, predicting_judge
+from nerfbake.stages.field_to_importance import Importance, weigh_leaves
+from nerfbake.stages.octree_to_field import field_of_octree
+from nerfbake.stages.octree_to_quantised import most_important
+from nerfbake.stages.scene_to_cameras import sphere_cameras
+
+STEPS = (1e-4, 16.0)  # what is tried
+_FRAMES, _EDGE = 64, 200  # cameras that importance is collected from, and their pixels along an edge
+_PRUNED = 0.12  # of the squared error that is allowed may come from leaves that are left out
+_MOST_PRUNED, _HALVINGS = 0.95, 7
+_NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # of what is allowed: near enough
+_TRIALS = 12
+_AIM, _STRIDE = 0.985, 2.0  # of what is allowed; of a step's logarithm where only one side is known
+_FIRST = 22.0  # steps for the root of the squared error that is allowed: of the real chair
+
+
+def compress_octree(
+    octree: SparseVoxelOctree,
+    *,
+    coded_size: Callable[[QuantisedOctree], int],
+    max_loss: float | None = None,
+    max_size: int | None = None,
+    step: float | None = None,
+    cameras: Cameras | None = None,
+    truth: list[Image] | None = None,
+    source_psnr: float = 35.0,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Compression:
+    """The octree with as few leaves and as coarse a step as one of these allows:
+
+    max_loss  dB against photographs, above 0
+    max_size  bytes, as coded_size() finds them; never exceeded, and at least 95 % of it used where quality rises
+    step      of colour, as it is; only which leaves are left out is searched
+
+    Leaves are left out while that makes an eighth of the squared error. The loss is measured where there are cameras
+    and the truth, a photograph for each, else predicted for a source of source_psnr (Judge). tell() hears what was
+    tried. Raises InvalidScene for what cannot be shown, BudgetMissed where max_size is too small, MemoryLimit.
+    """
+    if [max_loss, max_size, step].count(None) != 2:
+        raise InvalidScene(Problem("the goal", "is not one", "one of max_loss, max_size and step"))
+    rows = visible_leaves(octree)
+    own = field_of_octree(octree)
+    importance = weigh_leaves(own, sphere_cameras(own, frames=_FRAMES, edge=_EDGE))
+    tell(f"{len(rows):,} leaves weighed")
+    if cameras is not None and truth is not None:
+        judge = measuring_judge(own, cameras, truth)
+    else:
+        judge = predicting_judge(own, source_psnr=source_psnr)
+    search = _Search(octree, own, rows, importance, judge, coded_size, tell)
+    if max_loss is not None:
+        found = search.within_loss(max_loss)
+    elif max_size is not None:
+        found = search.within_size(max_size)
+    else:
+        assert step is not None
+        found = search.at_step(step)
+    memory.kept(found.quantised)
+    return found
+
+
+class _Search:
+    """Trials of a share of leaves that are left out and a step; the best that is allowed is kept."""
+
+    def __init__(
+        self,
+        octree: SparseVoxelOctree,
+        own: RadianceField,
+        rows: Rows,
+        importance: Importance,
+        judge: Judge,
+        coded_size: Callable[[QuantisedOctree], int],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._octree, self._own, self._rows, self._importance = octree, own, rows, importance
+        self._judge, self._coded_size, self._tell = judge, coded_size, tell
+        self._pruning = {0.0: 0.0}  # squared error by share
+        self._coefficients: tuple[float, Coefficients] | None = None  # of this share
+
+    # -- the three goals ---------------------------------------------------------------------------------------
+    def within_loss(self, most: float) -> Compression:
+        allowed = self._judge.allowed_error(most)
+        share, step = self._share_for(_PRUNED * allowed), _FIRST * float(np.sqrt(allowed))
+        best, points = None, []
+        for _ in range(_TRIALS):
+            made = self._trial(share, step)
+            points.append((step, made.loss / most))
+            if made.loss <= most and (best is None or made.size < best.size):
+                best = made
+            if best is not None and best.loss >= _NEAR_LOSS * most:
+                break
+            step = next_step(points, slope=2.0)
+            if step == points[-1][0]:
+                break
+        found = best or made
+        found.require(most)
+        return found
+
+    def within_size(self, most: int) -> Compression:
+        share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
+        best, points = None, []
+        for _ in range(_TRIALS):
+            made = self._trial(share, step)
+            points.append((step, made.size / most))
+            if made.size <= most and (best is None or made.loss < best.loss):
+                best = made
+            if best is not None and best.size >= _NEAR_SIZE * most:
+                break
+            step = next_step(points, slope=-0.8)
+            if step == points[-1][0]:
+                break
+            rounding = max(made.error - self._pruning[share], 0.0) * (step / made.quantised.colour_step) ** 2
+            share = self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
+        if best is None:
+            raise BudgetMissed(Problem("the octree", f"takes {made.size:,} bytes at the least", f"--max-size {most:,}"))
+        return best
+
+    def at_step(self, step: float) -> Compression:
+        whole = self._trial(0.0, step)
+        share = self._share_for(_PRUNED / (1 - _PRUNED) * whole.error)
+        return self._trial(share, step) if share else whole
+
+    # -- parts of a trial --------------------------------------------------------------------------------------
+    def _trial(self, share: float, step: float) -> Compression:
+        keep = most_important(self._importance, share)
+        if self._coefficients is None or self._coefficients[0] != share:
+            self._coefficients = None  # lets go of the old ones before there are new ones
+            self._coefficients = share, transform(self._octree, self._rows[keep], self._importance.gram)
+        quantised = self._coefficients[1].rounded(step)
+        cost, size = self._cost(keep, quantised.leaf_values()), self._coded_size(quantised)
+        judge = self._judge
+        self._tell(f"step {step:.4g}, {100 * share:.1f} % pruned: {size:,} bytes, {cost.loss:.3f} dB")
+        measured = judge.truth is not None
+        return Compression(quantised, share, size, *cost, measured, judge.source_psnr, judge.views)
+
+    def _share_for(self, allowed: float) -> float:
+        """The largest share that costs no more than this squared error, by halving; the error rises with the share."""
+        low, high = 0.0, _MOST_PRUNED
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            if middle not in self._pruning:
+                keep = most_important(self._importance, middle)
+                self._pruning[middle] = self._cost(keep, self._own.values[keep]).error
+            low, high = (middle, high) if self._pruning[middle] <= allowed else (low, middle)
+        return low
+
+    def _cost(self, keep: Rows, values: npt.NDArray[np.float32]) -> Cost:
+        """Of the field with only these leaves, which hold these values."""
+        own = self._own
+        whole = np.zeros_like(own.values)
+        whole[keep] = values
+        slots = own.cells.slots.copy()
+        leaves = np.flatnonzero(slots < EMPTY)
+        slots[leaves[~(whole[-2 - slots[leaves], -1] > 0)]] = EMPTY
+        return self._judge.cost(replace(own, cells=own.cells._replace(slots=slots), values=whole))
+
+
+def next_step(points: list[tuple[float, float]], *, slope: float) -> float:
+    """The step to try next, from (step, what was found over what is allowed) of all that were tried.
+
+    A little on the allowed side of 1, on a line in logarithms: between the nearest two steps around it, else with this
+    slope from the nearest; within STEPS.
+    """
+    sign = 1.0 if slope > 0 else -1.0
+    known = sorted((step, sign * float(log(max(value, 1e-6) / _AIM))) for step, value in points)
+    below = [point for point in known if point[1] < 0]
+    above = [point for point in known if point[1] >= 0]
+    if below and above:
+        (a, low), (b, high) = below[-1], above[0]
+        part = min(max(-low / (high - low), 0.1), 0.9)
+        return a * float(exp(part * float(log(b / a))))
+    step, value = below[-1] if below else above[0]
+    grown = step * float(exp(min(max(-value / abs(slope), -_STRIDE), _STRIDE)))
+    return min(max(grown, STEPS[0]), STEPS[1])

@@ -1,0 +1,34 @@
+"""Octree -> the whole numbers of a compressed file."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.stages._coefficients import transform, visible_leaves
+from nerfbake.stages.field_to_importance import Importance
+
+
+def quantise_octree(
+    octree: SparseVoxelOctree, importance: Importance, *, step: float, prune: float = 0.0
+) -> QuantisedOctree:
+    """The leaves transformed and rounded to multiples of a step: spec/compress.md, 1.
+
+    importance: of build_field(octree), by weigh_leaves(). prune: the share of leaves, the least important, that are
+    left out, 0 to 1 (one always stays). step: of colour before the sigmoid, as the rays see it, in the root of its mean
+    square. Raises InvalidScene for SG and ASG, broken octrees and those that hold nothing; MemoryLimit.
+    """
+    if not 0 <= prune <= 1:
+        raise InvalidScene(Problem("prune", f"is {prune:g}", "a share of 0 to 1"))
+    rows = visible_leaves(octree)
+    return memory.kept(transform(octree, rows[most_important(importance, prune)], importance.gram).rounded(step))
+
+
+def most_important(importance: Importance, prune: float) -> npt.NDArray[np.int64]:
+    """Which of the field's leaves stay where this share goes, the least important first, of equal ones the first."""
+    order = np.argsort(importance.largest, kind="stable")
+    return np.sort(order[min(int(prune * len(order)), len(order) - 1) :])
