@@ -25,12 +25,14 @@ if TYPE_CHECKING:
     from nerfbake.scene.camera import Camera as Camera
     from nerfbake.scene.camera import Cameras as Cameras
     from nerfbake.scene.comparison import Comparison as Comparison
+    from nerfbake.scene.compression import Compression as Compression
     from nerfbake.scene.depth import Depth as Depth
     from nerfbake.scene.image import Image as Image
     from nerfbake.scene.mesh import Mesh as Mesh
     from nerfbake.scene.mesh import Meshes as Meshes
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
+    from nerfbake.scene.quantised_octree import QuantisedOctree as QuantisedOctree
     from nerfbake.scene.radiance_field import RadianceField as RadianceField
     from nerfbake.scene.specular import SpecularField as SpecularField
     from nerfbake.scene.stage1 import Stage1 as Stage1
@@ -42,15 +44,20 @@ if TYPE_CHECKING:
     from nerfbake.stages.clusters_to_maps import bake_snapped_maps as bake_snapped_maps
     from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
     from nerfbake.stages.field_to_image import render_field as render_field
+    from nerfbake.stages.field_to_importance import weigh_leaves as weigh_leaves
     from nerfbake.stages.identifiers_to_clusters import cluster_identifiers as cluster_identifiers
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
     from nerfbake.stages.meshes_to_image import render_meshes as render_meshes
     from nerfbake.stages.n3tree_to_field import field_of_n3tree as field_of_n3tree
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
+    from nerfbake.stages.octree_to_compression import compress_octree as compress_octree
     from nerfbake.stages.octree_to_field import field_of_octree as field_of_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
+    from nerfbake.stages.octree_to_octree import lower_basis as lower_basis
+    from nerfbake.stages.octree_to_quantised import quantise_octree as quantise_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
     from nerfbake.stages.scene_to_cameras import orbit_cameras as orbit_cameras
+    from nerfbake.stages.scene_to_cameras import sphere_cameras as sphere_cameras
     from nerfbake.stages.scene_to_field import build_field as build_field
     from nerfbake.stages.scene_to_summary import summarise_scene as summarise_scene
     from nerfbake.stages.scenes_to_comparison import compare_scenes as compare_scenes

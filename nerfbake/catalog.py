@@ -123,6 +123,8 @@ SCENES = {
     "OctahedralAtlas": "nerfbake.scene.atlas",
     "SparseVoxelOctree": "nerfbake.scene.octree",
     "SpecularField": "nerfbake.scene.specular",
+    "Compression": "nerfbake.scene.compression",
+    "QuantisedOctree": "nerfbake.scene.quantised_octree",
     "RadianceField": "nerfbake.scene.radiance_field",
     "Stage1": "nerfbake.scene.stage1",
     "VdbTree": "nerfbake.scene.vdb",
@@ -130,6 +132,11 @@ SCENES = {
 }
 
 STAGES = {
+    "sphere_cameras": "nerfbake.stages.scene_to_cameras",
+    "lower_basis": "nerfbake.stages.octree_to_octree",
+    "quantise_octree": "nerfbake.stages.octree_to_quantised",
+    "weigh_leaves": "nerfbake.stages.field_to_importance",
+    "compress_octree": "nerfbake.stages.octree_to_compression",
     "bake_atlas": "nerfbake.stages.specular_to_atlas",
     "bake_stage1": "nerfbake.stages.stage1_to_atlas",
     "build_field": "nerfbake.stages.scene_to_field",

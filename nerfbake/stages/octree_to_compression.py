@@ -22,6 +22,7 @@ from nerfbake.stages._coefficients import Coefficients, Rows, transform, visible
 from nerfbake.stages._loss import Cost, Judge, measuring_judge, predicting_judge
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.octree_to_field import field_of_octree
+from nerfbake.stages.octree_to_octree import lower_basis
 from nerfbake.stages.octree_to_quantised import most_important
 from nerfbake.stages.scene_to_cameras import sphere_cameras
 
@@ -42,6 +43,7 @@ def compress_octree(
     max_loss: float | None = None,
     max_size: int | None = None,
     step: float | None = None,
+    basis: str | None = None,
     cameras: Cameras | None = None,
     truth: list[Image] | None = None,
     source_psnr: float = 35.0,
@@ -53,9 +55,10 @@ def compress_octree(
     max_size  bytes, as coded_size() finds them; never exceeded, and at least 95 % of it used where quality rises
     step      of colour, as it is; only which leaves are left out is searched
 
-    Leaves are left out while that makes an eighth of the squared error. The loss is measured where there are cameras
-    and the truth, a photograph for each, else predicted for a source of source_psnr (Judge). tell() hears what was
-    tried. Raises InvalidScene for what cannot be shown, BudgetMissed where max_size is too small, MemoryLimit.
+    basis: SHk of a lower degree, whose cost is part of the loss. Leaves are left out while that makes an eighth of the
+    squared error. The loss is measured where there are cameras and the truth, a photograph for each, else predicted for
+    a source of source_psnr (Judge). tell() hears what was tried. Raises InvalidScene for what cannot be shown,
+    BudgetMissed where the goal is out of reach, MemoryLimit.
     """
     if [max_loss, max_size, step].count(None) != 2:
         raise InvalidScene(Problem("the goal", "is not one", "one of max_loss, max_size and step"))
@@ -67,6 +70,10 @@ def compress_octree(
         judge = measuring_judge(own, cameras, truth)
     else:
         judge = predicting_judge(own, source_psnr=source_psnr)
+    if basis is not None:
+        octree = lower_basis(octree, basis, importance.gram)
+        own, size = field_of_octree(octree), octree.data_dim // 3
+        importance = importance._replace(gram=importance.gram[:size, :size])
     search = _Search(octree, own, rows, importance, judge, coded_size, tell)
     if max_loss is not None:
         found = search.within_loss(max_loss)
@@ -94,12 +101,14 @@ class _Search:
     ) -> None:
         self._octree, self._own, self._rows, self._importance = octree, own, rows, importance
         self._judge, self._coded_size, self._tell = judge, coded_size, tell
-        self._pruning = {0.0: 0.0}  # squared error by share
+        # The squared error by share: what a lower basis costs is there from the first.
+        self._pruning = {0.0: judge.cost(own).error}
         self._coefficients: tuple[float, Coefficients] | None = None  # of this share
 
     # -- the three goals ---------------------------------------------------------------------------------------
     def within_loss(self, most: float) -> Compression:
         allowed = self._judge.allowed_error(most)
+        allowed = max(allowed - self._pruning[0.0], 0.01 * allowed)
         share, step = self._share_for(_PRUNED * allowed), _FIRST * float(np.sqrt(allowed))
         best, points = None, []
         for _ in range(_TRIALS):
@@ -137,7 +146,8 @@ class _Search:
 
     def at_step(self, step: float) -> Compression:
         whole = self._trial(0.0, step)
-        share = self._share_for(_PRUNED / (1 - _PRUNED) * whole.error)
+        rounding = whole.error - self._pruning[0.0]
+        share = self._share_for(_PRUNED / (1 - _PRUNED) * max(rounding, 0.0))
         return self._trial(share, step) if share else whole
 
     # -- parts of a trial --------------------------------------------------------------------------------------
@@ -154,8 +164,9 @@ class _Search:
         return Compression(quantised, share, size, *cost, measured, judge.source_psnr, judge.views)
 
     def _share_for(self, allowed: float) -> float:
-        """The largest share that costs no more than this squared error, by halving; the error rises with the share."""
+        """The largest share that adds no more than this squared error, by halving; the error rises with the share."""
         low, high = 0.0, _MOST_PRUNED
+        allowed += self._pruning[low]
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             if middle not in self._pruning:

@@ -1,11 +1,20 @@
-"""Octree -> the same octree at a coarser level of detail."""
+"""Octree -> the same octree at a coarser level of detail, or in a smaller basis."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.maths.equations import solve_each
+from nerfbake.kernels.maths.products import product
+from nerfbake.scene.basis import SH_SIZES, parse_basis, shown_basis
 from nerfbake.scene.octree import SparseVoxelOctree
+
+_CHUNK = 1 << 15  # nodes at a time
 
 
 def cut_octree(octree: SparseVoxelOctree, *, level: int) -> SparseVoxelOctree:
@@ -35,3 +44,28 @@ def cut_octree(octree: SparseVoxelOctree, *, level: int) -> SparseVoxelOctree:
         voxel_size=octree.voxel_size * step,
     )
     return cut.with_layout(octree.layout)
+
+
+def lower_basis(octree: SparseVoxelOctree, basis: str, gram: npt.NDArray[np.float64]) -> SparseVoxelOctree:
+    """The octree in SHk of a lower degree: the coefficients that look most like what there was, by least squares over
+    the directions of gram (B, B), stages.field_to_importance. In its own basis it is itself.
+
+    Raises InvalidScene for a basis that is no SHk or has more coefficients than the octree's, MemoryLimit.
+    """
+    own, lower = shown_basis(octree.data_format), parse_basis(basis)
+    if lower == own:
+        return octree
+    if own.kind != "SH" or lower.kind != "SH" or lower.size > own.size:
+        allowed = ", ".join(f"SH{size}" for size in SH_SIZES if own.kind == "SH" and size < own.size) or str(own)
+        raise InvalidScene(Problem("the basis", f"is {basis} for an octree of {own}", allowed))
+    k = lower.size
+    fit = np.ascontiguousarray(solve_each(gram[None, :k, :k], gram[None, :k])[0].T)
+    memory.require("the octree in another basis", octree.n * lower.data_dim * octree.node_rows.dtype.itemsize)
+    data = np.empty((octree.n, lower.data_dim), octree.node_rows.dtype)
+    for first in range(0, octree.n, _CHUNK):
+        some = slice(first, first + _CHUNK)
+        values = octree.node_rows[some]
+        for c in range(3):
+            data[some, c * k : (c + 1) * k] = product(values[:, c * own.size : (c + 1) * own.size], fit)
+        data[some, -1] = values[:, -1]
+    return memory.kept(replace(octree, node_data=data, data_format=basis))
