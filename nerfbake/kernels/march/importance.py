@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, new_path
-from nerfbake.kernels.march.traversal import beyond, exp_parts, span, within
+from nerfbake.kernels.march.traversal import beyond, compiled_exp_parts, span, within
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
@@ -55,7 +55,7 @@ def collect_maxima(
             ahead = max(min(exit0, exit1, exit2), t)
             if slot != EMPTY:
                 row = -2 - slot
-                whole, rest = exp_parts(-sigma[row] * (min(ahead, end) - t) * world)
+                whole, rest = compiled_exp_parts(-sigma[row] * (min(ahead, end) - t) * world)
                 kept = whole + whole * rest
                 weight = np.float32(through * (1 - kept))
                 largest[row] = max(largest[row], weight)
