@@ -25,6 +25,7 @@ class Format(NamedTuple):
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
     readable: bool = True  # False: written for people to look at, without decode() and recognise()
     beside: bool = False  # decode() takes the folder where the file stands, too
+    written: str = ""  # name of the scene type that encode() takes, where it is not the one that decode() gives
 
     def load_module(self) -> contract.FileFormat:
         return cast(contract.FileFormat, import_module(f"nerfbake.formats.{self.module}"))
@@ -178,6 +179,7 @@ NOUNS = {
     "Image": "a picture",
     "Meshes": "a mesh",
     "N3Tree": "a PlenOctree",
+    "QuantisedOctree": "a compressed octree",
     "SparseVoxelOctree": "an octree",
     "Stage1": "a stage-1 folder",
     "Volume": "a volume",
@@ -231,7 +233,8 @@ def is_ending(path: str, scene: str) -> bool:
 
 
 def formats_of(scene: str) -> list[Format]:
-    return [form for form in FORMATS if form.scene == scene]
+    """The formats that write this scene type."""
+    return [form for form in FORMATS if (form.written or form.scene) == scene]
 
 
 def folders_of(scene: str) -> list[FolderKind]:

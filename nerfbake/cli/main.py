@@ -21,6 +21,7 @@ from nerfbake.cli.atlas_error import atlas_error
 from nerfbake.cli.bench import bench
 from nerfbake.cli.check import check
 from nerfbake.cli.compare import compare
+from nerfbake.cli.compress import compress
 from nerfbake.cli.convert import convert
 from nerfbake.cli.info import info
 from nerfbake.cli.lod import lod
@@ -58,7 +59,7 @@ def cli() -> None:
     """
 
 
-for command in (svo, vdb, atlas, atlas_error, convert, lod, render, compare, info, check, sample, bench):
+for command in (svo, vdb, atlas, atlas_error, convert, compress, lod, render, compare, info, check, sample, bench):
     cli.add_command(command)
 
 

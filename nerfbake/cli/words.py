@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 import click
@@ -27,14 +27,21 @@ class Words:
                 click.echo(one_line(text), err=True)
 
     @contextmanager
-    def phase(self, text: str) -> Iterator[None]:
-        """A step of the work: a terminal shows a spinner once it has lasted a second, a pipe shows nothing."""
-        start, done = time.perf_counter(), threading.Event()
-        spinner = threading.Thread(target=_spin, args=(text, done), daemon=True)
+    def phase(self, text: str) -> Iterator[Callable[[str], None]]:
+        """A step of the work: a terminal shows a spinner once it has lasted a second, a pipe shows nothing. What the
+        step tells of itself stands beside the spinner; verbose says all of it."""
+        start, done, shown = time.perf_counter(), threading.Event(), [text]
+        spinner = threading.Thread(target=_spin, args=(shown, done), daemon=True)
+
+        def tell(more: str) -> None:
+            shown[0] = f"{text}: {more}"
+            if self._verbose:
+                self.say(shown[0])
+
         if sys.stderr is not None and sys.stderr.isatty() and not self._quiet:
             spinner.start()
         try:
-            yield
+            yield tell
         finally:
             done.set()
             if spinner.is_alive():
@@ -50,7 +57,7 @@ class Words:
             self.say("note: no folder can be written that would keep compiled kernels; kernels are compiled anew")
 
 
-def _spin(text: str, done: threading.Event) -> None:
+def _spin(shown: list[str], done: threading.Event) -> None:
     if done.wait(PATIENCE):
         return
     from rich.console import Console
@@ -58,5 +65,6 @@ def _spin(text: str, done: threading.Event) -> None:
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        progress.add_task(text, total=None)
-        done.wait()
+        task = progress.add_task(shown[0], total=None)
+        while not done.wait(0.1):
+            progress.update(task, description=shown[0])

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from nerfbake.jobs.comparisons import Pages as Pages
     from nerfbake.jobs.comparisons import Seen as Seen
     from nerfbake.jobs.comparisons import compare_files as compare_files
+    from nerfbake.jobs.compressions import Goal as Goal
+    from nerfbake.jobs.compressions import Photographs as Photographs
+    from nerfbake.jobs.compressions import compress_file as compress_file
     from nerfbake.jobs.conversions import convert_file as convert_file
     from nerfbake.jobs.descriptions import describe_file as describe_file
     from nerfbake.jobs.files import FolderTarget as FolderTarget
@@ -49,6 +52,7 @@ JOBS = {
     "bake_octree": "octrees",
     "bake_volume": "volumes",
     "compare_files": "comparisons",
+    "compress_file": "compressions",
     "convert_file": "conversions",
     "describe_file": "descriptions",
     "judge": "budgets",
@@ -62,8 +66,10 @@ _ARGUMENTS = {
     "Choice": "grids",
     "Compared": "comparisons",
     "FolderTarget": "files",
+    "Goal": "compressions",
     "Limits": "comparisons",
     "Pages": "comparisons",
+    "Photographs": "compressions",
     "Pictures": "pictures",
     "PlacedMesh": "pictures",
     "Seen": "comparisons",

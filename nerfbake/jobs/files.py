@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import catalog, io, memory
-from nerfbake.jobs.steps import Steps
+from nerfbake.jobs.steps import Steps, Tell
 
 
 class Source(NamedTuple):
@@ -36,10 +36,10 @@ class Source(NamedTuple):
             return io.load_with_format(self.path, *kinds)
 
     @contextmanager
-    def blamed(self, steps: Steps, phase: str) -> Iterator[None]:
+    def blamed(self, steps: Steps, phase: str) -> Iterator[Tell]:
         """A step of the work whose errors are this file's."""
-        with steps.phase(phase), io.blame(self.name):
-            yield
+        with steps.phase(phase) as tell, io.blame(self.name):
+            yield tell
 
 
 class Stage1Source(NamedTuple):

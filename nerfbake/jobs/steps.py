@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
+
+Tell = Callable[[str], None]
 
 
 class Steps(Protocol):
@@ -13,8 +15,8 @@ class Steps(Protocol):
     def say(self, text: str) -> None:
         """A line about something that was found or written."""
 
-    def phase(self, text: str) -> AbstractContextManager[None]:
-        """A step of the work that may take a while: it lasts as long as the block."""
+    def phase(self, text: str) -> AbstractContextManager[Tell]:
+        """A step of the work that may take a while: it lasts as long as the block, which may tell how far it is."""
 
 
 class _Silent:
@@ -24,8 +26,8 @@ class _Silent:
         pass
 
     @contextmanager
-    def phase(self, text: str) -> Iterator[None]:
-        yield
+    def phase(self, text: str) -> Iterator[Tell]:
+        yield lambda text: None
 
 
 SILENT: Steps = _Silent()

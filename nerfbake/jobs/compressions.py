@@ -1,0 +1,122 @@
+"""Octrees compressed from files to files, as small or as good as is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import nerfbake
+from nerfbake import io
+from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import read_cameras
+
+MAX_LOSS, SOURCE_PSNR = 0.1, 35.0  # dB
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a compressed file may cost; one of the three, and none of them: a loss of 0.1 dB.
+
+    max_loss  dB of PSNR against photographs
+    max_size  bytes of the file, which are never exceeded
+    step      of colour, for those who search themselves
+    """
+
+    max_loss: float | None = None
+    max_size: int | None = None
+    step: float | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """As compress_octree() takes them. Raises UsageError for two goals at once."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        if len(given) > 1:
+            names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
+            raise UsageError(f"{names} are two goals; allowed: one of --max-loss, --max-size and --step")
+        return given or {"max_loss": MAX_LOSS}
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What the loss is measured against: cameras, a capture, and truth, a folder with a photograph NAME.png for each of
+    them. Without both, the loss is predicted for a source that is as near to its photographs as source_psnr, in dB."""
+
+    cameras: str | None = None
+    truth: str | None = None
+    source_psnr: float | None = None
+
+    def require(self) -> None:
+        """Raises UsageError for one without the other."""
+        if self.truth and not self.cameras:
+            raise UsageError("--truth has no cameras; allowed: --truth with --cameras")
+        if self.truth and self.source_psnr is not None:
+            raise UsageError("--source-psnr has no effect where --truth measures it; allowed: one of them")
+
+    def read(self, steps: Steps) -> dict[str, Any]:
+        """As compress_octree() takes them; cameras in their photographs' size."""
+        if not (self.truth and self.cameras):
+            return {"source_psnr": SOURCE_PSNR if self.source_psnr is None else self.source_psnr}
+        views = read_cameras(steps, self.cameras).cameras
+        with steps.phase(f"reading {self.truth}"):
+            truth = [io.load(Path(self.truth) / f"{view.name}.png", nerfbake.Image) for view in views]
+        sized = tuple(view.resized(*image.size) for view, image in zip(views, truth, strict=True))
+        return {"cameras": nerfbake.Cameras(sized), "truth": truth}
+
+
+LEAST_LOSS, PREDICTED = Goal(), Photographs()
+
+
+def compress_file(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    goal: Goal = LEAST_LOSS,
+    photographs: Photographs = PREDICTED,
+    basis: str | None = None,
+    budget: Budget = UNLIMITED,
+    steps: Steps = SILENT,
+    report: Callable[[nerfbake.Compression], None] | None = None,
+    **coding: Any,
+) -> nerfbake.Compression:
+    """Compresses a PlenOctree or an octree, and gives what was found; `nerfbake compress` is this.
+
+    Reads `source`, the photographs and the budget's cameras; writes `target`, or `target`.rejected where the budget is
+    missed. basis: SHk of a lower degree. coding goes to the format. report gets what is returned as soon as it is
+    written, before it is judged. Raises NerfbakeError.
+
+        found = compress_file("a.npz", "a.svoq", goal=Goal(max_size=40_000))
+    """
+    source, target = as_source(source), as_target(target)
+    options = goal.options
+    photographs.require()
+    target.require("QuantisedOctree")
+    budget.require(target)
+    octree = _octree(source, steps)
+    options |= photographs.read(steps)
+    form = io.format_for(target.path, "QuantisedOctree", to=target.to)
+
+    def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
+        return sum(len(piece) for piece in form.load_module().encode(quantised, **coding))
+
+    with source.blamed(steps, "compressing") as tell:
+        found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
+    target.write(steps, found.quantised, **coding)
+    steps.say(f"{target.path}: {found}")
+    if report is not None:
+        report(found)
+    judge(target.path, octree, budget, made_from=source.name, steps=steps)
+    return found
+
+
+def _octree(source: Source, steps: Steps) -> nerfbake.SparseVoxelOctree:
+    """The octree of a file, or that of a PlenOctree at its own resolution."""
+    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    if isinstance(scene, nerfbake.SparseVoxelOctree):
+        return scene
+    with source.blamed(steps, "building the octree"):
+        return nerfbake.build_octree(scene)
