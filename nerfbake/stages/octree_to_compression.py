@@ -31,7 +31,7 @@ _FRAMES, _EDGE = 64, 200  # cameras that importance is collected from, and their
 _PRUNED = 0.12  # of the squared error that is allowed may come from leaves that are left out
 _MOST_PRUNED, _HALVINGS = 0.95, 7
 _NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # of what is allowed: near enough
-_TRIALS = 12
+_TRIALS, _SHARES = 16, 4  # at most; and after how many the share that goes stays, so that sizes fall with the step
 _AIM, _STRIDE = 0.985, 2.0  # of what is allowed; of a step's logarithm where only one side is known
 _FIRST = 22.0  # steps for the root of the squared error that is allowed: of the real chair
 
@@ -128,7 +128,7 @@ class _Search:
     def within_size(self, most: int) -> Compression:
         share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
         best, points = None, []
-        for _ in range(_TRIALS):
+        for count in range(_TRIALS):
             made = self._trial(share, step)
             points.append((step, made.size / most))
             if made.size <= most and (best is None or made.loss < best.loss):
@@ -138,8 +138,10 @@ class _Search:
             step = next_step(points, slope=-0.8)
             if step == points[-1][0]:
                 break
-            rounding = max(made.error - self._pruning[share], 0.0) * (step / made.quantised.colour_step) ** 2
-            share = self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
+            if count < _SHARES:
+                rounding = max(made.error - self._pruning[share], 0.0) * (step / made.quantised.colour_step) ** 2
+                share = self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
+                points = points if share == made.pruned else points[-1:]
         if best is None:
             raise BudgetMissed(Problem("the octree", f"takes {made.size:,} bytes at the least", f"--max-size {most:,}"))
         return best

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nerfbake.errors import BudgetMissed, InvalidScene
+from nerfbake.kernels.maths.elementary import log
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.compression import Compression
+from nerfbake.scene.image import Image
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.stages._loss import measuring_judge, predicting_judge
+from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.n3tree_to_octree import build_octree
+from nerfbake.stages.octree_to_compression import STEPS, compress_octree, next_step
+from nerfbake.stages.octree_to_field import field_of_octree
+from nerfbake.stages.scene_to_cameras import orbit_cameras
+from nerfbake.stages.shapes_to_n3tree import sample_n3tree
+
+
+def coded_size(quantised: QuantisedOctree) -> int:
+    """A coder that needs none of ours."""
+    return len(zlib.compress(quantised.values.T.tobytes())) + len(zlib.compress(quantised.masks.tobytes()))
+
+
+@pytest.fixture(scope="module")
+def octree() -> SparseVoxelOctree:
+    return build_octree(sample_n3tree(resolution=32, basis="SH4"))
+
+
+@pytest.fixture(autouse=True)
+def fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the scene has a thousandth of a real one's leaves."""
+    monkeypatch.setattr("nerfbake.stages._loss._EDGE", 40)
+    monkeypatch.setattr("nerfbake.stages.octree_to_compression._EDGE", 60)
+
+
+def compressed(octree: SparseVoxelOctree, **options: Any) -> Compression:
+    return compress_octree(octree, coded_size=coded_size, **options)
+
+
+def noisy(octree: SparseVoxelOctree, noise: float) -> tuple[Cameras, list[Image]]:
+    """Photographs that the octree comes near to, but not quite."""
+    field = field_of_octree(octree)
+    cameras = orbit_cameras(field, frames=5, width=60, height=50)
+    random = np.random.default_rng(0)
+    images = [render_field(field, camera) for camera in cameras.cameras]
+    photographs = [
+        Image((image.colour + random.normal(0, noise, image.colour.shape)).astype(np.float32), image.alpha, image.depth)
+        for image in images
+    ]
+    return cameras, photographs
+
+
+@pytest.mark.parametrize("most", [0.05, 0.1, 1.0])
+def test_a_loss_is_kept_and_nearly_used(octree: SparseVoxelOctree, most: float) -> None:
+    found = compressed(octree, max_loss=most)
+    assert 0.9 * most <= found.loss <= most
+    assert not found.measured
+    assert found.size == coded_size(found.quantised)
+
+
+def test_more_loss_is_fewer_bytes(octree: SparseVoxelOctree) -> None:
+    assert compressed(octree, max_loss=0.5).size < 0.8 * compressed(octree, max_loss=0.1).size
+
+
+def test_the_loss_is_that_of_the_octree_that_comes_back(octree: SparseVoxelOctree) -> None:
+    found = compressed(octree, max_loss=0.1)
+    judge = predicting_judge(field_of_octree(octree), source_psnr=35.0)
+    cost = judge.cost(field_of_octree(found.quantised.restored()))
+    assert cost.error == pytest.approx(found.error, rel=1e-6)
+    assert found.loss == pytest.approx(10 * float(log(1 + cost.error / 10**-3.5)) / np.log(10), rel=1e-6)
+
+
+@pytest.mark.parametrize("most", [3_000, 6_000, 15_000])
+def test_a_size_is_never_exceeded_and_nearly_used(octree: SparseVoxelOctree, most: int) -> None:
+    found = compressed(octree, max_size=most)
+    assert 0.95 * most <= found.size <= most
+
+
+def test_a_size_that_cannot_be_reached_is_told(octree: SparseVoxelOctree) -> None:
+    with pytest.raises(BudgetMissed, match="bytes at the least; allowed: --max-size 50"):
+        compressed(octree, max_size=50)
+
+
+def test_a_huge_size_ends_at_the_finest_step(octree: SparseVoxelOctree) -> None:
+    found = compressed(octree, max_size=10**9)
+    assert found.quantised.colour_step == STEPS[0]
+    assert found.loss < 0.001
+
+
+def test_a_step_is_taken_as_it_is(octree: SparseVoxelOctree) -> None:
+    found = compressed(octree, step=0.07)
+    assert found.quantised.colour_step == 0.07
+
+
+def test_a_loss_is_measured_where_there_are_photographs(octree: SparseVoxelOctree) -> None:
+    cameras, truth = noisy(octree, 0.02)
+    found = compressed(octree, max_loss=0.2, cameras=cameras, truth=truth)
+    judge = measuring_judge(field_of_octree(octree), cameras, truth)
+    assert found.measured
+    assert found.views == 5
+    assert found.source_psnr == pytest.approx(judge.source_psnr)
+    assert found.loss == pytest.approx(judge.cost(field_of_octree(found.quantised.restored())).loss, abs=1e-6)
+    assert 0.15 <= found.loss <= 0.2
+
+
+def test_independent_errors_cost_what_is_predicted(octree: SparseVoxelOctree) -> None:
+    # Noise has nothing to do with what rounding does, which is what the formula takes for granted.
+    cameras, truth = noisy(octree, 0.03)
+    found = compressed(octree, step=0.2, cameras=cameras, truth=truth)
+    judge = measuring_judge(field_of_octree(octree), cameras, truth)
+    assert found.loss == pytest.approx(10 * np.log10(1 + found.error / judge.source_error), rel=0.15)
+
+
+def test_every_kth_pixel_is_seen_as_in_the_whole_picture(
+    octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerfbake.stages._loss._RAYS", 1_000)
+    cameras, truth = noisy(octree, 0.0)
+    # Photographs without noise: every pixel that is looked at must be the one of the photograph.
+    judge = measuring_judge(field_of_octree(octree), cameras, truth)
+    assert judge.references[0].shape == (17, 20, 3)
+    assert judge.source_psnr > 90
+
+
+def test_a_lower_basis_is_part_of_the_loss(octree: SparseVoxelOctree) -> None:
+    found = compressed(octree, step=0.01, basis="SH1")
+    assert found.quantised.data_format == "SH1"
+    assert found.loss > compressed(octree, step=0.01).loss
+
+
+def test_a_basis_that_loses_too_much_is_told(octree: SparseVoxelOctree) -> None:
+    with pytest.raises(BudgetMissed, match="at the finest step"):
+        compressed(octree, max_loss=0.001, basis="SH1")
+
+
+def test_the_same_octree_is_the_same_file(octree: SparseVoxelOctree) -> None:
+    one, other = (compressed(octree, max_loss=0.1) for _ in range(2))
+    assert one.facts == other.facts
+    assert one.quantised.values.tobytes() == other.quantised.values.tobytes()
+
+
+@pytest.mark.parametrize("goals", [{}, {"max_loss": 0.1, "step": 0.1}])
+def test_one_goal_is_needed(octree: SparseVoxelOctree, goals: dict[str, Any]) -> None:
+    with pytest.raises(InvalidScene, match="one of max_loss, max_size and step"):
+        compressed(octree, **goals)
+
+
+def test_photographs_of_another_number_are_told(octree: SparseVoxelOctree) -> None:
+    cameras, truth = noisy(octree, 0.0)
+    with pytest.raises(InvalidScene, match="truth has 4 pictures; allowed: 5"):
+        compressed(octree, max_loss=0.1, cameras=cameras, truth=truth[:4])
+
+
+def test_the_next_step_lies_on_the_line() -> None:
+    # Loss as the square of the step: 1 at 0.2.
+    assert next_step([(0.1, 0.25)], slope=2.0) == pytest.approx(0.2 * np.sqrt(0.985))
+    assert next_step([(0.1, 0.25), (0.4, 4.0)], slope=2.0) == pytest.approx(0.2 * np.sqrt(0.985))
+    # Sizes fall; a step far off is not trusted further than twice in logarithms.
+    assert next_step([(0.1, 1e6)], slope=-0.8) == pytest.approx(0.1 * np.exp(2))
+    assert next_step([(STEPS[0], 0.5)], slope=-0.8) == STEPS[0]
