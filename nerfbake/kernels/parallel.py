@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Generator, Iterable
-from threading import Thread
+from threading import Semaphore, Thread
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -59,4 +59,35 @@ def ahead(items: Iterable[Item]) -> Generator[Item]:
         finally:
             maker.join()
     if not isinstance(errors[0], StopIteration):
+        raise errors[0]
+
+
+def in_relay(work: Callable[[int, int, int], None], runners: int, count: int, chunk: int) -> None:
+    """work(runner, begin, end) for every chunk of 0 .. count in order, a thread for each runner: a chunk is a runner's
+    when the one before it has done with it. The first error ends all of them and is raised here.
+    """
+    done = [Semaphore(0) for _ in range(runners)]
+    errors: list[BaseException] = []
+
+    def run(runner: int) -> None:
+        try:
+            for begin in range(0, count, chunk):
+                if runner:
+                    done[runner - 1].acquire()
+                if errors:
+                    return
+                work(runner, begin, min(begin + chunk, count))
+                done[runner].release()
+        except BaseException as error:
+            errors.append(error)
+        finally:
+            done[runner].release(-(-count // chunk) + 1)  # nobody waits for a runner who has stopped
+
+    others = [Thread(target=run, args=(runner,)) for runner in range(1, runners)]
+    for thread in others:
+        thread.start()
+    run(0)
+    for thread in others:
+        thread.join()
+    if errors:
         raise errors[0]

@@ -1,0 +1,158 @@
+"""A binary range coder whose probabilities are mixed from several adaptive models. Whole numbers alone.
+
+Decisions are bits, each with a probability p that it is 1, in 1/65536. The coder keeps an interval of 32 bits:
+
+    range   2^24 .. 2^32 - 1     bound = range * p >> 16
+    1       takes the lower part: range = bound
+    0       takes the upper part: low += bound, range -= bound
+    while range < 2^24           a byte is shifted out of low (into code, when decoding), range <<= 8
+
+A model is a probability in 1/2^22 and a count n of outcomes in one number, p << 8 | n; it moves by 1 / (n + 1.5) of its
+error, n at most 250. A decision has a few models, found by what is known of it. Their probabilities are mixed in the
+logistic domain by weights in 1/65536, which learn as well:
+
+    x = sum of weight * stretch(p) >> 16, within +-2047      p = squash(x)
+    error = (65535 or 0) - p                                 weight += stretch(p) * error * 3 + 2^15 >> 16
+
+One function codes and decodes, so that both see the same numbers. Sources: G. N. N. Martin, "Range encoding", 1979;
+M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.coding.tables import LIMIT, RATES, SQUASH, STRETCH
+from nerfbake.kernels.jit import compiled
+
+Bytes = npt.NDArray[np.uint8]
+Numbers = npt.NDArray[np.int64]
+Models = npt.NDArray[np.int32]
+
+DECODES, LOW, RANGE, PLACE = range(4)  # of a coder's state; LOW is the code when decoding
+EVEN = 1 << 29  # a model that knows nothing: p = 1/2, n = 0
+START = 4  # bytes that a decoder has read before the first decision
+AHEAD = 3  # bytes that it is ahead of the encoder's last
+KINDS = 4  # models of a decision
+WEIGHT = 19661  # of each to begin with: 0.3
+RATE = 3  # of the weights
+
+
+class Coder(NamedTuple):
+    """state (4,) and the bytes: those to decode, or room for those that are written."""
+
+    state: Numbers
+    data: Bytes
+
+
+class Mixer(NamedTuple):
+    """models (4, values) of each kind of context those of all its values; weights (sets, 4)."""
+
+    models: Models
+    weights: Numbers
+
+
+def encoder(room: int) -> Coder:
+    """A coder that writes at most so many bytes, finish() included."""
+    return Coder(np.array([0, 0, (1 << 32) - 1, 0]), np.zeros(room + 1, np.uint8))
+
+
+def decoder(data: Bytes) -> Coder:
+    """A coder that reads these bytes, and zeros behind them."""
+    code = int.from_bytes(bytes(data[:START]).ljust(START, b"\0"), "big")
+    return Coder(np.array([1, code, (1 << 32) - 1, START]), data.copy())  # numba tells read-only arrays apart
+
+
+def mixer(values: int, sets: int) -> Mixer:
+    """Models for four kinds of contexts with so many values, and sets of weights for so many kinds of decisions."""
+    return Mixer(np.full((KINDS, values), EVEN, np.int32), np.full((sets, KINDS), WEIGHT))
+
+
+@compiled()
+def code_bit(coder: Coder, p: int, bit: int) -> Any:
+    """Codes this bit, or decodes one: whichever the coder does. p is of a 1, in 1/65536, neither 0 nor 65536."""
+    state, data = coder
+    bound = state[RANGE] * p >> 16
+    if state[DECODES]:
+        bit = 1 if state[LOW] < bound else 0
+    if bit:
+        state[RANGE] = bound
+    else:
+        state[RANGE] -= bound
+        if state[DECODES]:
+            state[LOW] -= bound
+        else:
+            state[LOW] += bound
+            if state[LOW] >> 32:
+                _carry(coder)
+    while state[RANGE] < 1 << 24:
+        place = state[PLACE]
+        if state[DECODES]:
+            state[LOW] = state[LOW] << 8 | (data[place] if place < len(data) else 0)
+        else:
+            if place < len(data):
+                data[place] = state[LOW] >> 24
+            state[LOW] = (state[LOW] & 0xFFFFFF) << 8
+        state[PLACE] = place + 1
+        state[RANGE] <<= 8
+    return bit
+
+
+@compiled()
+def _carry(coder: Coder) -> None:
+    """Adds 1 to what has been written."""
+    state, data = coder
+    state[LOW] &= 0xFFFFFFFF
+    place = min(state[PLACE], len(data)) - 1
+    while data[place] == 255:
+        data[place] = 0
+        place -= 1
+    data[place] += 1
+
+
+@compiled()
+def mix_bit(coder: Coder, mixer: Mixer, weight_set: int, a: int, b: int, c: int, d: int, bit: int) -> Any:
+    """Codes or decodes a bit with model a of the first kind, b of the second, c and d."""
+    models, weights = mixer
+    own = weights[weight_set]
+    x0, x1 = STRETCH[models[0, a] >> 18], STRETCH[models[1, b] >> 18]
+    x2, x3 = STRETCH[models[2, c] >> 18], STRETCH[models[3, d] >> 18]
+    x = own[0] * x0 + own[1] * x1 + own[2] * x2 + own[3] * x3 >> 16
+    p = SQUASH[min(max(x, -2047), 2047) + 2048]
+    bit = code_bit(coder, p, bit)
+    error = (65535 * bit - p) * RATE
+    own[0] += x0 * error + (1 << 15) >> 16
+    own[1] += x1 * error + (1 << 15) >> 16
+    own[2] += x2 * error + (1 << 15) >> 16
+    own[3] += x3 * error + (1 << 15) >> 16
+    models[0, a], models[1, b] = learnt(models[0, a], bit), learnt(models[1, b], bit)
+    models[2, c], models[3, d] = learnt(models[2, c], bit), learnt(models[3, d], bit)
+    return bit
+
+
+@compiled()
+def learnt(model: int, bit: int) -> Any:
+    """The model after an outcome."""
+    p, n = model >> 8, model & 255
+    p += (bit * ((1 << 22) - 1) - p) * RATES[n] >> 16
+    return p << 8 | min(n + 1, LIMIT)
+
+
+@compiled()
+def finish(coder: Coder) -> Any:
+    """Ends what is encoded; how many bytes it takes, which may be more than there was room for."""
+    state, data = coder
+    state[LOW] += 0xFFFFFF
+    if state[LOW] >> 32:
+        _carry(coder)
+    if state[PLACE] < len(data):
+        data[state[PLACE]] = state[LOW] >> 24
+    return state[PLACE] + 1
+
+
+def consumed(coder: Coder) -> int:
+    """How many bytes the encoder wrote of what has been decoded; more than there are where they end too early."""
+    return int(coder.state[PLACE]) - AHEAD
