@@ -25,6 +25,7 @@ class Format(NamedTuple):
     companion: str | None = None  # a file `<stem><companion>` that says more about this one
     readable: bool = True  # False: written for people to look at, without decode() and recognise()
     beside: bool = False  # decode() takes the folder where the file stands, too
+    packed: bool = False  # there is nothing left for .zst to pack, so that it is refused
     written: str = ""  # name of the scene type that encode() takes, where it is not the one that decode() gives
 
     def load_module(self) -> contract.FileFormat:
@@ -73,6 +74,7 @@ FORMATS = (
     Format("svo.bson", _OCTREE, ".svo.bson", "octree.bson", "octree, BSON"),
     Format("svo.fb", _OCTREE, ".svo.fb", "octree.flatbuffers", "octree, FlatBuffers"),
     Format("svo.capnp", _OCTREE, ".svo.capnp", "octree.capnp", "octree, Cap'n Proto"),
+    Format("svoq", _OCTREE, ".svoq", "octree.svoq", "octree, compressed", written="QuantisedOctree", packed=True),
     Format("vdb.npz", "Volume", ".vdb.npz", "volume.npz", "VDB grids, plain NumPy arrays"),
     Format("npz", "N3Tree", ".npz", "field.n3tree", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
     Format("depth.png", "Depth", ".depth.png", "picture.depth_png", "depth, thousandths of a world unit"),

@@ -83,6 +83,8 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> tuple[Any
     if not len(view):
         raise InvalidFile("is empty; allowed: a file that nerfbake reads")
     form = format_of_content(path, view)
+    if packed and form.packed:
+        raise InvalidFile(f"is a {form.suffix} in zstd's frames, though it is packed already; allowed: {form.suffix}")
     extra: dict[str, object] = {}
     if form.companion and path:
         extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()

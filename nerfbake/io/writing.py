@@ -82,6 +82,8 @@ def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Form
     """
     wanted = str(target) if to is None else to
     form = _format_for(uncompressed(str(target)), scene, None if to is None else uncompressed(to))
+    if form.packed and wanted.lower().endswith(COMPRESSED):
+        raise UsageError(f"{wanted!r} would be no smaller: a {form.suffix} is packed already; allowed: {form.suffix}")
     return compressed(form) if wanted.lower().endswith(COMPRESSED) else form
 
 
