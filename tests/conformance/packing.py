@@ -25,6 +25,7 @@ from PIL import features
 
 from nerfbake import catalog
 from nerfbake.catalog import uncompressed
+from tests.support import svoq_reference
 
 PICTURES = (".png", ".gif", ".html", ".glb")
 
@@ -37,7 +38,7 @@ def packed_by(path: str) -> dict[str, str]:
         found["zstd"] = ".".join(map(str, zstandard.ZSTD_VERSION))
     if name.endswith(PICTURES):
         found["pillow"] = f"{PIL.__version__} with zlib {features.version('zlib')}"
-    if name.endswith("_zip.vdb"):
+    if name.endswith(("_zip.vdb", "_deflate.svoq")):
         found["deflate"] = version("deflate")
     if name.endswith("_zip.nvdb"):
         found["zlib-ng"] = version("zlib-ng")
@@ -104,12 +105,18 @@ def _plain(name: str) -> Callable[[bytes], Any]:
     return unpack
 
 
+def _numbers(data: bytes) -> Any:
+    """All whole numbers of a compressed octree."""
+    return svoq_reference.read(data)
+
+
 _UNPACK: dict[str, Callable[[bytes], Any]] = {
     ".depth.png": _depth,
     ".png": _pictures,
     ".gif": _pictures,
     ".html": _page,
     ".glb": _glb,
+    "_deflate.svoq": _numbers,
     "_zip.vdb": _plain("vdb"),
     "_zip.nvdb": _plain("nvdb"),
 }

@@ -12,7 +12,7 @@ from nerfbake import catalog
 from tests.fuzz import corpus, hostile_values
 from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_json import break_json
-from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_vdb
+from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_svoq, break_vdb
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
 from tests.fuzz.breaking_zip import break_npy, break_zip
 
@@ -31,6 +31,7 @@ _BREAKERS: dict[str, Breaker] = {
     "jpg": break_bytes,
     "vdb": break_vdb,
     "nvdb": break_vdb,
+    "svoq": break_svoq,
     "obj": break_obj,
     "txt": break_obj,
     "bin": break_words,

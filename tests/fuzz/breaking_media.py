@@ -14,6 +14,16 @@ from tests.fuzz.breaking_json import Pairs, Raw, break_tree, parse, spell
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
+def break_svoq(random: Random, data: bytes, other: bytes = b"") -> bytes:
+    """A compressed octree's bytes or header changed, with the checksum that it then needs."""
+    head = 152
+    if random.random() < 0.5:
+        data = break_words(random, data[:head], other[:head], widths=(1, 2, 4)) + data[head:]
+    else:
+        data = break_bytes(random, data, other)
+    return data if random.random() < 0.1 else data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little")
+
+
 def break_png(random: Random, data: bytes, other: bytes = b"") -> bytes:
     """Chunks changed, lost, doubled, moved and added, with the CRC that they then need."""
     if data[:8] != _PNG or random.random() < 0.1:

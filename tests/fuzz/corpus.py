@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nerfbake import build_octree, build_vdb, catalog
+from nerfbake.formats.octree.svoq import CODINGS
 from nerfbake.formats.wire.texture import encode_texture
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
 from nerfbake.scene.camera import Camera, Cameras, look_at
@@ -25,6 +26,7 @@ from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, te
 from tests.support.meshes import cube, square
 from tests.support.n3trees import archive, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
+from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
 
 Files = dict[str, bytes]
@@ -43,7 +45,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
     """Files of a format."""
     scene = next(form.scene for form in catalog.FORMATS if form.name == name)
     makers: dict[str, Any] = {
-        "SparseVoxelOctree": lambda: _octrees(name),
+        "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
         "Volume": lambda: _volumes(name),
         "N3Tree": _n3trees,
         "Meshes": lambda: _meshes(name),
@@ -82,6 +84,13 @@ def _octrees(name: str) -> Iterator[bytes]:
             yield written(name, profile, small)
             yield written(name, profile, small_octree(np.float16).with_layout("compact"), no_child=-1)
             yield written(name, profile, lobes)
+
+
+def _compressed() -> Iterator[bytes]:
+    for seed, data_format in enumerate(("SH4", "RGBA", "SH1")):
+        octree = random_quantised(seed, levels=1 + seed, data_format=data_format)
+        for coding in CODINGS:
+            yield _encoded("svoq", octree, coding=coding)
 
 
 def _n3trees() -> Iterator[bytes]:
