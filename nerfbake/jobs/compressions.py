@@ -101,7 +101,7 @@ def compress_file(
     form = io.format_for(target.path, "QuantisedOctree", to=target.to)
 
     def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
-        return sum(len(piece) for piece in form.load_module().encode(quantised, **coding))
+        return int(form.load_module().coded_size(quantised, **coding))
 
     with source.blamed(steps, "compressing") as tell:
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)

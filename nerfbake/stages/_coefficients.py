@@ -21,8 +21,8 @@ from nerfbake.scene.quantised_octree import MAX_VALUE, QuantisedOctree
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
-# The density's own unit and step were tried on orbits of the chair at equal loss: a quarter of the unit costs 0.6 % of
-# the bytes and three times it 3.7 %, a step like the colours' costs 0.7 %.
+# The density's own unit and step were tried on the chair at equal loss: a quarter of the unit costs 0.6 % of the bytes
+# and three times it 3.8 %, a step like the colours' costs 0.7 % (docs/compression.md).
 _DEPTH = 6  # voxels of the unit density have an optical depth of 1
 _DENSITY_STEPS = 2  # a step of density is so many of colour
 _SAMPLE = 1 << 17  # leaves that the channels are found from
