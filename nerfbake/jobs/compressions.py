@@ -89,19 +89,20 @@ def compress_file(
     missed. basis: SHk of a lower degree. coding goes to the format. report gets what is returned as soon as it is
     written, before it is judged. Raises NerfbakeError.
 
-        found = compress_file("a.npz", "a.svoq", goal=Goal(max_size=40_000))
+    >>> compress_file("a.npz", "small.svoq", goal=Goal(step=0.1)).quantised.colour_step
+    0.1
     """
     source, target = as_source(source), as_target(target)
     options = goal.options
     photographs.require()
-    target.require("QuantisedOctree")
+    target.require("QuantisedOctree", **coding)
     budget.require(target)
     octree = _octree(source, steps)
     options |= photographs.read(steps)
     form = io.format_for(target.path, "QuantisedOctree", to=target.to)
 
     def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
-        return int(form.load_module().coded_size(quantised, **coding))
+        return sum(memoryview(piece).nbytes for piece in form.load_module().encode(quantised, **coding))
 
     with source.blamed(steps, "compressing") as tell:
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)

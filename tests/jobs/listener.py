@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
 class Listener:
-    """phases, in order of their start; said, line by line."""
+    """phases, in order of their start; said, line by line; told, how far they were."""
 
     def __init__(self) -> None:
         self.phases: list[str] = []
         self.said: list[str] = []
+        self.told: list[str] = []
 
     def say(self, text: str) -> None:
         self.said.append(text)
 
     @contextmanager
-    def phase(self, text: str) -> Iterator[None]:
+    def phase(self, text: str) -> Iterator[Callable[[str], None]]:
         self.phases.append(text)
-        yield
+        yield self.told.append

@@ -1,0 +1,32 @@
+"""Compressing from files to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nerfbake import SparseVoxelOctree, load
+from nerfbake.errors import UsageError
+from nerfbake.jobs import Goal, Photographs, compress_file
+from tests.jobs.listener import Listener
+
+
+def test_what_is_found_is_what_is_written_and_told(folder: Path, listener: Listener) -> None:
+    found = compress_file("a.npz", "a.svoq", goal=Goal(max_loss=0.2), steps=listener)
+    assert found.size == (folder / "a.svoq").stat().st_size
+    assert found.loss <= 0.2
+    assert listener.phases[-2:] == ["compressing", "writing a.svoq"]
+    assert listener.told[0].endswith("leaves weighed")
+    assert f"{found.size:,} bytes, {found.loss:.3f} dB" in listener.told[-1]
+    assert load("a.svoq", SparseVoxelOctree).problems() == []
+
+
+@pytest.mark.usefixtures("folder")
+def test_wrong_arguments_are_told_before_anything_is_read() -> None:
+    with pytest.raises(UsageError, match="--max-loss and --max-size are two goals"):
+        compress_file("none", "a.svoq", goal=Goal(max_loss=1, max_size=1))
+    with pytest.raises(UsageError, match="--truth has no cameras"):
+        compress_file("none", "a.svoq", photographs=Photographs(truth="."))
+    with pytest.raises(UsageError, match=r"allowed: \.svoq"):
+        compress_file("none", "a.svo.pb")
