@@ -48,9 +48,9 @@ _PAIR_BYTES, _MASK_BYTES = 17, 81  # that decoding takes for each leaf and each 
 _FEW = 8  # channels: no more streams than one
 
 
-def recognise(head: bytes) -> bool:
+def recognise(view: memoryview) -> bool:
     """True for the first bytes of a .svoq of any version."""
-    return bytes(head[: len(MAGIC)]) == MAGIC
+    return bytes(view[: len(MAGIC)]) == MAGIC
 
 
 def encode(octree: QuantisedOctree, *, coding: Coding = "range") -> Iterator[bytes | memoryview]:
