@@ -34,6 +34,9 @@ class Format(NamedTuple):
     def load_volume_module(self) -> contract.VolumeFormat:
         return cast(contract.VolumeFormat, self.load_module())
 
+    def load_packed_module(self) -> contract.PackedFormat:
+        return cast(contract.PackedFormat, self.load_module())
+
     def require_options(self, given: Mapping[str, object]) -> None:
         """Raises UsageError for options that the format does not take, or other values than it takes."""
         contract.require_options(self.name, self.load_module().encode, given)

@@ -74,6 +74,13 @@ class VolumeFormat(FileFormat, Protocol):
         """Raises UsageError for grids of an octree (density, Cd, sh; or index) that a file cannot hold together."""
 
 
+class PackedFormat(FileFormat, Protocol):
+    """A format that packs what it writes so well that one looks for the scene whose file is as large as it may be."""
+
+    def coded_size(self, scene: Any, /, **options: Any) -> int:
+        """Bytes of the file that encode() gives."""
+
+
 class Compression(Protocol):
     """A further ending of any format."""
 

@@ -102,7 +102,7 @@ def compress_file(
     form = io.format_for(target.path, "QuantisedOctree", to=target.to)
 
     def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
-        return sum(memoryview(piece).nbytes for piece in form.load_module().encode(quantised, **coding))
+        return form.load_packed_module().coded_size(quantised, **coding)
 
     with source.blamed(steps, "compressing") as tell:
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)

@@ -19,6 +19,12 @@ class Compression:
     loss         dB of PSNR against photographs: measured, or predicted as 10 log10(1 + error / M)
     source_psnr  dB of the original against photographs, as it was measured, or assumed for M
     views        how many views error and loss are of
+
+    >>> from nerfbake import build_octree, compress_octree, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=16))
+    >>> found = compress_octree(octree, coded_size=lambda quantised: quantised.m, step=0.1)
+    >>> found.quantised.colour_step, found.source_psnr
+    (0.1, 35.0)
     """
 
     quantised: QuantisedOctree

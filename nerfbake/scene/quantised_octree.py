@@ -51,6 +51,12 @@ class QuantisedOctree(Scene):
     density_scale  sigma = density_scale * (e^v - 1), in 1/world unit
     data_format    SHk or RGBA
     origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size
+
+    >>> from nerfbake import build_octree, compress_octree, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=16))
+    >>> quantised = compress_octree(octree, coded_size=lambda quantised: quantised.m, step=0.1).quantised
+    >>> quantised.values.shape, quantised.restored().data_format
+    ((510, 28), 'SH9')
     """
 
     size: tuple[int, int, int]

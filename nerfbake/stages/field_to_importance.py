@@ -37,7 +37,14 @@ class Importance(NamedTuple):
 
 
 def weigh_leaves(field: RadianceField, cameras: Cameras) -> Importance:
-    """What the rays of all these cameras see, the same for any number of threads. Raises MemoryLimit."""
+    """What the rays of all these cameras see, the same for any number of threads. Raises MemoryLimit.
+
+    >>> from nerfbake import build_field, sample_n3tree, sphere_cameras, weigh_leaves
+    >>> field = build_field(sample_n3tree(resolution=16))
+    >>> importance = weigh_leaves(field, sphere_cameras(field, frames=8, edge=64))
+    >>> importance.largest.shape, importance.gram.shape
+    ((573,), (9, 9))
+    """
     views = cameras.cameras
     cameras.require_covered()
     threads = min(len(views), os.cpu_count() or 1)

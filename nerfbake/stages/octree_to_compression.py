@@ -59,6 +59,12 @@ def compress_octree(
     squared error. The loss is measured where there are cameras and the truth, a photograph for each, else predicted for
     a source of source_psnr (Judge). tell() hears what was tried. Raises InvalidScene for what cannot be shown,
     BudgetMissed where the goal is out of reach, MemoryLimit.
+
+    >>> from nerfbake import build_octree, compress_octree, sample_n3tree
+    >>> octree = build_octree(sample_n3tree(resolution=16))
+    >>> found = compress_octree(octree, coded_size=lambda quantised: quantised.m, max_loss=0.5)
+    >>> found.loss <= 0.5, found.measured
+    (True, False)
     """
     if [max_loss, max_size, step].count(None) != 2:
         raise InvalidScene(Problem("the goal", "is not one", "one of max_loss, max_size and step"))

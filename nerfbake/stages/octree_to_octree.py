@@ -51,6 +51,13 @@ def lower_basis(octree: SparseVoxelOctree, basis: str, gram: npt.NDArray[np.floa
     the directions of gram (B, B), stages.field_to_importance. In its own basis it is itself.
 
     Raises InvalidScene for a basis that is no SHk or has more coefficients than the octree's, MemoryLimit.
+
+    >>> from nerfbake import build_field, build_octree, lower_basis, sample_n3tree, sphere_cameras, weigh_leaves
+    >>> octree = build_octree(sample_n3tree(resolution=16))
+    >>> field = build_field(octree)
+    >>> gram = weigh_leaves(field, sphere_cameras(field, frames=8, edge=64)).gram
+    >>> print(lower_basis(octree, "SH4", gram))
+    SH4 octree of 16x16x16, 716 nodes, float32, full
     """
     own, lower = shown_basis(octree.data_format), parse_basis(basis)
     if lower == own:

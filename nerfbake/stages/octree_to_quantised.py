@@ -16,11 +16,18 @@ from nerfbake.stages.field_to_importance import Importance
 def quantise_octree(
     octree: SparseVoxelOctree, importance: Importance, *, step: float, prune: float = 0.0
 ) -> QuantisedOctree:
-    """The leaves transformed and rounded to multiples of a step: spec/compress.md, 1.
+    """The leaves transformed and rounded to multiples of a step: docs/compression.md, "What is done".
 
     importance: of build_field(octree), by weigh_leaves(). prune: the share of leaves, the least important, that are
     left out, 0 to 1 (one always stays). step: of colour before the sigmoid, as the rays see it, in the root of its mean
     square. Raises InvalidScene for SG and ASG, broken octrees and those that hold nothing; MemoryLimit.
+
+    >>> from nerfbake import build_field, build_octree, quantise_octree, sample_n3tree, sphere_cameras, weigh_leaves
+    >>> octree = build_octree(sample_n3tree(resolution=16))
+    >>> field = build_field(octree)
+    >>> importance = weigh_leaves(field, sphere_cameras(field, frames=8, edge=64))
+    >>> print(quantise_octree(octree, importance, step=0.1, prune=0.2))
+    SH9 octree of 16x16x16, 459 leaves, step 0.1
     """
     if not 0 <= prune <= 1:
         raise InvalidScene(Problem("prune", f"is {prune:g}", "a share of 0 to 1"))

@@ -38,6 +38,10 @@ def sphere_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0)
 
     They look from the golden spiral of kernels.maths.sphere, whose places are others for every number of frames. zoom:
     how much larger the scene is seen than where all of it is framed.
+
+    >>> from nerfbake import build_field, sample_n3tree, sphere_cameras
+    >>> print(sphere_cameras(build_field(sample_n3tree(resolution=16)), frames=3, edge=32))
+    3 cameras
     """
     centre, distance, axes = _stand(scene, frames)
     poses = [look_from(centre, away, distance, axes) for away in fibonacci(frames)]

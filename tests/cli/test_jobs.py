@@ -43,6 +43,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["a.npz", "OUT.vdb", "--grids", "density,sh", "--half", "--codec", "none", "--up", "y"],
         lambda out: jobs.bake_volume("a.npz", f"{out}.vdb", grids="density,sh", half=True, codec="none", up="y"),
     ),
+    "compress": (
+        ["a.npz", "OUT.svoq", "--step", "0.1", "--coding", "deflate"],
+        lambda out: jobs.compress_file("a.npz", f"{out}.svoq", goal=jobs.Goal(step=0.1), coding="deflate"),
+    ),
     "convert": (
         ["a.svo.pb", "OUT.svo.capnp", "--layout", "compact", "--no-child=-1"],
         lambda out: jobs.convert_file("a.svo.pb", f"{out}.svo.capnp", layout="compact", no_child=-1),

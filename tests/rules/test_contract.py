@@ -54,7 +54,8 @@ def test_encode_takes_a_scene_and_options_with_types_and_defaults(form: AnyForma
     encode = form.load_module().encode
     scene, options = parameters(encode)
     hints = get_type_hints(encode)
-    assert [hints[name].__name__ for name in scene] == [getattr(form, "written", "") or form.scene]
+    written = form.written if isinstance(form, catalog.Format) and form.written else form.scene
+    assert [hints[name].__name__ for name in scene] == [written]
     for name, option in options.items():
         assert is_plain(hints[name]), name
         assert option.default is not inspect.Parameter.empty, name
