@@ -80,6 +80,9 @@ class PackedFormat(FileFormat, Protocol):
     def coded_size(self, scene: Any, /, **options: Any) -> int:
         """Bytes of the file that encode() gives."""
 
+    def describe_packing(self, view: memoryview, /) -> dict[str, Any]:
+        """What a whole file says of how it was packed, for people and scripts; JSON can hold it. Raises InvalidFile."""
+
 
 class Compression(Protocol):
     """A further ending of any format."""

@@ -6,6 +6,7 @@ seen by the first bytes.
 """
 
 from nerfbake.catalog import uncompressed as uncompressed
+from nerfbake.io.reading import Loaded as Loaded
 from nerfbake.io.reading import check as check
 from nerfbake.io.reading import decode_files as decode_files
 from nerfbake.io.reading import load as load

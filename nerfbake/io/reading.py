@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from nerfbake import memory
 from nerfbake.catalog import (
@@ -13,7 +13,6 @@ from nerfbake.catalog import (
     NOUNS,
     AnyFormat,
     FolderKind,
-    Format,
     compressed,
     folder_of_content,
     folder_of_member,
@@ -41,26 +40,34 @@ def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
     >>> load("small.npz", N3Tree).data_format
     'SH9'
     """
-    return load_with_format(source, *kinds, sound=sound)[0]
+    return load_with_format(source, *kinds, sound=sound).scene
 
 
-def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True) -> tuple[Kind, AnyFormat, int]:
-    """Like load(), with the file's format and its size in bytes, or those of a folder."""
+class Loaded(NamedTuple, Generic[Kind]):
+    """scene; form: the file's format, or the folder's; size: bytes; packing: what a packed file says of its packing."""
+
+    scene: Kind
+    form: AnyFormat
+    size: int
+    packing: dict[str, Any]
+
+
+def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Loaded[Kind]:
+    """Like load(), with what the file says beside the scene."""
     name = reading_name(source)
     with blame(name):
         with memory.scope():
             member = folder_of_member(Path(source).name)
-            form: AnyFormat
             if str(source) != STREAM and Path(source).is_dir():
-                scene, form, size = _decode_folder(Path(source), kinds)
+                found = _decode_folder(Path(source), kinds)
             elif member and Path(source).is_file():
-                scene, form, size = _decode_member(Path(source), member, kinds)
+                found = _decode_member(Path(source), member, kinds)
             else:
-                scene, form, size = _decode_file(source, kinds)
-        memory.kept(scene)
+                found = _decode_file(source, kinds)
+        memory.kept(found.scene)
         if sound:
-            scene.require_sound()
-    return scene, form, size
+            found.scene.require_sound()
+    return found
 
 
 def check(source: str | Path) -> list[Problem]:
@@ -72,7 +79,7 @@ def check(source: str | Path) -> list[Problem]:
     return scene.problems()
 
 
-def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> tuple[Any, Format, int]:
+def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     stream = str(source) == STREAM
     view = read_stdin() if stream else read_file(Path(source))
     path, size = "" if stream else str(source), len(view)
@@ -92,21 +99,22 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> tuple[Any
         extra["beside"] = Folder(Path(path).parent, {})
     _require_kind(form, kinds)
     scene = form.load_module().decode(view, **extra)
-    return scene, compressed(form) if packed else form, size
+    packing = form.load_packed_module().describe_packing(view) if form.packed else {}
+    return Loaded(scene, compressed(form) if packed else form, size, packing)
 
 
-def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> tuple[Any, FolderKind, int]:
+def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     files = Folder(path, {})
     form = folder_of_content(files, *(kind.__name__ for kind in kinds))
     _require_kind(form, kinds)
     size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
-    return form.load_module().decode(files), form, size
+    return Loaded(form.load_module().decode(files), form, size, {})
 
 
-def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> tuple[Any, FolderKind, int]:
+def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     """A file that means nothing without those beside it: its folder, read from this file."""
     _require_kind(form, kinds)
-    return form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size
+    return Loaded(form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size, {})
 
 
 def _require_kind(form: AnyFormat, kinds: tuple[type[Kind], ...]) -> None:

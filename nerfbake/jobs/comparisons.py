@@ -120,8 +120,9 @@ def _fields() -> tuple[type, ...]:
 def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     """The scene, and what a reader wants to know of it."""
     kinds = (*_fields(), nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
-    scene, form, size = source.read_with_format(steps, *kinds)
-    return scene, {"name": source.name, "content": str(scene), "format": form.name, "bytes": size}
+    found = source.read_with_format(steps, *kinds)
+    facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
+    return found.scene, facts
 
 
 def _photographs(folder: str, views: nerfbake.Cameras) -> list[nerfbake.Image]:

@@ -18,5 +18,6 @@ def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]
     'PlenOctree (N3Tree)'
     """
     source = as_source(source)
-    scene, form, size = source.read_with_format(steps)
-    return {"file": source.path, "format": form.name, "bytes_on_disk": size, **nerfbake.summarise_scene(scene)}
+    found = source.read_with_format(steps)
+    of_file = {"file": source.path, "format": found.form.name, "bytes_on_disk": found.size, **found.packing}
+    return of_file | nerfbake.summarise_scene(found.scene)

@@ -28,10 +28,10 @@ class Source(NamedTuple):
 
     def read(self, steps: Steps, *kinds: type) -> Any:
         """The scene, of one of these types. Raises NerfbakeError."""
-        return self.read_with_format(steps, *kinds)[0]
+        return self.read_with_format(steps, *kinds).scene
 
-    def read_with_format(self, steps: Steps, *kinds: type) -> tuple[Any, catalog.AnyFormat, int]:
-        """The scene, its file's format and its size in bytes (of a stream: of what was read)."""
+    def read_with_format(self, steps: Steps, *kinds: type) -> io.Loaded[Any]:
+        """The scene, its file's format, its size in bytes (of a stream: of what was read) and how it is packed."""
         with steps.phase(f"reading {self.name}"):
             return io.load_with_format(self.path, *kinds)
 

@@ -12,6 +12,7 @@ import pytest
 from nerfbake import Meshes, save
 from nerfbake.cli.main import run
 from tests.cli.telling import told
+from tests.conformance.case import HOME
 from tests.conftest import Shell
 from tests.support.atlas_scenes import stage1_folder
 from tests.support.meshes import cube, sphere
@@ -69,3 +70,18 @@ def test_a_page_is_nothing_to_read(shell: Shell, tmp_path: Path) -> None:
     done = shell("info", "page.html")
     assert done.returncode == 1
     assert done.stderr.startswith(b"error: page.html: starts with 3c 21 44 4f 43 54 59 50, as no known format does")
+
+
+@pytest.mark.parametrize("coding", ["range", "deflate"])
+def test_info_of_a_compressed_octree_tells_parts_that_make_up_the_file(
+    coding: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = HOME / "compressed" / f"sh4_{coding}.svoq"
+    expected = json.loads(path.with_name("sh4.expected.json").read_text())
+    facts = told(["info", str(path)], capsys)
+    assert (facts["format"], facts["coding"], facts["basis_size"]) == ("svoq", coding, 4)
+    assert facts["colour_step"] == expected["colour_step"]
+    assert sum(facts["bytes_of_parts"].values()) == facts["bytes_on_disk"] == path.stat().st_size
+    assert sum(facts["percent_of_parts"].values()) == pytest.approx(100, abs=0.2)
+    assert run(["info", str(path)]) == 0
+    assert f"topology {facts['bytes_of_parts']['topology']:,}" in capsys.readouterr().out

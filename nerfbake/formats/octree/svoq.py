@@ -11,7 +11,7 @@ A file is written from a QuantisedOctree and read as the octree that it stands f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -68,14 +68,23 @@ def decode(view: memoryview) -> SparseVoxelOctree:
     return decode_quantised(view).restored()
 
 
-def part_sizes(view: memoryview) -> dict[str, int]:
-    """Bytes of each kind of part, and of the header with the table of parts and the checksum."""
-    _, parts = read_file(view)
+def describe_packing(view: memoryview) -> dict[str, Any]:
+    """How the whole numbers are coded, and their steps; bytes, and the share of the file, of each kind of part, and of
+    the header with the table of parts and the checksum."""
+    header, parts = read_file(view)
     sizes = {"header": file_size(parts) - sum(len(part.data) for part in parts)}
     for part in parts:
         name = NAMES[part.kind] if part.kind < len(NAMES) else f"kind {part.kind}"
         sizes[name] = sizes.get(name, 0) + len(part.data)
-    return sizes
+    coding = int(header["coding"])
+    return {
+        "coding": CODINGS[coding] if coding < len(CODINGS) else f"kind {coding}",
+        "colour_step": float(header["colour_step"]),
+        "density_step": float(header["density_step"]),
+        "density_scale": float(header["density_scale"]),
+        "bytes_of_parts": sizes,
+        "percent_of_parts": {name: round(100 * size / len(view), 1) for name, size in sizes.items()},
+    }
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
