@@ -1,32 +1,72 @@
-"""Draws the README's picture: the sample scene as an octree, and the same octree cut at coarser levels.
+"""Draws the README's pictures.
 
-python docs/picture.py              rewrites docs/octree.png
+python docs/picture.py              rewrites docs/octree.png: the sample scene as an octree, and cut at coarser levels
+python docs/picture.py chair        rewrites docs/chair.png: the real chair in four files; prints their sizes and PSNR
 """
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from nerfbake import Image, build_field, build_octree, cut_octree, orbit_cameras, render_field, sample_n3tree, save
+from benchmarks.scenes import DATA
+from nerfbake import (
+    Cameras,
+    Image,
+    build_field,
+    build_octree,
+    cut_octree,
+    jobs,
+    load,
+    orbit_cameras,
+    render_field,
+    sample_n3tree,
+    save,
+)
 
 LEVELS = (8, 7, 6, 5)
+CHAIR, CAPTURE = DATA / "plenoctree/chair/chair_sh9.npz", DATA / "nerf_synthetic/chair"
+VIEW, CLOSER = 5, 1.3  # which of the test views is shown, and how much larger
 
 
-def main() -> None:
-    """Four pictures side by side."""
+def draw_levels() -> None:
+    """Four levels of detail side by side."""
     octree = build_octree(sample_n3tree(resolution=256))
     framed = orbit_cameras(build_field(octree), width=420, height=360).cameras[0]
     camera = replace(framed, focal=1.3 * framed.fx)  # the scene is flatter than the ball around it
     pictures = [render_field(build_field(cut_octree(octree, level=level)), camera) for level in LEVELS]
+    _save("octree.png", pictures)
+
+
+def draw_chair() -> None:
+    """The chair as an octree, an index grid in float16, and compressed twice, from left to right."""
+    with tempfile.TemporaryDirectory() as folder:
+        octree, index, small, smaller = (Path(folder) / name for name in ("a.svo.pb", "b.vdb.npz", "c.svoq", "d.svoq"))
+        jobs.bake_octree(CHAIR, octree)
+        jobs.bake_volume(CHAIR, index, grids="index", half=True)
+        jobs.compress_file(CHAIR, small)
+        jobs.compress_file(CHAIR, smaller, goal=jobs.Goal(max_size=800_000))
+        camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW]
+        camera = replace(camera.resized(420, 420), focal=CLOSER * camera.resized(420, 420).fx)
+        seen = jobs.Seen(str(CAPTURE / "transforms_test.json"), str(CAPTURE / "test"))
+        pictures = []
+        for path in (octree, index, small, smaller):
+            found = jobs.compare_files(CHAIR, path, seen=seen).found
+            print(f"{path.stat().st_size:,} bytes, {found.means['b_truth']['psnr']:.2f} dB")
+            pictures.append(render_field(build_field(load(path)), camera))
+    _save("chair.png", pictures)
+
+
+def _save(name: str, pictures: list[Image]) -> None:
     colour, alpha, depth = (
-        np.concatenate([getattr(picture, name) for picture in pictures], axis=1)
-        for name in ("colour", "alpha", "depth")
+        np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in ("colour", "alpha", "depth")
     )
-    save(Path(__file__).with_name("octree.png"), Image(colour, alpha, depth), force=True)
+    save(Path(__file__).with_name(name), Image(colour, alpha, depth), force=True)
 
 
 if __name__ == "__main__":
-    main()
+    draw_chair() if sys.argv[1:] == ["chair"] else draw_levels()
