@@ -21,6 +21,7 @@ MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
 MIN_VOLUME = 1e-12  # of the box that they span
 ORTHOGONAL = 1e-3  # how far a rotation's axes may be from it, for a writer's rounding
 WORLD = np.eye(3)
+MAX_SAMPLES = 8  # rays along an edge of a pixel
 PICTURE_BYTES = 72  # a pixel of a picture that is kept, put into a sheet, and made into bytes (72 measured)
 
 
@@ -93,6 +94,12 @@ class Camera:
             centre = width / 2 + (self.cx - self.width / 2) * grown, height / 2 + (self.cy - self.height / 2) * grown
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
+    def part(self, columns: slice, rows: slice, *, finer: int = 1) -> Camera:
+        """Some of the picture's pixels as a picture of their own, each divided into finer x finer."""
+        width, height = (finer * (pixels.stop - pixels.start) for pixels in (columns, rows))
+        centre = finer * (self.cx - columns.start), finer * (self.cy - rows.start)
+        return replace(self, width=width, height=height, focal=(finer * self.fx, finer * self.fy), centre=centre)
+
     def require_memory(self, pixel_bytes: int) -> None:
         """Raises MemoryLimit if so many bytes for each pixel do not fit."""
         memory.require(f"a picture of {self.width}x{self.height} pixels", pixel_bytes * self.width * self.height)
@@ -143,6 +150,7 @@ class Cameras(Scene):
     dialect  whose conventions their file follows; '' for cameras that were made and not read
     source   the file or files of a folder that they were read from; '' for a file of its own
     notes    what was taken for granted, a line each
+    samples  pictures are to have samples x samples rays a pixel, 1 to 8: as their photographs were averaged
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras
@@ -155,13 +163,25 @@ class Cameras(Scene):
     dialect: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
+    samples: int = 1
 
     def __post_init__(self) -> None:
+        require_samples(self.samples)
         if not self.cameras:
             raise InvalidScene(Problem("frames", "are an empty list", "at least one camera"))
 
     def __str__(self) -> str:
         return plural(len(self.cameras), "camera") + (f" ({self.dialect})" if self.dialect else "")
+
+    @property
+    def rays_told(self) -> str:
+        """What is said of their pictures where they are to have more than one ray a pixel."""
+        return rays_told(self.samples)
+
+    def chosen(self, *, size: tuple[int, int] | None = None, samples: int | None = None) -> Cameras:
+        """The same cameras with pictures of another size (W, H) and another number of samples, where they are given."""
+        cameras = self.cameras if size is None else tuple(camera.resized(*size) for camera in self.cameras)
+        return replace(self, cameras=cameras, samples=self.samples if samples is None else samples)
 
     def value_problems(self) -> list[Problem]:
         """Poses that are no rotation, and lenses that do not cover their picture."""
@@ -189,6 +209,18 @@ class Cameras(Scene):
         """Raises MemoryLimit if so many pictures of every camera do not fit into memory all at once."""
         need = PICTURE_BYTES * pictures * sum(camera.width * camera.height for camera in self.cameras)
         memory.require(f"keeping {pictures * len(self.cameras):,} pictures at once", need)
+
+
+def require_samples(samples: int) -> int:
+    """The number itself, of rays along each edge of a pixel. Raises InvalidScene if it is not 1 to 8."""
+    if samples not in range(1, MAX_SAMPLES + 1):
+        raise InvalidScene(Problem("samples", f"are {samples!r:.40}", f"1 to {MAX_SAMPLES}"))
+    return int(samples)
+
+
+def rays_told(samples: int) -> str:
+    """What is said of pictures with more than one ray a pixel, behind a comma; '' of all others."""
+    return "" if samples == 1 else f", {samples}x{samples} rays a pixel"
 
 
 def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:

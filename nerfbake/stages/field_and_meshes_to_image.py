@@ -11,6 +11,7 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.radiance_field import RadianceField, require_field
+from nerfbake.stages._supersampled import supersampled
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
 
@@ -24,6 +25,7 @@ def render_field_and_meshes(
     *,
     how: Composite = "stop",
     background: tuple[float, float, float] | None = WHITE,
+    samples: int = 1,
     **options: Any,
 ) -> Image:
     """What the camera sees of a field with meshes in it; both stand in the same world. Options go to render_field().
@@ -32,6 +34,8 @@ def render_field_and_meshes(
     ztest  the field is rendered as if it were alone; where its expected depth is nearer than the mesh, all of it is
            laid over the mesh, elsewhere the mesh is seen alone. For pictures with depth that are there already; wrong
            where a ray meets something on both sides of the mesh.
+    Of samples x samples rays a pixel each ends, or is tested, on its own; the pixel is their mean, as render_field()
+    has it: at the rim of a mesh, too.
     Source: TR-24-01 (docs/sources.md), section 5.2.
 
     >>> import numpy as np
@@ -45,6 +49,12 @@ def render_field_and_meshes(
     if how not in get_args(Composite):
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))
     require_field(field)
+    image = supersampled(lambda part: _rendered(field, meshes, part, how, options), camera, samples)
+    return image if background is None else image.over(background)
+
+
+def _rendered(field: RadianceField, meshes: Meshes, camera: Camera, how: Composite, options: dict[str, Any]) -> Image:
+    """With one ray a pixel, over nothing."""
     mesh = render_meshes(meshes, camera, background=None)
     solid = mesh.alpha > 0
     stop = np.where(solid, mesh.depth, np.inf).astype(np.float64) if how == "stop" else None
@@ -56,5 +66,4 @@ def render_field_and_meshes(
     colour = np.where(hidden[..., None], 0, fog.colour) + left[..., None] * mesh.colour
     far = near * fog.depth + left * mesh.depth
     depth = np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
-    image = Image(colour.astype(np.float32), alpha, depth, None)
-    return image if background is None else image.over(background)
+    return Image(colour.astype(np.float32), alpha, depth, None)

@@ -12,6 +12,7 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
+from nerfbake.stages._supersampled import supersampled
 
 _RAY_BYTES, _BASIS_BYTES = 130, 5  # a pixel, and a pixel and coefficient, while rays are marched (129 and 4.8 measured)
 
@@ -24,6 +25,7 @@ def render_field(
     transmittance_cut: float = 1e-4,
     lookup: Lookup = "nearest",
     stop: npt.NDArray[np.float64] | None = None,
+    samples: int = 1,
 ) -> Image:
     """What the camera sees of the field. Source: docs/conventions.md, "How a picture is made".
 
@@ -34,6 +36,8 @@ def render_field(
     lookup  nearest: each leaf is a cell of constant density and of the colour that it has in the ray's direction;
             sums along the ray are exact. trilinear: between the centres of cells of the finest level, density and
             coefficients are interpolated, the coefficients by density.
+    samples samples x samples rays a pixel (1 to 8), through the middles of as many squares, and their mean: of colours
+            as they are, in sRGB, and of depths by alpha. A stop is one ray's: it goes with one ray a pixel alone.
 
     build_field() makes the field of a scene, once for all pictures; a scene itself is refused with UsageError.
 
@@ -48,12 +52,29 @@ def render_field(
         raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, without 1"))
     if lookup not in ("nearest", "trilinear"):
         raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
+    if stop is not None and stop.shape != (camera.height, camera.width):
+        raise InvalidScene(Problem("stop", f"has shape {stop.shape}", f"{(camera.height, camera.width)}"))
+    if stop is not None and samples != 1:
+        found = f"has a distance a pixel, for {samples!r:.40} samples"
+        raise InvalidScene(Problem("stop", found, "1 sample; render_field_and_meshes() for more"))
+    return supersampled(
+        lambda part: _rendered(field, part, background, transmittance_cut, lookup, stop), camera, samples
+    )
+
+
+def _rendered(
+    field: RadianceField,
+    camera: Camera,
+    background: tuple[float, float, float] | None,
+    cut: float,
+    lookup: Lookup,
+    stop: npt.NDArray[np.float64] | None,
+) -> Image:
+    """With one ray a pixel."""
     shape = (camera.height, camera.width)
-    if stop is not None and stop.shape != shape:
-        raise InvalidScene(Problem("stop", f"has shape {stop.shape}", f"{shape}"))
     camera.require_memory(_RAY_BYTES + _BASIS_BYTES * field.basis.size)
     far_away = np.full(camera.height * camera.width, np.inf) if stop is None else stop.astype(np.float64).reshape(-1)
-    out = _marched(field, camera, far_away, transmittance_cut, lookup)
+    out = _marched(field, camera, far_away, cut, lookup)
     colour, alpha, far = out[:, :3], out[:, 3], out[:, 4]
     if background is not None:
         colour = colour + (1 - alpha[:, None]) * np.array(background, np.float32)

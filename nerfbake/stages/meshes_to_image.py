@@ -9,17 +9,21 @@ from nerfbake.kernels.surface.texture import bilinear
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Meshes
+from nerfbake.stages._supersampled import supersampled
 from nerfbake.stages._surface import Hits, paint
 
 GREY = np.float32(0.75)
 _AMBIENT = np.float32(0.25)  # of the colour, where a surface is seen edge-on
 
 
-def render_meshes(scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE) -> Image:
+def render_meshes(
+    scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE, samples: int = 1
+) -> Image:
     """What the camera sees of opaque triangles, from both of their sides, over a background (None: transparent).
 
     A texture is shown as it is, between its texels' centres; a mesh without one is grey, or has its vertices' colours,
-    and is lit from the camera. Alpha is 0 or 1, depth the distance along the ray. Nothing is smoothed at edges.
+    and is lit from the camera. Alpha is 0 or 1 of a ray, depth the distance along it. With one ray a pixel nothing is
+    smoothed at edges; samples x samples rays are averaged as render_field() does it.
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes, orbit_cameras, render_meshes
@@ -28,7 +32,11 @@ def render_meshes(scene: Meshes, camera: Camera, *, background: tuple[float, flo
     >>> image.size, sorted(set(image.alpha.flat)) == [0, 1]
     ((16, 12), True)
     """
-    return paint(scene.meshes, camera, lambda _, hits: surface_colours(hits), background)
+
+    def rendered(part: Camera) -> Image:
+        return paint(scene.meshes, part, lambda _, hits: surface_colours(hits), background)
+
+    return supersampled(rendered, camera, samples)
 
 
 def surface_colours(hits: Hits) -> npt.NDArray[np.float32]:

@@ -13,17 +13,23 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import Stage1
+from nerfbake.stages._supersampled import supersampled
 from nerfbake.stages._surface import Hits, paint
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
 def render_stage1(
-    scene: Stage1 | BakedAtlas, camera: Camera, *, background: tuple[float, float, float] | None = WHITE
+    scene: Stage1 | BakedAtlas,
+    camera: Camera,
+    *,
+    background: tuple[float, float, float] | None = WHITE,
+    samples: int = 1,
 ) -> Image:
     """clamp(diffuse + specular) at each pixel, over a background (None: transparent).
 
     Of a Stage1 specular is the MLP, of a BakedAtlas it is what atlas.glsl shows; both at the nearest texel, as the
-    viewer of nerf2mesh (its renderer.html) has it, maps between texels. Raises InvalidScene where a mesh is missing.
+    viewer of nerf2mesh (its renderer.html) has it, maps between texels. samples x samples rays a pixel are averaged as
+    render_field() does it. Raises InvalidScene where a mesh is missing.
     Source: docs/formats/atlas.md, "The stage-1 folder".
 
     >>> from nerfbake import orbit_cameras, render_stage1, sample_stage1
@@ -37,7 +43,8 @@ def render_stage1(
         specular = _mlp(scene, cascade, hits) if isinstance(scene, Stage1) else _atlas(scene, cascade, hits)
         return np.asarray(np.clip(surface_colours(hits) + specular, 0, 1), np.float32)
 
-    return paint(surfaces(scene), camera, colours, background)
+    meshes = surfaces(scene)
+    return supersampled(lambda part: paint(meshes, part, colours, background), camera, samples)
 
 
 def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
