@@ -9,23 +9,26 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Command, PixelSize, as_json, reads, speaks, without_effect
+from nerfbake.cli.params import CAPTURE, Command, PixelSize, as_json, reads, samples, speaks, without_effect
 from nerfbake.cli.words import Words
 from nerfbake.jobs.comparisons import Compared, Limits, Pages, Seen, compare_files
 from nerfbake.jobs.files import Source
 
 
 def sees(function: Command) -> Command:
-    """Adds --cameras, --truth and --size; the command gets `seen`."""
+    """Adds --cameras, --truth, --size and --samples; the command gets `seen`."""
 
     @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
     @click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera.")
     @click.option(
         "--size", type=PixelSize(), help="Size in pixels.  [default: the truth's or the cameras', 400x400 for an orbit]"
     )
+    @samples
     @wraps(function)
-    def command(*args: Any, cameras: str | None, truth: str | None, size: Any, **others: Any) -> Any:
-        return function(*args, seen=Seen(cameras, truth, size), **others)
+    def command(
+        *args: Any, cameras: str | None, truth: str | None, size: Any, samples: int | None, **others: Any
+    ) -> Any:
+        return function(*args, seen=Seen(cameras, truth, size, samples), **others)
 
     return command
 
@@ -86,7 +89,7 @@ def compare(source: Source, other: str, as_json: bool, words: Words, **options: 
 def _print_json(a: str, b: str, compared: Compared) -> None:
     found, sizes = compared.found, {"a": compared.a["bytes"], "b": compared.b["bytes"]}
     facts = {"a": a, "b": b, "mean": found.means, "values": found.values, "views": found.views}
-    io.print_text(json.dumps({**facts, "bytes": sizes}))
+    io.print_text(json.dumps({**facts, "bytes": sizes, "samples": found.samples}))
 
 
 def _print(compared: Compared) -> None:
@@ -103,3 +106,5 @@ def _print(compared: Compared) -> None:
         io.print_text(f"{'values':<12}{name:<14}mean {errors['mean']:.4g}, max {errors['max']:.4g}")
     for name, file in (("IN", compared.a), ("IN2", compared.b)):
         io.print_text(f"{'bytes':<12}{name:<14}{file['bytes']:,}")
+    if found.samples > 1:
+        io.print_text(f"{'rays':<12}{'a pixel':<14}{found.samples}x{found.samples}")

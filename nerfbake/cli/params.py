@@ -154,16 +154,25 @@ def writes(*scenes: str) -> Callable[[Command], Command]:
     return add
 
 
+samples = click.option(
+    "--samples",
+    type=click.IntRange(1, 8),
+    help="Rays along each edge of a pixel: N x N, averaged.  [default: the cameras', else 1]",
+)
+
+
 def judges(function: Command) -> Command:
-    """Adds --min-psnr and --cameras; the command gets `budget`."""
+    """Adds --min-psnr, --cameras and --samples; the command gets `budget`."""
 
     @click.option("--min-psnr", type=float, help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
     @click.option("--cameras", metavar="CAPTURE", help=f"The views to judge: {CAPTURE}.  [default: 8 views around IN]")
+    @samples
     @functools.wraps(function)
-    def command(*args: Any, min_psnr: float | None, cameras: str | None, **others: Any) -> Any:
+    def command(*args: Any, min_psnr: float | None, cameras: str | None, samples: int | None, **others: Any) -> Any:
         if min_psnr is None:
-            without_effect("cameras", here="where nothing is judged", allowed="--cameras with --min-psnr")
-        return function(*args, budget=Budget(min_psnr, cameras), **others)
+            for name in ("cameras", "samples"):
+                without_effect(name, here="where nothing is judged", allowed=f"--{name} with --min-psnr")
+        return function(*args, budget=Budget(min_psnr, cameras, samples), **others)
 
     return command
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 import click
 
-from nerfbake.cli.params import CAPTURE, Command, PixelSize, reads, speaks, without_effect
+from nerfbake.cli.params import CAPTURE, Command, PixelSize, reads, samples, speaks, without_effect
 from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source
@@ -30,7 +30,7 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
 
 
 def takes_shots(function: Command) -> Command:
-    """Adds --cameras, --frame, --all, --turntable and --size; the command gets `shots`."""
+    """Adds --cameras, --frame, --all, --turntable, --size and --samples; the command gets `shots`."""
 
     @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: an orbit around the scene]")
     @click.option(
@@ -39,11 +39,19 @@ def takes_shots(function: Command) -> Command:
     @click.option("--all", "every", is_flag=True, help="Render the views of all cameras.")
     @click.option("--turntable", type=click.IntRange(2, 1000), help="Render this many views around the scene.")
     @click.option("--size", type=PixelSize(), help="Size in pixels.  [default: the cameras', 800x800 for an orbit]")
+    @samples
     @wraps(function)
     def command(
-        *args: Any, cameras: str | None, frame: int, every: bool, turntable: int | None, size: Any, **others: Any
+        *args: Any,
+        cameras: str | None,
+        frame: int,
+        every: bool,
+        turntable: int | None,
+        size: Any,
+        samples: int | None,
+        **others: Any,
     ) -> Any:
-        shots = Shots(cameras, frame, every, turntable, size)
+        shots = Shots(cameras, frame, every, turntable, size, samples)
         shots.require()
         if turntable or not cameras:
             without_effect("frame", "every", here="without cameras to choose from", allowed="with --cameras")
@@ -143,6 +151,7 @@ def render(source: Source, pictures: Pictures, shots: Shots, words: Words, **opt
       nerfbake render chair.npz --out chair.png
       nerfbake render chair.nvdb --out chair.png --lookup trilinear --depth
       nerfbake render smoke.vdb --grid density --up y --out smoke.png
+      nerfbake render chair.npz --samples 2 --out smooth.png
       nerfbake render chair.npz --turntable 36 --size 400x400 --out chair.gif
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
       nerfbake render chair.svo.pb --mesh room.glb --out room.png

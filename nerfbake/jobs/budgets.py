@@ -20,10 +20,12 @@ class Budget(NamedTuple):
     min_psnr  the least mean PSNR against what it was made from, in dB; None: it may lose anything, and no picture is
               made
     cameras   a capture whose views judge; None: 8 views around the scene
+    samples   rays along each edge of a pixel; None: as the cameras have it, or 1
     """
 
     min_psnr: float | None = None
     cameras: str | None = None
+    samples: int | None = None
 
     def require(self, target: Target) -> None:
         """Raises UsageError, before any work is done, if there would be no file to judge."""
@@ -56,12 +58,12 @@ def judge(
     if not isinstance(scene, nerfbake.Stage1):
         with steps.phase("building the field"), io.blame(made_from):
             seen = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
-    views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE)
+    views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples)
     file = Source(written)
     with file.blamed(steps, "judging"), io.rejected_unless_good(written):
         made = file.read(steps)
         found = nerfbake.compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
         found.require(min_psnr=budget.min_psnr)
     decibels = float(found.means["a_b"]["psnr"])
-    steps.say(f"{written}: {decibels:.2f} dB against {made_from}")
+    steps.say(f"{written}: {decibels:.2f} dB against {made_from}{views.rays_told}")
     return decibels

@@ -21,11 +21,13 @@ class Seen(NamedTuple):
     cameras  a capture; None: 8 views around the first scene
     truth    a folder with a photograph, NAME.png, for each of the cameras; None: there are none
     size     (W, H) pixels; None: the truth's or the cameras', 400 x 400 for an orbit
+    samples  rays along each edge of a pixel; None: as the cameras have it, or 1
     """
 
     cameras: str | None = None
     truth: str | None = None
     size: tuple[int, int] | None = None
+    samples: int | None = None
 
 
 class Limits(NamedTuple):
@@ -92,11 +94,14 @@ def compare_files(
     if type(scene) in _fields():
         with first.blamed(steps, "building the field"):
             scene = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
-    views = views_of(steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size)
+    views = views_of(
+        steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples
+    )
     photographs = _photographs(seen.truth, views) if seen.truth else None
     if photographs and not seen.size:
         sizes = [photograph.size for photograph in photographs]
-        views = nerfbake.Cameras(tuple(v.resized(*size) for v, size in zip(views.cameras, sizes, strict=True)))
+        resized = tuple(view.resized(*size) for view, size in zip(views.cameras, sizes, strict=True))
+        views = nerfbake.Cameras(resized, samples=views.samples)
     with second.blamed(steps, f"rendering {2 * len(views.cameras)} pictures"):
         if pages:
             views.require_memory(pictures=6 if photographs else 4)

@@ -26,6 +26,7 @@ class Shots(NamedTuple):
     every      all of the cameras
     turntable  so many pictures around the scene
     size       (W, H) pixels; None: the cameras', 800 x 800 for an orbit
+    samples    rays along each edge of a pixel; None: as the cameras have it, or 1
     """
 
     cameras: str | None = None
@@ -33,6 +34,7 @@ class Shots(NamedTuple):
     every: bool = False
     turntable: int | None = None
     size: tuple[int, int] | None = None
+    samples: int | None = None
 
     @property
     def several(self) -> bool:
@@ -43,16 +45,19 @@ class Shots(NamedTuple):
         if self.turntable and self.cameras:
             raise UsageError("--turntable goes around the scene; allowed: it or --cameras")
 
-    def of(self, steps: Steps, field: nerfbake.RadianceField, name: str) -> Sequence[nerfbake.Camera]:
+    def of(self, steps: Steps, field: nerfbake.RadianceField, name: str) -> nerfbake.Cameras:
         """The cameras; name: the scene's, for errors. Raises UsageError where there is no such frame."""
         frames = self.turntable or 1
-        views = views_of(steps, field, self.cameras, name=name, frames=frames, edge=EDGE, size=self.size).cameras
-        chosen = views if self.several else views[self.frame : self.frame + 1]
-        if not chosen:
-            raise UsageError(f"--frame is {self.frame}; allowed: 0 to {len(views) - 1}")
+        views = views_of(
+            steps, field, self.cameras, name=name, frames=frames, edge=EDGE, size=self.size, samples=self.samples
+        )
+        if not self.several:
+            if not 0 <= self.frame < len(views.cameras):
+                raise UsageError(f"--frame is {self.frame}; allowed: 0 to {len(views.cameras) - 1}")
+            views = nerfbake.Cameras(views.cameras[self.frame : self.frame + 1], samples=views.samples)
         with io.blame(self.cameras or name):
-            nerfbake.Cameras(chosen).require_covered()
-        return chosen
+            views.require_covered()
+        return views
 
 
 ONE_SHOT = Shots()
@@ -149,16 +154,16 @@ def render_views(
     field = _read(steps, source, lod, choice)
     views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)
-    paths = [pictures.out] if together else pictures.settle(views, several=shots.several)
-    drawn = _drawn(steps, source, views, _renderer(field, mesh, options))
+    paths = [pictures.out] if together else pictures.settle(views.cameras, several=shots.several)
+    drawn = _drawn(steps, source, views.cameras, _renderer(field, mesh, views.samples, options))
     if together:
         with io.blame(pictures.out):
-            nerfbake.Cameras(tuple(views)).require_memory()
-        _write_together(steps, pictures, together, list(drawn))
+            views.require_memory()
+        _write_together(steps, pictures, together, list(drawn), views.rays_told)
         return paths
     for path, image in zip(paths, drawn, strict=True):
         pictures.write(path, image, several=shots.several)
-        steps.say(f"{path}: {image}")
+        steps.say(f"{path}: {image}{views.rays_told}")
     return paths
 
 
@@ -174,13 +179,13 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: Choice) -> nerf
 
 
 def _renderer(
-    field: nerfbake.RadianceField, mesh: PlacedMesh | None, options: dict[str, Any]
+    field: nerfbake.RadianceField, mesh: PlacedMesh | None, samples: int, options: dict[str, Any]
 ) -> Callable[..., nerfbake.Image]:
     """What makes a picture of a camera."""
     if mesh is None:
-        return partial(nerfbake.render_field, field, **options)
+        return partial(nerfbake.render_field, field, samples=samples, **options)
     meshes = io.load(mesh.path, nerfbake.Meshes).with_up(mesh.up)
-    return partial(nerfbake.render_field_and_meshes, field, meshes, how=mesh.how, **options)
+    return partial(nerfbake.render_field_and_meshes, field, meshes, how=mesh.how, samples=samples, **options)
 
 
 def _drawn(
@@ -193,8 +198,8 @@ def _drawn(
         yield image
 
 
-def _write_together(steps: Steps, pictures: Pictures, kind: str, images: list[nerfbake.Image]) -> None:
+def _write_together(steps: Steps, pictures: Pictures, kind: str, images: list[nerfbake.Image], rays: str) -> None:
     with steps.phase(f"writing {pictures.out}"), io.blame(pictures.out):
         whole = nerfbake.Animation(tuple(images)) if kind == "Animation" else nerfbake.Image.tiled(images)
         written = io.save(pictures.out, whole, force=pictures.force)
-    steps.say(f"{pictures.out}: {whole}, {written:,} bytes")
+    steps.say(f"{pictures.out}: {whole}{rays}, {written:,} bytes")

@@ -29,14 +29,16 @@ def views_of(
     frames: int,
     edge: int,
     size: tuple[int, int] | None = None,
+    samples: int | None = None,
 ) -> nerfbake.Cameras:
     """The cameras of a capture; without one those of an orbit of so many frames, `edge` pixels wide and high.
 
-    name: the scene's, for errors. size: (W, H) pixels, where they are to be others.
+    name: the scene's, for errors. size: (W, H) pixels, samples: rays along each edge of a pixel, where they are to be
+    others than the capture's, or than one ray a pixel.
     """
     if cameras is None:
         width, height = size or (edge, edge)
         with steps.phase("framing"), io.blame(name):
-            return nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
-    read = read_cameras(steps, cameras)
-    return nerfbake.Cameras(tuple(camera.resized(*size) for camera in read.cameras)) if size else read
+            orbit = nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
+        return orbit.chosen(samples=samples)
+    return read_cameras(steps, cameras).chosen(size=size, samples=samples)

@@ -36,6 +36,7 @@ class Comparison(Scene):
     values   {sigma, dc, higher}: mean and largest absolute difference at the centres of a's leaves; {} where the two
              hold values of different kinds
     pictures for each camera the truth (or None), a and b, over white; () where they were not kept
+    samples  the pictures of a and b have samples x samples rays a pixel
 
     >>> from nerfbake import build_field, build_octree, compare_scenes, orbit_cameras, sample_n3tree
     >>> tree = sample_n3tree(resolution=8)
@@ -48,6 +49,7 @@ class Comparison(Scene):
     views: tuple[dict[str, Any], ...]
     values: dict[str, Any]
     pictures: tuple[tuple[Image | None, Image, Image], ...]
+    samples: int = 1
 
     @property
     def means(self) -> dict[str, Any]:

@@ -18,7 +18,8 @@ def summary_of_cameras(cameras: Cameras) -> dict[str, Any]:
     """Dialect, pictures by size, focal lengths and centres in pixels, lenses, and where they stand.
 
     Ranges are [least, greatest] over all cameras; centres are told from the picture's middle. up is an axis of the
-    world only where the cameras' own upward directions agree on it, as those of a hand-held capture do.
+    world only where the cameras' own upward directions agree on it, as those of a hand-held capture do. samples are
+    told where pictures are to have more than one ray a pixel.
     """
     all_of = cameras.cameras
     places = np.array([camera.pose[:3, 3] for camera in all_of])
@@ -32,6 +33,7 @@ def summary_of_cameras(cameras: Cameras) -> dict[str, Any]:
         "focal_y": _range([camera.fy for camera in all_of]),
         "centre_x_off": _range([camera.cx - camera.width / 2 for camera in all_of]),
         "centre_y_off": _range([camera.cy - camera.height / 2 for camera in all_of]),
+        **({} if cameras.samples == 1 else {"samples": cameras.samples}),
         "lenses": dict(Counter(map(_lens, all_of))),
         "position_box": [places.min(axis=0).tolist(), places.max(axis=0).tolist()],
         "up": _up(np.array([camera.pose[:3, 1] for camera in all_of])),

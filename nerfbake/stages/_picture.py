@@ -24,13 +24,13 @@ def visible(scene: Visible | FieldSource) -> Visible:
     return scene if isinstance(scene, Visible) else build_field(scene)
 
 
-def picture(scene: Visible, camera: Camera) -> Image:
-    """What the camera sees, over white."""
+def picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
+    """What the camera sees, over white, with samples x samples rays a pixel."""
     if isinstance(scene, Meshes):
-        return render_meshes(scene, camera)
+        return render_meshes(scene, camera, samples=samples)
     if isinstance(scene, Stage1 | BakedAtlas):
-        return render_stage1(scene, camera)
-    return render_field(scene, camera)
+        return render_stage1(scene, camera, samples=samples)
+    return render_field(scene, camera, samples=samples)
 
 
 def frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

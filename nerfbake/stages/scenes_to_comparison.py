@@ -31,6 +31,8 @@ def compare_scenes(
 ) -> Comparison:
     """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
 
+    Pictures have as many rays a pixel as the cameras ask for.
+
     Fields are built where they are not given: who has one already saves the time.
 
     Without keep_pictures one view's are in memory at a time, and there is nothing to draw. Errors are on sRGB in 0..1,
@@ -48,10 +50,10 @@ def compare_scenes(
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
     cameras.require_covered()
     one, other = visible(a), visible(b)
-    views, pictures = [], []
+    views, pictures, samples = [], [], cameras.samples
     for i, camera in enumerate(cameras.cameras):
         camera.require_memory(_PIXEL_BYTES)
-        seen = {"a": picture(one, camera), "b": picture(other, camera)}
+        seen = {"a": picture(one, camera, samples=samples), "b": picture(other, camera, samples=samples)}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:
@@ -64,7 +66,7 @@ def compare_scenes(
         views.append(view)
         if keep_pictures:
             pictures.append((photograph, seen["a"], seen["b"]))
-    return Comparison(tuple(views), _value_errors(one, other), tuple(pictures))
+    return Comparison(tuple(views), _value_errors(one, other), tuple(pictures), samples)
 
 
 def _errors(a: Image, b: Image) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,33 @@ def test_truth_from_a_folder(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "truth" / "0001.png").unlink()
     done = shell("compare", "a.npz", "a.npz", "--cameras", "cameras.json", "--truth", "truth")
     assert (done.returncode, done.stderr) == (1, b"error: truth/0001.png: No such file or directory\n")
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_reports_say_how_many_rays_a_pixel_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tree = load("a.npz", N3Tree)
+    views = orbit_cameras(build_field(tree), frames=2, width=24, height=20)
+    save("cameras.json", replace(views, samples=2))
+    assert run(["svo", "a.npz", "b.svo.pb", "--resolution", "2"]) == 0
+    lines = ["compare", "a.npz", "b.svo.pb", "--cameras", "cameras.json"]
+    found = set()
+    for samples, more in ((2, []), (1, ["--samples", "1"]), (3, ["--samples", "3"])):
+        facts = told([*lines, *more, "--html", f"{samples}.html"], capsys)
+        assert facts["samples"] == samples
+        assert (f", {samples}x{samples} rays a pixel" in Path(f"{samples}.html").read_text()) == (samples > 1)
+        found.add(facts["mean"]["a_b"]["psnr"])
+        assert run([*lines, *more, "-q"]) == 0
+        last = capsys.readouterr().out.splitlines()[-1].split()
+        assert last == ["rays", "a", "pixel", f"{samples}x{samples}"] or (samples == 1 and last[0] == "bytes")
+    assert len(found) == 3
+    # Pictures and their truth through the same filter are the same but for 8 bits.
+    assert run(["render", "a.npz", "--cameras", "cameras.json", "--all", "--out", "truth", "-q"]) == 0
+    lines = ["compare", "a.npz", "a.npz", "--cameras", "cameras.json", "--truth", "truth"]
+    same, other = (told([*lines, *more], capsys)["mean"]["a_truth"]["psnr"] for more in ([], ["--samples", "1"]))
+    assert same > 50 > other
 
 
 def test_an_atlas_against_the_mlp_in_pictures(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:

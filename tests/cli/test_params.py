@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake.cli.main import run
+from nerfbake.cli.main import cli, run
 from nerfbake.cli.params import Size
+from nerfbake.scene.camera import MAX_SAMPLES
 
 REFUSED = [
     ("atlas in out --nodes 7", "--nodes has no effect with --method kmeans; allowed: --nodes with --method grid"),
@@ -18,6 +19,10 @@ REFUSED = [
     ("atlas in out --cameras t.json", "--cameras has no effect where nothing is judged"),
     ("atlas-error out in --held-out --directions 100", "--directions has no effect with --held-out"),
     ("svo a.npz a.svo.pb --cameras t.json", "allowed: --cameras with --min-psnr"),
+    ("svo a.npz a.svo.pb --samples 2", "--samples has no effect where nothing is judged; allowed: --samples with"),
+    ("vdb a.npz a.vdb --samples 1", "--samples has no effect where nothing is judged"),
+    ("lod a.svo.pb b.svo.pb --level 1 --samples 1", "--samples has no effect where nothing is judged"),
+    ("atlas in out --samples 8", "--samples has no effect where nothing is judged"),
     ("lod a.svo.pb b.svo.pb --level 1 --cameras t.json", "--cameras has no effect"),
     ("vdb a.npz a.vdb --cameras t.json", "--cameras has no effect"),
     ("render a.npz --out a.png --composite stop", "--composite has no effect without a mesh"),
@@ -38,6 +43,22 @@ def test_options_without_effect_are_refused(
     assert run(line.split()) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert named in said
+
+
+JUDGING = [name for name, command in cli.commands.items() if any(p.name == "min_psnr" for p in command.params)]
+
+
+@pytest.mark.parametrize("name", ["render", *JUDGING])
+@pytest.mark.parametrize("value", ["0", "-1", str(MAX_SAMPLES + 1), "nan", "1e99", "9" * 400, "2.5", ""])
+def test_every_command_that_renders_knows_how_many_rays_a_pixel_may_have(
+    name: str, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert {"compare", "svo", "lod", "vdb", "atlas"} <= set(JUDGING)
+    assert run([name, "--samples", value]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "'--samples'" in said
+    (option,) = (param for param in cli.commands[name].params if param.name == "samples")
+    assert (option.type.min, option.type.max) == (1, MAX_SAMPLES)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("text", "size"), [("100", 100), ("1.5KiB", 1536), ("2 MB", 2_000_000), ("4gib", 4 << 30)])

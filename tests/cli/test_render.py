@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image as Pillow
 
-from nerfbake import Depth, Meshes, build_field, build_octree, build_vdb, load, orbit_cameras, save
+from nerfbake import Cameras, Depth, Meshes, build_field, build_octree, build_vdb, load, orbit_cameras, save
 from nerfbake.cli.main import run
 from tests.conftest import DATA, Shell
 from tests.support.captures import rig, write_colmap_binary
@@ -49,6 +51,28 @@ def test_pictures(shell: Shell, scene: Path) -> None:
     ).stdout
     with Pillow.open(io.BytesIO(clear)) as picture:
         assert picture.mode == "RGBA"
+
+
+def test_rays_a_pixel(scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(scene)
+    save("four.json", replace(load("transforms.json", Cameras), samples=2))
+    seen = {}
+    for cameras, given in product(("transforms.json", "four.json"), ("", "1", "2")):
+        more = ["--samples", given] if given else []
+        assert run(["render", "a.npz", "--cameras", cameras, *more, "--out", "a.png", "--force"]) == 0
+        several = given == "2" or (not given and cameras == "four.json")
+        assert (", 2x2 rays a pixel" in capsys.readouterr().err) == several
+        seen[cameras, given] = Path("a.png").read_bytes()
+    one, four = seen["transforms.json", ""], seen["four.json", ""]
+    assert one != four
+    assert seen["transforms.json", "1"] == seen["four.json", "1"] == one
+    assert seen["transforms.json", "2"] == seen["four.json", "2"] == four
+    assert run(["render", "a.npz", "--turntable", "2", "--size", "8x8", "--samples", "3", "--out", "turn.gif"]) == 0
+    assert capsys.readouterr().err.startswith("turn.gif: animation of 2 pictures of 8x8, 3x3 rays a pixel, ")
+    save("m.glb", Meshes((cube(0.3),)))
+    for how in ("stop", "ztest"):
+        mesh = ["--mesh", "m.glb", "--composite", how, "--samples", "2", "--size", "8x8"]
+        assert run(["render", "a.npz", "--out", f"{how}.png", *mesh]) == 0
 
 
 def test_a_mesh_in_the_picture(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nerfbake import N3Tree, build_octree, build_vdb, load, save
+from nerfbake import Cameras, N3Tree, build_octree, build_vdb, cut_octree, load, save
 from nerfbake.errors import BudgetMissed, InvalidFile, InvalidScene
 from nerfbake.jobs import Budget, judge
 from tests.jobs.listener import Listener
@@ -22,6 +23,18 @@ def test_the_file_is_judged_not_what_it_was_made_from(folder: Path, listener: Li
     (folder / "a.svo.pb").write_bytes(b"broken on its way to the disk")
     with pytest.raises(InvalidFile, match=r"a\.svo\.pb"):
         judge("a.svo.pb", tree, Budget(50, "cameras.json"), made_from="a.npz")
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_budget_is_judged_with_the_rays_that_it_asks_for(listener: Listener) -> None:
+    save("small.svo.pb", cut_octree(build_octree(load("a.npz", N3Tree)), level=1))
+    save("four.json", replace(load("cameras.json", Cameras), samples=2))
+    tree, found = load("a.npz", N3Tree), {}
+    for cameras, samples in (("cameras.json", None), ("cameras.json", 2), ("four.json", None), ("four.json", 1)):
+        budget = Budget(1, cameras, samples)
+        found[cameras, samples] = judge("small.svo.pb", tree, budget, made_from="a.npz", steps=listener)
+    assert found["cameras.json", None] == found["four.json", 1] != found["cameras.json", 2] == found["four.json", None]
+    assert [line.endswith(", 2x2 rays a pixel") for line in listener.said] == [False, True, True, False]
 
 
 @pytest.mark.usefixtures("folder")

@@ -47,6 +47,11 @@ def test_what_is_told_by_hand() -> None:
     }
 
 
+def test_samples_are_told_where_there_are_several() -> None:
+    assert "samples" not in summarise_scene(around(0.5))
+    assert summarise_scene(replace(around(0.5), samples=2))["samples"] == 2
+
+
 def test_up_is_told_only_where_cameras_agree() -> None:
     half_turn = np.diag([1.0, -1, -1])
     to_y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

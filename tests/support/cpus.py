@@ -40,6 +40,7 @@ vdb scene.npz density.nvdb --grids density --up y
 vdb scene.npz index.nvdb --grids index
 vdb scene.npz colour.vdb.npz
 render scene.npz --out scene.png --size 120x100 --depth --alpha
+render scene.npz --samples 3 --out fine.png --size 60x50 --depth
 render full.svo.pb --lookup trilinear --out smooth.png --size 120x100
 render full.svo.pb --lod 4 --turntable 3 --out turn.gif --size 60x50
 render colour.vdb --out volume.png --size 120x100

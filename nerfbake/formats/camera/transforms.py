@@ -4,9 +4,11 @@ frames            [{file_path, transform_matrix: 4 x 4, camera to world, OpenGL 
                   transform_matrix_start and _end, of which the first is taken
 x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_angle_y: radians; y as x unless told
 cx, cy, w, h      pixels; the principal point in the middle, and the size of the pictures, unless told
+samples           of this tool's own: pictures are to have so many rays along each edge of a pixel, 1 unless told
 camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
-All but the frames may stand in a frame, too, which then counts. An instant-ngp file may have comments. What instant-ngp
-and nerfstudio make of the world while they train (scale, offset, aabb_scale, applied_transform) is not in the poses.
+All but the frames and samples may stand in a frame, too, which then counts. An instant-ngp file may have comments. What
+instant-ngp and nerfstudio make of the world while they train (scale, offset, aabb_scale, applied_transform) is not in
+the poses.
 Sources: instant-ngp's nerf_loader.cu and colmap2nerf.py; nerfstudio's nerfstudio_dataparser.py; and
 docs/formats/cameras.md, "Dialects".
 """
@@ -24,10 +26,10 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.capture import DEFAULT_EDGE, Folder, PictureSizes, Size, names_of, room_for, size_note
 from nerfbake.formats.camera.transforms_frames import parse, poses_of
 from nerfbake.formats.camera.transforms_lens import LENS_KEYS, lens_fields, lens_of
-from nerfbake.formats.wire.json import number, shown, within
+from nerfbake.formats.wire.json import number, shown, whole, within
 from nerfbake.kernels.maths.elementary import arctan, tangent
 from nerfbake.kernels.soundness import MAX_EDGE
-from nerfbake.scene.camera import FOCAL_LENGTHS, Camera, Cameras
+from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras
 
 # What would change rays, and is read by nobody here: a file that has one of these, other than 0 or false, is refused.
 _UNKNOWN = (
@@ -76,18 +78,20 @@ def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
             own = _intrinsics(frame, fields, size, f"frames[{i}]")
         guessed += seen is None and not _sized(fields, frame)
         cameras.append(Camera(pose=poses[i], name=name, **own))
-    return Cameras(tuple(cameras), _dialect(fields, frames), notes=size_note(guessed, first))
+    samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
+    return Cameras(tuple(cameras), _dialect(fields, frames), notes=size_note(guessed, first), samples=samples)
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:
     """Read by instant-ngp and nerfstudio, too: what all cameras have in common once, else each frame its own."""
     owns = [_fields(camera) for camera in cameras.cameras]
-    whole = all(own == owns[0] for own in owns)
+    alike = all(own == owns[0] for own in owns)
     frames = [
-        {"file_path": camera.name, **({} if whole else own), "transform_matrix": camera.pose.tolist()}
+        {"file_path": camera.name, **({} if alike else own), "transform_matrix": camera.pose.tolist()}
         for camera, own in zip(cameras.cameras, owns, strict=True)
     ]
-    yield json.dumps({**(owns[0] if whole else {}), "frames": frames}, indent=1).encode() + b"\n"
+    told = {} if cameras.samples == 1 else {"samples": cameras.samples}
+    yield json.dumps({**told, **(owns[0] if alike else {}), "frames": frames}, indent=1).encode() + b"\n"
 
 
 def _fields(camera: Camera) -> dict[str, Any]:

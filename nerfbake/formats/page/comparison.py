@@ -17,6 +17,7 @@ from typing import Any
 from nerfbake.errors import format_size, one_line
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.page_style import STYLE
+from nerfbake.scene.camera import rays_told
 from nerfbake.scene.comparison import AMPLIFIED, Comparison, Verdict
 from nerfbake.scene.image import Image
 
@@ -79,7 +80,7 @@ def _document(comparison: Comparison, sides: Sides, verdicts: list[Verdict]) -> 
 {_tiles(comparison, sides)}
 <h2>What was compared</h2>
 <div class="facts">{_table(["", "A", "B"], _facts(sides))}</div>
-<h2>Pictures</h2>
+<h2>Pictures{rays_told(comparison.samples)}</h2>
 <div class="pairs">{"".join(map(_pair, repeat(comparison), comparison.means))}</div>
 <h2>Values of A and B</h2>
 {_values(comparison)}

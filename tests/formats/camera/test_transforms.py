@@ -48,6 +48,21 @@ def test_a_capture_by_hand() -> None:
     assert cameras.notes == ()
 
 
+def test_samples_are_read_and_written() -> None:
+    plain, four = read(capture()), read(capture(samples=2))
+    assert (plain.samples, four.samples) == (1, 2)
+    files = [json.loads(b"".join(cameras_json.encode(cameras))) for cameras in (plain, four)]
+    assert "samples" not in files[0]  # as files were before there was such a key
+    assert files[1] == {"samples": 2, **files[0]}
+    assert read(files[1]).samples == 2
+
+
+@pytest.mark.parametrize("samples", [0, -1, 9, 2.0, 10**30, "2", True, None, [2]])
+def test_samples_that_are_none_are_refused(samples: Any) -> None:
+    with pytest.raises(InvalidFile, match=r"samples is .*; allowed: a whole number from 1 to 8"):
+        read(capture(samples=samples))
+
+
 def test_what_is_written_is_read() -> None:
     cameras = read(capture(w=640, h=480, fl_x=500))
     data = b"".join(cameras_json.encode(cameras))
