@@ -62,9 +62,8 @@ def draw_chair() -> None:
 
 
 def _save(name: str, pictures: list[Image]) -> None:
-    colour, alpha, depth = (
-        np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in ("colour", "alpha", "depth")
-    )
+    parts = ("colour", "alpha", "depth")
+    colour, alpha, depth = (np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in parts)
     save(Path(__file__).with_name(name), Image(colour, alpha, depth), force=True)
 
 
