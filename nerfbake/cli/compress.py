@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Command, Size, as_json, reads, speaks, without_effect, writes
+from nerfbake.cli.params import CAPTURE, Command, Size, as_json, reads, samples, speaks, without_effect, writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.compressions import Goal, Photographs, compress_file
@@ -34,10 +34,11 @@ def aims(function: Command) -> Command:
 
 
 def measures(function: Command) -> Command:
-    """Adds --cameras, --truth, --source-psnr and --min-psnr; the command gets `photographs` and `budget`."""
+    """Adds --cameras, --truth, --samples, --source-psnr and --min-psnr; the command gets `photographs` and `budget`."""
 
     @click.option("--cameras", metavar="CAPTURE", help=f"The cameras of --truth and --min-psnr: {CAPTURE}.")
     @click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera: measure.")
+    @samples
     @click.option(
         "--source-psnr",
         type=click.FloatRange(min=1, max=80),
@@ -51,13 +52,15 @@ def measures(function: Command) -> Command:
         truth: str | None,
         source_psnr: float | None,
         min_psnr: float | None,
+        samples: int | None,
         **others: Any,
     ) -> Any:
         if truth is None and min_psnr is None:
-            allowed = "--cameras with --truth or --min-psnr"
-            without_effect("cameras", here="where nothing is measured", allowed=allowed)
-        photographs = Photographs(cameras, truth, source_psnr)
-        return function(*args, photographs=photographs, budget=Budget(min_psnr, cameras), **others)
+            for name in ("cameras", "samples"):
+                allowed = f"--{name} with --truth or --min-psnr"
+                without_effect(name, here="where nothing is measured", allowed=allowed)
+        photographs = Photographs(cameras, truth, source_psnr, samples)
+        return function(*args, photographs=photographs, budget=Budget(min_psnr, cameras, samples), **others)
 
     return command
 

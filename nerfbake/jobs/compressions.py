@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,11 +44,13 @@ class Goal:
 @dataclass(frozen=True)
 class Photographs:
     """What the loss is measured against: cameras, a capture, and truth, a folder with a photograph NAME.png for each of
-    them. Without both, the loss is predicted for a source that is as near to its photographs as source_psnr, in dB."""
+    them. Without both, the loss is predicted for a source that is as near to its photographs as source_psnr, in dB.
+    samples: rays along each edge of a pixel; None: as the cameras have it, or 1."""
 
     cameras: str | None = None
     truth: str | None = None
     source_psnr: float | None = None
+    samples: int | None = None
 
     def require(self) -> None:
         """Raises UsageError for one without the other."""
@@ -61,11 +63,11 @@ class Photographs:
         """As compress_octree() takes them; cameras in their photographs' size."""
         if not (self.truth and self.cameras):
             return {"source_psnr": SOURCE_PSNR if self.source_psnr is None else self.source_psnr}
-        views = read_cameras(steps, self.cameras).cameras
+        read = read_cameras(steps, self.cameras).chosen(samples=self.samples)
         with steps.phase(f"reading {self.truth}"):
-            truth = [io.load(Path(self.truth) / f"{view.name}.png", nerfbake.Image) for view in views]
-        sized = tuple(view.resized(*image.size) for view, image in zip(views, truth, strict=True))
-        return {"cameras": nerfbake.Cameras(sized), "truth": truth}
+            truth = [io.load(Path(self.truth) / f"{view.name}.png", nerfbake.Image) for view in read.cameras]
+        sized = tuple(view.resized(*image.size) for view, image in zip(read.cameras, truth, strict=True))
+        return {"cameras": replace(read, cameras=sized), "truth": truth}
 
 
 LEAST_LOSS, PREDICTED = Goal(), Photographs()

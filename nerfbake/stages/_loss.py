@@ -38,9 +38,11 @@ class Cost(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Judge:
     """cameras and references, the original's pictures; truth, the photographs, and how near the original comes to them
-    in dB, or None where there are none and the loss is predicted for a source of source_psnr."""
+    in dB, or None where there are none and the loss is predicted for a source of source_psnr.
 
-    cameras: Cameras
+    A picture is the mean of those of its cameras, each of which has one of the rays of every pixel."""
+
+    cameras: list[list[Camera]]
     references: list[Pixels]
     truth: list[Pixels] | None
     source_psnr: float
@@ -56,7 +58,7 @@ class Judge:
         return self.source_error * (float(exp(loss * _LN_10 / 10)) - 1)
 
     def cost(self, field: RadianceField) -> Cost:
-        pictures = [_picture(field, camera) for camera in self.cameras.cameras]
+        pictures = [_picture(field, camera) for camera in self.cameras]
         pairs = zip(pictures, self.references, strict=True)
         squares = sum(float(np.square(picture - reference).sum()) for picture, reference in pairs)
         error = squares / sum(reference.size for reference in self.references)
@@ -68,51 +70,59 @@ class Judge:
 def predicting_judge(field: RadianceField, *, source_psnr: float) -> Judge:
     """Predicts by 10 log10(1 + m / M), as if errors were independent of those that the original makes itself."""
     cameras = sphere_cameras(field, frames=_FRAMES, edge=_EDGE, zoom=_ZOOM)
-    _require_memory(cameras, 1)
-    references = [_picture(field, camera) for camera in cameras.cameras]
-    return Judge(cameras, references, None, source_psnr, len(references))
+    looks = [[camera] for camera in cameras.cameras]
+    _require_memory(looks, 1)
+    references = [_picture(field, each) for each in looks]
+    return Judge(looks, references, None, source_psnr, len(references))
 
 
 def measuring_judge(field: RadianceField, cameras: Cameras, truth: Sequence[Image]) -> Judge:
-    """Measures with a photograph for each camera, of which it looks at every k-th pixel each way where there are many.
+    """Measures with a photograph for each camera, of which it looks at every k-th pixel each way where there are many,
+    and with as many rays a pixel as the cameras say.
 
     Raises InvalidScene for photographs of another number or size than the cameras', MemoryLimit.
     """
     if len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
     cameras.require_covered()
-    every = max(1, int(np.sqrt(sum(camera.width * camera.height for camera in cameras.cameras) / _RAYS)))
-    thinned, photographs = [], []
+    pixels, N = sum(camera.width * camera.height for camera in cameras.cameras), cameras.samples
+    every = max(1, int(N * np.sqrt(pixels / _RAYS)))
+    looks, photographs = [], []
     for camera, image in zip(cameras.cameras, truth, strict=True):
         if image.size != (camera.width, camera.height):
             found = f"has {image.size[0]}x{image.size[1]} pixels"
             raise InvalidScene(Problem(f"truth of {camera.name}", found, f"{camera.width}x{camera.height}"))
-        thinned.append(_thinned(camera, every))
+        parts = [(i + 0.5) / N for i in range(N)]
+        looks.append([_thinned(camera, every, x, y) for y in parts for x in parts])
         photographs.append(image.over(WHITE).colour[::every, ::every].astype(np.float64))
-    _require_memory(Cameras(tuple(thinned)), 2)
-    references = [_picture(field, camera) for camera in thinned]
+    _require_memory(looks, 2)
+    references = [_picture(field, each) for each in looks]
     decibels = _mean_psnr(references, photographs)
-    return Judge(Cameras(tuple(thinned)), references, photographs, decibels, len(thinned))
+    return Judge(looks, references, photographs, decibels, len(looks))
 
 
-def _thinned(camera: Camera, every: int) -> Camera:
-    """The camera of every k-th pixel of every k-th row, from the first on: the same rays, to the last bits."""
+def _thinned(camera: Camera, every: int, x: float, y: float) -> Camera:
+    """The camera of one ray, at x, y in 0..1, of every k-th pixel of every k-th row from the first on: the same rays,
+    to the last bits."""
     return replace(
         camera,
         width=-(-camera.width // every),
         height=-(-camera.height // every),
         focal=(camera.fx / every, camera.fy / every),
-        centre=(0.5 + (camera.cx - 0.5) / every, 0.5 + (camera.cy - 0.5) / every),
+        centre=(0.5 + (camera.cx - x) / every, 0.5 + (camera.cy - y) / every),
     )
 
 
-def _require_memory(cameras: Cameras, kept: int) -> None:
-    pixels = sum(camera.width * camera.height for camera in cameras.cameras)
+def _require_memory(looks: list[list[Camera]], kept: int) -> None:
+    pixels = sum(camera.width * camera.height for camera, *_ in looks)
     memory.require("the pictures that judge", pixels * 24 * (kept + 1))
 
 
-def _picture(field: RadianceField, camera: Camera) -> Pixels:
-    return render_field(field, camera).colour.astype(np.float64)
+def _picture(field: RadianceField, cameras: list[Camera]) -> Pixels:
+    first, *others = (render_field(field, camera).colour.astype(np.float64) for camera in cameras)
+    for other in others:
+        first += other
+    return first / len(cameras)
 
 
 def _mean_psnr(pictures: list[Pixels], others: list[Pixels]) -> float:

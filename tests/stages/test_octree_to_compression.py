@@ -43,12 +43,12 @@ def compressed(octree: SparseVoxelOctree, **options: Any) -> Compression:
     return compress_octree(octree, coded_size=coded_size, **options)
 
 
-def noisy(octree: SparseVoxelOctree, noise: float) -> tuple[Cameras, list[Image]]:
+def noisy(octree: SparseVoxelOctree, noise: float, *, samples: int = 1) -> tuple[Cameras, list[Image]]:
     """Photographs that the octree comes near to, but not quite."""
     field = field_of_octree(octree)
-    cameras = orbit_cameras(field, frames=5, width=60, height=50)
+    cameras = orbit_cameras(field, frames=5, width=60, height=50).chosen(samples=samples)
     random = np.random.default_rng(0)
-    images = [render_field(field, camera) for camera in cameras.cameras]
+    images = [render_field(field, camera, samples=samples) for camera in cameras.cameras]
     photographs = [
         Image((image.colour + random.normal(0, noise, image.colour.shape)).astype(np.float32), image.alpha, image.depth)
         for image in images
@@ -117,14 +117,16 @@ def test_independent_errors_cost_what_is_predicted(octree: SparseVoxelOctree) ->
     assert found.loss == pytest.approx(10 * np.log10(1 + found.error / judge.source_error), rel=0.15)
 
 
+@pytest.mark.parametrize(("samples", "rays"), [(1, 1_000), (2, 4_000)])
 def test_every_kth_pixel_is_seen_as_in_the_whole_picture(
-    octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch
+    octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch, samples: int, rays: int
 ) -> None:
-    monkeypatch.setattr("nerfbake.stages._loss._RAYS", 1_000)
-    cameras, truth = noisy(octree, 0.0)
+    monkeypatch.setattr("nerfbake.stages._loss._RAYS", rays)
+    cameras, truth = noisy(octree, 0.0, samples=samples)
     # Photographs without noise: every pixel that is looked at must be the one of the photograph.
     judge = measuring_judge(field_of_octree(octree), cameras, truth)
     assert judge.references[0].shape == (17, 20, 3)
+    assert len(judge.cameras[0]) == samples**2
     assert judge.source_psnr > 90
 
 
