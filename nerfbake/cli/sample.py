@@ -9,7 +9,7 @@ import click
 from nerfbake.cli.params import max_memory, speaks, writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import FolderTarget, Target
-from nerfbake.jobs.samples import write_sample_n3tree, write_sample_stage1
+from nerfbake.jobs.samples import write_sample_capture, write_sample_n3tree, write_sample_stage1
 
 
 @click.group()
@@ -63,3 +63,22 @@ def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
       nerfbake sample nerf2mesh mesh_stage1 && nerfbake atlas mesh_stage1 atlas
     """
     write_sample_stage1(FolderTarget(target, force), steps=words, **options)
+
+
+@sample.command()
+@click.argument("target", metavar="OUT_DIR", type=click.Path())
+@click.option("--frames", type=click.IntRange(2, 1000), default=24, show_default=True, help="How many photographs.")
+@click.option("--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Their edge in pixels.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
+)
+@click.option("--force", is_flag=True, help="Replace files in OUT_DIR that have the same names.")
+@max_memory
+@speaks
+def capture(target: str, words: Words, **options: Any) -> None:
+    """Write photographs of shiny shapes from all sides into OUT_DIR, and their cameras as transforms.json.
+
+    \b
+      nerfbake sample capture photographs && nerfbake info photographs
+    """
+    write_sample_capture(target, steps=words, **options)

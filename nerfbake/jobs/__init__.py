@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.pictures import PlacedMesh as PlacedMesh
     from nerfbake.jobs.pictures import Shots as Shots
     from nerfbake.jobs.pictures import render_views as render_views
+    from nerfbake.jobs.samples import write_sample_capture as write_sample_capture
     from nerfbake.jobs.samples import write_sample_n3tree as write_sample_n3tree
     from nerfbake.jobs.samples import write_sample_stage1 as write_sample_stage1
     from nerfbake.jobs.steps import Steps as Steps
@@ -58,6 +59,7 @@ JOBS = {
     "judge": "budgets",
     "measure_atlas": "atlases",
     "render_views": "pictures",
+    "write_sample_capture": "samples",
     "write_sample_n3tree": "samples",
     "write_sample_stage1": "samples",
 }

@@ -61,6 +61,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["OUT.npz", "--resolution", "8"],
         lambda out: jobs.write_sample_n3tree(f"{out}.npz", resolution=8),
     ),
+    "sample capture": (
+        ["OUT", "--frames", "2", "--edge", "32"],
+        lambda out: jobs.write_sample_capture(out, frames=2, edge=32),
+    ),
     "sample nerf2mesh": (
         ["OUT", "--resolution", "32"],
         lambda out: jobs.write_sample_stage1(out, resolution=32),
