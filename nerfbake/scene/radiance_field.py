@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.march.cells import EMPTY, Cells, rows_at
@@ -55,6 +57,12 @@ class RadianceField:
         """(3, 3) the field's own axes in the world, a row each, unit vectors; its SH are in these."""
         rows = self.place[:, :3] / np.linalg.norm(self.place[:, :3], axis=1, keepdims=True)
         return np.asarray(rows, np.float64)
+
+    @cached_property
+    def densities(self) -> npt.NDArray[np.float32]:
+        """(leaves,) of the values, on their own: a core's cache holds them, where it cannot hold all values."""
+        memory.require("the field's densities", 4 * len(self.values))
+        return np.ascontiguousarray(self.values[:, -1])
 
     def world(self, points: Points) -> Points:
         """(m, 3) in cells -> the world."""

@@ -103,5 +103,6 @@ def _marched(
         # Positions from centre to centre; what is occupied reaches one further on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
     # A whole number would be another type, for which all of it would be compiled anew.
-    march(field.cells, field.values, box, place, turned(looks, turn), stop, basis, float(cut), out)
+    ways = turned(looks, turn)
+    march(field.cells, field.values, field.densities, box, place, ways, stop, basis, float(cut), out)
     return out

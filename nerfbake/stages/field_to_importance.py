@@ -49,9 +49,8 @@ def weigh_leaves(field: RadianceField, cameras: Cameras) -> Importance:
     cameras.require_covered()
     threads = min(len(views), os.cpu_count() or 1)
     pixels = max(view.width * view.height for view in views)
-    need = 4 * len(field.values) * (threads + 1) + threads * pixels * _RAY_BYTES
+    need = 4 * len(field.values) * threads + threads * pixels * _RAY_BYTES
     with memory.lent("weighing leaves", need + sum(view.width * view.height for view in views) * 32 // _EVERY):
-        sigma = np.ascontiguousarray(field.values[:, -1])
         spare: list[npt.NDArray[np.float32]] = []  # a thread takes one and gives it back
         seen: list[tuple[Floats, Floats]] = [(np.empty((0, 3)), np.empty(0))] * len(views)
 
@@ -59,12 +58,14 @@ def weigh_leaves(field: RadianceField, cameras: Cameras) -> Importance:
             try:
                 largest = spare.pop()
             except IndexError:
-                largest = np.zeros(len(sigma), np.float32)
+                largest = np.zeros(len(field.values), np.float32)
             for i in range(begin, end):
                 origin, looks = views[i].rays()
                 alpha = np.empty(len(looks), np.float32)
                 place, turn = placed(origin, field.place), field.place[:, :3]
-                collect_maxima(field.cells, sigma, field.box, place, turned(looks, turn), _CUT, largest, alpha)
+                collect_maxima(
+                    field.cells, field.densities, field.box, place, turned(looks, turn), _CUT, largest, alpha
+                )
                 hit = np.flatnonzero(alpha > 0)[::_EVERY]
                 seen[i] = looks[hit], alpha[hit].astype(np.float64)
             spare.append(largest)

@@ -22,10 +22,16 @@ from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.jit import compiled
 
 EMPTY = -1
+_TOP_SHARE = 16  # the grid that stands for the first levels has at most one cell for so many slots
+_LEVEL_BITS = 6
 
 
 class Cells(NamedTuple):
-    """shift[l]: bits of a position below level l's cells; width[l]: their edge; edge: the root's; radix: N, or 0."""
+    """shift[l]: bits of a position below level l's cells; width[l]: their edge; edge: the root's; radix: N, or 0.
+
+    top: where the way down has led within the first levels, for each of 2^top_bits cells an edge, x-major; top_below
+    bits of a position are below them. An entry is a slot and, in its last bits, the level where it was found.
+    """
 
     slots: npt.NDArray[np.int32]
     first: Ints
@@ -34,6 +40,9 @@ class Cells(NamedTuple):
     width: npt.NDArray[np.float64]
     edge: int
     radix: int
+    top: Ints
+    top_bits: int
+    top_below: int
 
 
 def cells_of(slots: npt.NDArray[np.int32], bits: list[int], *, first: list[int] | None = None, radix: int = 0) -> Cells:
@@ -44,7 +53,26 @@ def cells_of(slots: npt.NDArray[np.int32], bits: list[int], *, first: list[int] 
     width = np.int64(radix or 2) ** (np.arange(len(bits))[::-1] if radix else below)
     edge = int(width[0]) * (radix or 1 << bits[0])
     starts = np.zeros(len(bits), np.int64) if first is None else np.array(first, np.int64)
-    return Cells(slots.reshape(-1), starts, np.array(bits, np.int64), below, np.asarray(width, np.float64), edge, radix)
+    widths, table = np.asarray(width, np.float64), slots.reshape(-1)
+    sizes = [1 << min(3 * bit, 62) for bit in np.cumsum(bits).tolist()]
+    levels = max(1, sum(_TOP_SHARE * size <= table.size for size in sizes))
+    top = _top(table, starts, bits[:levels])
+    own = top, sum(bits[:levels]), int(below[levels - 1])
+    return Cells(table, starts, np.array(bits, np.int64), below, widths, edge, radix, *own)
+
+
+def _top(slots: npt.NDArray[np.int32], first: Ints, bits: list[int]) -> Ints:
+    """Each cell's slot and level after so many levels, x-major."""
+    found = np.zeros((1, 1, 1), np.int64)  # node 0 alone
+    for level, (start, width) in enumerate(zip(first, bits, strict=False)):
+        for axis in range(3):
+            found = found.repeat(1 << width, axis)
+        low = np.arange(len(found)) & (1 << width) - 1
+        cell = low[:, None, None] << 2 * width | low[:, None] << width | low
+        node = found >> _LEVEL_BITS
+        inside = slots[start + (np.maximum(node, 0) << 3 * width) + cell].astype(np.int64)
+        found = np.where(node >= 0, inside << _LEVEL_BITS | level, found)
+    return found.reshape(-1)
 
 
 def rows_at(cells: Cells, points: npt.NDArray[np.float64]) -> Ints:
@@ -74,38 +102,29 @@ def _spread(cells: Cells, position: Ints) -> Ints:
 
 
 # -- compiled --------------------------------------------------------------------------------------------------
-@compiled()
-def new_path(cells: Cells) -> Ints:
-    """What `descend` remembers: a node for each level, the level, and the position it was at."""
-    return np.zeros(len(cells.bits) + 4, np.int64)
-
-
 @compiled(inline=True)  # else every call counts references to the arrays: 200 cycles
-def descend(cells: Cells, path: Ints, x: int, y: int, z: int) -> Any:
-    """The slot that holds this cell of the last level; path[levels] is then the level of that slot.
-
-    It starts from the lowest node that also held the cell asked for before: for neighbours, that is one or two steps.
-    """
-    levels = len(cells.bits)
+def descend(cells: Cells, x: int, y: int, z: int) -> Any:
+    """The slot that holds this cell of the last level, and the level of that slot."""
     if cells.radix:
         x, y, z = _encoded(cells, x), _encoded(cells, y), _encoded(cells, z)
-    differ = (x ^ path[levels + 1]) | (y ^ path[levels + 2]) | (z ^ path[levels + 3])
-    level = path[levels]
-    while level > 0 and differ >> (cells.shift[level] + cells.bits[level]) != 0:
-        level -= 1
-    path[levels + 1], path[levels + 2], path[levels + 3] = x, y, z
-    node = path[level]
-    while True:
+    below, bits = cells.top_below, cells.top_bits
+    both = cells.top[(x >> below) << 2 * bits | (y >> below) << bits | z >> below]
+    slot, level = both >> _LEVEL_BITS, both & (1 << _LEVEL_BITS) - 1
+    while slot >= 0:
+        level += 1
         bits, shift = cells.bits[level], cells.shift[level]
         low = (1 << bits) - 1
         cell = (x >> shift & low) << 2 * bits | (y >> shift & low) << bits | z >> shift & low
-        slot = np.int64(cells.slots[cells.first[level] + (node << 3 * bits) + cell])
-        if slot < 0:
-            path[levels] = level
-            return slot
-        node = slot
-        level += 1
-        path[level] = node
+        slot = np.int64(cells.slots[cells.first[level] + (slot << 3 * bits) + cell])
+    return slot, level
+
+
+@compiled(inline=True)
+def lowest(cells: Cells, level: int, x: int) -> float:
+    """Where the cell of this level around x starts."""
+    if cells.radix:
+        return float(x - x % np.int64(cells.width[level]))
+    return float(x >> cells.shift[level] << cells.shift[level])
 
 
 @compiled()

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.cells import EMPTY, Cells, descend, new_path
+from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
 from nerfbake.kernels.march.traversal import beyond, compiled_exp_parts, span, within
 
 Floats = npt.NDArray[np.float32]
@@ -32,7 +32,6 @@ def collect_maxima(
     """
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
-    levels, path = len(cells.bits), new_path(cells)
     for ray in range(len(directions)):
         start, end, scale = span(box, origin, directions, ray, np.inf)
         d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
@@ -43,12 +42,9 @@ def collect_maxima(
         through, t, end, world = 1.0, 0.0, end - start, 1 / scale
         x, y, z = within(o0, low0, high0), within(o1, low1, high1), within(o2, low2, high2)
         while t < end:
-            slot = descend(cells, path, x, y, z)
-            width = cells.width[path[levels]]
-            part = 1 / width
-            l0 = np.floor((x + 0.5) * part) * width
-            l1 = np.floor((y + 0.5) * part) * width
-            l2 = np.floor((z + 0.5) * part) * width
+            slot, level = descend(cells, x, y, z)
+            width = cells.width[level]
+            l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
             exit0 = ((l0 + width if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
             exit1 = ((l1 + width if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
             exit2 = ((l2 + width if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf

@@ -1,5 +1,7 @@
 """Rays through a tree of constant cells, from leaf to leaf: density and colour are constant there, so sums are exact.
 
+A ray first meets leaves by their densities, which stay in a core's cache, and asks for their coefficients, which do
+not; the colours are added up once these have come. That is a fifth of the time, and changes no bit.
 Source of the rules: docs/conventions.md, "How a picture is made".
 """
 
@@ -10,12 +12,14 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.cells import EMPTY, Cells, descend, new_path
+from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
 from nerfbake.kernels.maths.elementary import exp_parts
+from nerfbake.kernels.prefetch import SINGLES, prefetch
 
 _BLOCK = 256  # rays that one core does before it takes the next
+_HITS = 64  # leaves that a ray meets before their colours are added up
 
 compiled_exp_parts: Any = compiled()(exp_parts)
 
@@ -24,6 +28,7 @@ compiled_exp_parts: Any = compiled()(exp_parts)
 def march(
     cells: Cells,
     values: Singles,
+    densities: Singles,
     box: Floats,
     origin: Floats,
     directions: Floats,
@@ -35,15 +40,14 @@ def march(
     """Front to back, until the ray leaves the box, reaches its stop or lets less than `cut` through.
 
     box (2, 3), origin (3,) and directions (m, 3) in cells, a direction's length being that of one world unit; stop
-    (m,) in world units; basis (m, B); values (leaves, 3 B + 1), density per world unit last. out (m, 5): colour
-    weighted by opacity, alpha, and the sum of opacity times distance.
+    (m,) in world units; basis (m, B); values (leaves, 3 B + 1), density per world unit last; densities (leaves,) the
+    same once more. out (m, 5): colour weighted by opacity, alpha, and the sum of opacity times distance.
     """
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
-    blocks, levels, B = (len(directions) + _BLOCK - 1) // _BLOCK, len(cells.bits), basis.shape[1]
+    blocks = (len(directions) + _BLOCK - 1) // _BLOCK
     for turn in prange(blocks):
-        block = shuffled(turn, blocks)
-        path = new_path(cells)
+        block, rows, weights = shuffled(turn, blocks), np.empty(_HITS, np.int64), np.empty(_HITS)
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
             d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
@@ -52,44 +56,74 @@ def march(
             i0 = 1 / d0 if d0 != 0 else np.inf
             i1 = 1 / d1 if d1 != 0 else np.inf
             i2 = 1 / d2 if d2 != 0 else np.inf
-            through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
+            through, red, green, blue, far, hits = 1.0, 0.0, 0.0, 0.0, 0.0, 0
             t, end, world = 0.0, end - start, 1 / scale
             x, y, z = within(o0, low0, high0), within(o1, low1, high1), within(o2, low2, high2)
             while t < end:
-                slot = descend(cells, path, x, y, z)
-                width = cells.width[path[levels]]
-                part = 1 / width
-                l0 = np.floor((x + 0.5) * part) * width
-                l1 = np.floor((y + 0.5) * part) * width
-                l2 = np.floor((z + 0.5) * part) * width
-                exit0 = ((l0 + width if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
-                exit1 = ((l1 + width if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
-                exit2 = ((l2 + width if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+                slot, level = descend(cells, x, y, z)
+                edge = cells.width[level]
+                l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
+                exit0 = ((l0 + edge if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
+                exit1 = ((l1 + edge if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
+                exit2 = ((l2 + edge if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
                 ahead = max(min(exit0, exit1, exit2), t)
                 if slot != EMPTY:
                     row = -2 - slot
-                    sigma = values[row, 3 * B]
+                    fetch(values, row)
+                    sigma = densities[row]
                     depth = sigma * (min(ahead, end) - t) * world
                     whole, rest = compiled_exp_parts(-depth)
                     kept = whole + whole * rest
-                    r, g, b = sums(values, row, basis, ray)
                     weight = through * (1 - kept)
-                    red += weight * sigmoid_of(r)
-                    green += weight * sigmoid_of(g)
-                    blue += weight * sigmoid_of(b)
                     # The mean distance within the cell, of what is lost there.
                     far += weight * (start + t) * world + through * (1 - kept - depth * kept) / sigma
                     through *= kept
+                    if hits == _HITS:
+                        red, green, blue = coloured(values, basis, ray, rows, weights, hits, red, green, blue)
+                        hits = 0
+                    rows[hits], weights[hits] = row, weight
+                    hits += 1
                     if through < cut:
                         break
                 t = ahead
-                x, y, z, axis = beyond(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+                x, y, z, axis = beyond(l0, l1, l2, edge, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
                 if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
                     break
+            red, green, blue = coloured(values, basis, ray, rows, weights, hits, red, green, blue)
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
 
-@compiled()
+@compiled(inline=True)
+def fetch(values: Singles, row: int) -> None:
+    """Asks for all of a leaf's coefficients."""
+    last = values.shape[1] - 1
+    for k in range(0, last, SINGLES):
+        prefetch(values, row, k)
+    prefetch(values, row, last)
+
+
+@compiled(inline=True)
+def coloured(
+    values: Singles,
+    basis: Singles,
+    ray: int,
+    rows: Ints,
+    weights: Floats,
+    hits: int,
+    red: float,
+    green: float,
+    blue: float,
+) -> Any:
+    """Red, green and blue with those of so many leaves added, in the order in which the ray met them."""
+    for hit in range(hits):
+        r, g, b = sums(values, rows[hit], basis, ray)
+        red += weights[hit] * sigmoid_of(r)
+        green += weights[hit] * sigmoid_of(g)
+        blue += weights[hit] * sigmoid_of(b)
+    return red, green, blue
+
+
+@compiled(inline=True)
 def sums(values: Singles, row: int, basis: Singles, ray: int) -> Any:
     """A leaf's coefficients times the basis in a ray's direction, summed up: red, green, blue."""
     B = basis.shape[1]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.cells import EMPTY, Cells, descend, new_path
+from nerfbake.kernels.march.cells import EMPTY, Cells, descend
 from nerfbake.kernels.march.traversal import (
     _BLOCK,
     beyond,
@@ -34,6 +34,7 @@ GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; 
 def march_smooth(
     cells: Cells,
     values: Singles,
+    densities: Singles,
     box: Floats,
     origin: Floats,
     directions: Floats,
@@ -45,10 +46,9 @@ def march_smooth(
     """As traversal.march, but that positions count from the first cell's centre; the box goes from centre to centre."""
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
-    blocks, levels = (len(directions) + _BLOCK - 1) // _BLOCK, len(cells.bits)
+    blocks = (len(directions) + _BLOCK - 1) // _BLOCK
     for turn in prange(blocks):
-        block = shuffled(turn, blocks)
-        path, corners = new_path(cells), np.zeros((8, 4))
+        block, corners = shuffled(turn, blocks), np.zeros((8, 4))
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
             d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
@@ -59,8 +59,9 @@ def march_smooth(
             while t < end:
                 # The cube from x to x + 1, or all cubes between the centres of an empty cell's own.
                 l0, l1, l2, width = x, y, z, 1
-                if _slot(cells, path, x, y, z) == EMPTY:
-                    edge = int(cells.width[path[levels]])
+                slot, level = _slot(cells, x, y, z)
+                if slot == EMPTY:
+                    edge = int(cells.width[level])
                     if edge > 1 and cells.edge > max(x, y, z) and min(x, y, z) >= 0:
                         e0, e1, e2 = x // edge * edge, y // edge * edge, z // edge * edge
                         if max(x - e0, y - e1, z - e2) < edge - 1:
@@ -70,7 +71,7 @@ def march_smooth(
                 exit2 = ((l2 + width if d2 > 0 else l2) - o2) / d2 if d2 != 0 else np.inf
                 ahead = max(min(exit0, exit1, exit2), t)
                 if width == 1:
-                    _fetch(cells, path, values, basis, ray, x, y, z, fresh, corners)
+                    _fetch(cells, values, densities, basis, ray, x, y, z, fresh, corners)
                     length = min(ahead, end) - t
                     for point in range(2):
                         at = t + length * (GAUSS if point == 0 else 1 - GAUSS)
@@ -98,18 +99,17 @@ def march_smooth(
 
 
 @compiled(inline=True)
-def _slot(cells: Cells, path: Ints, x: int, y: int, z: int) -> Any:
+def _slot(cells: Cells, x: int, y: int, z: int) -> Any:
     if 0 <= x < cells.edge and 0 <= y < cells.edge and 0 <= z < cells.edge:
-        return descend(cells, path, x, y, z)
-    path[len(cells.bits)] = 0
-    return np.int64(EMPTY)
+        return descend(cells, x, y, z)
+    return np.int64(EMPTY), np.int64(0)
 
 
 @compiled(inline=True)
 def _fetch(
     cells: Cells,
-    path: Ints,
     values: Singles,
+    densities: Singles,
     basis: Singles,
     ray: int,
     x: int,
@@ -131,10 +131,10 @@ def _fetch(
             for k in range(4):  # a loop: slices would be copied first, in case they overlap
                 corners[number, k] = corners[number ^ axis, k]
             continue
-        slot = _slot(cells, path, x + (number >> 2), y + (number >> 1 & 1), z + (number & 1))
+        slot, _ = _slot(cells, x + (number >> 2), y + (number >> 1 & 1), z + (number & 1))
         sigma, r, g, b = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         if slot != EMPTY:
-            sigma = values[-2 - slot, 3 * basis.shape[1]]
+            sigma = densities[-2 - slot]
             r, g, b = sums(values, -2 - slot, basis, ray)
         corners[number, 0], corners[number, 1] = sigma, sigma * r
         corners[number, 2], corners[number, 3] = sigma * g, sigma * b
