@@ -9,7 +9,7 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source, Target
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import views_of
+from nerfbake.jobs.views import shown, views_of
 
 FRAMES, EDGE = 8, 400  # the views around a scene that a budget is judged from, and their pixels along an edge
 
@@ -54,10 +54,7 @@ def judge(
     """
     if budget.min_psnr is None:
         return None
-    seen = scene
-    if not isinstance(scene, nerfbake.Stage1):
-        with steps.phase("building the field"), io.blame(made_from):
-            seen = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
+    seen = shown(steps, scene, made_from)
     views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples)
     file = Source(written)
     with file.blamed(steps, "judging"), io.rejected_unless_good(written):

@@ -12,7 +12,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import views_of
+from nerfbake.jobs.views import shown, views_of
 
 
 class Seen(NamedTuple):
@@ -91,9 +91,7 @@ def compare_files(
     pages.require()
     first, second = as_source(a), as_source(b)
     (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
-    if type(scene) in _fields():
-        with first.blamed(steps, "building the field"):
-            scene = nerfbake.build_field(scene)  # once, for the cameras and for the pictures
+    scene = shown(steps, scene, first.name)
     views = views_of(
         steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples
     )
@@ -118,13 +116,10 @@ def compare_files(
     return compared
 
 
-def _fields() -> tuple[type, ...]:
-    return nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume
-
-
 def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     """The scene, and what a reader wants to know of it."""
-    kinds = (*_fields(), nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)
+    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume
+    kinds = *fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas
     found = source.read_with_format(steps, *kinds)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
     return found.scene, facts

@@ -20,6 +20,20 @@ def read_cameras(steps: Steps, path: str) -> nerfbake.Cameras:
     return read
 
 
+def shown(steps: Steps, scene: Any, name: str) -> Any:
+    """What cameras and pictures are made of: the scene itself, or its field, built once for all of them.
+
+    name: the scene's, for errors.
+    """
+    # Imported here: commands that show nothing need no stage.
+    from nerfbake.stages._picture import Visible, visible
+
+    if isinstance(scene, Visible):
+        return scene
+    with steps.phase("building the field"), io.blame(name):
+        return visible(scene)
+
+
 def views_of(
     steps: Steps,
     scene: Any,

@@ -22,6 +22,7 @@ REFUSED = [
     ("svo a.npz a.svo.pb --samples 2", "--samples has no effect where nothing is judged; allowed: --samples with"),
     ("vdb a.npz a.vdb --samples 1", "--samples has no effect where nothing is judged"),
     ("lod a.svo.pb b.svo.pb --level 1 --samples 1", "--samples has no effect where nothing is judged"),
+    ("compress a.npz a.svoq --samples 2", "--samples has no effect where nothing is judged"),
     ("atlas in out --samples 8", "--samples has no effect where nothing is judged"),
     ("lod a.svo.pb b.svo.pb --level 1 --cameras t.json", "--cameras has no effect"),
     ("vdb a.npz a.vdb --cameras t.json", "--cameras has no effect"),
@@ -53,7 +54,7 @@ JUDGING = [name for name, command in cli.commands.items() if any(p.name == "min_
 def test_every_command_that_renders_knows_how_many_rays_a_pixel_may_have(
     name: str, value: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert {"compare", "svo", "lod", "vdb", "atlas"} <= set(JUDGING)
+    assert {"compare", "compress", "svo", "lod", "vdb", "atlas"} <= set(JUDGING)
     assert run([name, "--samples", value]) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert "'--samples'" in said

@@ -8,14 +8,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import (
     Camera,
+    RadianceField,
     build_field,
     build_octree,
     orbit_cameras,
     render_field,
 )
 from nerfbake.errors import InvalidScene, UsageError
+from nerfbake.kernels.march.cells import EMPTY, cells_of
 from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.scene.basis import Basis
 from nerfbake.scene.camera import look_at
+from nerfbake.scene.radiance_field import leaf_box
 from tests.support.fields import front, solid
 from tests.support.scenes import n3tree
 
@@ -30,6 +34,22 @@ def test_a_homogeneous_box_lets_through_what_the_law_says(sigma: float) -> None:
     # E[d] of an exponential cut off after the box's width, which starts 2.5 away.
     mean = (1 / sigma) - np.exp(-sigma) / alpha
     assert_allclose(middle[2], 2.5 + mean, rtol=1e-4)
+
+
+def test_a_ray_through_very_many_leaves_keeps_all_of_their_colours() -> None:
+    # A column of thin leaves along y: twice as many as a ray remembers before it adds their colours up.
+    n, sigma = 128, np.float32(0.02)
+    slots = np.full((n, n, n), EMPTY, np.int32)
+    slots[0, :, 0] = -2 - np.arange(n)
+    values = np.zeros((n, 4), np.float32)
+    values[:, 0], values[:, 3] = np.random.default_rng(0).normal(0, 2, n), sigma
+    field = RadianceField(cells_of(slots, [7]), values, np.eye(3, 4), leaf_box(cells_of(slots, [7])), Basis("RGBA", 1))
+    camera = Camera(1, 1, 1.0, look_at(np.array([0.5, 0, 0.5]), -np.pi / 2, 0, 9.0))
+    image = render_field(field, camera, background=None, transmittance_cut=0)
+    weights = np.exp(-sigma * np.arange(n)) * (1 - np.exp(-sigma))
+    assert_allclose(image.alpha[0, 0], weights.sum(), rtol=1e-5)
+    assert_allclose(image.colour[0, 0, 0], (weights / (1 + np.exp(-values[:, 0]))).sum(), rtol=1e-5)
+    assert_allclose(image.colour[0, 0, 1:], weights.sum() / 2, rtol=1e-5)
 
 
 def test_densities_are_per_world_unit_whatever_the_box() -> None:
