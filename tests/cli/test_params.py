@@ -22,7 +22,7 @@ REFUSED = [
     ("svo a.npz a.svo.pb --samples 2", "--samples has no effect where nothing is judged; allowed: --samples with"),
     ("vdb a.npz a.vdb --samples 1", "--samples has no effect where nothing is judged"),
     ("lod a.svo.pb b.svo.pb --level 1 --samples 1", "--samples has no effect where nothing is judged"),
-    ("compress a.npz a.svoq --samples 2", "--samples has no effect where nothing is judged"),
+    ("compress a.npz a.svoq --samples 2", "--samples has no effect where nothing is measured"),
     ("atlas in out --samples 8", "--samples has no effect where nothing is judged"),
     ("lod a.svo.pb b.svo.pb --level 1 --cameras t.json", "--cameras has no effect"),
     ("vdb a.npz a.vdb --cameras t.json", "--cameras has no effect"),

@@ -51,7 +51,7 @@ def test_every_cell_is_where_the_tree_has_it(bits: list[int], radix: int) -> Non
     found = np.empty((cells.edge**3, 5), np.int64)
     at_every_place(cells, found)
     places = np.stack(np.unravel_index(np.arange(cells.edge**3), (cells.edge,) * 3), axis=1)
-    rows = rows_at(cells, places + 0.5)
+    rows = rows_at(cells, places.astype(np.float64) + 0.5)
     assert_array_equal(np.where(found[:, 0] == EMPTY, EMPTY, -2 - found[:, 0]), rows)
     assert len(set(rows.tolist())) > 3
     assert_array_equal(found[:, 2:], places // found[:, 1:2] * found[:, 1:2])
