@@ -23,8 +23,12 @@ uncached: list[str] = []  # kernels that are compiled anew in every process
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(*, parallel: bool = False, inline: bool = False) -> Callable[[Function], Function]:
+def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:
     """Compiles a function.
+
+    inline and merged put it into its callers: inline before types are known, merged when machine code is made. A merged
+    one costs nothing for arrays in tuples if it names them where it uses them (`coder.data[i]`); arrays that are first
+    unpacked, and rows of arrays, have their references counted, which takes longer than what is done with them.
 
     There is no fastmath: it lets the compiler reorder, fuse and estimate by what the CPU has, and the last bits of what
     comes out would tell one CPU from another. Where a sum is to be vectorised, the code says which terms go together.
@@ -32,7 +36,7 @@ def compiled(*, parallel: bool = False, inline: bool = False) -> Callable[[Funct
 
     def compile_(function: Function) -> Function:
         how: Literal["always", "never"] = "always" if inline else "never"
-        options: Any = {"nogil": True, "parallel": parallel, "inline": how}
+        options: Any = {"nogil": True, "parallel": parallel, "inline": how, "forceinline": merged}
         try:
             result: Any = numba.njit(function, cache=True, **options)
         except RuntimeError:  # numba found no folder that it may write to

@@ -15,7 +15,7 @@ from nerfbake.kernels.maths.products import product
 from nerfbake.kernels.octree import haar
 from nerfbake.kernels.octree.means import mean_edge
 from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
-from nerfbake.kernels.octree.pyramid import children_table
+from nerfbake.kernels.octree.pyramid import Level, children_table
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import Scene, edge_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
@@ -153,15 +153,13 @@ class QuantisedOctree(Scene):
         the density density_scale * expm1(v), with kernels.maths.elementary's expm1 and 0 for a v below 0. All of it is
         float64, one operation after the other, and what comes out is rounded to float32. The structure must be sound.
         """
-        levels = haar.levels_of(self.masks, self.grid_level)
+        return self._leaf_values(haar.levels_of(self.masks, self.grid_level))
+
+    def _leaf_values(self, levels: list[Level]) -> npt.NDArray[np.float32]:
         codes, leaf = haar.leaf_codes(levels, self.grid_level)
         merges = haar.merges_of(codes, self.grid_level)
         memory.require("the leaves of the octree", self.m * self.values.shape[1] * (8 + 4))
-        points = np.empty(self.values.shape)
-        for first in range(0, self.m, _CHUNK):
-            some = slice(first, first + _CHUNK)
-            points[merges.rows[some]] = self.values[some] * self.steps
-        haar.inverse(points, merges)
+        points = haar.inverse(self.values, self.steps, merges)
         values = np.empty(self.values.shape, np.float32)
         mixing = np.ascontiguousarray((self.mixing * self.mixing_scale).T)
         for first in range(0, self.m, _CHUNK):
@@ -176,7 +174,7 @@ class QuantisedOctree(Scene):
         width for the finest cell's. Raises InvalidScene, MemoryLimit."""
         self.require_usable()
         levels = haar.levels_of(self.masks, self.grid_level)
-        leaves = LeafRows(self.leaf_values(), mean_edge(self.voxel_size))
+        leaves = LeafRows(self._leaf_values(levels), mean_edge(self.voxel_size))
         return SparseVoxelOctree(
             size=self.size,
             node_children=children_table(levels, all_slots=True),

@@ -41,7 +41,8 @@ from nerfbake.kernels.coding.range_coder import (
     mixer,
 )
 from nerfbake.kernels.coding.range_coder import Models as Bits
-from nerfbake.kernels.coding.tables import MATCH_BUCKETS, MATCHES, SIZE_BUCKETS, SIZES
+from nerfbake.kernels.coding.tables import MATCH_BUCKETS, MATCHES, SIZES
+from nerfbake.kernels.coding.tables import SIZE_BUCKETS as BUCKETS
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import in_relay
 
@@ -70,13 +71,6 @@ class Models(NamedTuple):
     bits: Bits
 
 
-class Row(NamedTuple):
-    """What is kept while a row is coded: near (C, 4) neighbours' values, dots (4,)."""
-
-    near: Numbers
-    dots: Numbers
-
-
 def encode_values(values: Values, pairs: Pairs, ends: Sequence[int]) -> list[Bytes]:
     """A stream for each run of channels; ends: where each of them ends, rising, the last is all. Row 0 is left out."""
     values = np.require(values, requirements=["C", "W"])
@@ -101,13 +95,13 @@ def decode_values(streams: Sequence[Bytes], values: Values, pairs: Pairs, ends: 
 def _code_all(values: Values, pairs: Pairs, ends: Sequence[int], coders: dict[int, Coder]) -> int:
     starts, wrong = [0, *ends[:-1]], [SOUND] * len(ends)
     models = {i: _models_of(values.shape[1]) for i in coders}
-    room = {i: Row(np.zeros((values.shape[1], REFERENCES), np.int64), np.zeros(REFERENCES, np.int64)) for i in coders}
+    near = {i: np.zeros((REFERENCES, values.shape[1]), np.int64) for i in coders}
 
     def work(runner: int, begin: int, end: int) -> None:
         i = order[runner]
         if max(wrong) == SOUND:
             rows = slice(max(begin, 1), end)
-            wrong[i] = _code(values, pairs, starts[i], ends[i], rows.start, rows.stop, coders[i], models[i], room[i])
+            wrong[i] = _code(values, pairs, starts[i], ends[i], rows.start, rows.stop, coders[i], models[i], near[i])
 
     order = sorted(coders)
     in_relay(work, len(order), len(values), _CHUNK)
@@ -115,23 +109,23 @@ def _code_all(values: Values, pairs: Pairs, ends: Sequence[int], coders: dict[in
 
 
 def _models_of(C: int) -> Models:
-    groups, sizes = C // GROUP + 1, SIZE_BUCKETS**2
+    groups, sizes = C // GROUP + 1, BUCKETS**2
     return Models(
-        mixer(max(groups, SIZE_BUCKETS) * sizes, groups),
-        mixer(max(C, SIZE_BUCKETS) * sizes, C),
+        mixer(max(groups, BUCKETS) * sizes, groups),
+        mixer(max(C, BUCKETS) * sizes, C),
         mixer(max(C * 9 * _MATCHES, C * _SIGNS, _MATCHES * _SIGNS), C),
-        mixer(max(C * _MATCHES * SIZE_BUCKETS, SIZE_BUCKETS * sizes) * STEPS, C * STEPS),
+        mixer(max(C * _MATCHES * BUCKETS, BUCKETS * sizes) * STEPS, C * STEPS),
         np.full((C, MOST_STEPS + 1), EVEN, np.int32),
     )
 
 
 # -- compiled --------------------------------------------------------------------------------------------------
-@compiled(inline=True)
-def _size_bucket(value: int) -> Any:
-    return SIZES[min(value, len(SIZES) - 1)]
+@compiled(merged=True)
+def _bucket(value: int) -> Any:
+    return int(SIZES[min(value, len(SIZES) - 1)])
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _sign(value: int) -> int:
     """0, 1, 2 for below, at and above zero."""
     return 1 + (value > 0) - (value < 0)
@@ -139,47 +133,53 @@ def _sign(value: int) -> int:
 
 @compiled()
 def _code(
-    values: Values, pairs: Pairs, first: int, last: int, begin: int, end: int, coder: Coder, models: Models, own: Row
+    values: Values,
+    pairs: Pairs,
+    first: int,
+    last: int,
+    begin: int,
+    end: int,
+    coder: Coder,
+    models: Models,
+    near: Numbers,
 ) -> int:
-    """Codes or decodes channels first .. last - 1 of some rows."""
-    C = values.shape[1]
-    near, dots = own
+    """Codes or decodes channels first .. last - 1 of some rows; near (4, C) is room for the neighbours' values."""
+    C, columns = values.shape[1], len(models.bits)
     for row in range(begin, end):
-        count = _look_around(values, pairs.references[row], last, own)
-        axis, energy, run, v1, v2, v3, skipped = AXES[pairs.slot[row]], 0, 0, 0, 0, 0, 0
+        count = _look_around(values, pairs, row, last, near)
+        slot, energy, run, v1, v2, v3, skipped = pairs.slot[row], 0, 0, 0, 0, 0, 0
+        dot0 = dot1 = dot2 = dot3 = 0
         for k in range(last):
-            value, n = values[row, k], near[k]
+            value, n0, n1, n2, n3 = int(values[row, k]), near[0, k], near[1, k], near[2, k], near[3, k]
             if k >= first:
-                recent, total = (
-                    _size_bucket(2 * min(abs(v1), SHORT) + min(abs(v2), SHORT) + min(abs(v3), SHORT)),
-                    _size_bucket(run),
-                )
+                recent = _bucket(2 * min(abs(v1), SHORT) + min(abs(v2), SHORT) + min(abs(v3), SHORT))
+                total = _bucket(run)
                 if FIRST_GROUP <= k < C - 1 and (k - FIRST_GROUP) % GROUP == 0:
-                    skipped = _skip(
-                        values[row, :last],
-                        near,
-                        k,
-                        min(k + GROUP, last, C - 1),
-                        recent,
-                        total,
-                        count,
-                        pairs.slot[row],
-                        coder,
-                        models.groups,
-                    )
-                value = (
-                    0
-                    if k < skipped
-                    else _code_value(value, k, n, count, recent, total, dots, energy, v1, v2, axis, coder, models)
-                )
-                if value >> 30 == 1:
-                    return TOO_LARGE
+                    stop = min(k + GROUP, last, C - 1)
+                    some, found = _group(values, row, near, k, stop)
+                    group, around = (k - FIRST_GROUP) // GROUP, _bucket(found * _SHARES[count] // 6)
+                    a, b, c, d = _group_contexts(group, recent, total, around, slot)
+                    skipped = k if mix_bit(coder, models.groups, group, a, b, c, d, some) else stop
+                guess = dot0 * n0 + dot1 * n1 + dot2 * n2 + dot3 * n3
+                match = int(MATCHES[min(8 * abs(guess) // (energy + 1), len(MATCHES) - 1)]) if guess else 0
+                way = match if guess > 0 else -match
+                around = _bucket((abs(n0) + abs(n1) + abs(n2) + abs(n3)) * _SHARES[count] // 3)
+                a, b, c, d = _zero_contexts(k, recent, total, around, match, (n0, n1, n2, n3))
+                if k < skipped or not mix_bit(coder, models.zeros, k, a, b, c, d, value != 0):
+                    value = 0
+                else:
+                    e, f, g, h = _sign_contexts(k, v1, v2, (n0, n1, n2, n3), way, AXES[slot], columns)
+                    negative = mix_bit(coder, models.signs, k, e, f, g, h, value < 0)
+                    d = _size_context(k, -way if negative else way, around)
+                    value = _code_size(abs(value), k, a, b, c, d, coder, models)
+                    if value >> 30:
+                        return TOO_LARGE
+                    value = -value if negative else value
                 if coder.state[DECODES]:
                     values[row, k] = value
             seen = min(max(value, -CLIP), CLIP)
-            for i in range(REFERENCES):
-                dots[i] += seen * n[i]
-                energy += n[i] * n[i]
+            dot0, dot1, dot2, dot3 = dot0 + seen * n0, dot1 + seen * n1, dot2 + seen * n2, dot3 + seen * n3
+            energy += n0 * n0 + n1 * n1 + n2 * n2 + n3 * n3
             v1, v2, v3 = value, v1, v2
             run += min(abs(value), LONG)
         if coder.state[DECODES] and coder.state[PLACE] > len(coder.data) + 3:
@@ -187,73 +187,75 @@ def _code(
     return SOUND
 
 
-@compiled(inline=True)
-def _look_around(values: Values, references: Values, last: int, own: Row) -> int:
+@compiled(merged=True)
+def _look_around(values: Values, pairs: Pairs, row: int, last: int, near: Numbers) -> int:
     """Collects the neighbours' values; how many references there are."""
-    near, dots = own
     count = 0
     for i in range(REFERENCES):
-        dots[i] = 0
-        count += references[i] != 0
-        for k in range(last):
-            near[k, i] = min(max(values[references[i], k], -CLIP), CLIP) if references[i] else 0
+        reference = pairs.references[row, i]
+        if reference:
+            count += 1
+            for k in range(last):
+                near[i, k] = min(max(values[reference, k], -CLIP), CLIP)
+        else:
+            for k in range(last):
+                near[i, k] = 0
     return count
 
 
-@compiled(inline=True)
-def _skip(
-    row: Values,
-    near: Numbers,
-    k: int,
-    stop: int,
-    recent: int,
-    total: int,
-    count: int,
-    slot: int,
-    coder: Coder,
-    mixer: Mixer,
-) -> int:
-    """Codes whether the group of channels k .. stop - 1 has anything; before which channel nothing is coded."""
-    group, some, found = (k - FIRST_GROUP) // GROUP, 0, 0
-    for channel in range(k, stop):
-        some |= row[channel] != 0
+@compiled(merged=True)
+def _group(values: Values, row: int, near: Numbers, begin: int, end: int) -> tuple[int, int]:
+    """Whether a row has something in a group of channels, when encoding, and what its neighbours have there."""
+    some, found = 0, 0
+    for k in range(begin, end):
+        some |= values[row, k] != 0
         for i in range(REFERENCES):
-            found += min(abs(near[channel, i]), 3)
-    around = _size_bucket(found * _SHARES[count] // 6)
-    a = (group * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total
-    b = (group * SIZE_BUCKETS + around) * SIZE_BUCKETS + total
-    c = (around * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total
-    d = (group * SIZE_BUCKETS + around) * 8 + slot
-    return k if mix_bit(coder, mixer, group, a, b, c, d, some) else stop
+            found += min(abs(near[i, k]), 3)
+    return some, found
 
 
-@compiled(inline=True)
-def _code_value(
-    value: int, k: int, n: Numbers, count: int, recent: int, total: int, dots: Numbers, energy: int,
-    v1: int, v2: int, axis: int, coder: Coder, models: Models,
-) -> int:  # fmt: skip
-    """Codes or decodes a value; 2^30 if it is too large."""
-    beside = abs(n[0]) + abs(n[1]) + abs(n[2])
-    guess = dots[0] * n[0] + dots[1] * n[1] + dots[2] * n[2] + dots[3] * n[3]
-    around = _size_bucket((beside + abs(n[3])) * _SHARES[count] // 3)
-    match = MATCHES[min(8 * abs(guess) // (energy + 1), len(MATCHES) - 1)] if guess else 0
-    a = (k * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total
-    b = (k * SIZE_BUCKETS + _size_bucket(2 * beside)) * SIZE_BUCKETS + _size_bucket(2 * abs(n[3]))
-    c = (around * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total
-    d = (k * MATCH_BUCKETS + match) * SIZE_BUCKETS + around
-    if not mix_bit(coder, models.zeros, k, a, b, c, d, value != 0):
-        return 0
-    signs, above = ((_sign(n[0]) * 3 + _sign(n[1])) * 3 + _sign(n[2])) * 3 + _sign(n[3]), _sign(n[3])
-    way = MATCH_BUCKETS + match if guess > 0 else MATCH_BUCKETS - match
-    s1, s2 = ((k * 3 + _sign(v1)) * 3 + _sign(v2)) * _MATCHES + way, ((k * 3 + above) * 3 + axis) * _MATCHES + way
-    negative = mix_bit(coder, models.signs, k, signs * len(models.bits) + k, s1, way * _SIGNS + signs, s2, value < 0)
-    fits = 0 if guess == 0 else match if (guess < 0) == (negative == 1) else -match
-    d = (k * _MATCHES + MATCH_BUCKETS + fits) * SIZE_BUCKETS + around
-    size = _code_size(abs(value), k, a, b, c, d, coder, models)
-    return -size if negative and size >> 30 == 0 else size
+Contexts = tuple[int, int, int, int]
 
 
-@compiled(inline=True)
+@compiled(merged=True)
+def _group_contexts(group: int, recent: int, total: int, around: int, slot: int) -> Contexts:
+    return (
+        (group * BUCKETS + recent) * BUCKETS + total,
+        (group * BUCKETS + around) * BUCKETS + total,
+        (around * BUCKETS + recent) * BUCKETS + total,
+        (group * BUCKETS + around) * 8 + slot,
+    )
+
+
+@compiled(merged=True)
+def _zero_contexts(k: int, recent: int, total: int, around: int, match: int, n: Contexts) -> Contexts:
+    """n: the neighbours' values."""
+    return (
+        (k * BUCKETS + recent) * BUCKETS + total,
+        (k * BUCKETS + _bucket(2 * (abs(n[0]) + abs(n[1]) + abs(n[2])))) * BUCKETS + _bucket(2 * abs(n[3])),
+        (around * BUCKETS + recent) * BUCKETS + total,
+        (k * MATCH_BUCKETS + match) * BUCKETS + around,
+    )
+
+
+@compiled(merged=True)
+def _sign_contexts(k: int, v1: int, v2: int, n: Contexts, way: int, axis: int, columns: int) -> Contexts:
+    """way: match, below 0 where the guess is; columns: of the first table."""
+    signs = ((_sign(n[0]) * 3 + _sign(n[1])) * 3 + _sign(n[2])) * 3 + _sign(n[3])
+    return (
+        signs * columns + k,
+        ((k * 3 + _sign(v1)) * 3 + _sign(v2)) * _MATCHES + MATCH_BUCKETS + way,
+        (MATCH_BUCKETS + way) * _SIGNS + signs,
+        ((k * 3 + _sign(n[3])) * 3 + axis) * _MATCHES + MATCH_BUCKETS + way,
+    )
+
+
+@compiled(merged=True)
+def _size_context(k: int, fits: int, around: int) -> int:
+    return (k * _MATCHES + MATCH_BUCKETS + fits) * BUCKETS + around
+
+
+@compiled(merged=True)
 def _code_size(size: int, k: int, a: int, b: int, c: int, d: int, coder: Coder, models: Models) -> int:
     """Codes or decodes a size above 0: is it more than 1, 2, ..., 8, 10, 14, 22, ...? Then its place among as many."""
     step = 1

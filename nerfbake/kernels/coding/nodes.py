@@ -57,7 +57,7 @@ def _connect_all(masks: Masks, nodes: Nodes) -> None:
         count = add_children(masks, nodes, node, count)
 
 
-@compiled()
+@compiled(merged=True)
 def child(masks: Masks, nodes: Nodes, node: int, octant: int) -> Any:
     """The number of a node's child, or NONE. Its mask must be known."""
     mask = masks[node]
@@ -66,7 +66,7 @@ def child(masks: Masks, nodes: Nodes, node: int, octant: int) -> Any:
     return nodes.first[node] + BITS[mask & ((1 << octant) - 1)]
 
 
-@compiled()
+@compiled(merged=True)
 def add_children(masks: Masks, nodes: Nodes, node: int, count: int) -> int:
     """Numbers the children of a node whose mask is known; count and what comes back is how many nodes there are."""
     nodes.first[node] = count
@@ -79,7 +79,7 @@ def add_children(masks: Masks, nodes: Nodes, node: int, count: int) -> int:
     return count
 
 
-@compiled()
+@compiled(merged=True)
 def meet(masks: Masks, nodes: Nodes, node: int) -> None:
     """Finds who stands beside a node; the masks of the level above must be known."""
     if node == 0:

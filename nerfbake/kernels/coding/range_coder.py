@@ -71,69 +71,69 @@ def mixer(values: int, sets: int) -> Mixer:
     return Mixer(np.full((KINDS, values), EVEN, np.int32), np.full((sets, KINDS), WEIGHT))
 
 
-@compiled()
+@compiled(merged=True)
 def code_bit(coder: Coder, p: int, bit: int) -> Any:
     """Codes this bit, or decodes one: whichever the coder does. p is of a 1, in 1/65536, neither 0 nor 65536."""
-    state, data = coder
-    bound = state[RANGE] * p >> 16
-    if state[DECODES]:
-        bit = 1 if state[LOW] < bound else 0
+    low, width = coder.state[LOW], coder.state[RANGE]
+    bound = width * p >> 16
+    if coder.state[DECODES]:
+        bit = 1 if low < bound else 0
     if bit:
-        state[RANGE] = bound
+        width = bound
     else:
-        state[RANGE] -= bound
-        if state[DECODES]:
-            state[LOW] -= bound
+        width -= bound
+        if coder.state[DECODES]:
+            low -= bound
         else:
-            state[LOW] += bound
-            if state[LOW] >> 32:
+            low += bound
+            if low >> 32:
+                low &= 0xFFFFFFFF
                 _carry(coder)
-    while state[RANGE] < 1 << 24:
-        place = state[PLACE]
-        if state[DECODES]:
-            state[LOW] = state[LOW] << 8 | (data[place] if place < len(data) else 0)
+    while width < 1 << 24:
+        place = coder.state[PLACE]
+        if coder.state[DECODES]:
+            low = low << 8 | (coder.data[place] if place < len(coder.data) else 0)
         else:
-            if place < len(data):
-                data[place] = state[LOW] >> 24
-            state[LOW] = (state[LOW] & 0xFFFFFF) << 8
-        state[PLACE] = place + 1
-        state[RANGE] <<= 8
+            if place < len(coder.data):
+                coder.data[place] = low >> 24
+            low = (low & 0xFFFFFF) << 8
+        coder.state[PLACE] = place + 1
+        width <<= 8
+    coder.state[LOW], coder.state[RANGE] = low, width
     return bit
 
 
-@compiled()
+@compiled(merged=True)
 def _carry(coder: Coder) -> None:
     """Adds 1 to what has been written."""
-    state, data = coder
-    state[LOW] &= 0xFFFFFFFF
-    place = min(state[PLACE], len(data)) - 1
-    while data[place] == 255:
-        data[place] = 0
+    place = min(coder.state[PLACE], len(coder.data)) - 1
+    while coder.data[place] == 255:
+        coder.data[place] = 0
         place -= 1
-    data[place] += 1
+    coder.data[place] += 1
 
 
-@compiled()
-def mix_bit(coder: Coder, mixer: Mixer, weight_set: int, a: int, b: int, c: int, d: int, bit: int) -> Any:
-    """Codes or decodes a bit with model a of the first kind, b of the second, c and d."""
-    models, weights = mixer
-    own = weights[weight_set]
-    x0, x1 = STRETCH[models[0, a] >> 18], STRETCH[models[1, b] >> 18]
-    x2, x3 = STRETCH[models[2, c] >> 18], STRETCH[models[3, d] >> 18]
-    x = own[0] * x0 + own[1] * x1 + own[2] * x2 + own[3] * x3 >> 16
-    p = SQUASH[min(max(x, -2047), 2047) + 2048]
+@compiled(merged=True)
+def mix_bit(coder: Coder, mixer: Mixer, own: int, a: int, b: int, c: int, d: int, bit: int) -> Any:
+    """Codes or decodes a bit with model a of the first kind, b of the second, c and d, and its own set of weights."""
+    m0, m1, m2, m3 = mixer.models[0, a], mixer.models[1, b], mixer.models[2, c], mixer.models[3, d]
+    w0, w1, w2, w3 = mixer.weights[own, 0], mixer.weights[own, 1], mixer.weights[own, 2], mixer.weights[own, 3]
+    x0, x1 = int(STRETCH[m0 >> 18]), int(STRETCH[m1 >> 18])
+    x2, x3 = int(STRETCH[m2 >> 18]), int(STRETCH[m3 >> 18])
+    x = w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3 >> 16
+    p = int(SQUASH[min(max(x, -2047), 2047) + 2048])
     bit = code_bit(coder, p, bit)
     error = (65535 * bit - p) * RATE
-    own[0] += x0 * error + (1 << 15) >> 16
-    own[1] += x1 * error + (1 << 15) >> 16
-    own[2] += x2 * error + (1 << 15) >> 16
-    own[3] += x3 * error + (1 << 15) >> 16
-    models[0, a], models[1, b] = learnt(models[0, a], bit), learnt(models[1, b], bit)
-    models[2, c], models[3, d] = learnt(models[2, c], bit), learnt(models[3, d], bit)
+    mixer.weights[own, 0] = w0 + (x0 * error + (1 << 15) >> 16)
+    mixer.weights[own, 1] = w1 + (x1 * error + (1 << 15) >> 16)
+    mixer.weights[own, 2] = w2 + (x2 * error + (1 << 15) >> 16)
+    mixer.weights[own, 3] = w3 + (x3 * error + (1 << 15) >> 16)
+    mixer.models[0, a], mixer.models[1, b] = learnt(m0, bit), learnt(m1, bit)
+    mixer.models[2, c], mixer.models[3, d] = learnt(m2, bit), learnt(m3, bit)
     return bit
 
 
-@compiled()
+@compiled(merged=True)
 def learnt(model: int, bit: int) -> Any:
     """The model after an outcome."""
     p, n = model >> 8, model & 255
@@ -147,6 +147,7 @@ def finish(coder: Coder) -> Any:
     state, data = coder
     state[LOW] += 0xFFFFFF
     if state[LOW] >> 32:
+        state[LOW] &= 0xFFFFFFFF
         _carry(coder)
     if state[PLACE] < len(data):
         data[state[PLACE]] = state[LOW] >> 24

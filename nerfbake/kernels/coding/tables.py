@@ -45,8 +45,8 @@ def _buckets(steps: tuple[int, ...]) -> Table:
     return np.searchsorted(np.array(steps), np.arange(steps[-1] + 1), side="right").astype(np.int32)
 
 
-SQUASH = _squash()
-STRETCH = _stretch(SQUASH)
+SQUASH = _squash().astype(np.uint16)  # 8 KB each, so that both stay in the first-level cache
+STRETCH = _stretch(_squash()).astype(np.int16)
 RATES = (131072 // (2 * np.arange(LIMIT + 1) + 3)).astype(np.int32)  # 1 / (n + 1.5) in 1/65536
 SIZES, MATCHES = _buckets(_SIZES), _buckets(_MATCHES)
 SIZE_BUCKETS, MATCH_BUCKETS = len(_SIZES) + 1, len(_MATCHES) + 1

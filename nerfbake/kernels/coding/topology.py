@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nerfbake.kernels.coding.nodes import BITS, NONE, Masks, Nodes, Numbers, add_children, meet, new_nodes
+from nerfbake.kernels.coding.nodes import BITS, NONE, Masks, Nodes, add_children, meet, new_nodes
 from nerfbake.kernels.coding.range_coder import (
     Bytes,
     Coder,
@@ -63,12 +63,13 @@ def _code(masks: Masks, nodes: Nodes, coder: Coder, mixer: Mixer, levels: int) -
         if levels and nodes.level[node] >= levels:
             return DEEP
         meet(masks, nodes, node)
-        beside, level = nodes.beside[node], min(nodes.level[node], 15)
+        level = min(nodes.level[node], 15)
         faces, leaves = 0, 0
         for side in range(6):
-            if beside[side] != NONE:
+            near = nodes.beside[node, side]
+            if near != NONE:
                 faces |= 1 << side
-                leaves += beside[side] < node and masks[beside[side]] == 0
+                leaves += near < node and masks[near] == 0
         leaves = min(leaves, 3)
         mask, got = masks[node], 0
         if not mix_bit(coder, mixer, _LEAF, level * 4 + leaves, faces * 4 + leaves, level, leaves, mask == 0):
@@ -76,7 +77,7 @@ def _code(masks: Masks, nodes: Nodes, coder: Coder, mixer: Mixer, levels: int) -
                 if octant == 7 and got == 0:
                     got = 128  # it has a child somewhere
                     break
-                outside, before = _outside(masks, beside, node, octant), 1 << octant | got
+                outside, before = _outside(masks, nodes, node, octant), 1 << octant | got
                 known = BITS[got]
                 one, other = 256 + (octant * 64 + outside) * 8 + known, 64 + (octant * 16 + level) * 8 + known
                 bit = mask >> octant & 1
@@ -87,12 +88,12 @@ def _code(masks: Masks, nodes: Nodes, coder: Coder, mixer: Mixer, levels: int) -
     return SOUND
 
 
-@compiled()
-def _outside(masks: Masks, beside: Numbers, node: int, octant: int) -> int:
+@compiled(merged=True)
+def _outside(masks: Masks, nodes: Nodes, node: int, octant: int) -> int:
     """What touches an octant from outside of its node."""
     found = 0
     for axis in range(3):
-        near = beside[axis + 3 * (octant >> axis & 1)]
+        near = nodes.beside[node, axis + 3 * (octant >> axis & 1)]
         if near == NONE:
             state = 0
         elif near > node:

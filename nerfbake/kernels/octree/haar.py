@@ -17,7 +17,7 @@ with the weight 1 for every leaf.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -102,9 +102,12 @@ def forward(points: Floats, merges: Merges) -> None:
     _forward(points, merges.low, merges.high, merges.low_count, merges.high_count)
 
 
-def inverse(points: Floats, merges: Merges) -> None:
-    """(m, C) coefficients become the values of points, in place."""
-    _inverse(points, merges.low, merges.high, merges.low_count, merges.high_count)
+def inverse(rows: npt.NDArray[Any], steps: Floats, merges: Merges) -> Floats:
+    """(m, C) the values of points; rows: coefficients in the order of `merges.rows`, in steps of their channel."""
+    points = np.empty(rows.shape)
+    points[0] = rows[0] * steps
+    _inverse(rows, steps, points, merges.low, merges.high, merges.low_count, merges.high_count)
+    return points
 
 
 # -- compiled --------------------------------------------------------------------------------------------------
@@ -138,20 +141,28 @@ def _forward(points: Floats, low: Counts, high: Counts, low_count: Counts, high_
     for pair in range(len(low) - 1, -1, -1):
         p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
         q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
-        a, b = points[low[pair]], points[high[pair]]
+        a, b = low[pair], high[pair]
         for c in range(points.shape[1]):
-            below, above = a[c], b[c]
-            a[c] = p * below + q * above
-            b[c] = p * above - q * below
+            below, above = points[a, c], points[b, c]
+            points[a, c] = p * below + q * above
+            points[b, c] = p * above - q * below
 
 
 @compiled()
-def _inverse(points: Floats, low: Counts, high: Counts, low_count: Counts, high_count: Counts) -> None:
+def _inverse(
+    rows: npt.NDArray[Any],
+    steps: Floats,
+    points: Floats,
+    low: Counts,
+    high: Counts,
+    low_count: Counts,
+    high_count: Counts,
+) -> None:
     for pair in range(len(low)):
         p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
         q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
-        a, b = points[low[pair]], points[high[pair]]
+        a, b = low[pair], high[pair]
         for c in range(points.shape[1]):
-            total, difference = a[c], b[c]
-            a[c] = p * total - q * difference
-            b[c] = q * total + p * difference
+            total, difference = points[a, c], rows[pair + 1, c] * steps[c]
+            points[a, c] = p * total - q * difference
+            points[b, c] = q * total + p * difference
