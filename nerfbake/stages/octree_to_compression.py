@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,7 +45,7 @@ def compress_octree(
     step: float | None = None,
     basis: str | None = None,
     cameras: Cameras | None = None,
-    truth: list[Image] | None = None,
+    truth: Sequence[Image] | None = None,
     source_psnr: float = 35.0,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Compression:

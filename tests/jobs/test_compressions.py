@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake import SparseVoxelOctree, load
+from nerfbake import N3Tree, SparseVoxelOctree, build_field, load, memory_limit, orbit_cameras, render_field, save
 from nerfbake.errors import UsageError
 from nerfbake.jobs import Goal, Photographs, compress_file
 from tests.jobs.listener import Listener
@@ -30,3 +30,19 @@ def test_wrong_arguments_are_told_before_anything_is_read() -> None:
         compress_file("none", "a.svoq", photographs=Photographs(truth="."))
     with pytest.raises(UsageError, match=r"allowed: \.svoq"):
         compress_file("none", "a.svo.pb")
+
+
+def test_photographs_are_read_one_after_the_other(folder: Path) -> None:
+    scene = load("a.npz", N3Tree)
+    field = build_field(scene)
+    views = orbit_cameras(field, frames=12, width=640, height=640)
+    save("around.json", views)
+    (folder / "truth").mkdir()
+    for view in views.cameras:
+        save(folder / "truth" / f"{view.name}.png", render_field(field, view))
+    photographs = Photographs("around.json", "truth")
+    all_at_once = 12 * 640 * 640 * 4 * 5
+    with memory_limit(2 * all_at_once // 3):
+        found = compress_file("a.npz", "a.svoq", goal=Goal(step=0.2), photographs=photographs)
+    assert found.measured
+    assert found.views == 12
