@@ -136,6 +136,40 @@ def render(source: Source, cameras: str | None, rounds: int, destination: Destin
     destination.write([found], chart_rendering)
 
 
+@bench.command()
+@reads
+@click.option("--cameras", metavar="CAPTURE", help=f"The cameras of --truth: {CAPTURE}.")
+@click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera: measure.")
+@reports(rounds=1, chart="loss against bytes")
+@speaks
+def compress(
+    source: Source,
+    cameras: str | None,
+    truth: str | None,
+    rounds: int,
+    destination: Destination,
+    words: Words,
+) -> None:
+    """Draw the rate-distortion curve of `nerfbake compress` for the PlenOctree or octree IN, beside what general
+    compressors, palettes and PlenOctrees' median cut make of it.
+
+    \b
+      nerfbake bench compress chair.npz --plot curve.svg
+      nerfbake bench compress chair.npz --cameras transforms.json --truth photographs
+    """
+    from nerfbake.bench.compress.comparison import chart_compression, compare_compression
+    from nerfbake.jobs.compressions import Photographs
+
+    photographs = Photographs(cameras, truth)
+    photographs.require()
+    if truth is None:
+        without_effect("cameras", here="where nothing is measured", allowed="--cameras with --truth")
+    octree, name = _octree(source, words, None, only=False), Path(source.path).name
+    with source.blamed(words, "compressing"):
+        found = compare_compression(octree, name, photographs, rounds=rounds, progress=words.phase)
+    destination.write([found], chart_compression)
+
+
 def _octree(source: Source, words: Words, resolution: Any, *, only: bool) -> Any:
     """The octree to measure; only: there is no other scene that --resolution could be for."""
     scene = source.read(words)

@@ -78,7 +78,7 @@ FACTS: dict[str, tuple[list[str], Callable[[], Any]]] = {
     ),
 }
 # Those whose work is a stage's, io's or the benchmarks' own, a call between the words.
-NO_JOB = {"check", "bench formats", "bench atlas", "bench access", "bench render"}
+NO_JOB = {"check", "bench formats", "bench atlas", "bench access", "bench render", "bench compress"}
 
 
 @pytest.fixture(scope="module")

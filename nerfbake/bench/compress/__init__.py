@@ -1,0 +1,1 @@
+"""What compressed octrees cost in bytes and in pictures."""
