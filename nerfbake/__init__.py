@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.animation import Animation as Animation
     from nerfbake.scene.atlas import BakedAtlas as BakedAtlas
     from nerfbake.scene.atlas import OctahedralAtlas as OctahedralAtlas
+    from nerfbake.scene.brick_field import BrickField as BrickField
     from nerfbake.scene.camera import Camera as Camera
     from nerfbake.scene.camera import Cameras as Cameras
     from nerfbake.scene.comparison import Comparison as Comparison
@@ -38,8 +39,15 @@ if TYPE_CHECKING:
     from nerfbake.scene.stage1 import Stage1 as Stage1
     from nerfbake.scene.vdb import IndexGrid as IndexGrid
     from nerfbake.scene.vdb import VdbTree as VdbTree
+    from nerfbake.scene.views import Views as Views
     from nerfbake.scene.volume import Volume as Volume
     from nerfbake.stages.atlas_to_error import measure_atlas_error as measure_atlas_error
+    from nerfbake.stages.brick_field_to_brick_field import refit_bricks as refit_bricks
+    from nerfbake.stages.brick_field_to_field import field_of_bricks as field_of_bricks
+    from nerfbake.stages.brick_field_to_n3tree import n3tree_of_bricks as n3tree_of_bricks
+    from nerfbake.stages.brick_field_to_octree import fill_octree as fill_octree
+    from nerfbake.stages.brick_field_to_octree import octree_of_bricks as octree_of_bricks
+    from nerfbake.stages.brick_field_to_vdb import vdb_of_bricks as vdb_of_bricks
     from nerfbake.stages.cameras_to_directions import weigh_directions as weigh_directions
     from nerfbake.stages.clusters_to_maps import bake_snapped_maps as bake_snapped_maps
     from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
@@ -50,12 +58,14 @@ if TYPE_CHECKING:
     from nerfbake.stages.meshes_to_image import render_meshes as render_meshes
     from nerfbake.stages.n3tree_to_field import field_of_n3tree as field_of_n3tree
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree
+    from nerfbake.stages.octree_to_brick_field import bricks_of_octree as bricks_of_octree
     from nerfbake.stages.octree_to_compression import compress_octree as compress_octree
     from nerfbake.stages.octree_to_field import field_of_octree as field_of_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.octree_to_octree import lower_basis as lower_basis
     from nerfbake.stages.octree_to_quantised import quantise_octree as quantise_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
+    from nerfbake.stages.pictures_to_views import build_views as build_views
     from nerfbake.stages.scene_to_cameras import orbit_cameras as orbit_cameras
     from nerfbake.stages.scene_to_cameras import sphere_cameras as sphere_cameras
     from nerfbake.stages.scene_to_field import build_field as build_field
@@ -71,6 +81,9 @@ if TYPE_CHECKING:
     from nerfbake.stages.vdb_to_octree import octree_of_density as octree_of_density
     from nerfbake.stages.vdb_to_octree import octree_of_volume as octree_of_volume
     from nerfbake.stages.vdb_to_vdb import cast_volume as cast_volume
+    from nerfbake.stages.views_to_error import measure_views as measure_views
+    from nerfbake.stages.views_to_field import fit_field as fit_field
+    from nerfbake.stages.views_to_hull import carve_hull as carve_hull
     from nerfbake.stages.volume_to_field import field_of_volume as field_of_volume
 
 __version__ = "0.1.0"

@@ -112,11 +112,16 @@ COMPRESSED = ".zst"
 COMPRESSION = "nerfbake.formats.wire.zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
+# What holds no scene by itself, and is read by one command alone.
+PHOTOGRAPHS = "nerfbake.formats.wire.photograph"
+CHECKPOINTS = "nerfbake.formats.wire.checkpoint"
+
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
 SCENES = {
     "Animation": "nerfbake.scene.animation",
     "BakedAtlas": "nerfbake.scene.atlas",
+    "BrickField": "nerfbake.scene.brick_field",
     "Camera": "nerfbake.scene.camera",
     "Cameras": "nerfbake.scene.camera",
     "Comparison": "nerfbake.scene.comparison",
@@ -134,10 +139,13 @@ SCENES = {
     "RadianceField": "nerfbake.scene.radiance_field",
     "Stage1": "nerfbake.scene.stage1",
     "VdbTree": "nerfbake.scene.vdb",
+    "Views": "nerfbake.scene.views",
     "Volume": "nerfbake.scene.volume",
 }
 
 STAGES = {
+    "carve_hull": "nerfbake.stages.views_to_hull",
+    "fit_field": "nerfbake.stages.views_to_field",
     "sphere_cameras": "nerfbake.stages.scene_to_cameras",
     "lower_basis": "nerfbake.stages.octree_to_octree",
     "quantise_octree": "nerfbake.stages.octree_to_quantised",
@@ -145,23 +153,31 @@ STAGES = {
     "compress_octree": "nerfbake.stages.octree_to_compression",
     "bake_atlas": "nerfbake.stages.specular_to_atlas",
     "bake_stage1": "nerfbake.stages.stage1_to_atlas",
+    "bricks_of_octree": "nerfbake.stages.octree_to_brick_field",
     "build_field": "nerfbake.stages.scene_to_field",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
     "build_vdb": "nerfbake.stages.octree_to_vdb",
+    "build_views": "nerfbake.stages.pictures_to_views",
     "cast_volume": "nerfbake.stages.vdb_to_vdb",
     "cluster_identifiers": "nerfbake.stages.identifiers_to_clusters",
     "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
     "compare_scenes": "nerfbake.stages.scenes_to_comparison",
     "render_field_and_meshes": "nerfbake.stages.field_and_meshes_to_image",
     "cut_octree": "nerfbake.stages.octree_to_octree",
+    "fill_octree": "nerfbake.stages.brick_field_to_octree",
+    "field_of_bricks": "nerfbake.stages.brick_field_to_field",
     "field_of_n3tree": "nerfbake.stages.n3tree_to_field",
     "field_of_octree": "nerfbake.stages.octree_to_field",
     "field_of_volume": "nerfbake.stages.volume_to_field",
+    "n3tree_of_bricks": "nerfbake.stages.brick_field_to_n3tree",
+    "octree_of_bricks": "nerfbake.stages.brick_field_to_octree",
     "octree_of_density": "nerfbake.stages.vdb_to_octree",
+    "refit_bricks": "nerfbake.stages.brick_field_to_brick_field",
     "render_meshes": "nerfbake.stages.meshes_to_image",
     "identify_colours": "nerfbake.stages.specular_to_identifiers",
     "measure_atlas_error": "nerfbake.stages.atlas_to_error",
     "measure_stage1_error": "nerfbake.stages.stage1_to_atlas",
+    "measure_views": "nerfbake.stages.views_to_error",
     "orbit_cameras": "nerfbake.stages.scene_to_cameras",
     "render_field": "nerfbake.stages.field_to_image",
     "octree_of_volume": "nerfbake.stages.vdb_to_octree",
@@ -170,6 +186,7 @@ STAGES = {
     "render_stage1": "nerfbake.stages.stage1_to_image",
     "bake_snapped_maps": "nerfbake.stages.clusters_to_maps",
     "summarise_scene": "nerfbake.stages.scene_to_summary",
+    "vdb_of_bricks": "nerfbake.stages.brick_field_to_vdb",
     "weigh_directions": "nerfbake.stages.cameras_to_directions",
 }
 
@@ -200,6 +217,14 @@ ADVICE = {
 
 def load_compression() -> contract.Compression:
     return cast(contract.Compression, import_module(COMPRESSION))
+
+
+def load_photographs() -> contract.Photographs:
+    return cast(contract.Photographs, import_module(PHOTOGRAPHS))
+
+
+def load_checkpoints() -> contract.Checkpoints:
+    return cast(contract.Checkpoints, import_module(CHECKPOINTS))
 
 
 def uncompressed(name: str) -> str:

@@ -7,10 +7,12 @@ neither can be written, every run does. It lets go of the interpreter, for kerne
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numba
+from numba.core import event
 
 # Of the libraries that share a parallel loop out to threads, numba would take TBB wherever it is installed. There each
 # loop takes longer than the loops before it (1,500 small ones, six times over: 0.09, 0.15, 0.29, 0.58, 0.84 and 1.14
@@ -20,7 +22,41 @@ if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
 
 uncached: list[str] = []  # kernels that are compiled anew in every process
 
+
+class Compiling(NamedTuple):
+    """Seconds of the compiler's own thread, and seconds that passed meanwhile."""
+
+    worked: float = 0.0
+    passed: float = 0.0
+
+
+class _Stopwatch(event.Listener):
+    """Compiling one kernel may make it compile another."""
+
+    def __init__(self) -> None:
+        self.total, self._depth, self._start = Compiling(), 0, Compiling()
+
+    def on_start(self, event: object) -> None:
+        if not self._depth:
+            self._start = Compiling(time.thread_time(), time.perf_counter())
+        self._depth += 1
+
+    def on_end(self, event: object) -> None:
+        self._depth -= 1
+        if not self._depth:
+            worked = self.total.worked + time.thread_time() - self._start.worked
+            self.total = Compiling(worked, self.total.passed + time.perf_counter() - self._start.passed)
+
+
+_stopwatch = _Stopwatch()
+event.register("numba:compile", _stopwatch)  # type: ignore[no-untyped-call]
+
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiling() -> Compiling:
+    """What this process has spent on compiling kernels: only a first run does."""
+    return _stopwatch.total
 
 
 def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:

@@ -32,6 +32,7 @@ class Camera:
     focal   in pixels: one for both axes, or (fx, fy)
     centre  (cx, cy), where the optical axis meets the picture, in pixels from its upper left corner; None: the middle
     lens    what it does beside perspective; None: a pinhole
+    picture  what it took: a path in its capture's folder, whose ending may be missing; '' where none is known
 
     >>> import numpy as np
     >>> from nerfbake import Camera
@@ -48,6 +49,7 @@ class Camera:
     name: str = ""
     centre: tuple[float, float] | None = None
     lens: Lens | None = None
+    picture: str = ""
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= MAX_EDGE and 1 <= self.height <= MAX_EDGE):

@@ -1,4 +1,4 @@
-"""PlenOctree, octree or volume -> the field that a marcher reads."""
+"""PlenOctree, octree, volume or field of bricks -> the field that a marcher reads."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ from collections.abc import Callable
 from typing import Any
 
 from nerfbake.errors import UsageError
+from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.volume import Volume
+from nerfbake.stages.brick_field_to_field import field_of_bricks
 from nerfbake.stages.n3tree_to_field import field_of_n3tree
 from nerfbake.stages.octree_to_field import field_of_octree
 from nerfbake.stages.volume_to_field import field_of_volume
 
-FieldSource = N3Tree | SparseVoxelOctree | Volume
+FieldSource = N3Tree | SparseVoxelOctree | Volume | BrickField
 _STAGES: dict[type, Callable[[Any], RadianceField]] = {
     N3Tree: field_of_n3tree,
     SparseVoxelOctree: field_of_octree,
     Volume: field_of_volume,
+    BrickField: field_of_bricks,
 }
 
 

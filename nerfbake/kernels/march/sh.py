@@ -15,34 +15,38 @@ import numpy.typing as npt
 
 def sh_basis(directions: npt.NDArray[np.float64], B: int, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
     """The first B (1, 4, 9, 16, 25) basis functions at unit directions: (m, 3) -> (m, B)."""
-    x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
+    out = np.empty((len(directions), B), dtype)
+    fill_basis(directions[:, 0], directions[:, 1], directions[:, 2], B, out.T)
+    return out
+
+
+def fill_basis(x: Any, y: Any, z: Any, B: int, out: npt.NDArray[Any]) -> None:
+    """The same into out (B, m), of arrays (m,); or, compiled, of numbers into (B,)."""
     xx, yy, zz = x * x, y * y, z * z
-    out = np.empty((len(x), B), dtype)
-    out[:, 0] = 0.5 / sqrt(pi)
+    out[0] = 0.5 / sqrt(pi)
     if B > 1:
         k = sqrt(3 / (4 * pi))
-        out[:, 1], out[:, 2], out[:, 3] = -k * y, k * z, -k * x
+        out[1], out[2], out[3] = -k * y, k * z, -k * x
     if B > 4:
         k = sqrt(15 / (4 * pi))
-        out[:, 4], out[:, 5], out[:, 7] = k * x * y, -k * y * z, -k * x * z
-        out[:, 6] = sqrt(5 / (16 * pi)) * (2 * zz - xx - yy)
-        out[:, 8] = k / 2 * (xx - yy)
+        out[4], out[5], out[7] = k * x * y, -k * y * z, -k * x * z
+        out[6] = sqrt(5 / (16 * pi)) * (2 * zz - xx - yy)
+        out[8] = k / 2 * (xx - yy)
     if B > 9:
         k0, k1, k2, k3 = sqrt(7 / (16 * pi)), sqrt(21 / (32 * pi)), sqrt(105 / (16 * pi)), sqrt(35 / (32 * pi))
         side = 4 * zz - xx - yy
-        out[:, 9], out[:, 15] = -k3 * y * (3 * xx - yy), -k3 * x * (xx - 3 * yy)
-        out[:, 10], out[:, 14] = 2 * k2 * x * y * z, k2 * z * (xx - yy)
-        out[:, 11], out[:, 13] = -k1 * y * side, -k1 * x * side
-        out[:, 12] = k0 * z * (2 * zz - 3 * xx - 3 * yy)
+        out[9], out[15] = -k3 * y * (3 * xx - yy), -k3 * x * (xx - 3 * yy)
+        out[10], out[14] = 2 * k2 * x * y * z, k2 * z * (xx - yy)
+        out[11], out[13] = -k1 * y * side, -k1 * x * side
+        out[12] = k0 * z * (2 * zz - 3 * xx - 3 * yy)
     if B > 16:
         k0, k1, k2 = 3 / (16 * sqrt(pi)), 3 * sqrt(5 / (32 * pi)), 3 * sqrt(5 / (64 * pi))
         k3, k4 = 3 * sqrt(35 / (32 * pi)), 3 * sqrt(35 / (256 * pi))
-        out[:, 16], out[:, 24] = 4 * k4 * x * y * (xx - yy), k4 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))
-        out[:, 17], out[:, 23] = -k3 * y * z * (3 * xx - yy), -k3 * x * z * (xx - 3 * yy)
-        out[:, 18], out[:, 22] = 2 * k2 * x * y * (7 * zz - 1), k2 * (xx - yy) * (7 * zz - 1)
-        out[:, 19], out[:, 21] = -k1 * y * z * (7 * zz - 3), -k1 * x * z * (7 * zz - 3)
-        out[:, 20] = k0 * (zz * (35 * zz - 30) + 3)
-    return out
+        out[16], out[24] = 4 * k4 * x * y * (xx - yy), k4 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))
+        out[17], out[23] = -k3 * y * z * (3 * xx - yy), -k3 * x * z * (xx - 3 * yy)
+        out[18], out[22] = 2 * k2 * x * y * (7 * zz - 1), k2 * (xx - yy) * (7 * zz - 1)
+        out[19], out[21] = -k1 * y * z * (7 * zz - 3), -k1 * x * z * (7 * zz - 3)
+        out[20] = k0 * (zz * (35 * zz - 30) + 3)
 
 
 def band_of(B: int) -> npt.NDArray[np.int64]:

@@ -1,0 +1,72 @@
+"""What silhouettes leave of a solid: cells that are in front of the background in some view cannot hold anything."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.arrays import Bits, Floats, Singles
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.march.traversal import within
+
+Marks = npt.NDArray[np.uint8]
+Counts = npt.NDArray[np.uint16]
+_HELD, _CLEAR = 1, 2
+
+
+@compiled()
+def mark_clear(
+    low: Floats, size: Floats, eye: Floats, directions: Singles, held: Bits, met: Marks, clear: Counts, inside: Counts
+) -> None:
+    """Adds one to `inside` (R, R, R) for the cells that a view sees, and to `clear` for those of them that only its
+    background's rays cross.
+
+    low, size, eye (3,): the lattice's corner, its cells, and the camera in the world. directions (m, 3) and held (m,):
+    which rays are the object's. met (R, R, R): room to work in.
+    """
+    met[:] = 0
+    place = (eye - low) / size
+    for ray in range(len(directions)):
+        d0, d1, d2 = directions[ray, 0] / size[0], directions[ray, 1] / size[1], directions[ray, 2] / size[2]
+        _mark(place[0], place[1], place[2], d0, d1, d2, np.uint8(_HELD if held[ray] else _CLEAR), met)
+    marks, all_clear, all_inside = met.reshape(-1), clear.reshape(-1), inside.reshape(-1)
+    for cell in range(len(marks)):
+        all_inside[cell] += marks[cell] > 0
+        all_clear[cell] += marks[cell] == _CLEAR
+
+
+@compiled()
+def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark: Any, met: Marks) -> None:
+    """Marks the cells along a ray."""
+    R = met.shape[0]
+    i0 = 1 / d0 if d0 != 0 else np.inf
+    i1 = 1 / d1 if d1 != 0 else np.inf
+    i2 = 1 / d2 if d2 != 0 else np.inf
+    start, end = part_between(o0, i0, R, 0.0, np.inf)
+    start, end = part_between(o1, i1, R, start, end)
+    start, end = part_between(o2, i2, R, start, end)
+    if start >= end:
+        return
+    x, y, z = within(o0 + start * d0, 0, R - 1), within(o1 + start * d1, 0, R - 1), within(o2 + start * d2, 0, R - 1)
+    while 0 <= x < R and 0 <= y < R and 0 <= z < R:
+        met[x, y, z] |= mark
+        exit0 = (x + (d0 > 0) - o0) * i0 if d0 != 0 else np.inf
+        exit1 = (y + (d1 > 0) - o1) * i1 if d1 != 0 else np.inf
+        exit2 = (z + (d2 > 0) - o2) * i2 if d2 != 0 else np.inf
+        if exit0 <= exit1 and exit0 <= exit2:
+            x += 1 if d0 > 0 else -1
+        elif exit1 <= exit2:
+            y += 1 if d1 > 0 else -1
+        else:
+            z += 1 if d2 > 0 else -1
+
+
+@compiled(inline=True)
+def part_between(origin: float, inverse: float, edge: float, start: float, end: float) -> Any:
+    """The part of a ray from start to end that is between 0 and an edge; inverse: one over its direction."""
+    if inverse == np.inf or inverse == -np.inf:
+        return start, end if 0 <= origin < edge else -1.0
+    near, far = -origin * inverse, (edge - origin) * inverse
+    return max(start, min(near, far)), min(end, max(near, far))

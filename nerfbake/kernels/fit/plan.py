@@ -1,0 +1,183 @@
+"""From one set of cells to the next: what is kept, and what is divided, brick by brick.
+
+A plan is a grid of bricks and for each of them 512 codes, x-major, that say what its cells will be made of:
+
+    -1                nothing
+    row << 1 | wide   the values of this row; wide: in one of 2^3 places that are one cell
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import prange
+
+from nerfbake.kernels.arrays import Bits, Ints
+from nerfbake.kernels.fit.bricks import EMPTY, EMPTY_WIDE, SIZE
+from nerfbake.kernels.fit.topgrid import Top, top_grid
+from nerfbake.kernels.jit import compiled
+
+Codes = npt.NDArray[np.int32]
+NONE = -1
+# Loops in parallel only call what does the work: with more in them, numba was seen to mix up the turns' variables.
+
+
+class Plan(NamedTuple):
+    """top (r, r, r) numbers the bricks, as kernels.fit.topgrid does; codes (b, 512)."""
+
+    top: Top
+    codes: Codes
+
+
+class Settled(NamedTuple):
+    """The bricks of a plan that hold something: their tables for kernels.fit.bricks, and the row that each cell is
+    made of.
+    """
+
+    top: Top
+    slots: npt.NDArray[np.int16]
+    first: npt.NDArray[np.int32]
+    places: npt.NDArray[np.int16]
+    row: npt.NDArray[np.int32]
+
+
+def plan_of_solid(solid: Bits) -> Plan:
+    """(R, R, R) bool; all cells are made of row 0."""
+    r = len(solid) // 8
+    bricks = solid.reshape(r, 8, r, 8, r, 8).transpose(0, 2, 4, 1, 3, 5).reshape(-1, SIZE)
+    held = bricks.any(axis=1)
+    codes = np.where(bricks[held], np.int32(0), np.int32(NONE))
+    return Plan(top_grid(held.reshape(r, r, r)), codes)
+
+
+def plan_of_kept(top: Top, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits) -> Plan:
+    """The cells that `keep` (n,) chooses, as they are."""
+    codes = np.empty(slots.shape, np.int32)
+    _kept(slots, first, keep, codes)
+    return Plan(top, codes)
+
+
+def doubled(plan: Plan, split: Bits) -> Plan:
+    """On a lattice twice as fine: rows that `split` (n,) chooses as eight cells, others as wide ones; none was wide."""
+    held = np.repeat(np.repeat(np.repeat(plan.top >= 0, 2, 0), 2, 1), 2, 2)
+    top = top_grid(held)
+    places = np.argwhere(held)
+    codes = np.empty((len(places), SIZE), np.int32)
+    _doubled(plan, places, split, codes)
+    return Plan(top, codes)
+
+
+def divided(plan: Plan, split: Bits) -> Plan:
+    """On the same lattice: of the wide cells, those that `split` (n,) chooses as eight cells."""
+    codes = plan.codes
+    chosen = (codes >= 0) & (codes & 1 == 1) & split[np.maximum(codes, 0) >> 1]
+    return Plan(plan.top, codes - chosen)
+
+
+def settle(plan: Plan) -> Settled:
+    """Numbers the cells, and leaves bricks without any out."""
+    held = (plan.codes >= 0).any(axis=1)
+    solid = plan.top >= 0
+    solid[solid] = held
+    top, codes = top_grid(solid), plan.codes if held.all() else plan.codes[held]
+    slots, counts = np.empty(codes.shape, np.int16), np.empty(len(codes), np.int64)
+    _number(codes, slots, counts)
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    made, places = np.empty(int(first[-1]), np.int32), np.empty(int(first[-1]), np.int16)
+    _collect(codes, slots, first, made, places)
+    return Settled(top, slots, first, places, made >> 1)
+
+
+@compiled(parallel=True)
+def _kept(slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits, codes: Codes) -> None:
+    for brick in prange(len(slots)):
+        _kept_in(brick, slots, first, keep, codes)
+
+
+@compiled()
+def _kept_in(brick: int, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits, codes: Codes) -> None:
+    for place in range(SIZE):
+        slot = slots[brick, place]
+        row = first[brick] + (slot >> 1)
+        codes[brick, place] = row << 1 | slot & 1 if slot >= 0 and keep[row] else NONE
+
+
+@compiled(parallel=True)
+def _doubled(plan: Plan, places: Ints, split: Bits, codes: Codes) -> None:
+    for brick in prange(len(places)):
+        _doubled_in(brick, plan, places, split, codes)
+
+
+@compiled()
+def _doubled_in(brick: int, plan: Plan, places: Ints, split: Bits, codes: Codes) -> None:
+    x, y, z = places[brick, 0], places[brick, 1], places[brick, 2]
+    old = plan.top[x >> 1, y >> 1, z >> 1]
+    for place in range(SIZE):
+        i, j, k = 4 * (x & 1) + (place >> 7), 4 * (y & 1) + (place >> 4 & 3), 4 * (z & 1) + (place >> 1 & 3)
+        code = plan.codes[old, i << 6 | j << 3 | k]
+        codes[brick, place] = code | 1 if code >= 0 and not split[code >> 1] else code
+
+
+@compiled(parallel=True)
+def _number(codes: Codes, slots: npt.NDArray[np.int16], counts: Ints) -> None:
+    for brick in prange(len(codes)):
+        _number_in(brick, codes, slots, counts)
+
+
+@compiled()
+def _number_in(brick: int, codes: Codes, slots: npt.NDArray[np.int16], counts: Ints) -> None:
+    cell = 0
+    for place in range(SIZE):
+        code, corner = codes[brick, place], place & ~0b001001001
+        if code < 0:
+            slot: Any = EMPTY
+            alone = _all_empty(codes[brick], corner) if place == corner else slots[brick, corner] == EMPTY_WIDE
+            if alone:
+                slot = EMPTY_WIDE
+        elif code & 1 and place != corner:
+            slot = np.int64(slots[brick, corner])
+        else:
+            slot = cell << 1 | code & 1
+            cell += 1
+        slots[brick, place] = slot
+    counts[brick] = cell
+
+
+@compiled()
+def _all_empty(codes: Codes, corner: int) -> bool:
+    held = 0
+    for place in (0, 1, 8, 9, 64, 65, 72, 73):
+        held += codes[corner + place] >= 0
+    return held == 0
+
+
+@compiled(parallel=True)
+def _collect(
+    codes: Codes,
+    slots: npt.NDArray[np.int16],
+    first: npt.NDArray[np.int32],
+    made: npt.NDArray[np.int32],
+    places: npt.NDArray[np.int16],
+) -> None:
+    for brick in prange(len(codes)):
+        _collect_in(brick, codes, slots, first, made, places)
+
+
+@compiled()
+def _collect_in(
+    brick: int,
+    codes: Codes,
+    slots: npt.NDArray[np.int16],
+    first: npt.NDArray[np.int32],
+    made: npt.NDArray[np.int32],
+    places: npt.NDArray[np.int16],
+) -> None:
+    cell = 0
+    for place in range(SIZE):
+        slot = slots[brick, place]
+        if slot >= 0 and slot >> 1 == cell:
+            made[first[brick] + cell] = codes[brick, place]
+            places[first[brick] + cell] = place << 1 | slot & 1
+            cell += 1

@@ -1,0 +1,41 @@
+"""The grid of bricks: which brick stands where, and how far the next one is from where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.arrays import Bits
+
+Top = npt.NDArray[np.int32]
+
+
+def top_grid(held: Bits) -> Top:
+    """(r, r, r) int32 of (r, r, r) bool: bricks are numbered in raster order; elsewhere stands -d, where the nearest
+    brick is d bricks away (Chebyshev), so that a ray may pass d - 1 further bricks in every direction.
+
+    Without any brick d is r everywhere.
+    """
+    r = len(held)
+    top = np.full(held.shape, -r, np.int32)
+    near = held.copy()
+    for away in range(1, r):
+        wider = _dilated(near)
+        top[wider & ~near] = -away
+        if wider.all() or not wider.any():
+            break
+        near = wider
+    top[held] = np.arange(np.count_nonzero(held), dtype=np.int32)
+    return top
+
+
+def _dilated(held: Bits) -> Bits:
+    """With the 26 neighbours of each: one axis after the other."""
+    wider = held
+    for axis in range(3):
+        along = np.moveaxis(wider, axis, 0)
+        grown = along.copy()
+        grown[1:] |= along[:-1]
+        grown[:-1] |= along[1:]
+        wider = np.moveaxis(grown, 0, axis)
+    return wider

@@ -1,0 +1,215 @@
+"""What the tasks ask of the cells, added up in order, and the step that each cell takes."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+
+from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.fit.bricks import (
+    BLAME,
+    COLOUR_SUM,
+    CURVATURE,
+    DENSITY_SUM,
+    MOST,
+    SIZE,
+    WEIGHT,
+    Batch,
+    Bricks,
+    Whole,
+)
+from nerfbake.kernels.fit.colours import look, new_room
+from nerfbake.kernels.jit import compiled
+
+DECAY = 0.9  # of the moving means
+FADE = 0.95  # of the largest weight, at every view that meets the cell
+MOST_DENSITY = 12.0  # per own width
+_CURVATURE_FLOOR, _WEIGHT_FLOOR = 1e-3, 1e-2
+_SLOPE_FLOOR = 0.05  # of the sigmoid
+_SUMS = 8  # numbers of a row that are added up, from COLOUR_SUM on
+_BLOCK = 512  # places of bricks that one core does before it takes the next
+
+
+class Steps(NamedTuple):
+    """rates of density and colour; the pull of density towards 0; of each coefficient its part in a step and its ridge,
+    (B,) each; rays a pixel.
+    """
+
+    density: float
+    colour: float
+    pull: float
+    parts: Singles
+    ridge: Singles
+    rays: float
+
+
+@compiled(parallel=True)
+def take_steps(bricks: Bricks, batch: Batch, eye: Floats, means: Singles, seen: Singles, steps: Steps) -> None:
+    """Moves the values of all cells that the batch has met. Source of the steps: docs/fitting.md, "How it is fitted".
+
+    means (n, 2): moving means of curvature and of weight, 0 for cells that were never met. seen (n, 2): the largest
+    weight that a ray gave the cell, and the sum of weight times what its pixels are off; both go on.
+    """
+    r = bricks.top.shape[0]
+    for turn in prange((r * r * r + _BLOCK - 1) // _BLOCK):
+        _step_block(bricks, batch, turn * _BLOCK, min((turn + 1) * _BLOCK, r * r * r), eye, means, seen, steps)
+
+
+@compiled()
+def _step_block(
+    bricks: Bricks, batch: Batch, begin: int, end: int, eye: Floats, means: Singles, seen: Singles, steps: Steps
+) -> None:
+    """The bricks at some places of the top grid."""
+    r, B = bricks.top.shape[0], len(steps.ridge)
+    sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_room(B)
+    for place in range(begin, end):
+        at = place // (r * r), place // r % r, place % r
+        brick = np.int64(bricks.top[at])
+        if brick < 0:
+            continue
+        first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
+        if not _add(batch, brick, count, sums):
+            continue
+        start = (3 * B + 1) * first
+        _move_density(
+            bricks.values, start + 3 * B * count, bricks.places, bricks.width, first, count, sums, means, steps
+        )
+        _see(sums, seen, first, count, np.float32(1 / steps.rays))
+        x = np.float32(bricks.low[0] + 8 * at[0] * bricks.size[0] - eye[0])
+        y = np.float32(bricks.low[1] + 8 * at[1] * bricks.size[1] - eye[1])
+        z = np.float32(bricks.low[2] + 8 * at[2] * bricks.size[2] - eye[2])
+        dx, dy, dz = np.float32(bricks.size[0]), np.float32(bricks.size[1]), np.float32(bricks.size[2])
+        look(bricks.places, first, count, x, y, z, dx, dy, dz, room)
+        _weigh(first, count, sums, means, np.float32(1 / steps.rays), np.float32(steps.colour), room, steps.parts)
+        for channel in range(3):
+            _move_colour(
+                bricks.values,
+                start + channel * B * count,
+                count,
+                sums,
+                channel,
+                steps.parts,
+                steps.ridge,
+                np.float32(steps.colour),
+                room,
+            )
+
+
+@compiled()
+def _add(batch: Batch, brick: Whole, count: Whole, sums: Singles) -> bool:
+    """The tasks' sums of a brick's cells, in the order of the tasks, and the colours behind them; False for none."""
+    met = False
+    for task in range(batch.base.shape[0]):
+        base = np.int64(batch.base[task, brick])
+        if base < 0:
+            continue
+        _add_rows(batch.rows, task, base, count, met, sums)
+        met = True
+    return met
+
+
+# Indices below are unsigned: a signed one may be negative, which costs a comparison and the vector instructions.
+@compiled()
+def _add_rows(rows: Singles, task: Whole, base: Whole, count: Whole, met: bool, sums: Singles) -> None:
+    start = np.uint64(base)
+    if not met:
+        for cell in range(np.uint64(count)):
+            for k in range(3):
+                sums[_SUMS + k, cell] = rows[task, start + cell, k]
+            for k in range(_SUMS):
+                sums[k, cell] = rows[task, start + cell, COLOUR_SUM + k]
+        return
+    most = MOST - COLOUR_SUM
+    for cell in range(np.uint64(count)):
+        for k in range(_SUMS):
+            if k != most:
+                sums[k, cell] += rows[task, start + cell, COLOUR_SUM + k]
+        sums[most, cell] = max(sums[most, cell], rows[task, start + cell, MOST])
+
+
+@compiled()
+def _move_density(
+    values: Singles,
+    start: Whole,
+    places: Any,
+    width: float,
+    first: Whole,
+    count: Whole,
+    sums: Singles,
+    means: Singles,
+    steps: Steps,
+) -> None:
+    one, decay, fresh = np.float32(1), np.float32(DECAY), np.float32(1 - DECAY)
+    floor, rate, pull, most = (
+        np.float32(_CURVATURE_FLOOR),
+        np.float32(steps.density),
+        np.float32(steps.pull),
+        np.float32(MOST_DENSITY),
+    )
+    value, row, per_width, rays = np.uint64(start), np.uint64(first), np.float32(1 / width), np.float32(1 / steps.rays)
+    for cell in range(np.uint64(count)):
+        part = per_width * (np.float32(0.5) if places[row + cell] & 1 else one)
+        curvature = sums[CURVATURE - COLOUR_SUM, cell] * rays * part * part
+        asked = sums[DENSITY_SUM - COLOUR_SUM, cell] * rays * part
+        old = means[row + cell, 0]
+        mean = decay * old + fresh * curvature if old > 0 else curvature
+        quotient = min(max(asked / (mean + floor), -one), one)
+        moved = min(max(values[value + cell] + rate * (quotient - pull), np.float32(0)), most)
+        means[row + cell, 0] = mean if curvature > 0 else old
+        values[value + cell] = moved if curvature > 0 else values[value + cell]
+
+
+@compiled()
+def _see(sums: Singles, seen: Singles, first: Whole, count: Whole, rays: Any) -> None:
+    row = np.uint64(first)
+    for cell in range(np.uint64(count)):
+        if sums[CURVATURE - COLOUR_SUM, cell] > 0:
+            seen[row + cell, 0] = max(seen[row + cell, 0] * np.float32(FADE), sums[MOST - COLOUR_SUM, cell])
+            seen[row + cell, 1] += sums[BLAME - COLOUR_SUM, cell] * rays
+
+
+@compiled()
+def _weigh(
+    first: Whole, count: Whole, sums: Singles, means: Singles, rays: Any, rate: Any, room: Singles, parts: Singles
+) -> None:
+    """Into the room's first rows: the share of the mean weight that a cell has, and what its sums become steps by."""
+    row, one, decay, fresh = np.uint64(first), np.float32(1), np.float32(DECAY), np.float32(1 - DECAY)
+    for cell in range(np.uint64(count)):
+        room[1, cell] = np.float32(0)
+    for k in range(len(parts)):
+        for cell in range(np.uint64(count)):
+            room[1, cell] += parts[k] * room[4 + k, cell] * room[4 + k, cell]
+    for cell in range(np.uint64(count)):
+        weight = sums[WEIGHT - COLOUR_SUM, cell] * rays
+        old = means[row + cell, 1]
+        mean = decay * old + fresh * weight if old > 0 else weight
+        means[row + cell, 1] = mean if weight > 0 else old
+        scale = one / (mean + np.float32(_WEIGHT_FLOOR))
+        room[0, cell] = weight * scale
+        room[1, cell] = rays * scale * rate / room[1, cell] if weight > 0 else np.float32(0)
+
+
+@compiled()
+def _move_colour(
+    values: Singles,
+    first: Whole,
+    count: Whole,
+    sums: Singles,
+    channel: int,
+    parts: Singles,
+    ridge: Singles,
+    rate: Any,
+    room: Singles,
+) -> None:
+    start, cells, one = np.uint64(first), np.uint64(count), np.float32(1)
+    for cell in range(cells):
+        colour = sums[_SUMS + channel, cell]
+        room[2, cell] = sums[channel, cell] * room[1, cell] / max(colour * (one - colour), np.float32(_SLOPE_FLOOR))
+    for k in range(len(ridge)):
+        part, held = parts[k], ridge[k] * rate
+        for cell in range(cells):
+            value = values[start + cell]
+            values[start + cell] = value + part * room[2, cell] * room[4 + k, cell] - held * room[0, cell] * value
+        start += cells

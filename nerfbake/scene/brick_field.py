@@ -1,0 +1,182 @@
+"""The field that is fitted to pictures: bricks of 8^3 cells, whose cells may also come eight at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Bits, Coords, Ints, Points, Singles
+from nerfbake.kernels.fit.topgrid import top_grid
+from nerfbake.kernels.soundness import count_problem, plural
+from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
+from nerfbake.scene.basis import Basis, shown_basis
+
+EDGE = 8  # cells along an axis of a brick
+MAX_RESOLUTION = 4096
+EMPTY = -1
+
+
+@dataclass(frozen=True, eq=False)
+class BrickField(Scene):
+    """A radiance field over a lattice of cells, of which only bricks of 8^3 that hold something are there.
+
+    resolution  cells of the finest lattice along each axis, a power of two from 8
+    box     (2, 3) float64: the lattice's lowest and highest corner in the world; cells may be oblong
+    basis   SH1 to SH25
+    top     (r, r, r) int32, r = resolution / 8: the number of the brick there, 0 or more, in raster order; or -d,
+            where the nearest brick is d bricks away along the axis that is furthest (r if there is no brick at all)
+    rows    (b, 512) int32: the cells of each brick, x-major (x << 6 | y << 3 | z). -1 is empty, else row << 1 | wide.
+            A wide cell is 2^3 cells of the lattice at an even position, which all hold the same number
+    values  (n, 3 B + 1) float32: a row for each cell, in the order in which `rows` first meets them: B coefficients of
+            red, of green, of blue (the colour is the sigmoid of their sum), then the density per world unit
+
+    >>> import numpy as np
+    >>> from nerfbake import BrickField
+    >>> from nerfbake.scene.basis import Basis
+    >>> top, rows = np.zeros((1, 1, 1), np.int32), np.full((1, 512), -1, np.int32)
+    >>> rows[0, 0] = 0
+    >>> grey = np.array([[0, 0, 0, 50]], np.float32)
+    >>> field = BrickField(8, np.array([[0.0] * 3, [1.0] * 3]), Basis("SH", 1), top, rows, grey)
+    >>> print(field)
+    SH1 field of 1 cell in 1 brick of 8^3, in a lattice of 8^3
+    >>> field.sample(np.array([[0.1, 0.1, 0.1], [0.2, 0.1, 0.1]]))[:, 3]
+    array([50.,  0.], dtype=float32)
+    """
+
+    resolution: int
+    box: Points
+    basis: Basis
+    top: npt.NDArray[np.int32]
+    rows: npt.NDArray[np.int32]
+    values: Singles
+
+    def __post_init__(self) -> None:
+        if not EDGE <= self.resolution <= MAX_RESOLUTION or self.resolution & (self.resolution - 1):
+            allowed = f"a power of two, {EDGE} to {MAX_RESOLUTION}"
+            raise InvalidScene(Problem("resolution", f"is {self.resolution}", allowed))
+        if shown_basis(str(self.basis)).kind != "SH":
+            raise InvalidScene(Problem("basis", f"is {self.basis}", "SH1, SH4, SH9, SH16, SH25"))
+        r = self.resolution // EDGE
+        _require_shape("box", self.box, (2, 3), np.float64)
+        _require_shape("top", self.top, (r, r, r), np.int32)
+        _require_shape("rows", self.rows, (len(self.rows), EDGE**3), np.int32)
+        _require_shape("values", self.values, (len(self.values), self.basis.data_dim), np.float32)
+
+    def __str__(self) -> str:
+        held = f"{plural(self.n, 'cell')} in {plural(self.b, 'brick')}"
+        return f"{self.basis} field of {held} of {EDGE}^3, in a lattice of {self.resolution}^3"
+
+    # -- sizes -------------------------------------------------------------------------------------------------
+    @property
+    def n(self) -> int:
+        """Cells that hold something, wide ones counted once."""
+        return len(self.values)
+
+    @property
+    def b(self) -> int:
+        """Bricks."""
+        return len(self.rows)
+
+    @property
+    def cell_size(self) -> Points:
+        """(3,) edges of the finest cells in world units."""
+        return np.asarray((self.box[1] - self.box[0]) / self.resolution, np.float64)
+
+    # -- places ------------------------------------------------------------------------------------------------
+    @cached_property
+    def brick_corners(self) -> Coords:
+        """(b, 3) int32: the lowest cell of each brick."""
+        return (EDGE * np.argwhere(self.top >= 0)).astype(np.int32)
+
+    @cached_property
+    def corners(self) -> Coords:
+        """(n, 3) int32: the lowest cell of the lattice in each row's cell."""
+        flat, first = self.rows.reshape(-1), self._first
+        brick, cell = first // EDGE**3, first % EDGE**3
+        within = np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
+        assert (flat[first] >= 0).all()
+        return (self.brick_corners[brick] + within).astype(np.int32)
+
+    @cached_property
+    def wide(self) -> Bits:
+        """(n,) bool: the cells that are 2^3 cells of the lattice."""
+        return (self.rows.reshape(-1)[self._first] & 1).astype(bool)
+
+    @cached_property
+    def _first(self) -> Ints:
+        """(n,) the first place of each row in the flat table of rows."""
+        flat = self.rows.reshape(-1)
+        held = np.flatnonzero(flat >= 0)
+        numbers = flat[held] >> 1
+        first = np.empty(self.n, np.int64)
+        first[numbers[::-1]] = held[::-1]
+        return first
+
+    # -- reading -----------------------------------------------------------------------------------------------
+    def rows_at(self, points: Points) -> Ints:
+        """(m,) the row of the cell around each world point (m, 3), -1 for empty space and outside."""
+        cells = (points - self.box[0]) / self.cell_size
+        inside = ((cells >= 0) & (cells < self.resolution)).all(axis=1)
+        x, y, z = np.where(inside[:, None], cells, 0).astype(np.int64).T
+        brick = np.where(inside, self.top[x >> 3, y >> 3, z >> 3], -1)
+        found = np.full(len(points), EMPTY, np.int64)
+        at = np.flatnonzero(brick >= 0)
+        slots = self.rows[brick[at], (x[at] & 7) << 6 | (y[at] & 7) << 3 | z[at] & 7]
+        found[at] = slots >> 1  # an empty cell's -1 stays -1
+        return found
+
+    def sample(self, points: Points) -> Singles:
+        """(m, 3) in the world -> (m, 3 B + 1) of the cell around each point, zeros where there is none."""
+        rows = self.rows_at(points)
+        found = np.zeros((len(points), self.basis.data_dim), np.float32)
+        found[rows >= 0] = self.values[rows[rows >= 0]]
+        return found
+
+    # -- soundness ---------------------------------------------------------------------------------------------
+    def structure_problems(self) -> list[Problem]:
+        """A box without room, bricks or rows that are not numbered in order, wide cells in pieces."""
+        world = place_problems("box", self.box)
+        world = world or edge_problems("box's edges", self.box[1] - self.box[0])
+        return world + (self._brick_problems() or self._row_problems())
+
+    def value_problems(self) -> list[Problem]:
+        """Values that no renderer can use."""
+        sigma = self.values[:, -1]
+        return number_problems("values", self.values) + count_problem(
+            "sigma", sigma < 0, sigma, "a density of 0 or more"
+        )
+
+    def _brick_problems(self) -> list[Problem]:
+        held = int(np.count_nonzero(self.top >= 0))
+        if held != self.b:
+            return [Problem("top", f"numbers {plural(held, 'brick')}", f"{self.b:,}, one a row of `rows`")]
+        wrong = self.top != top_grid(self.top >= 0)
+        return count_problem("top", wrong, self.top, "bricks in raster order, and the distance to the nearest")
+
+    def _row_problems(self) -> list[Problem]:
+        flat = self.rows.reshape(-1)
+        wrong = (flat < EMPTY) | (flat >= 2 * self.n)
+        if wrong.any():
+            return count_problem("rows", wrong.reshape(self.rows.shape), self.rows, f"-1 to {2 * self.n - 1:,}")
+        met = flat[flat >= 0] >> 1
+        most = np.maximum.accumulate(met) if len(met) else met
+        if np.any(most[1:] > most[:-1] + 1) or (len(met) and met[0]) or int(most[-1] if len(met) else -1) != self.n - 1:
+            return [Problem("rows", "are not numbered in order", "0, 1, 2, ... as cells first meet them, each once")]
+        pairs = self.rows.reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, 8)
+        wide = (pairs >= 0) & (pairs & 1 == 1)
+        if np.any(wide.any(axis=1) & (pairs != pairs[:, :1]).any(axis=1)):
+            return [Problem("rows", "have a wide cell in pieces", "2^3 cells at an even position, all eight the same")]
+        if np.any(np.bincount(met, minlength=self.n) != np.where(self.wide, 8, 1)):
+            return [Problem("rows", "name a cell twice", "each row once, a wide one in the eight cells it fills")]
+        return []
+
+
+def _require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    if array.shape != shape or array.dtype != dtype:
+        found = f"has shape {array.shape}, dtype {array.dtype}"
+        raise InvalidScene(Problem(f"the field's {name}", found, f"{shape} {np.dtype(dtype)}"))

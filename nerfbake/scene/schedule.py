@@ -1,0 +1,185 @@
+"""How a field is fitted: stages from coarse to fine, as text, as presets, and by the time that they take."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import NamedTuple
+
+from nerfbake.errors import InvalidScene, Problem
+
+Rates = tuple[float, float]  # of the first and of the last step
+RESOLUTIONS = (8, 1024)
+MAX_MINUTES = 10_000.0
+_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 25.0, 20.0  # of the last stage and before it
+MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
+_NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
+
+
+class Stage(NamedTuple):
+    """Epochs over all pictures with one set of cells.
+
+    cells    along an axis of the lattice; a stage has as many as the one before it, or twice as many
+    scale    pictures are that many times smaller
+    epochs   times that every picture is seen
+    density, colour  rates of the first and of the last step; they fall geometrically
+    rays     along an edge of a pixel: 2 are 2 x 2 rays a pixel, whose mean is compared with the picture
+    split    before the stage, this share of the cells is divided into eight: those that pictures blame most
+    prune    after the stage, cells go whose largest weight in any ray is below this
+    """
+
+    cells: int
+    scale: int = 1
+    epochs: int = 1
+    density: Rates = (0.1, 0.02)
+    colour: Rates = (0.4, 0.1)
+    rays: int = 1
+    split: float = 0.0
+    prune: float = 0.01
+
+    def __str__(self) -> str:
+        density, colour = ("..".join(f"{rate:g}" for rate in rates) for rates in (self.density, self.colour))
+        values = (self.cells, self.scale, self.epochs, density, colour, self.rays, f"{self.split:g}", f"{self.prune:g}")
+        return ",".join(f"{name}={value}" for name, value in zip(_NAMES, values, strict=True))
+
+
+VIEWS = 100  # that the epochs of presets are meant for; of fewer, each is seen the more often
+PRESETS = {  # of R cells: stages of R / 4, R / 2, R, and R with some cells divided
+    "fast": (2, 2, 1, 1),
+    "balanced": (3, 3, 1, 4),
+    "best": (3, 3, 1, 8),
+}
+
+
+class Schedule(tuple[Stage, ...]):
+    """Stages in order; str() is what parse_schedule() reads.
+
+    >>> from nerfbake.scene.schedule import parse_schedule
+    >>> schedule = parse_schedule("cells=32,scale=2,epochs=2/cells=64,epochs=3,rays=2")
+    >>> schedule.resolution, schedule.epochs
+    (64, 5)
+    >>> parse_schedule(str(schedule)) == schedule
+    True
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, stages: Iterable[Stage]) -> Schedule:
+        made = super().__new__(cls, stages)
+        if not made:
+            raise InvalidScene(Problem("the schedule", "has no stages", "one or more"))
+        for number, stage in enumerate(made):
+            _require_stage(stage, number)
+        for number, (before, stage) in enumerate(pairwise(made), start=1):
+            whole = not any(earlier.split for earlier in made[: number + 1])
+            grown = (before.cells, 2 * before.cells) if whole else (before.cells,)
+            if stage.cells not in grown:
+                allowed = " or ".join(map(str, grown)) + ("" if whole else ", as cells are divided")
+                raise InvalidScene(Problem(f"stage {number + 1}, cells", f"is {stage.cells}", allowed))
+        return made
+
+    def __str__(self) -> str:
+        return "/".join(map(str, self))
+
+    @property
+    def resolution(self) -> int:
+        """Cells along an axis in the last stage; what was split is twice as fine."""
+        return self[-1].cells
+
+    @property
+    def epochs(self) -> int:
+        """Of all stages together."""
+        return sum(stage.epochs for stage in self)
+
+
+def parse_schedule(text: str) -> Schedule:
+    """The schedule that str() writes; what a stage leaves out has the default of Stage. Raises InvalidScene."""
+    return Schedule(_parse_stage(part, f"stage {number}") for number, part in enumerate(text.split("/"), start=1))
+
+
+def preset_schedule(name: str = "balanced", *, resolution: int = 256, samples: int = 2, views: int = VIEWS) -> Schedule:
+    """A preset's stages for a lattice of so many cells, 16 or more; samples: rays along an edge of a pixel.
+
+    views: how many there are. A fit takes as many steps for a few of them as for a hundred, in about as much time.
+    With samples = 1 the last epoch has single rays, so that pictures of single rays look best.
+    """
+    if name not in PRESETS:
+        raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(PRESETS)))
+    return _stages(PRESETS[name], resolution, samples, views)
+
+
+def schedule_for(minutes: float, *, resolution: int = 256, samples: int = 2, views: int = VIEWS) -> Schedule:
+    """The longest schedule that takes about so many minutes of two cores for a scene like NeRF-Synthetic's chair;
+    views: how many there are, as preset_schedule() has it.
+    """
+    if not 0 < minutes <= MAX_MINUTES:
+        raise InvalidScene(Problem("minutes", f"are {minutes:g}", f"above 0, to {MAX_MINUTES:g}"))
+    epochs = max(1, min(round((60 * minutes - _SECONDS_BEFORE) / _SECONDS_AN_EPOCH), MAX_EPOCHS))
+    return _stages((2, 2, 1, 1) if epochs == 1 else (3, 3, 1, epochs), resolution, samples, views)
+
+
+def _stages(epochs: tuple[int, ...], resolution: int, samples: int, views: int) -> Schedule:
+    def times(epochs: int) -> int:
+        return max(1, min(round(epochs * VIEWS / views), MAX_EPOCHS))
+
+    coarse, middle, fine, divided = map(times, epochs)
+    first, second = max(resolution // 4, RESOLUTIONS[0]), max(resolution // 2, RESOLUTIONS[0])
+    made = [
+        Stage(first, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.03),
+        Stage(second, 2, middle, (0.1, 0.03), (0.5, 0.2), prune=0.03),
+        Stage(resolution, 1, fine, (0.1, 0.04), (0.5, 0.3), prune=0.02),
+        Stage(resolution, 1, divided, (0.15, 0.02), (0.8, 0.1), 2, 0.1, 0.005),
+    ]
+    if samples == 1:
+        made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.005))
+    return Schedule(made)
+
+
+def _parse_stage(text: str, place: str) -> Stage:
+    found: dict[str, str] = {}
+    for word in text.split(","):
+        name, _, value = word.strip().partition("=")
+        if name not in _NAMES or name in found:
+            raise InvalidScene(
+                Problem(place, f"has {word.strip()[:40]!r}", f"{', '.join(_NAMES)}, each once, as cells=64")
+            )
+        found[name] = value
+    if "cells" not in found:
+        raise InvalidScene(Problem(place, "has no cells", "cells=64 or another power of two"))
+    values: dict[str, int | float | Rates] = {}
+    for name, value in found.items():
+        numbers = re.fullmatch(r"([0-9.e-]+?)(?:\.\.([0-9.e-]+))?", value)
+        try:
+            if name in ("density", "colour"):
+                if numbers is None:
+                    raise ValueError(value)
+                begin = float(numbers[1])
+                values[name] = begin, float(numbers[2]) if numbers[2] else begin
+            else:
+                values[name] = float(value) if name in ("split", "prune") else int(value)
+        except ValueError:
+            allowed = "rates as 0.1..0.02" if name in ("density", "colour") else "a number"
+            raise InvalidScene(Problem(f"{place}, {name}", f"is {value[:40]!r}", allowed)) from None
+    return Stage(**values)  # type: ignore[arg-type]
+
+
+def _require_stage(stage: Stage, number: int) -> None:
+    """Raises InvalidScene for what cannot be done."""
+    place = f"stage {number + 1}, "
+    low, high = RESOLUTIONS
+    if not low <= stage.cells <= high or stage.cells & (stage.cells - 1):
+        raise InvalidScene(Problem(place + "cells", f"is {stage.cells}", f"a power of two, {low} to {high}"))
+    whole = (("scale", stage.scale, MAX_SCALE), ("epochs", stage.epochs, MAX_EPOCHS), ("rays", stage.rays, MAX_RAYS))
+    for name, value, most in whole:
+        if not 1 <= value <= most:
+            raise InvalidScene(Problem(place + name, f"is {value}", f"1 to {most}"))
+    for name, rates in (("density", stage.density), ("colour", stage.colour)):
+        for rate in rates:
+            if not 0 < rate <= MAX_RATE:
+                raise InvalidScene(Problem(place + name, f"is {rate:g}", f"rates above 0, to {MAX_RATE:g}"))
+    for name, share in (("split", stage.split), ("prune", stage.prune)):
+        if not 0 <= share < 1:
+            raise InvalidScene(Problem(place + name, f"is {share:g}", "0 to 1, without 1"))
+    if stage.split and not number:
+        raise InvalidScene(Problem(place + "split", f"is {stage.split:g}", "0 in the first stage"))

@@ -1,0 +1,83 @@
+"""Posed pictures: what a field is fitted to, and judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.soundness import plural
+from nerfbake.scene.base import MAX_WORLD, Scene
+from nerfbake.scene.camera import Cameras
+
+PLAIN = 16  # of 255: a pixel of a plain background differs from its colour by no more in any channel
+
+
+@dataclass(frozen=True, eq=False)
+class Views(Scene):
+    """Cameras with what they saw.
+
+    cameras     each in its own picture's size
+    pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as files have them
+    background  sRGB, 0..1: what stands behind the object; pictures with alpha are laid over it
+    masked      alpha tells the object from what is behind it; else alpha is 255 everywhere
+
+    >>> import numpy as np
+    >>> from nerfbake import Camera, Cameras, Views
+    >>> cameras = Cameras((Camera(4, 3, 5.0, np.eye(4), "front"),))
+    >>> print(Views(cameras, (np.zeros((3, 4, 4), np.uint8),), (1.0, 1.0, 1.0), True))
+    1 picture with alpha
+    """
+
+    cameras: Cameras
+    pictures: tuple[npt.NDArray[np.uint8], ...]
+    background: tuple[float, float, float]
+    masked: bool
+
+    def __post_init__(self) -> None:
+        if len(self.pictures) != len(self.cameras.cameras):
+            found = f"are {len(self.pictures):,}"
+            raise InvalidScene(Problem("pictures", found, f"{len(self.cameras.cameras):,}, one a camera"))
+        for camera, picture in zip(self.cameras.cameras, self.pictures, strict=True):
+            shape = (camera.height, camera.width, 4)
+            if picture.shape != shape or picture.dtype != np.uint8:
+                found = f"has shape {picture.shape}, dtype {picture.dtype}"
+                raise InvalidScene(Problem(f"picture {camera.name}".strip(), found, f"{shape} uint8"))
+
+    def __str__(self) -> str:
+        return plural(len(self.pictures), "picture") + (" with alpha" if self.masked else "")
+
+    def take(self, numbers: Sequence[int]) -> Views:
+        """These views alone, in this order; the pictures are shared."""
+        cameras = replace(self.cameras, cameras=tuple(self.cameras.cameras[i] for i in numbers))
+        return replace(self, cameras=cameras, pictures=tuple(self.pictures[i] for i in numbers))
+
+    def photograph(self, number: int) -> npt.NDArray[np.float32]:
+        """(H, W, 3) sRGB in 0..1 of a picture, over the background."""
+        pixels = self.pictures[number]
+        alpha = pixels[..., 3:] / np.float32(255)
+        colour = pixels[..., :3] / np.float32(255)
+        return np.asarray(colour * alpha + (1 - alpha) * np.array(self.background, np.float32), np.float32)
+
+    def behind(self, number: int) -> npt.NDArray[np.bool_]:
+        """(H, W) the pixels of a picture where nothing but the background is seen: no alpha, or its plain colour."""
+        pixels = self.pictures[number]
+        return pixels[..., 3] == 0 if self.masked else near_colour(pixels, self.background)
+
+
+def world_box(corners: Sequence[float]) -> npt.NDArray[np.float64]:
+    """(2, 3) lowest and highest corner of x0, y0, z0, x1, y1, z1 in the world. Raises InvalidScene."""
+    box = np.array(corners, np.float64).reshape(-1)
+    if box.shape != (6,) or not (np.abs(box) <= MAX_WORLD).all() or not (box[:3] < box[3:]).all():
+        found = f"is {', '.join(f'{value:g}' for value in box.tolist())}"
+        raise InvalidScene(Problem("box", found, "x0, y0, z0, x1, y1, z1, each below its opposite"))
+    return box.reshape(2, 3)
+
+
+def near_colour(pixels: npt.NDArray[np.uint8], colour: tuple[float, float, float]) -> npt.NDArray[np.bool_]:
+    """(..., 4) uint8 -> (...) bool: which of them differ from an sRGB colour (0..1) by PLAIN at most."""
+    plain = np.rint(255 * np.array(colour)).astype(np.int16)
+    return np.asarray((np.abs(pixels[..., :3] - plain) <= PLAIN).all(axis=-1))

@@ -1,0 +1,41 @@
+"""Field of bricks and posed pictures -> the same cells, with values that look more like the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.scene.brick_field import BrickField
+from nerfbake.scene.schedule import Schedule, Stage
+from nerfbake.scene.views import Views
+from nerfbake.stages._bricks import cells_of_field
+from nerfbake.stages._fit_state import FitState
+from nerfbake.stages.views_to_field import fit_field
+
+_DENSITY, _COLOUR = (0.1, 0.02), (0.6, 0.1)  # rates of the first and of the last step
+
+
+def refit_bricks(
+    field: BrickField, views: Views, *, epochs: int = 2, samples: int = 2, seed: int = 0
+) -> Iterator[FitState]:
+    """Fits the values of a field's cells to pictures, and gives its state, always the same object, after every picture.
+
+    No cell comes or goes. samples: rays along each edge of a pixel. The same arguments give the same bytes. Raises
+    InvalidScene, MemoryLimit.
+
+    >>> from nerfbake import bricks_of_octree, build_field, build_octree, build_views, refit_bricks, render_field
+    >>> from nerfbake import sample_n3tree, sphere_cameras
+    >>> tree = sample_n3tree(resolution=16, basis="SH1")
+    >>> cameras = sphere_cameras(build_field(tree), frames=6, edge=32)
+    >>> pictures = [render_field(build_field(tree), each, background=None).pixels for each in cameras.cameras]
+    >>> coarse = bricks_of_octree(build_octree(tree, resolution=8))
+    >>> *_, state = refit_bricks(coarse, build_views(cameras, pictures))
+    >>> state.done, state.field().n == coarse.n
+    (True, True)
+    """
+    field.require_usable()
+    if not field.n:
+        raise InvalidScene(Problem("the field", "has no cells", "one or more"))
+    schedule = Schedule([Stage(field.resolution, 1, epochs, _DENSITY, _COLOUR, samples)])
+    state = FitState(schedule, field.basis, seed, field.box.copy(), cells_of_field(field))
+    return fit_field(views, schedule=schedule, start=state)

@@ -1,0 +1,46 @@
+"""Radiance field and views -> how far the field's pictures are from the photographs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nerfbake.kernels.picture.metrics import psnr, ssim
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.views import Views
+from nerfbake.stages.field_to_image import render_field
+
+_PIXEL_BYTES = 280  # while two pictures are held and compared, as in scenes_to_comparison
+
+
+class ViewError(NamedTuple):
+    """psnr in dB, and ssim, of a view's picture against its photograph; name is the camera's."""
+
+    name: str
+    psnr: float
+    ssim: float
+
+
+def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
+    """Renders every view over its background, and measures it against its photograph; samples as in render_field().
+
+    Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that
+    do not cover their pictures, and MemoryLimit.
+
+    >>> import numpy as np
+    >>> from nerfbake import build_field, build_views, measure_views, orbit_cameras, render_field, sample_n3tree
+    >>> field = build_field(sample_n3tree(resolution=8))
+    >>> cameras = orbit_cameras(field, width=16, height=12)
+    >>> pictures = [render_field(field, camera, background=None).pixels for camera in cameras.cameras]
+    >>> min(error.psnr for error in measure_views(field, build_views(cameras, pictures))) > 45
+    True
+    """
+    views.cameras.require_covered()
+    errors = []
+    for i, camera in enumerate(views.cameras.cameras):
+        camera.require_memory(_PIXEL_BYTES)
+        made = render_field(field, camera, background=views.background, samples=samples).colour.astype(np.float64)
+        truth = views.photograph(i).astype(np.float64)
+        errors.append(ViewError(camera.name, psnr(made, truth), ssim(made, truth)))
+    return tuple(errors)

@@ -1,0 +1,110 @@
+"""Posed pictures -> the solid that their silhouettes leave, which a fit starts from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Bits, Points
+from nerfbake.kernels.fit.hull import mark_clear
+from nerfbake.kernels.maths.affine import inverse, turned
+from nerfbake.scene.basis import Basis
+from nerfbake.scene.brick_field import BrickField
+from nerfbake.scene.views import Views
+from nerfbake.stages._bricks import cells_of_solid, field_of_cells
+from nerfbake.stages._looks import looks_of, zoomed
+
+MIN_VIEWS = 2
+_EDGE = 128  # pixels of a silhouette's shorter edge, about
+_RING = 1  # pixels around an object that may still be its own
+_WITNESSES = 5  # views that must see the background where no alpha tells it
+_SEARCH = 32  # cells along an axis while the box is looked for
+_ROUNDS = 4
+_CELL_BYTES = 8
+
+
+def carve_hull(views: Views, *, box: Points | None = None, resolution: int = 64) -> BrickField:
+    """What could hold something: cells that two views or more see, and that none sees the background through.
+
+    box (2, 3): lowest and highest corner in the world; None: the box around what silhouettes leave of all that the
+    cameras have in common. Where no alpha tells the object from the background, five views must agree that it is the
+    background. Every cell is grey, and thin. Raises InvalidScene where nothing is left, MemoryLimit.
+
+    >>> from nerfbake import Views, build_field, carve_hull, orbit_cameras, render_field, sample_n3tree
+    >>> scene = build_field(sample_n3tree(resolution=8))
+    >>> cameras = orbit_cameras(scene, frames=4, width=24, height=24)
+    >>> pictures = tuple(render_field(scene, camera, background=None).pixels for camera in cameras.cameras)
+    >>> hull = carve_hull(Views(cameras, pictures, (1.0, 1.0, 1.0), True), resolution=16)
+    >>> hull.resolution, bool(0 < hull.n < 16**3)
+    (16, True)
+    """
+    require_views(views)
+    solid, box = find_solid(views, box, resolution)
+    return field_of_cells(cells_of_solid(solid, box, 1), box, Basis("SH", 1))
+
+
+def require_views(views: Views) -> None:
+    """Raises InvalidScene for fewer views than a solid can be found from."""
+    if len(views.pictures) < MIN_VIEWS:
+        raise InvalidScene(Problem("views", f"are {len(views.pictures)}", f"{MIN_VIEWS} or more"))
+
+
+def find_solid(views: Views, box: Points | None, resolution: int) -> tuple[Bits, Points]:
+    """(R, R, R) bool and its box."""
+    if box is not None:
+        return _carved(views, box, resolution), box
+    box = _common_cube(views)
+    for _ in range(_ROUNDS):
+        solid = _carved(views, box, _SEARCH)
+        held, size = np.argwhere(solid), (box[1] - box[0]) / _SEARCH
+        low, high = np.maximum(held.min(axis=0) - 1, 0), np.minimum(held.max(axis=0) + 2, _SEARCH)
+        box = np.stack([box[0] + low * size, box[0] + high * size])
+        if (high - low >= _SEARCH - 2).all():
+            break
+    return _carved(views, box, resolution), box
+
+
+def _carved(views: Views, box: Points, R: int) -> Bits:
+    memory.require(f"a hull of {R}^3 cells", _CELL_BYTES * R**3)
+    size = (box[1] - box[0]) / R
+    met, clear, inside = np.zeros((R,) * 3, np.uint8), np.zeros((R,) * 3, np.uint16), np.zeros((R,) * 3, np.uint16)
+    for view, camera in enumerate(views.cameras.cameras):
+        scale = max(1, min(camera.width, camera.height) // _EDGE)
+        looks = looks_of(views, view, scale=scale, samples=1, ring=None)
+        own = zoomed(camera, scale)
+        held = _ringed((looks.targets[:, 3] > 0).reshape(own.height, own.width))
+        mark_clear(box[0].copy(), size, looks.eye, looks.directions, held.reshape(-1), met, clear, inside)
+    witnesses = 1 if views.masked else min(_WITNESSES, max(len(views.pictures) // 2, 1))
+    solid = (clear < witnesses) & (inside >= MIN_VIEWS)
+    if not solid.any():
+        found = (
+            "see nothing in common in front of the background"
+            if (inside >= MIN_VIEWS).any()
+            else "see no part of the box together"
+        )
+        raise InvalidScene(Problem("views", found, "cameras around one object, in the box"))
+    return np.asarray(solid)
+
+
+def _ringed(held: Bits) -> Bits:
+    """With the pixels around."""
+    wider = np.pad(held, _RING)
+    for axis in (0, 1):
+        wider = wider | np.roll(wider, 1, axis) | np.roll(wider, -1, axis)
+    return wider[_RING:-_RING, _RING:-_RING]
+
+
+def _common_cube(views: Views) -> Points:
+    """(2, 3): around the point that all cameras look at, as large as the widest of them sees there."""
+    eyes = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras])
+    looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
+    across = np.eye(3) - looks[:, :, None] * looks[:, None]
+    # Parallel axes meet nowhere: a little weight on the cameras' own middle makes the sum invertible.
+    left = across.sum(axis=0) + 1e-6 * np.eye(3)
+    right = (across * eyes[:, None]).sum(axis=(0, 2)) + 1e-6 * eyes.mean(axis=0)
+    centre = turned(right, inverse(left))
+    away = np.sqrt(np.square(eyes - centre).sum(axis=1))
+    wide = [max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in views.cameras.cameras]
+    half = float((away * np.array(wide)).max())
+    return np.stack([centre - half, centre + half])

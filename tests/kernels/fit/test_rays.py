@@ -1,0 +1,99 @@
+"""What rays ask of cells, against differences: a step in a cell must change the error as its sums say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from nerfbake.kernels.fit.bricks import COLOUR_SUM, CURVATURE, DENSITY_SUM, MOST, ROW, SIGMA, WEIGHT, Bricks, new_batch
+from nerfbake.kernels.fit.plan import plan_of_solid, settle
+from nerfbake.kernels.fit.rays import march_view
+
+EYE = np.array([0.4, 0.3, 5.0])
+
+
+def bricks(seed: int = 0) -> Bricks:
+    """A ball of 16^3 cells over the unit cube, with colours of SH4 and densities of all sizes."""
+    x = (np.arange(16) + 0.5) / 16 - 0.5
+    solid = np.add.outer(np.add.outer(x * x, x * x), x * x) < 0.2
+    made, random = settle(plan_of_solid(solid)), np.random.default_rng(seed)
+    n = len(made.row)
+    values = random.normal(0, 1, 13 * n).astype(np.float32)
+    for brick in range(len(made.first) - 1):
+        start, end = made.first[brick], made.first[brick + 1]
+        values[13 * start + 12 * (end - start) : 13 * end] = random.uniform(0, 0.5, end - start)
+    size = np.full(3, 1 / 16)
+    return Bricks(made.top, made.slots, made.first, made.places, values, np.zeros(3), size, 1 / 16)
+
+
+def rays(samples: int) -> Any:
+    points = np.stack(np.meshgrid(*[(np.arange(8 * samples) + 0.5) / 8 / samples] * 2, indexing="ij"), axis=-1)
+    points = points.reshape(8, samples, 8, samples, 2).transpose(0, 2, 1, 3, 4).reshape(-1, 2)
+    directions = np.concatenate([points, np.full((len(points), 1), 0.5)], axis=1) - EYE
+    directions /= np.sqrt((directions**2).sum(axis=1, keepdims=True))
+    targets = np.random.default_rng(1).uniform(0, 1, (64, 4))
+    return directions.astype(np.float32), targets.astype(np.float32)
+
+
+def marched(made: Bricks, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
+    """The errors' sum, and the rows (n, 16) added up over tasks."""
+    directions, targets = rays(samples)
+    n, errors = len(made.places), np.zeros(tasks)
+    batch = new_batch(tasks, len(made.slots), n)
+    march_view(made, batch, EYE, directions, targets, np.ones(3, np.float32), 0.0, point, errors)
+    total = np.zeros((n, ROW))
+    for task in range(tasks):
+        for brick, base in enumerate(batch.base[task]):
+            if base >= 0:
+                start, end = made.first[brick], made.first[brick + 1]
+                total[start:end] += batch.rows[task, base : base + end - start]
+    return errors.sum(), total
+
+
+def place_of(made: Bricks, cell: int) -> int:
+    """Where a cell's density stands among the values."""
+    brick = int(np.searchsorted(made.first, cell, side="right")) - 1
+    start, count = int(made.first[brick]), int(made.first[brick + 1] - made.first[brick])
+    return 13 * start + 12 * count + cell - start
+
+
+@pytest.mark.parametrize("samples", [1, 2])
+def test_sums_of_densities_are_the_slope_of_the_error(samples: int) -> None:
+    made = bricks()
+    _, rows = marched(made, samples)
+    cells = np.argsort(-np.abs(rows[:, DENSITY_SUM]))[:20]
+    for cell in cells:
+        values, errors = made.values.copy(), []
+        for step in (-1e-2, 1e-2):
+            values[place_of(made, cell)] = made.values[place_of(made, cell)] + step
+            errors.append(marched(made._replace(values=values), samples)[0])
+        slope = (errors[1] - errors[0]) / 2e-2 * made.width
+        # The error falls as fast as the sum says: it holds minus half the slope, over all the rays of a pixel.
+        assert_allclose(rows[cell, DENSITY_SUM] / samples**2, -slope / 2, rtol=0.02, atol=1e-5)
+
+
+def test_tasks_share_a_view_without_changing_it() -> None:
+    made = bricks()
+    one, many = marched(made, 2, 1, 0.1), marched(made, 2, 5, 0.1)
+    assert_allclose(one[0], many[0], rtol=1e-6)
+    for column in (COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE):
+        assert_allclose(one[1][:, column], many[1][:, column], rtol=1e-4, atol=1e-6)
+
+
+def test_weights_of_a_ray_are_at_most_one() -> None:
+    _, rows = marched(bricks())
+    assert 0 < rows[:, MOST].max() <= 1
+    assert rows[:, WEIGHT].sum() <= 64 * 1.0001
+
+
+def test_a_batch_without_room_says_how_much_it_lacks() -> None:
+    made = bricks()
+    directions, targets = rays(1)
+    batch = new_batch(1, len(made.slots), 100)
+    march_view(made, batch, EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, np.zeros(1))
+    _, rows = marched(made)
+    assert 100 < batch.used[0] <= len(made.places)
+    assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])

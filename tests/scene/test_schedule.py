@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import pytest
+
+from nerfbake.errors import InvalidScene
+from nerfbake.scene.schedule import PRESETS, Schedule, Stage, parse_schedule, preset_schedule, schedule_for
+
+
+def test_a_schedule_reads_as_it_is_written() -> None:
+    schedule = Schedule((Stage(32, 2, 1, (0.3, 0.05)), Stage(64, density=(1e-05, 1e-05), rays=2, prune=0.005)))
+    text = str(schedule)
+    assert text.startswith(
+        "cells=32,scale=2,epochs=1,density=0.3..0.05,colour=0.4..0.1,rays=1,split=0,prune=0.01/cells=64,"
+    )
+    assert parse_schedule(text) == schedule
+    assert parse_schedule("cells=8,density=0.2")[0].density == (0.2, 0.2)
+
+
+@pytest.mark.parametrize("resolution", [16, 32, 64, 128, 256, 512])
+@pytest.mark.parametrize("samples", [1, 2])
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_is_a_schedule(name: str, resolution: int, samples: int) -> None:
+    schedule = preset_schedule(name, resolution=resolution, samples=samples)
+    assert schedule.resolution == resolution
+    assert schedule[-1].rays == samples
+    assert parse_schedule(str(schedule)) == schedule
+
+
+def test_more_minutes_are_more_epochs() -> None:
+    epochs = [schedule_for(minutes).epochs for minutes in (0.1, 1, 2, 4, 100)]
+    assert epochs == sorted(epochs)
+    assert epochs[0] < epochs[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "stage 1 has ''; allowed: cells, scale"),
+        ("epochs=2", "stage 1 has no cells; allowed: cells=64"),
+        ("cells=8,cells=8", "stage 1 has 'cells=8'; allowed: .* each once"),
+        ("cells=8,foo=1", "stage 1 has 'foo=1'"),
+        ("cells=8,density=x", r"stage 1, density is 'x'; allowed: rates as 0.1..0.02"),
+        ("cells=8,density=1..2..3", "stage 1, density is '1..2..3'"),
+        ("cells=8,epochs=1.5", "stage 1, epochs is '1.5'; allowed: a number"),
+        ("cells=12", "stage 1, cells is 12; allowed: a power of two"),
+        ("cells=8/cells=32", "stage 2, cells is 32; allowed: 8 or 16"),
+        ("cells=8/cells=8,split=0.1/cells=16", "stage 3, cells is 16; allowed: 8, as cells are divided"),
+        ("cells=8,epochs=0", "stage 1, epochs is 0; allowed: 1 to 1000"),
+        ("cells=8,colour=0", "stage 1, colour is 0; allowed: rates above 0"),
+        ("cells=8,prune=1", "stage 1, prune is 1; allowed: 0 to 1"),
+        ("cells=8,split=0.5", "stage 1, split is 0.5; allowed: 0 in the first stage"),
+    ],
+)
+def test_what_is_no_schedule_is_one_line(text: str, message: str) -> None:
+    with pytest.raises(InvalidScene, match=message):
+        parse_schedule(text)
+
+
+def test_what_there_is_not_is_one_line() -> None:
+    with pytest.raises(InvalidScene, match="the schedule has no stages"):
+        Schedule(())
+    with pytest.raises(InvalidScene, match="preset is 'slow'; allowed: fast, balanced, best"):
+        preset_schedule("slow")
+    with pytest.raises(InvalidScene, match="minutes are 0; allowed: above 0"):
+        schedule_for(0)
+
+
+def test_few_views_are_seen_the_more_often() -> None:
+    hundred, twenty, many = (preset_schedule("balanced", views=views) for views in (100, 20, 100_000))
+    assert hundred == preset_schedule("balanced")
+    assert [5 * stage.epochs for stage in hundred] == [stage.epochs for stage in twenty]
+    assert {stage.epochs for stage in many} == {1}
+    assert schedule_for(2, views=20).epochs == 5 * schedule_for(2).epochs

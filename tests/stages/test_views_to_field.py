@@ -1,0 +1,136 @@
+"""Fits of the sample scene: what they reach, and that nothing but their arguments decides what comes out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from nerfbake import BrickField, Views, carve_hull, fit_field, memory_limit
+from nerfbake.errors import InvalidScene, MemoryLimit
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.schedule import Schedule, parse_schedule
+from nerfbake.stages.views_to_field import FitState
+from tests.support.views import sample_views
+
+SHORT = parse_schedule(
+    "cells=8,epochs=1,density=0.3..0.05,colour=0.5..0.2,prune=0.03/cells=16,epochs=1,prune=0.02/"
+    "cells=16,epochs=1,rays=2,split=0.2,prune=0.005"
+)
+
+
+def last(views: Views, schedule: Schedule = SHORT, **options: Any) -> FitState:
+    *_, state = fit_field(views, schedule=schedule, **options)
+    return state
+
+
+def same(a: BrickField, b: BrickField) -> bool:
+    names = ("box", "top", "rows", "values")
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+def test_a_fit_looks_like_its_pictures() -> None:
+    schedule = parse_schedule(
+        "cells=16,epochs=6,density=0.3..0.05,colour=0.5..0.2,prune=0.03/cells=32,epochs=12,density=0.1..0.03,prune=0.01"
+    )
+    state = last(sample_views(), schedule)
+    field = state.field()
+    field.require_usable()
+    assert field.resolution == 32
+    assert state.train_psnr > 25
+
+
+def test_a_split_leaves_wide_cells_and_narrow_ones() -> None:
+    field = last(sample_views()).field()
+    field.require_usable()
+    assert field.resolution == 32
+    assert 0 < np.count_nonzero(field.wide) < field.n
+
+
+def test_the_same_bytes_for_any_number_of_threads() -> None:
+    before, made = numba.get_num_threads(), []
+    try:
+        for threads in (1, min(2, before)):
+            numba.set_num_threads(threads)
+            made.append(last(sample_views()).field())
+    finally:
+        numba.set_num_threads(before)
+    assert same(*made)
+
+
+def test_a_fit_goes_on_from_any_view_to_the_same_bytes() -> None:
+    whole, kept = last(sample_views()).field(), {}
+    for turn, state in enumerate(fit_field(sample_views(), schedule=SHORT)):
+        if turn in (0, 11, 12, 20, 23, 30):
+            kept[turn] = {name: array.copy() for name, array in state.arrays().items()}
+    for turn, arrays in kept.items():
+        rest = list(fit_field(sample_views(), schedule=SHORT, start=FitState.of_arrays(arrays)))
+        assert len(rest) == 36 - turn - 1
+        assert same(rest[-1].field(), whole), turn
+
+
+def test_seeds_make_other_fits() -> None:
+    assert not same(last(sample_views(), seed=0).field(), last(sample_views(), seed=1).field())
+
+
+@pytest.mark.parametrize("basis", ["SH1", "SH4", "SH16", "SH25"])
+def test_every_basis(basis: str) -> None:
+    state = last(sample_views(), basis=basis)
+    assert str(state.field().basis) == basis
+    assert state.train_psnr > 15
+
+
+def test_two_pictures_of_another_shape_are_enough() -> None:
+    views = sample_views(frames=2, width=40, height=24)
+    assert last(views).field().n > 0
+
+
+def test_pictures_without_alpha_are_carved_by_their_background() -> None:
+    views = sample_views()
+    flat = []
+    for picture in views.pictures:
+        alpha = picture[..., 3:] / 255
+        solid = np.full_like(picture, 255)
+        solid[..., :3] = np.rint(picture[..., :3] * alpha + 255 * (1 - alpha))
+        flat.append(solid)
+    plain = replace(views, pictures=tuple(flat), masked=False)
+    hull = carve_hull(plain, resolution=16)
+    assert 0 < hull.n < 16**3
+    assert last(plain).train_psnr > 13
+
+
+def test_a_box_is_kept() -> None:
+    box = np.array([[-1.0, -1.25, -1.0], [1.0, 1.25, 1.0]])
+    assert_array_equal(last(sample_views(), box=box).field().box, box)
+
+
+def test_what_cannot_be_fitted_is_one_line() -> None:
+    views = sample_views()
+    one = replace(views, cameras=Cameras(views.cameras.cameras[:1]), pictures=views.pictures[:1])
+    with pytest.raises(InvalidScene, match="views are 1; allowed: 2 or more"):
+        last(one)
+    empty = replace(views, pictures=tuple(np.zeros_like(picture) for picture in views.pictures))
+    with pytest.raises(InvalidScene, match="views see nothing in common in front of the background"):
+        last(empty)
+    with pytest.raises(InvalidScene, match="views see no part of the box together"):
+        last(views, box=np.array([[50.0] * 3, [51.0] * 3]))
+    with pytest.raises(InvalidScene, match="basis is RGBA; allowed: SH1"):
+        last(views, basis="RGBA")
+    with memory_limit(2_000_000), pytest.raises(MemoryLimit, match=r"fitting [0-9,]+ cells needs"):
+        last(views)
+
+
+def test_a_state_that_is_none_is_refused() -> None:
+    state = next(fit_field(sample_views(), schedule=SHORT))
+    arrays = {name: array.copy() for name, array in state.arrays().items()}
+    with pytest.raises(InvalidScene, match="the state has no box"):
+        FitState.of_arrays({name: array for name, array in arrays.items() if name != "box"})
+    with pytest.raises(InvalidScene, match="the state's values are"):
+        FitState.of_arrays(arrays | {"values": arrays["values"][1:]})
+    fit = fit_field(sample_views(), schedule=parse_schedule("cells=8"), start=FitState.of_arrays(arrays))
+    with pytest.raises(InvalidScene, match="the state's schedule is"):
+        next(fit)
