@@ -34,7 +34,7 @@ tools:  ## other programs that read our files in tests, OpenVDB to Blender: from
 		echo "tests that need a program that is missing are skipped (Debian: $(READERS))"; \
 	else apt-get update -qq && apt-get install -y -qq --no-install-recommends $(READERS) >/dev/null; fi
 
-demo: $(VENV)/program  ## a synthetic PlenOctree, converted, rendered, inspected and checked: build/demo
+demo: $(VENV)/program  ## synthetic scenes, converted, fitted, rendered, inspected and checked: build/demo
 	mkdir -p build/demo
 	$(BIN)/nerfbake sample octree build/demo/sample.npz --resolution 128 --force
 	$(BIN)/nerfbake svo build/demo/sample.npz build/demo/sample.svo.pb --force
@@ -51,8 +51,13 @@ demo: $(VENV)/program  ## a synthetic PlenOctree, converted, rendered, inspected
 	$(BIN)/nerfbake vdb build/demo/sample.svo.pb build/demo/sample.nvdb --grids index --half --force
 	$(BIN)/nerfbake check build/demo/sample.vdb
 	$(BIN)/nerfbake check build/demo/sample.nvdb
+	$(BIN)/nerfbake sample capture build/demo/photographs --force
+	$(BIN)/nerfbake fit build/demo/photographs build/demo/fitted.npz --resolution 64 --preset fast --force
+	$(BIN)/nerfbake render build/demo/fitted.npz --samples 2 --out build/demo/fitted.png --force
+	$(BIN)/nerfbake compress build/demo/fitted.npz build/demo/fitted.svoq --force
 	@printf '%s\n' '' 'Made in build/demo, from scenes that are synthetic:' \
 		'  sample.png            look here first: the octree, rendered' \
+		'  fitted.png            a scene fitted to the 24 pictures in photographs, rendered; fitted.svoq is its file' \
 		'  sample.npz            the PlenOctree that all else came from' \
 		'  sample.svo.pb         the octree, Protocol Buffers; sample_64.svo.npz is a level coarser, NumPy arrays' \
 		'  sample.vdb            density and colour, for Blender and other programs with OpenVDB' \

@@ -19,6 +19,14 @@ from nerfbake.errors import Problem, UsageError, one_line
 
 Piece = bytes | memoryview
 HEAD = 512  # bytes that are enough to tell most formats by
+PICTURES = (
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".PNG",
+    ".JPG",
+    ".JPEG",
+)  # endings that a capture may leave out of a picture's name
 _SHOWN = 60  # characters of a wrong value
 
 
@@ -91,6 +99,22 @@ class Compression(Protocol):
 
     def decompress(self, view: memoryview, /) -> memoryview:
         """Raises InvalidFile; MemoryLimit before more is held than is allowed."""
+
+
+class Photographs(Protocol):
+    """The pictures that a field is fitted to."""
+
+    def decode_photograph(self, view: memoryview, /) -> Any:
+        """(H, W, 4) uint8, sRGB and straight alpha. Raises InvalidFile, MemoryLimit."""
+
+
+class Checkpoints(Protocol):
+    """Where a piece of work stands, for whoever goes on from there: facts, and arrays by name."""
+
+    def encode_checkpoint(self, facts: Mapping[str, Any], arrays: Mapping[str, Any], /) -> Iterable[Piece]: ...
+
+    def decode_checkpoint(self, view: memoryview, /) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Raises InvalidFile, MemoryLimit."""
 
 
 class Option(NamedTuple):

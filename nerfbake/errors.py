@@ -37,15 +37,15 @@ class Problem(NamedTuple):
 LONGEST_LINE = 300  # characters: a terminal's line or two
 
 
-def one_line(text: str) -> str:
+def one_line(text: str, longest: int = LONGEST_LINE) -> str:
     """Without line breaks and other characters that would move a terminal's cursor, and not too long to be read."""
-    if len(text) > 4 * LONGEST_LINE:
-        text = text[: 2 * LONGEST_LINE] + text[-2 * LONGEST_LINE :]
+    if len(text) > 4 * longest:
+        text = text[: 2 * longest] + text[-2 * longest :]
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
-    if len(line) <= LONGEST_LINE:
+    if len(line) <= longest:
         return line
     # What is allowed stands at the end, where it should stay.
-    return f"{line[: LONGEST_LINE * 2 // 3]} ... {line[5 - LONGEST_LINE // 3 :]}"
+    return f"{line[: longest * 2 // 3]} ... {line[5 - longest // 3 :]}"
 
 
 class NerfbakeError(Exception):
@@ -113,6 +113,12 @@ class OutputError(NerfbakeError):
     """An output that cannot be written, or must not be."""
 
     exit_code = 4
+
+
+class Stopped(NerfbakeError):
+    """Ctrl-C, after which what there was has been written."""
+
+    exit_code = 130
 
 
 class PipeClosed(NerfbakeError):

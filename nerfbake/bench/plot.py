@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import cycle
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 COLOURS = ("#0b6e99", "#b5532a", "#7a7a7a", "#5b8c3a")
 
@@ -21,21 +22,14 @@ class Mark(NamedTuple):
 
 def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -> bytes:
     """The marks on logarithmic axes, labelled, as an image of the format that the suffix names (.png, .svg)."""
-    import matplotlib as mpl
-
-    mpl.use("agg")
-    from matplotlib import pyplot
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    with mpl.rc_context({"svg.hashsalt": "nerfbake", "svg.fonttype": "none", "font.size": 9}):
-        figure, axes = pyplot.subplots(figsize=(9, 6), layout="constrained")
+    with _drawn(suffix) as (figure, axes, image):
         for colour, group in zip(cycle(COLOURS), dict.fromkeys(mark.group for mark in marks), strict=False):
             mine = [mark for mark in marks if mark.group == group]
             x_own, y_own = [mark.x for mark in mine], [mark.y for mark in mine]
             axes.scatter(x_own, y_own, s=28, color=colour, label=group, zorder=3)
         axes.set(xscale="log", yscale="log", title=title, xlabel=x, ylabel=y)
-        axes.grid(which="both", color="#e6e6e6", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.set_major_formatter("{x:g}")
@@ -44,11 +38,40 @@ def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -
         axes.legend(frameon=False)
         figure.canvas.draw()
         _label(axes, marks)
-        image = io.BytesIO()
-        metadata = {"Date": None} if suffix == ".svg" else {}
-        figure.savefig(image, format=suffix.removeprefix("."), dpi=140, metadata=metadata)
-        pyplot.close(figure)
     return image.getvalue()
+
+
+def lines(curves: Mapping[str, Sequence[tuple[float, float]]], *, title: str, x: str, y: str, suffix: str) -> bytes:
+    """Curves of points in the order of their x, each with its name at its end, as an image."""
+    with _drawn(suffix) as (_, axes, image):
+        for colour, (name, points) in zip(cycle(COLOURS), curves.items(), strict=False):
+            across, up = zip(*points, strict=True)
+            axes.plot(across, up, color=colour, marker="o", markersize=4, zorder=3)
+            axes.annotate(name, points[-1], (7, 0), textcoords="offset points", va="center", color=colour)
+        axes.set(title=title, xlabel=x, ylabel=y)
+        axes.margins(0.12)
+    return image.getvalue()
+
+
+@contextmanager
+def _drawn(suffix: str) -> Iterator[tuple[Any, Any, io.BytesIO]]:
+    """A figure, its axes, and the image that it becomes at the end of the block: the same bytes every time."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    from matplotlib import pyplot
+
+    image = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "nerfbake", "svg.fonttype": "none", "font.size": 9}):
+        figure, axes = pyplot.subplots(figsize=(9, 6), layout="constrained")
+        try:
+            axes.grid(which="both", color="#e6e6e6", linewidth=0.6)
+            axes.spines[["top", "right"]].set_visible(False)
+            yield figure, axes, image
+            metadata = {"Date": None} if suffix == ".svg" else {}
+            figure.savefig(image, format=suffix.removeprefix("."), dpi=140, metadata=metadata)
+        finally:
+            pyplot.close(figure)
 
 
 def _label(axes: object, marks: Sequence[Mark]) -> None:

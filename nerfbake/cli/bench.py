@@ -13,6 +13,7 @@ from nerfbake.cli.params import CAPTURE, Resolution, max_memory, reads, speaks, 
 from nerfbake.cli.reports import Destination, Resolutions, reports
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source
+from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.views import read_cameras
 
 
@@ -134,6 +135,53 @@ def render(source: Source, cameras: str | None, rounds: int, destination: Destin
     with source.blamed(words, "rendering"):
         found = compare_rendering(scene, name, views, rounds=rounds, progress=words.phase)
     destination.write([found], chart_rendering)
+
+
+@bench.command()
+@click.argument("source", metavar="SOURCE", type=click.Path())
+@click.option(
+    "--fits",
+    metavar="NAME,...",
+    default="fast,balanced,best",
+    show_default=True,
+    help="What is fitted: presets, and numbers for as many minutes on two cores.",
+)
+@click.option(
+    "--resolution",
+    type=click.IntRange(32, 512),
+    default=256,
+    show_default=True,
+    help="Voxels along each axis, as `nerfbake fit` has them.",
+)
+@click.option(
+    "--samples", type=click.IntRange(1, 2), default=2, show_default=True, help="Rays along each edge of a pixel."
+)
+@reports(rounds=3, chart="PSNR over time")
+@max_memory
+@speaks
+def fit(
+    source: str, fits: str, resolution: int, samples: int, rounds: int, destination: Destination, words: Words
+) -> None:
+    """Fit the photographs of SOURCE: PSNR over time, and the field as grids of its own, merged and in halves.
+
+    \b
+      nerfbake bench fit capture --plot curve.svg
+      nerfbake bench fit capture --fits fast,2
+    """
+    from nerfbake.bench.fit.comparison import chart_fits, compare_fits
+
+    courses = [name.strip() for name in fits.split(",") if name.strip()]
+    views = read_photographs(words, Source(source)).judges
+    found = compare_fits(
+        source,
+        views,
+        courses=courses,
+        samples=samples,
+        resolution=resolution,
+        rounds=rounds,
+        progress=words.phase,
+    )
+    destination.write([found], chart_fits)
 
 
 @bench.command()

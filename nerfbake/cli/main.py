@@ -23,8 +23,10 @@ from nerfbake.cli.check import check
 from nerfbake.cli.compare import compare
 from nerfbake.cli.compress import compress
 from nerfbake.cli.convert import convert
+from nerfbake.cli.fit import fit
 from nerfbake.cli.info import info
 from nerfbake.cli.lod import lod
+from nerfbake.cli.refit import refit
 from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
@@ -49,6 +51,7 @@ def cli() -> None:
     Formats follow the files' endings; '-' is stdin or stdout. Data are written to stdout, messages to stderr.
 
     \b
+      nerfbake fit photographs chair.npz
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake atlas mesh_stage1 chair_atlas --clusters 256
       nerfbake vdb chair.npz chair.vdb
@@ -59,7 +62,23 @@ def cli() -> None:
     """
 
 
-for command in (svo, vdb, atlas, atlas_error, convert, compress, lod, render, compare, info, check, sample, bench):
+for command in (
+    fit,
+    svo,
+    vdb,
+    atlas,
+    atlas_error,
+    convert,
+    compress,
+    lod,
+    refit,
+    render,
+    compare,
+    info,
+    check,
+    sample,
+    bench,
+):
     cli.add_command(command)
 
 

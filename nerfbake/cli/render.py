@@ -25,7 +25,8 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
             return self.known[value]
         parts = value.split(",") if isinstance(value, str) else []
         if len(parts) != 3 or not all(part.isdecimal() and int(part) < 256 for part in parts):
-            self.fail(f"{value!r} is no colour; allowed: white, black, transparent, or R,G,B in 0..255", param, ctx)
+            known = ", ".join(self.known)
+            self.fail(f"{value!r} is no colour; allowed: {known}, or R,G,B in 0..255", param, ctx)
         return tuple(int(part) / 255 for part in parts)
 
 

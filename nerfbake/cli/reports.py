@@ -27,12 +27,10 @@ class Destination:
 
     def require(self) -> None:
         """Raises, before anything is measured, if it could not be written."""
-        if self.plot and Path(self.plot).suffix not in (".png", ".svg"):
-            raise UsageError(f"the ending of {self.plot!r} names no picture; allowed: .png, .svg")
         if self.plot:
-            require_installed("matplotlib", "--plot")
-        for path in filter(None, (self.output, self.plot)):
-            io.require_absent(path, force=self.force)
+            require_chart(self.plot, force=self.force)
+        if self.output:
+            io.require_absent(self.output, force=self.force)
 
     def write(self, reports: Sequence[Any], chart: Callable[[Any, str], bytes]) -> None:
         """All reports as one document, and the chart of the first."""
@@ -40,15 +38,25 @@ class Destination:
 
         text = document(reports, self.kind)
         if self.output:
-            self._save(self.output, text.encode())
+            save_bytes(self.output, text.encode(), force=self.force)
         else:
             io.print_text(text.removesuffix("\n"))
         if self.plot:
-            self._save(self.plot, chart(reports[0], Path(self.plot).suffix))
+            save_bytes(self.plot, chart(reports[0], Path(self.plot).suffix), force=self.force)
 
-    def _save(self, path: str, content: bytes) -> None:
-        with io.blame(path, OutputError), io.replacing(Path(path), force=self.force) as file:
-            file.write(content)
+
+def require_chart(path: str, *, force: bool) -> None:
+    """Raises, before anything is measured, if no chart could be drawn here."""
+    if Path(path).suffix not in (".png", ".svg"):
+        raise UsageError(f"the ending of {path!r} names no picture; allowed: .png, .svg")
+    require_installed("matplotlib", "--plot")
+    io.require_absent(path, force=force)
+
+
+def save_bytes(path: str, content: bytes, *, force: bool) -> None:
+    """A report or a chart: whole or not at all."""
+    with io.blame(path, OutputError), io.replacing(Path(path), force=force) as file:
+        file.write(content)
 
 
 def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:

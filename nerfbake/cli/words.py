@@ -12,6 +12,7 @@ import click
 
 from nerfbake.errors import one_line
 
+LONGEST_TOLD = 2000  # characters: what is said may be meant to be pasted, as a schedule is
 PATIENCE = 1.0  # seconds before a terminal shows that something is going on
 
 
@@ -24,7 +25,7 @@ class Words:
     def say(self, text: str) -> None:
         if not self._quiet:
             with suppress(OSError):  # a full stderr costs no data
-                click.echo(one_line(text), err=True)
+                click.echo(one_line(text, LONGEST_TOLD), err=True)
 
     @contextmanager
     def phase(self, text: str) -> Iterator[Callable[[str], None]]:
@@ -46,6 +47,20 @@ class Words:
             done.set()
             if spinner.is_alive():
                 spinner.join()
+        self._end(text, start)
+
+    @contextmanager
+    def progress(self, text: str) -> Iterator[Callable[[float, str], None]]:
+        """A long step: a terminal shows a bar with the time that is left, a pipe shows nothing."""
+        start = time.perf_counter()
+        if sys.stderr is not None and sys.stderr.isatty() and not self._quiet:
+            with _bar(text) as tell:
+                yield tell
+        else:
+            yield lambda share, told: None
+        self._end(text, start)
+
+    def _end(self, text: str, start: float) -> None:
         if self._verbose:
             self.say(f"{text}: {time.perf_counter() - start:.2f} s")
             self._tell_of_uncached_kernels()
@@ -55,6 +70,17 @@ class Words:
         if jit is not None and jit.uncached and not self._told:
             self._told = True
             self.say("note: no folder can be written that would keep compiled kernels; kernels are compiled anew")
+
+
+@contextmanager
+def _bar(text: str) -> Iterator[Callable[[float, str], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(text, total=1.0)
+        yield lambda share, told: progress.update(task, completed=share, description=f"{text}: {told}")
 
 
 def _spin(shown: list[str], done: threading.Event) -> None:

@@ -6,12 +6,19 @@ seen by the first bytes.
 """
 
 from nerfbake.catalog import uncompressed as uncompressed
+from nerfbake.io.checkpoints import checkpoint_path as checkpoint_path
+from nerfbake.io.checkpoints import load_checkpoint as load_checkpoint
+from nerfbake.io.checkpoints import require_checkpoints as require_checkpoints
+from nerfbake.io.checkpoints import save_checkpoint as save_checkpoint
+from nerfbake.io.photographs import find_photograph as find_photograph
+from nerfbake.io.photographs import load_photograph as load_photograph
 from nerfbake.io.reading import Loaded as Loaded
 from nerfbake.io.reading import check as check
 from nerfbake.io.reading import decode_files as decode_files
 from nerfbake.io.reading import load as load
 from nerfbake.io.reading import load_files as load_files
 from nerfbake.io.reading import load_folder as load_folder
+from nerfbake.io.reading import load_split as load_split
 from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.sources import STREAM as STREAM
 from nerfbake.io.sources import blame as blame

@@ -70,6 +70,18 @@ def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True)
     return found
 
 
+def load_split(source: str | Path) -> tuple[str, str] | None:
+    """Of a folder whose cameras are in two files, those to train with and those to judge by: their paths, else None."""
+    path = Path(source)
+    if not path.is_dir():
+        return None
+    with blame(str(source)):
+        files = Folder(path, {})
+        form = folder_of_content(files, "Cameras")
+        split = getattr(form.load_module(), "split", lambda files: None)(files)
+    return None if split is None else (str(path / split[0]), str(path / split[1]))
+
+
 def check(source: str | Path) -> list[Problem]:
     """Everything that is wrong with a file: what keeps it from being read, else its structure, else its values."""
     try:

@@ -34,13 +34,21 @@ if TYPE_CHECKING:
     from nerfbake.jobs.files import Source as Source
     from nerfbake.jobs.files import Stage1Source as Stage1Source
     from nerfbake.jobs.files import Target as Target
+    from nerfbake.jobs.fits import Fitted as Fitted
+    from nerfbake.jobs.fits import Recipe as Recipe
+    from nerfbake.jobs.fits import fit_file as fit_file
     from nerfbake.jobs.grids import Choice as Choice
     from nerfbake.jobs.octrees import bake_lod as bake_lod
     from nerfbake.jobs.octrees import bake_octree as bake_octree
+    from nerfbake.jobs.photographs import Album as Album
     from nerfbake.jobs.pictures import Pictures as Pictures
     from nerfbake.jobs.pictures import PlacedMesh as PlacedMesh
     from nerfbake.jobs.pictures import Shots as Shots
     from nerfbake.jobs.pictures import render_views as render_views
+    from nerfbake.jobs.refits import Again as Again
+    from nerfbake.jobs.refits import Model as Model
+    from nerfbake.jobs.refits import Refitted as Refitted
+    from nerfbake.jobs.refits import refit_file as refit_file
     from nerfbake.jobs.samples import write_sample_capture as write_sample_capture
     from nerfbake.jobs.samples import write_sample_n3tree as write_sample_n3tree
     from nerfbake.jobs.samples import write_sample_stage1 as write_sample_stage1
@@ -56,24 +64,32 @@ JOBS = {
     "compress_file": "compressions",
     "convert_file": "conversions",
     "describe_file": "descriptions",
+    "fit_file": "fits",
     "judge": "budgets",
     "measure_atlas": "atlases",
+    "refit_file": "refits",
     "render_views": "pictures",
     "write_sample_capture": "samples",
     "write_sample_n3tree": "samples",
     "write_sample_stage1": "samples",
 }
 _ARGUMENTS = {
+    "Again": "refits",
+    "Album": "photographs",
     "Budget": "budgets",
     "Choice": "grids",
     "Compared": "comparisons",
+    "Fitted": "fits",
     "FolderTarget": "files",
     "Goal": "compressions",
     "Limits": "comparisons",
     "Pages": "comparisons",
+    "Model": "refits",
     "Photographs": "compressions",
     "Pictures": "pictures",
     "PlacedMesh": "pictures",
+    "Recipe": "fits",
+    "Refitted": "refits",
     "Seen": "comparisons",
     "Shots": "pictures",
     "Source": "files",

@@ -11,7 +11,8 @@ import nerfbake
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
+from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
 
@@ -70,7 +71,7 @@ class Photographs:
         return {"cameras": replace(read, cameras=sized), "truth": truth}
 
 
-class Pictures(Sequence[nerfbake.Image]):
+class Pictures(Sequence["nerfbake.Image"]):
     """The pictures in these files, each read whenever it is asked for: all of them at once may not fit into memory."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -112,7 +113,7 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", **coding)
     budget.require(target)
-    octree = _octree(source, steps)
+    octree = read_octree(steps, source)
     options |= photographs.read(steps)
     form = io.format_for(target.path, "QuantisedOctree", to=target.to)
 
@@ -127,12 +128,3 @@ def compress_file(
         report(found)
     judge(target.path, octree, budget, made_from=source.name, steps=steps)
     return found
-
-
-def _octree(source: Source, steps: Steps) -> nerfbake.SparseVoxelOctree:
-    """The octree of a file, or that of a PlenOctree at its own resolution."""
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
-    if isinstance(scene, nerfbake.SparseVoxelOctree):
-        return scene
-    with source.blamed(steps, "building the octree"):
-        return nerfbake.build_octree(scene)

@@ -6,7 +6,7 @@ from typing import Any
 
 import nerfbake
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
-from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
 from nerfbake.jobs.steps import SILENT, Steps
 
 
@@ -67,3 +67,12 @@ def bake_lod(
     target.write(steps, cut, no_child=no_child)
     judge(target.path, octree, budget, made_from=source.name, steps=steps)
     return cut
+
+
+def read_octree(steps: Steps, source: Source) -> nerfbake.SparseVoxelOctree:
+    """The octree of a file, or that of a PlenOctree at its own resolution."""
+    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    if isinstance(scene, nerfbake.SparseVoxelOctree):
+        return scene
+    with source.blamed(steps, "building the octree"):
+        return nerfbake.build_octree(scene)

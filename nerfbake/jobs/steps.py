@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
 Tell = Callable[[str], None]
+TellShare = Callable[[float, str], None]  # how much of the work is done, 0 to 1, and where it is
 
 
 class Steps(Protocol):
@@ -18,6 +19,9 @@ class Steps(Protocol):
     def phase(self, text: str) -> AbstractContextManager[Tell]:
         """A step of the work that may take a while: it lasts as long as the block, which may tell how far it is."""
 
+    def progress(self, text: str) -> AbstractContextManager[TellShare]:
+        """A long step of which it is known how much is done: it lasts as long as the block, which tells it."""
+
 
 class _Silent:
     """Nobody listens."""
@@ -28,6 +32,10 @@ class _Silent:
     @contextmanager
     def phase(self, text: str) -> Iterator[Tell]:
         yield lambda text: None
+
+    @contextmanager
+    def progress(self, text: str) -> Iterator[TellShare]:
+        yield lambda share, text: None
 
 
 SILENT: Steps = _Silent()

@@ -5,7 +5,7 @@ import io
 import json
 
 from nerfbake.bench.measure import Statistics
-from nerfbake.bench.plot import Mark, scatter
+from nerfbake.bench.plot import Mark, lines, scatter
 from nerfbake.bench.report import Report, Table, as_csv, as_json, markdown
 
 TABLE = Table(
@@ -62,3 +62,11 @@ def test_a_chart_of_many_marks_names_them_all() -> None:
     marks = [Mark(f"mark {i}", 10 ** (i / 5), 10 ** (i % 4), f"group {i % 3}") for i in range(24)]
     image = scatter(marks, title="t", x="ms", y="MB", suffix=".svg").decode()
     assert all(f">{mark.label}<" in image for mark in marks)
+
+
+def test_curves_carry_their_names_and_are_the_same_every_time() -> None:
+    curves = {"fitted": [(1.0, 20.0), (3.5, 25.0)], "written": [(4.0, 25.5)]}
+    made = [lines(curves, title="Chair", x="CPU seconds", y="PSNR dB", suffix=".svg") for _ in range(2)]
+    assert made[0] == made[1]
+    assert all(name in made[0].decode() for name in ("fitted", "written", "Chair", "CPU seconds", "PSNR dB"))
+    assert lines(curves, title="", x="", y="", suffix=".png")[:4] == b"\x89PNG"

@@ -125,7 +125,7 @@ def test_access(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     some = tuple(reader for reader in READERS if reader.name in ("VDB", "VDB index", "NanoVDB C++"))
     monkeypatch.setattr("nerfbake.bench.access.comparison.READERS", some)
     monkeypatch.setattr("nerfbake.bench.access.nanovdb.which", lambda name: None)
-    monkeypatch.setattr("nerfbake.bench.access.comparison.RAYS_EDGE", 8)
+    monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)
     monkeypatch.setattr("benchmarks.access.RESOLUTIONS", (8, EDGE))
     monkeypatch.setattr("benchmarks.access.FINE", EDGE)
     files = small("access", scenes)

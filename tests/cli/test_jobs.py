@@ -21,6 +21,15 @@ ATLAS_DEFAULTS: Any = {
     "border": 1, "seed": 0,
 }  # fmt: skip
 JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
+    "fit": (
+        ["photographs", "OUT.svo.pb", "--preset", "fast", "--resolution", "32", "--basis", "SH1", "--holdout", "5"],
+        lambda out: jobs.fit_file(
+            "photographs",
+            f"{out}.svo.pb",
+            recipe=jobs.Recipe(preset="fast", resolution=32, basis="SH1"),
+            album=jobs.Album(holdout=5),
+        ),
+    ),
     "svo": (
         ["a.npz", "OUT.svo.pb", "--resolution", "3", "--profile", "bulk"],
         lambda out: jobs.bake_octree("a.npz", jobs.Target(f"{out}.svo.pb", profile="bulk"), resolution=(3, 3, 3)),
@@ -57,6 +66,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
             "a.npz", "a.svo.pb", seen=Seen(size=(9, 9)), limits=Limits(min_psnr=20.0), pages=Pages(html=f"{out}.html")
         ),
     ),
+    "refit": (
+        ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
+        lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.Model(like="a.npz", frames=4, edge=24)),
+    ),
     "sample octree": (
         ["OUT.npz", "--resolution", "8"],
         lambda out: jobs.write_sample_n3tree(f"{out}.npz", resolution=8),
@@ -78,7 +91,7 @@ FACTS: dict[str, tuple[list[str], Callable[[], Any]]] = {
     ),
 }
 # Those whose work is a stage's, io's or the benchmarks' own, a call between the words.
-NO_JOB = {"check", "bench formats", "bench atlas", "bench access", "bench render", "bench compress"}
+NO_JOB = {"check", "bench formats", "bench atlas", "bench access", "bench compress", "bench fit", "bench render"}
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +102,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save(folder / "a.svo.pb", build_octree(tree))
     save(folder / "c.json", orbit_cameras(build_field(tree), frames=2, width=9, height=9))
     jobs.write_sample_stage1(folder / "in", resolution=32)
+    jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     jobs.bake_atlas(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
     return folder
 

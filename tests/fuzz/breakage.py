@@ -56,7 +56,7 @@ def case_of(seed: int, number: int) -> Case:
     random = Random(f"{seed}:{number}")
     if corpus.is_folder(form):
         return Case(number, form, f"case.{form}", _broken_folder(random, form))
-    suffix = next(each.suffix for each in catalog.FORMATS if each.name == form)
+    suffix = next((each.suffix for each in catalog.FORMATS if each.name == form), f".{form}")
     files = corpus.files_of(form)
     data = _broken(random, form, random.choice(files), random.choice(files))
     if random.random() < 0.1:

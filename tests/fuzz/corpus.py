@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake import build_octree, build_vdb, catalog
+from nerfbake import build_octree, build_vdb, catalog, fit_field
 from nerfbake.formats.octree.svoq import CODINGS
+from nerfbake.formats.wire.checkpoint import encode_checkpoint
 from nerfbake.formats.wire.texture import encode_texture
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
 from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.schedule import parse_schedule
 from tests.support import captures
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.meshes import cube, square
@@ -28,6 +30,7 @@ from tests.support.n3trees import archive, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
+from tests.support.views import sample_views
 
 Files = dict[str, bytes]
 
@@ -35,14 +38,20 @@ _NO_CHECKSUM = struct.pack("<Q", (1 << 64) - 1)
 _CHECKSUM_AT = slice(8, 16)  # in NanoVDB's GridData
 
 
+CHECKPOINT = "checkpoint.npz"  # of a fit: no format, but a file that may come from anybody
+
+
 def names() -> list[str]:
-    """The formats that are read, folders last."""
-    return [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
+    """The formats that are read, folders after them, and a fit's checkpoint."""
+    forms = [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
+    return [*forms, CHECKPOINT]
 
 
 @cache
 def files_of(name: str) -> tuple[bytes, ...]:
     """Files of a format."""
+    if name == CHECKPOINT:
+        return tuple(_checkpoints())
     scene = next(form.scene for form in catalog.FORMATS if form.name == name)
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
@@ -91,6 +100,15 @@ def _compressed() -> Iterator[bytes]:
         octree = random_quantised(seed, levels=1 + seed, data_format=data_format)
         for coding in CODINGS:
             yield _encoded("svoq", octree, coding=coding)
+
+
+def _checkpoints() -> Iterator[bytes]:
+    """From the start, the middle and the end of a fit."""
+    schedule = parse_schedule("cells=8,prune=0.03/cells=16,rays=2,prune=0.02/cells=16,split=0.2")
+    states = fit_field(sample_views(frames=3, width=16, height=16), schedule=schedule, basis="SH1")
+    for number, state in enumerate(states):
+        if number in (0, 4, 8):
+            yield b"".join(encode_checkpoint({"worked": 1.5, "curve": [[1, 2, 3, 4, 5, 6]]}, state.arrays()))
 
 
 def _n3trees() -> Iterator[bytes]:

@@ -24,9 +24,12 @@ from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
 from nerfbake.stages._picture import picture, visible
+from nerfbake.stages.views_to_field import FitState
 from tests.fuzz.breakage import Case
+from tests.fuzz.corpus import CHECKPOINT
 from tests.support.octrees import small_octree
 from tests.support.peaks import peak, resident
+from tests.support.views import sample_views
 
 LIMIT = 64 << 20  # --max-memory of every case
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile
@@ -83,7 +86,7 @@ class Trial:
         """The scene, if it is sound."""
         before = resident()
         start = time.process_time()
-        scene = self._try("load", lambda: io.load(path, sound=False))
+        scene = self._try("load", lambda: _read(self.case.form, path))
         took, most = time.process_time() - start, peak() - before
         if took > MOST_LOADING:
             self._note(f"takes {took:.1f} s of CPU to load")
@@ -91,6 +94,8 @@ class Trial:
             self._note(f"takes {most >> 20} MiB to load, allowed {LIMIT >> 20}")
         if scene is None:
             return None
+        if isinstance(scene, FitState):  # whose soundness is settled as it is made
+            return scene
         problems = self._try("check", scene.problems)
         for problem in problems or []:
             self._hold_to_a_line(str(problem.line))
@@ -134,6 +139,15 @@ class Trial:
         self.findings.append(Finding(self.case.number, self.case.form, self.step, what, place))
 
 
+def _read(form: str, path: Path) -> Any:
+    """The scene in a file or folder; of a checkpoint, where the fit stands."""
+    if form != CHECKPOINT:
+        return io.load(path, sound=False)
+    path.replace(io.checkpoint_path(path.parent))
+    found = io.load_checkpoint(path.parent)
+    return None if found is None else FitState.of_arrays(found[1])
+
+
 def put(case: Case, place: Path) -> Path:
     """The case's file or folder on disk."""
     path = place / case.name
@@ -149,6 +163,10 @@ def put(case: Case, place: Path) -> Path:
 
 def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """What commands do with a scene: describe it, draw it, write it, make other things of it."""
+    if isinstance(scene, FitState):
+        views = sample_views(frames=3, width=16, height=16)
+        yield "go on", lambda: next(nerfbake.fit_field(views, schedule=scene.schedule, start=scene), None)
+        return
     yield "words", lambda: str(scene)
     kind = type(scene).__name__
     radiance = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)

@@ -7,12 +7,13 @@ from contextlib import contextmanager
 
 
 class Listener:
-    """phases, in order of their start; said, line by line; told, how far they were."""
+    """phases, in order of their start; said, line by line; told and shares, how far they were."""
 
     def __init__(self) -> None:
         self.phases: list[str] = []
         self.said: list[str] = []
         self.told: list[str] = []
+        self.shares: list[tuple[float, str]] = []
 
     def say(self, text: str) -> None:
         self.said.append(text)
@@ -21,3 +22,8 @@ class Listener:
     def phase(self, text: str) -> Iterator[Callable[[str], None]]:
         self.phases.append(text)
         yield self.told.append
+
+    @contextmanager
+    def progress(self, text: str) -> Iterator[Callable[[float, str], None]]:
+        self.phases.append(text)
+        yield lambda share, text: self.shares.append((share, text))

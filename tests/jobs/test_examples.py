@@ -18,6 +18,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_n3tree(folder / "a.npz", resolution=16, basis="SH1")
     jobs.bake_octree(folder / "a.npz", folder / "octree.svo.npz")
     jobs.write_sample_stage1(folder / "mesh_stage1", resolution=64)
+    jobs.write_sample_capture(folder / "photographs", frames=16, edge=48)
     return folder
 
 

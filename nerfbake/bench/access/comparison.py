@@ -13,7 +13,7 @@ from typing import Any
 
 from nerfbake import memory
 from nerfbake.bench.access import files
-from nerfbake.bench.access.rays import Counts, count_samples
+from nerfbake.bench.access.rays import RAY_NOTES, ray_rows, ray_table
 from nerfbake.bench.access.readers import READERS, Reader, reading, write_inputs
 from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Result, Statistics, measure
@@ -24,15 +24,12 @@ from nerfbake.errors import MemoryLimit, UsageError
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.volume import Volume
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_vdb import build_vdb
 
 PACKAGES = ("numpy", "numba", "warp-lang")
 RESOLUTIONS = (128, 320, 512)
 POINTS = 1_000_000
-RAYS_EDGE = 400  # pixels of the cameras whose rays are counted
 AGREE = 1e-5  # of the sum of absolute values
 REFERENCE = "VDB index"
 KINDS = ("diagonal", "random", "rays", "surface")
@@ -47,11 +44,6 @@ NOTES = [
     "sums agree: of everything read, with VDB index's, to 1e-5 of the sum of absolute values.",
     "dense pointers: Plenoxels' grid of int32 links. octree: from the root for each of 8 corners; beyond the "
     "PlenOctree's own resolution its leaves stay large.",
-]
-RAY_NOTES = [
-    "Two passes, as in PlenVDB's table 1: possible: samples at steps of half a voxel in the box of the active voxels; "
-    "valid: of these in an active voxel; needed: of these with an opacity from 1e-4 on, before the transmittance falls "
-    "below 1e-4. Nearest voxel.",
 ]
 
 
@@ -89,12 +81,11 @@ def compare_access(
             found = _measured(folder, R, tree.data_dim, rounds, progress)
         version = next((r[0].facts["version"] for r in found.values() if r[0].facts.get("version")), version)
         reads += figures(R, found)
-        rays += _ray_rows(R, density, cameras, progress)
+        rays += ray_rows(R, density, cameras, progress)
     head = {"scene": f"{name}: {scene}", "rounds": str(rounds), **environment(*PACKAGES), "NanoVDB": version or "-"}
     tables = [Table("Trilinear reads", COLUMNS, reads), Table("Files", files.COLUMNS, sizes)]
     if cameras:
-        columns = ["R", "cameras", "", "possible M", "valid M", "valid %", "needed M", "needed %"]
-        tables.insert(1, Table(f"Samples along rays, {RAYS_EDGE}x{RAYS_EDGE}", columns, rays))
+        tables.insert(1, ray_table(rays))
     return Report(f"Access to a sparse volume: {name}", head, tables, NOTES + (RAY_NOTES if cameras else []))
 
 
@@ -151,21 +142,3 @@ def figures(R: int, results: dict[Reading, list[Result]]) -> list[list[Any]]:
         times = [over_rounds(found, kind) for kind in range(len(KINDS))]
         cells.append([reader.name, R, C, *times, ratio, found[0].facts["bytes"] / 1e6, agree])
     return cells
-
-
-def _ray_rows(R: int, volume: Volume, cameras: Sequence[Camera], progress: Progress) -> list[list[Any]]:
-    if not cameras:
-        return []
-    tree = volume.grids[0]
-    assert isinstance(tree, VdbTree)
-    counts = []
-    for camera in cameras:
-        with progress(f"R = {R}: rays of {camera.name}"):
-            counts.append(count_samples(volume, tree, camera.resized(RAYS_EDGE, RAYS_EDGE)))
-    total = Counts(*map(sum, zip(*counts, strict=True)))
-    rows: list[list[Any]] = []
-    for what, parts in (("total", 1), ("mean of a camera", len(cameras))):
-        millions = [count / parts / 1e6 for count in total]
-        valid, needed = (100 * count / max(total.possible, 1) for count in total[1:])
-        rows.append([R, len(cameras), what, millions[0], millions[1], valid, millions[2], needed])
-    return rows

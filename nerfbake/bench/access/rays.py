@@ -9,11 +9,14 @@ Source: PlenVDB (Yan et al., 2023), 4.3; the voxel's own density is asked, not i
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.bench.progress import Progress
+from nerfbake.bench.report import Table
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.jit import compiled
@@ -27,6 +30,13 @@ STEP = 0.5  # voxels; a ray takes no more steps than its way through the box is 
 ALPHA, CUT = 1e-4, 1e-4
 FARTHEST = 1e15  # voxels from a camera to the first: its steps are whole numbers
 CHUNK = 1 << 12  # rays that a core marches in one go
+RAYS_EDGE = 400  # pixels of the cameras whose rays are counted in a report
+_COLUMNS = ["R", "cameras", "", "possible M", "valid M", "valid %", "needed M", "needed %"]
+RAY_NOTES = [
+    "Two passes, as in PlenVDB's table 1: possible: samples at steps of half a voxel in the box of the active voxels; "
+    "valid: of these in an active voxel; needed: of these with an opacity from 1e-4 on, before the transmittance falls "
+    "below 1e-4. Nearest voxel.",
+]
 
 
 class Counts(NamedTuple):
@@ -61,6 +71,30 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
 
     over_chunks(work, len(directions), CHUNK)
     return Counts(*found.sum(axis=0).tolist())
+
+
+def ray_rows(R: int, volume: Volume, cameras: Sequence[Camera], progress: Progress) -> list[list[Any]]:
+    """What each of the cameras asks of the volume's first grid, a density: all together, and one in the mean."""
+    if not cameras:
+        return []
+    tree = volume.grids[0]
+    assert isinstance(tree, VdbTree)
+    counts = []
+    for camera in cameras:
+        with progress(f"R = {R}: rays of {camera.name}"):
+            counts.append(count_samples(volume, tree, camera.resized(RAYS_EDGE, RAYS_EDGE)))
+    total = Counts(*map(sum, zip(*counts, strict=True)))
+    rows: list[list[Any]] = []
+    for what, parts in (("total", 1), ("mean of a camera", len(cameras))):
+        millions = [count / parts / 1e6 for count in total]
+        valid, needed = (100 * count / max(total.possible, 1) for count in total[1:])
+        rows.append([R, len(cameras), what, millions[0], millions[1], valid, millions[2], needed])
+    return rows
+
+
+def ray_table(rows: list[list[Any]], what: str = "") -> Table:
+    """The rows of ray_rows() as a table; what: more of its title."""
+    return Table(f"Samples along rays, {RAYS_EDGE}x{RAYS_EDGE}{what}", _COLUMNS, rows)
 
 
 @compiled()

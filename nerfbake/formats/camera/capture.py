@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from pathlib import PurePosixPath
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
+from nerfbake.contract import PICTURES
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.maths.affine import combined
 
 MAX_FRAMES = 100_000
 DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
 MAX_NAME = 120  # bytes of a name; what stands beside a picture, and a file that is not yet whole, have longer ones
-PICTURES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 _UNSAFE = re.compile(r"[^\w .+()\[\]-]")
 _OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
+_MAX_PATH = 1000  # characters
 _MAX_PART = 240  # bytes of a file's name, before an ending is tried
 _CAMERA_BYTES = 1000  # what Python takes for one
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -92,8 +92,8 @@ class PictureSizes:
 
     def of(self, path: str | None) -> Size | None:
         """Width and height of a picture, whose ending may be left out; None if it is not there or cannot be read."""
-        inside = None if self._folder is None or not path else _inside(path)
-        if inside is None:
+        inside = None if self._folder is None else inside_of(path)
+        if not inside:
             return None
         if inside not in self._known:
             self._known[inside] = self._read(inside)
@@ -116,14 +116,14 @@ class PictureSizes:
             return None
 
 
-def _inside(path: str) -> str | None:
-    """The path as a name in the file's own folder; None for one that leads out of it, or that nothing can have."""
-    clean = PurePosixPath(path.replace("\\", "/"))
-    if clean.is_absolute() or ".." in clean.parts or not path.isprintable() or len(path) > 1000:
-        return None
-    if any(len(part.encode()) > _MAX_PART for part in clean.parts):
-        return None
-    return str(clean)
+def inside_of(path: str | None) -> str:
+    """The path as a name in the capture's own folder; '' for one that leads out of it, or that nothing can have."""
+    if path is None or len(path) > _MAX_PATH or not path.isprintable():
+        return ""
+    parts = path.replace("\\", "/").split("/")
+    if not parts[0] or ".." in parts or any(len(part.encode()) > _MAX_PART for part in parts):
+        return ""
+    return "/".join(part for part in parts if part not in ("", "."))
 
 
 def size_note(frames: int, size: Size | None) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera import colmap_binary, colmap_text
-from nerfbake.formats.camera.capture import Folder, names_of, opengl, room_for
+from nerfbake.formats.camera.capture import Folder, inside_of, names_of, opengl, room_for
 from nerfbake.formats.camera.colmap_models import Model, Shot
 from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.scene import lens
@@ -28,6 +28,7 @@ from nerfbake.scene.camera import Camera, Cameras
 
 # Where a capture keeps its model: COLMAP's own places, then nerfstudio's and instant-ngp's.
 _PLACES = ("", "sparse/0/", "sparse/", "colmap/sparse/0/", "colmap_sparse/0/", "colmap_text/")
+_PICTURES = "images/"  # in the capture's folder, wherever its model stands
 _READERS = {"bin": colmap_binary, "txt": colmap_text}  # as COLMAP itself, the binary one where both are there
 
 
@@ -97,7 +98,9 @@ def _camera(shot: Shot, name: str, models: dict[int, Model]) -> Camera:
         bent = lens.Lens(layout.lens, tuple(values[i] for i in layout.k), p)
     cx, cy = values[layout.focals : layout.focals + 2]
     focal = values[0], values[layout.focals - 1]
-    return Camera(model.width, model.height, focal, _pose(shot, name), name, (cx, cy), bent)
+    picture = inside_of(shot.name)
+    picture = picture and f"{_PICTURES}{picture}"
+    return Camera(model.width, model.height, focal, _pose(shot, name), name, (cx, cy), bent, picture)
 
 
 def _pose(shot: Shot, name: str) -> npt.NDArray[np.float64]:

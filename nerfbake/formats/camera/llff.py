@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
+from nerfbake.contract import PICTURES
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.capture import PICTURES, Folder, names_of, room_for
+from nerfbake.formats.camera.capture import Folder, names_of, room_for
 from nerfbake.formats.wire.npy import read_header
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.scene.base import MAX_WORLD
@@ -39,11 +40,12 @@ def decode(files: Folder, *, member: str = "") -> Cameras:
     poses = np.tile(np.eye(4), (n, 1, 1))
     poses[:, :3] = np.stack([parts[:, :, 1], -parts[:, :, 0], parts[:, :, 2], parts[:, :, 3]], axis=2)
     pictures = [name for name in files.names("images") if name.endswith(PICTURES)]
-    names = names_of(pictures if len(pictures) == n else [None] * n)
+    paths = [f"images/{name}" for name in pictures] if len(pictures) == n else [""] * n
+    names = names_of(paths)
     notes = () if len(pictures) in (0, n) else (f"images has {len(pictures):,} pictures for {n:,} cameras: numbered",)
     cameras = [
-        Camera(width, height, focal, pose, name, centre)
-        for (width, height, focal, centre), pose, name in zip(inside, poses, names, strict=True)
+        Camera(width, height, focal, pose, name, centre, picture=path)
+        for (width, height, focal, centre), pose, name, path in zip(inside, poses, names, paths, strict=True)
     ]
     return Cameras(tuple(cameras), "LLFF", _NAME, notes)
 

@@ -41,7 +41,7 @@ def decode(files: Folder, *, member: str = "") -> Cameras:
     for stem, size, name in zip(stems, found, names_of(stems), strict=True):
         width, height = size or default
         pose = opengl(_matrix(_rows(files, f"{folder}/{stem}.txt"), f"{folder}/{stem}.txt"))
-        cameras.append(Camera(width, height, (fx, fy), pose, name, (cx, cy)))
+        cameras.append(Camera(width, height, (fx, fy), pose, name, (cx, cy), picture=f"rgb/{stem}"))
     return Cameras(tuple(cameras), "NSVF", f"{_INSIDE}, {folder}/*.txt", notes)
 
 

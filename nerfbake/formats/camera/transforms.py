@@ -23,7 +23,16 @@ import numpy as np
 
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.capture import DEFAULT_EDGE, Folder, PictureSizes, Size, names_of, room_for, size_note
+from nerfbake.formats.camera.capture import (
+    DEFAULT_EDGE,
+    Folder,
+    PictureSizes,
+    Size,
+    inside_of,
+    names_of,
+    room_for,
+    size_note,
+)
 from nerfbake.formats.camera.transforms_frames import parse, poses_of
 from nerfbake.formats.camera.transforms_lens import LENS_KEYS, lens_fields, lens_of
 from nerfbake.formats.wire.json import number, shown, whole, within
@@ -77,7 +86,7 @@ def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
         else:
             own = _intrinsics(frame, fields, size, f"frames[{i}]")
         guessed += seen is None and not _sized(fields, frame)
-        cameras.append(Camera(pose=poses[i], name=name, **own))
+        cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **own))
     samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
     return Cameras(tuple(cameras), _dialect(fields, frames), notes=size_note(guessed, first), samples=samples)
 

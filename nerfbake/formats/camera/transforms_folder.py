@@ -19,6 +19,12 @@ def recognise(files: Folder) -> bool:
     return any(name in files for name in _NAMES)
 
 
+def split(files: Folder) -> tuple[str, str] | None:
+    """The cameras to train with, and those to judge by; None where the folder does not tell them apart."""
+    trained, judges = _NAMES[3], [name for name in _NAMES[1:3] if name in files]
+    return (trained, judges[0]) if trained in files and judges else None
+
+
 def decode(files: Folder, *, member: str = "") -> Cameras:
     name = next(name for name in (member, *_NAMES) if name in files)
     return replace(transforms.decode(files[name], beside=files), source=name)

@@ -43,6 +43,11 @@ class NpzReader:
         if len(self._members) != len(members):
             raise InvalidFile(Problem("zip directory", "lists a name twice", "each name once"))
 
+    @property
+    def names(self) -> list[str]:
+        """Of all members, in the order of the archive."""
+        return list(self._members)
+
     def __contains__(self, key: str) -> bool:
         return key in self._members
 

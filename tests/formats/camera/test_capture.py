@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerfbake.formats.camera.capture import MAX_NAME, names_of
+from nerfbake.formats.camera.capture import MAX_NAME, inside_of, names_of
 
 
 def test_names_by_hand() -> None:
@@ -27,6 +27,33 @@ def test_names_by_hand() -> None:
     assert names_of(paths) == expected
     odd = ["a\0b", "a\nb\x1b[2J", "-rf", ".hidden", "a:b*c?", "\ud800x", "é", "a/b\u202egnp"]
     assert names_of(odd) == ["a_b", "a_b_[2J", "_rf", "_hidden", "a_b_c_", "_x", "é", "b_gnp"]
+
+
+def test_a_picture_stands_in_its_capture_or_nowhere() -> None:
+    inside = {
+        "a": "a",
+        "./train/r_0": "train/r_0",
+        "images\\a.JPG": "images/a.JPG",
+        "a//./b": "a/b",
+        "..a/b..": "..a/b..",
+    }
+    assert {path: inside_of(path) for path in inside} == inside
+    outside = (
+        None,
+        "",
+        ".",
+        "./",
+        "/",
+        "/etc/a.png",
+        "\\a",
+        "../a.png",
+        "a/../b",
+        "..",
+        "a\\..\\..\\b",
+        "a\0b",
+        "\ud800",
+    )
+    assert {inside_of(path) for path in (*outside, "a" * 1001, "é" * 121)} == {""}
 
 
 def test_equal_names_get_their_numbers() -> None:

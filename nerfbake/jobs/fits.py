@@ -1,0 +1,265 @@
+"""From photographs to a scene: a sparse field that looks like them, written in any format that can hold it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+import nerfbake
+from nerfbake import catalog, io
+from nerfbake.errors import InvalidScene, Stopped, UsageError
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.fit_course import Course, Point
+from nerfbake.jobs.fit_state import Keeper
+from nerfbake.jobs.photographs import ALL, Album, read_photographs
+from nerfbake.jobs.steps import SILENT, Steps
+
+if TYPE_CHECKING:
+    from nerfbake.scene.schedule import Schedule
+    from nerfbake.stages.views_to_error import ViewError
+
+_GRIDS = ("index",)  # all values in one grid: nothing is lost
+# What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first.
+_WAYS: dict[str, Callable[[nerfbake.BrickField], Any]] = {
+    "SparseVoxelOctree": lambda field: nerfbake.octree_of_bricks(field),
+    "Volume": lambda field: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
+    "N3Tree": lambda field: nerfbake.n3tree_of_bricks(field),
+}
+PRESET = "balanced"
+FITTED = tuple(_WAYS)
+
+
+class Recipe(NamedTuple):
+    """How a field is fitted.
+
+    preset      fast, balanced or best: a schedule of stages; None: balanced, unless one of the next two is given
+    minutes     how long two cores may work, which chooses a schedule
+    epochs      a schedule as text, as it is printed, which has a resolution and samples of its own
+    resolution  cells along each axis of the lattice, before some of them are split
+    samples     rays along each edge of a pixel, as pictures of the field are to be made: 1 or 2
+    basis       of the colours: SH1 to SH25
+    box         x0, y0, z0, x1, y1, z1 of the world around the object; None: as the pictures tell
+    seed        of the order of the views: the same gives the same bytes
+    """
+
+    preset: str | None = None
+    minutes: float | None = None
+    epochs: str | None = None
+    resolution: int = 256
+    samples: int = 2
+    basis: str = "SH9"
+    box: tuple[float, float, float, float, float, float] | None = None
+    seed: int = 0
+
+    def schedule(self, views: int = 100) -> Schedule:
+        """The stages for so many views. Raises UsageError for what contradicts itself, however many there are."""
+        given = [name for name in ("preset", "minutes", "epochs") if getattr(self, name) is not None]
+        if len(given) > 1:
+            names = " and ".join(f"--{name}" for name in given)
+            raise UsageError(f"{names} each choose a schedule; allowed: one of them")
+        from nerfbake.scene.schedule import parse_schedule, preset_schedule, schedule_for  # the help loads no arrays
+
+        asked = {"resolution": self.resolution, "samples": self.samples, "views": views}
+        try:
+            if self.epochs is not None:
+                return parse_schedule(self.epochs)
+            if self.minutes is not None:
+                return schedule_for(self.minutes, **asked)
+            return preset_schedule(self.preset or PRESET, **asked)
+        except InvalidScene as error:
+            raise UsageError(error.what) from None
+
+    def told(self, schedule: Schedule) -> dict[str, str]:
+        """All that the bytes depend on beside the pictures."""
+        rest = {name: str(getattr(self, name)) for name in ("basis", "box", "seed")}
+        return {"nerfbake": nerfbake.__version__, "schedule": str(schedule), **rest}
+
+
+BALANCED = Recipe()
+
+
+class Fitted(NamedTuple):
+    """What was fitted, as the written file shows it.
+
+    path      of the file, and its content in words, and its bytes
+    schedule  as --epochs takes it
+    views     how near the file comes to each of the photographs that judge it
+    worked    CPU seconds, without compiling kernels and without judging; passed: the same as time
+    curve     how near it had come meanwhile
+    """
+
+    path: str
+    content: str
+    bytes: int
+    schedule: str
+    views: tuple[ViewError, ...]
+    worked: float
+    passed: float
+    curve: tuple[Point, ...]
+
+    @property
+    def psnr(self) -> float:
+        """dB, the mean over the views."""
+        return sum(view.psnr for view in self.views) / len(self.views)
+
+    @property
+    def ssim(self) -> float:
+        """The mean over the views."""
+        return sum(view.ssim for view in self.views) / len(self.views)
+
+
+def fit_file(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    album: Album = ALL,
+    recipe: Recipe = BALANCED,
+    state: str | None = None,
+    steps: Steps = SILENT,
+    report: Callable[[Fitted], None] | None = None,
+) -> Fitted:
+    """Fits a sparse field to the photographs of a capture, and gives what its file shows; `nerfbake fit` is this.
+
+    Reads the cameras and pictures of `source` and of `album`; writes `target`, whose ending says as what, and keeps
+    checkpoints in the folder `state`. A run that was killed goes on from there, to the same bytes. Ctrl-C writes what
+    there is as `target`.partial and raises Stopped, exit code 130. report gets what is returned. Raises NerfbakeError.
+
+    >>> fitted = fit_file("photographs", "fitted.npz", recipe=Recipe(preset="fast", resolution=32, basis="SH1"))
+    >>> fitted.psnr > 15
+    True
+    """
+    source, target = as_source(source), as_target(target)
+    album.require()
+    recipe.schedule()  # what contradicts itself is told before any picture is read
+    kind = _require(target)
+    if state is not None:
+        io.require_checkpoints(state)
+    posed = read_photographs(steps, source, album)
+    judges, schedule = posed.judges, recipe.schedule(len(posed.trained.pictures))
+    steps.say(f"{source.name}: {posed.trained} to fit to, {judges} to judge by")
+    steps.say(f"{source.name}: --epochs {schedule}")
+    keeper = None if state is None else Keeper(state, recipe.told(schedule), posed.trained)
+    course = Course(posed, schedule)
+    field, stopped = _fit(steps, source, posed.trained, schedule, recipe, course, keeper)
+    if stopped:
+        _write_partial(steps, target, kind, field, state)
+    with steps.phase("putting the field together"), io.blame(target.path):
+        scene = _WAYS[kind](field)
+    del field, posed
+    target.write(steps, scene)
+    del scene
+    fitted = _judged(steps, target, judges, schedule, course)
+    if report is not None:
+        report(fitted)
+    return fitted
+
+
+def _require(target: Target) -> str:
+    """The type of scene that the target holds. Raises, before any work is done, if no field can be written there."""
+    if target.path == io.STREAM:
+        raise UsageError("fit judges the file that it wrote; allowed: an OUT other than '-'")
+    ending = target.path if target.to is None else f".{target.to.removeprefix('.')}"
+    kind = next((kind for kind in _WAYS if catalog.is_ending(ending, kind)), None)
+    if kind is None:
+        endings = ", ".join(form.suffix for kind in _WAYS for form in catalog.formats_of(kind))
+        raise UsageError(f"{ending!r} names nothing that a field is written as; allowed: {endings}, or --to FORMAT")
+    form = target.require(kind)
+    if kind == "Volume":
+        form.load_volume_module().require_grids(_GRIDS, half=False)
+    return kind
+
+
+def _fit(
+    steps: Steps,
+    source: Source,
+    views: nerfbake.Views,
+    schedule: Schedule,
+    recipe: Recipe,
+    course: Course,
+    keeper: Keeper | None,
+) -> tuple[nerfbake.BrickField, bool]:
+    """The field, and whether Ctrl-C ended it early."""
+    from nerfbake.scene.views import world_box
+    from nerfbake.stages.views_to_field import fit_field
+
+    now = start = _start(keeper, course)
+    with steps.progress("fitting") as tell, io.blame(source.name), _interrupts() as asked:
+        box = None if recipe.box is None else world_box(recipe.box)
+        for now in fit_field(views, schedule=schedule, basis=recipe.basis, box=box, seed=recipe.seed, start=start):
+            ended = course.follow(now)
+            if keeper is not None and (ended or asked or keeper.is_due):
+                _keep(keeper, now, course)
+            tell(course.share(now), course.told(now))
+            if asked:
+                return now.field(), True
+        return now.field(), False
+
+
+def _start(keeper: Keeper | None, course: Course) -> Any:
+    """Where an earlier run was stopped; None where there was none."""
+    last = None if keeper is None else keeper.last()
+    if last is None:
+        return None
+    from nerfbake.stages.views_to_field import FitState
+
+    with io.blame(last.path):
+        now = FitState.of_arrays(last.arrays)
+    course.goes_on(now, worked=last.worked, curve=last.curve)
+    return now
+
+
+def _keep(keeper: Keeper, now: Any, course: Course) -> None:
+    worked = course.clock.worked
+    with course.clock.paused():
+        keeper.keep(now, worked=worked, curve=course.curve)
+
+
+def _write_partial(steps: Steps, target: Target, kind: str, field: nerfbake.BrickField, state: str | None) -> NoReturn:
+    """Writes what there is beside where it should have been, and raises Stopped."""
+    ending = io.format_for(target.path, kind, to=target.to).name
+    partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
+    partial.write(steps, _WAYS[kind](field))
+    goes_on = f"; the same command goes on from {state}" if state else ""
+    raise Stopped(f"stopped before it was done: {partial.path} has what there was{goes_on}")
+
+
+def _judged(steps: Steps, target: Target, judges: nerfbake.Views, schedule: Schedule, course: Course) -> Fitted:
+    """What the file shows, read as anybody would read it, with the rays a pixel that it was fitted for."""
+    worked, passed, samples = course.clock.worked, course.clock.passed, schedule[-1].rays
+    file = Source(target.path)
+    with file.blamed(steps, f"judging by {len(judges.pictures)} pictures"):
+        loaded = file.read_with_format(steps)
+        views = nerfbake.measure_views(nerfbake.build_field(loaded.scene), judges, samples=samples)
+    told = str(loaded.scene)
+    fitted = Fitted(target.path, told, loaded.size, str(schedule), views, worked, passed, tuple(course.curve))
+    seen = (
+        f"{fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on {judges}{replace(judges.cameras, samples=samples).rays_told}"
+    )
+    steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
+    return fitted
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """What Ctrl-C asks for, once, so that work can end where it is whole; the second time it ends at once."""
+    asked: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
+        yield asked
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,75 @@
+"""Photographs as their files have them."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from PIL import Image as Pillow
+
+from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
+from nerfbake.formats.wire.photograph import decode_photograph
+from nerfbake.memory import memory_limit
+from tests.support.hostile import damaged
+
+PIXELS = np.random.default_rng(3).integers(0, 256, (5, 7, 4), np.uint8)
+
+
+def file(picture: Pillow.Image, kind: str = "PNG", **options: Any) -> memoryview:
+    made = io.BytesIO()
+    picture.save(made, kind, **options)
+    return memoryview(made.getvalue())
+
+
+def test_colour_and_alpha_are_those_of_the_file() -> None:
+    assert_array_equal(decode_photograph(file(Pillow.fromarray(PIXELS))), PIXELS)
+    opaque = decode_photograph(file(Pillow.fromarray(PIXELS[..., :3])))
+    assert_array_equal(opaque[..., :3], PIXELS[..., :3])
+    assert (opaque[..., 3] == 255).all()
+
+
+def test_greys_palettes_and_jpegs_are_turned_into_the_same() -> None:
+    grey = decode_photograph(file(Pillow.fromarray(PIXELS[..., 0])))
+    assert_array_equal(grey[..., :3], np.repeat(PIXELS[..., :1], 3, axis=2))
+    palette = Pillow.new("P", (2, 1), 1)
+    palette.putpalette([0, 0, 0, 10, 20, 30])
+    assert_array_equal(decode_photograph(file(palette, transparency=1)), [[[10, 20, 30, 0]] * 2])
+    flat = Pillow.new("RGB", (9, 8), (200, 100, 50))
+    assert np.abs(decode_photograph(file(flat, "JPEG"))[..., :3].astype(int) - [200, 100, 50]).max() <= 3
+
+
+def test_pixels_stand_as_they_are_whatever_exif_says() -> None:
+    exif = Pillow.Exif()
+    exif[0x0112] = 6  # turn by 90 degrees before it is shown
+    assert decode_photograph(file(Pillow.new("RGB", (9, 8)), "JPEG", exif=exif)).shape == (8, 9, 4)
+
+
+@pytest.mark.parametrize(
+    ("picture", "kind", "said"),
+    [
+        (Pillow.fromarray(np.zeros((3, 3), np.uint16)), "PNG", "holds I;16 pixels; allowed: grey, a palette or RGB"),
+        (Pillow.new("CMYK", (3, 3)), "JPEG", "holds CMYK pixels"),
+        (Pillow.new("RGB", (3, 3)), "BMP", "cannot be read"),
+        (Pillow.new("L", (20_000, 1)), "PNG", "declares 20,000x1 pixels"),
+    ],
+)
+def test_what_is_no_photograph_of_8_bits_is_refused(picture: Pillow.Image, kind: str, said: str) -> None:
+    with pytest.raises(InvalidFile, match=said):
+        decode_photograph(file(picture, kind))
+
+
+def test_a_large_picture_in_a_small_file_is_told_before_it_is_inflated() -> None:
+    with memory_limit(10 << 20), pytest.raises(MemoryLimit, match="the picture needs 11"):
+        decode_photograph(file(Pillow.new("1", (1000, 1000))))
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
+def test_a_damaged_photograph_is_one_line_or_a_picture(kind: str) -> None:
+    for what, data in damaged(bytes(file(Pillow.fromarray(PIXELS[..., :3]), kind)), flips=200):
+        try:
+            assert decode_photograph(memoryview(data)).shape[2] == 4, what
+        except NerfbakeError:
+            continue

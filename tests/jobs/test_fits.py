@@ -1,0 +1,238 @@
+"""From photographs to a scene: what stands around the trainer, with one that takes no time."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nerfbake import N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
+from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, OutputError, Stopped, UsageError
+from nerfbake.jobs import Album, Fitted, Recipe, Seen, Source, Target, compare_files, fit_file
+from nerfbake.jobs.photographs import read_photographs
+from nerfbake.jobs.steps import SILENT
+from nerfbake.scene.schedule import preset_schedule
+from tests.jobs.fake_fit import FakeFit, FakeState
+from tests.jobs.listener import Listener
+from tests.support.photographs import write_scene
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("capture") / "scene")
+
+
+@pytest.fixture
+def trainer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeFit:
+    monkeypatch.chdir(tmp_path)
+    fake = FakeFit()
+    monkeypatch.setattr("nerfbake.stages.views_to_field.fit_field", fake)
+    monkeypatch.setattr("nerfbake.stages.views_to_field.FitState", FakeState)
+    return fake
+
+
+@pytest.mark.usefixtures("trainer")
+def test_the_file_is_judged_as_anybody_would_read_it(capture: Path, listener: Listener) -> None:
+    fitted = fit_file(capture, "a.npz", steps=listener)
+    judges = read_photographs(SILENT, Source(str(capture))).judges
+    assert fitted.views == measure_views(build_field(load("a.npz", N3Tree)), judges, samples=2)
+    assert fitted.psnr == pytest.approx(np.mean([view.psnr for view in fitted.views]), abs=1e-12)
+    assert fitted.ssim == pytest.approx(np.mean([view.ssim for view in fitted.views]), abs=1e-12)
+    assert fitted.bytes == Path("a.npz").stat().st_size
+    assert listener.said[-1].startswith(f"a.npz: {fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on 4 pictures")
+    assert "2x2 rays a pixel" in listener.said[-1]
+
+
+@pytest.mark.usefixtures("trainer")
+def test_compare_finds_what_was_said(capture: Path) -> None:
+    fitted = fit_file(capture, "a.npz")
+    seen = Seen(str(capture / "transforms_test.json"), truth=str(capture / "test"), samples=2)
+    means = compare_files("a.npz", "a.npz", seen=seen).found.means["a_truth"]
+    assert (means["psnr"], means["ssim"]) == pytest.approx((fitted.psnr, fitted.ssim), abs=1e-9)
+
+
+@pytest.mark.usefixtures("trainer")
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("a.npz", N3Tree), ("a.svo.npz", SparseVoxelOctree), ("a.svo.pb.zst", SparseVoxelOctree), ("a.nvdb", Volume),
+        ("a.vdb.npz", Volume),
+    ],
+)  # fmt: skip
+def test_every_ending_holds_the_same_field(name: str, kind: type, capture: Path) -> None:
+    fitted = fit_file(capture, name)
+    assert type(load(name)) is kind
+    assert fitted.psnr == pytest.approx(fit_file(capture, "other.npz").psnr, abs=0.02)
+
+
+def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit) -> None:
+    Path("there.npz").touch()
+    for target, said in (
+        ("-", "fit judges the file that it wrote; allowed: an OUT other than '-'"),
+        ("a.png", r"'a\.png' names nothing that a field is written as; allowed: \.svo\.npz, .*, or --to FORMAT"),
+        ("a.vdb", "index"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            fit_file("none", target)
+    with pytest.raises(OutputError, match="exists already"):
+        fit_file("none", "there.npz")
+    with pytest.raises(UsageError, match="--preset and --minutes each choose a schedule; allowed: one of them"):
+        fit_file("none", "a.npz", recipe=Recipe(preset="fast", minutes=1.0))
+    with pytest.raises(UsageError, match="--test has the views to judge by"):
+        fit_file("none", "a.npz", album=Album(test="a", holdout=3))
+    with pytest.raises(OutputError, match=r"there\.npz: File exists"):
+        fit_file("none", "a.npz", state="there.npz")
+    assert trainer.asked == []
+
+
+def test_the_trainer_is_asked_for_what_was_asked_for(trainer: FakeFit, capture: Path) -> None:
+    box = (-1.0, -2.0, -3.0, 1.0, 2.0, 3.0)
+    fit_file(
+        capture, Target("a", to="npz"), album=Album(holdout=4), recipe=Recipe(basis="SH1", samples=1, box=box, seed=7)
+    )
+    (asked,) = trainer.asked
+    assert (asked["basis"], asked["box"].tolist(), asked["seed"]) == ("SH1", [[-1, -2, -3], [1, 2, 3]], 7)
+    assert asked["schedule"] == preset_schedule("balanced", samples=1, views=12)
+    assert len(asked["views"].pictures) == 12
+
+
+@pytest.mark.usefixtures("trainer")
+def test_progress_tells_where_it_is_and_how_near(capture: Path, listener: Listener) -> None:
+    fitted = fit_file(capture, "a.npz", steps=listener)
+    shares = [share for share, _ in listener.shares]
+    assert shares == sorted(shares)
+    assert 0 < shares[0] < shares[-1] == pytest.approx(1)
+    assert listener.shares[0][1] == "stage 1 of 4, 16^3, 7 voxels"
+    seen = fitted.curve[-1].psnr
+    assert listener.shares[-1][1].endswith(f"^3, 7 voxels, {seen:.2f} dB on 4 of 4 views kept for judging")
+
+
+def broken_after(trainer: FakeFit, step: int) -> None:
+    def stop() -> None:
+        raise RuntimeError("killed")
+
+    trainer.at_step[step] = stop
+
+
+def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> None:
+    whole = fit_file(capture, "whole.npz", state="unbroken")
+    taken = trainer.steps
+    trainer.steps = 0
+    broken_after(trainer, 8)
+    with pytest.raises(RuntimeError, match="killed"):
+        fit_file(capture, "a.npz", state="state")
+    assert not Path("a.npz").exists()
+    trainer.at_step.clear()
+    again = fit_file(capture, "a.npz", state="state")
+    assert trainer.asked[-1]["start"] is not None
+    assert trainer.steps < 8 + taken
+    assert Path("a.npz").read_bytes() == Path("whole.npz").read_bytes()
+    assert again.worked > 0
+    assert [point[2:] for point in again.curve[:1]] == [point[2:] for point in whole.curve[:1]]
+    trainer.steps = 0
+    fit_file(capture, Target("a.npz", force=True), state="state")  # nothing is left to do
+    assert trainer.steps == 0
+    assert Path("a.npz").read_bytes() == Path("whole.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("album", "recipe", "said"),
+    [
+        (Album(), Recipe(seed=1), r"the fit's seed was 0; allowed: the same as now \(1\), or another --state"),
+        (Album(), Recipe(basis="SH4"), r"the fit's basis was SH9; allowed: the same as now \(SH4\)"),
+        (Album(), Recipe(box=(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)), r"the fit's box was None"),
+        (Album(holdout=4), Recipe(), r"the fit's schedule was cells=64"),
+        (Album(background=(0.0, 0.0, 0.0)), Recipe(), r"the fit had other pictures or cameras; allowed: the same, or"),
+    ],
+)
+@pytest.mark.usefixtures("trainer")
+def test_a_state_of_another_fit_is_refused(album: Album, recipe: Recipe, said: str, capture: Path) -> None:
+    fit_file(capture, "a.npz", state="state")
+    with pytest.raises(InvalidFile, match=r"^state/checkpoint\.npz: " + said):
+        fit_file(capture, "b.npz", album=album, recipe=recipe, state="state")
+    assert not Path("b.npz").exists()
+
+
+HOSTILE: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "no facts": ({"key": None}, {}, "the fit's version was nothing"),
+    "a negative time": ({"worked": -1}, {}, "worked is -1; allowed: a number of seconds"),
+    "no time": ({"worked": "long"}, {}, "worked is long"),
+    "a curve of text": ({"curve": [["a"] * 6]}, {}, "curve is no list of points; allowed: 6 numbers each"),
+    "a short curve": ({"curve": [[1]]}, {}, "curve is no list of points"),
+    "other arrays": ({}, {"at": np.ones(3)}, "at is no state"),
+    "more arrays": ({}, {"more": np.ones(3)}, "at is no state"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.usefixtures("trainer")
+def test_a_hostile_state_is_refused_in_one_line(name: str, capture: Path) -> None:
+    fit_file(capture, "a.npz", state="state")
+    found = io.load_checkpoint("state")
+    assert found is not None
+    facts, arrays, said = HOSTILE[name]
+    io.save_checkpoint("state", found[0] | facts, found[1] | arrays)
+    with pytest.raises(NerfbakeError, match=r"^state/checkpoint\.npz: " + said):
+        fit_file(capture, "b.npz", state="state")
+
+
+def interrupt() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_ctrl_c_writes_what_there_is(trainer: FakeFit, capture: Path, listener: Listener) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    trainer.at_step[5] = interrupt
+    for target in (Target("a.svo.pb"), Target("b", to="npz.zst")):
+        trainer.steps = 0
+        with pytest.raises(Stopped) as stopped:
+            fit_file(capture, target, steps=listener)
+        assert stopped.value.exit_code == 130
+        assert str(stopped.value) == f"stopped before it was done: {target.path}.partial has what there was"
+    assert sorted(path.name for path in Path().iterdir()) == ["a.svo.pb.partial", "b.partial"]
+    partial = load("b.partial", N3Tree)
+    assert isinstance(partial, N3Tree)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_what_ctrl_c_has_stopped_goes_on_from_its_state(trainer: FakeFit, capture: Path) -> None:
+    fit_file(capture, "whole.npz")
+    trainer.steps, trainer.at_step[3] = 0, interrupt
+    with pytest.raises(Stopped, match=r"a\.npz\.partial has what there was; the same command goes on from state$"):
+        fit_file(capture, "a.npz", state="state")
+    fit_file(capture, "a.npz", state="state")
+    assert trainer.asked[-1]["start"].done == 2
+    assert Path("a.npz").read_bytes() == Path("whole.npz").read_bytes()
+
+
+def test_a_second_ctrl_c_ends_at_once(trainer: FakeFit, capture: Path) -> None:
+    def twice() -> None:
+        interrupt()
+        interrupt()
+
+    trainer.at_step[2] = twice
+    with pytest.raises(KeyboardInterrupt):
+        fit_file(capture, "a.npz")
+    assert not list(Path().iterdir())
+
+
+def test_what_is_wrong_with_a_capture_is_blamed_on_it(
+    trainer: FakeFit, capture: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*views: Any, **options: Any) -> Any:
+        raise InvalidScene("the cameras see nothing in common; allowed: views of one object")
+
+    monkeypatch.setattr("nerfbake.stages.views_to_field.fit_field", refuse)
+    with pytest.raises(InvalidScene, match="scene: the cameras see nothing in common"):
+        fit_file(capture, "a.npz")
+    assert not trainer.asked
+
+
+@pytest.mark.usefixtures("trainer")
+def test_a_report_gets_what_is_returned(capture: Path) -> None:
+    told: list[Fitted] = []
+    assert [fit_file(capture, "a.npz", report=told.append)] == told

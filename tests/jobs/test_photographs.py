@@ -1,0 +1,235 @@
+"""The photographs of a capture, in every dialect, and what is wrong with them in one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from PIL import Image as Pillow
+
+from nerfbake import Cameras, load
+from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
+from nerfbake.jobs import Album, Source
+from nerfbake.jobs.photographs import Posed, read_photographs
+from nerfbake.jobs.steps import SILENT
+from nerfbake.memory import left, memory_limit
+from tests.jobs.listener import Listener
+from tests.support.captures import (
+    Rig,
+    rig,
+    write_colmap_binary,
+    write_colmap_text,
+    write_instant_ngp,
+    write_llff,
+    write_nerf_synthetic,
+    write_nerfstudio,
+    write_nsvf,
+)
+from tests.support.photographs import over, photographed, spot, write_picture
+
+DIALECTS = (
+    write_nerf_synthetic, write_instant_ngp, write_nerfstudio, write_colmap_binary, write_colmap_text, write_llff,
+    write_nsvf,
+)  # fmt: skip
+
+
+def read(path: Path | str, **options: Any) -> Posed:
+    return read_photographs(SILENT, Source(str(path)), Album(**options))
+
+
+def many(count: int) -> Rig:
+    """Cameras in a row."""
+    made = rig(odd=False)
+    poses = np.tile(made.poses[:1], (count, 1, 1))
+    poses[:, 2, 3] += np.arange(count)
+    return replace(made, poses=poses)
+
+
+@pytest.mark.parametrize("write", DIALECTS)
+def test_each_camera_gets_its_own_picture_in_every_dialect(write: Callable[..., Path], tmp_path: Path) -> None:
+    made = many(5)
+    trained, judges = read(photographed(write, tmp_path, made), holdout=3)
+    names = [camera.name for camera in trained.cameras.cameras]
+    assert names == ["r_1", "r_2", "r_4"]
+    assert [camera.name for camera in judges.cameras.cameras] == ["r_0", "r_3"]
+    for name, pixels, camera in zip(names, trained.pictures, trained.cameras.cameras, strict=True):
+        number = int(name[2:])
+        assert_array_equal(pixels, spot(made.width, made.height, number))
+        np.testing.assert_allclose(camera.pose, made.poses[number], atol=1e-12)
+    assert (trained.masked, trained.background) == (True, (1.0, 1.0, 1.0))
+
+
+def test_pictures_of_a_model_that_stands_alone_are_above_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photographed(write_colmap_binary, tmp_path, many(5))
+    for place in ("sparse/0", "sparse/0/images.bin"):
+        assert len(read(tmp_path / place).trained.pictures) == 4
+    monkeypatch.chdir(tmp_path / "sparse" / "0")
+    assert len(read("images.bin").trained.pictures) == 4
+
+
+def test_every_eighth_view_judges_where_nothing_else_is_said(tmp_path: Path) -> None:
+    posed = read(photographed(write_nerfstudio, tmp_path, many(17)))
+    assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_0", "r_8", "r_16"]
+
+
+def split_capture(folder: Path) -> Path:
+    """transforms_train.json, and the same as _test.json with pictures of its own."""
+    photographed(write_nerf_synthetic, folder, many(5))
+    shutil.copytree(folder / "test", folder / "train")
+    text = (folder / "transforms_test.json").read_text()
+    (folder / "transforms_train.json").write_text(text.replace("./test/", "./train/"))
+    return folder
+
+
+def test_a_capture_with_views_to_judge_by_is_judged_by_them(tmp_path: Path, listener: Listener) -> None:
+    posed = read_photographs(listener, Source(str(split_capture(tmp_path))))
+    assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (5, 5)
+    assert listener.phases == [
+        f"reading {tmp_path}/transforms_train.json",
+        "reading 5 pictures",
+        f"reading {tmp_path}/transforms_test.json",
+        "reading 5 pictures",
+    ]
+    assert len(read(tmp_path, holdout=2).judges.pictures) == 3  # of those to train with
+    assert len(read(tmp_path / "transforms_train.json").trained.pictures) == 4
+    posed = read(tmp_path / "transforms_train.json", test=str(tmp_path / "transforms_test.json"))
+    assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (5, 5)
+    with pytest.raises(UsageError, match="--test has the views to judge by; allowed: it or --holdout"):
+        Album(test="a", holdout=3).require()
+    with pytest.raises(UsageError, match="--holdout is 1; allowed: 2 or more"):
+        Album(holdout=1).require()
+
+
+def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
+    scenery = np.random.default_rng(0).integers(0, 256, (10, 14, 3), np.uint8)
+    capture = photographed(write_nerfstudio, tmp_path / "capture", many(5), lambda pixels: scenery)
+    with pytest.raises(InvalidScene, match=r"capture: the pictures show scenery behind the object: .* --masks DIR"):
+        read(capture)
+    masks = tmp_path / "masks"
+    mask = np.repeat(spot(14, 10)[..., 3:], 3, axis=2)
+    for number, name in enumerate(("r_0.png", "r_1.jpg", "r_2.png.png", "images/r_3.png", "images/r_4.png.png")):
+        write_picture(masks / name, mask)
+        if number < 4:
+            with pytest.raises(InvalidFile, match=rf"masks: mask r_{number + 1} is not there; allowed: .*"):
+                read(capture, masks=str(masks))
+    trained = read(capture, masks=str(masks)).trained
+    assert trained.masked
+    for pixels in trained.pictures:
+        assert_array_equal(pixels[..., :3], scenery)
+        assert_array_equal(pixels[..., 3], spot(14, 10)[..., 3])
+    write_picture(masks / "r_1.jpg", mask[:-1])
+    with pytest.raises(InvalidScene, match=r"masks/r_1\.jpg: the mask has 14x9 pixels; allowed: 14x10"):
+        read(capture, masks=str(masks))
+    with pytest.raises(InvalidFile, match=r"none: is no folder; allowed: one with a mask for each picture"):
+        read(capture, masks="none")
+
+
+def test_a_plain_background_is_found_or_told(tmp_path: Path) -> None:
+    capture = photographed(write_nsvf, tmp_path, many(5), lambda pixels: over(pixels, (9, 8, 7)))
+    assert read(capture).trained.background == (9 / 255, 8 / 255, 7 / 255)
+    assert read(capture, background=(0.0, 0.0, 0.0)).judges.background == (0.0, 0.0, 0.0)
+    with pytest.raises(InvalidScene, match="only 0 % of their edges are near 255,255,255"):
+        read(capture, background=(1.0, 1.0, 1.0))
+
+
+def gone(capture: Path) -> None:
+    for name in ("r_1", "r_3"):
+        (capture / "images" / f"{name}.png").unlink()
+
+
+def unreadable(capture: Path) -> None:
+    (capture / "images" / "r_2.png").write_bytes(b"GIF89a")
+
+
+def of_another_shape(capture: Path) -> None:
+    write_picture(capture / "images" / "r_2.png", spot(10, 14))
+
+
+def leading_out(capture: Path) -> None:
+    write_picture(capture.parent / "r_2.png", spot(14, 10))
+    edit(capture, lambda frame: frame | {"file_path": "../r_2.png"})
+
+
+def of_a_fixed_place(capture: Path) -> None:
+    edit(capture, lambda frame: frame | {"file_path": str(capture / "images" / "r_2.png")})
+
+
+def without_a_name(capture: Path) -> None:
+    edit(capture, lambda frame: {key: value for key, value in frame.items() if key != "file_path"})
+
+
+def nowhere(capture: Path) -> None:
+    edit(capture, lambda frame: frame | {"transform_matrix": [[1e999] * 4] * 4})
+
+
+def nan(capture: Path) -> None:
+    path = capture / "transforms.json"
+    path.write_text(path.read_text().replace('"transform_matrix": [[', '"transform_matrix": [[NaN, ', 1))
+
+
+def edit(capture: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    path = capture / "transforms.json"
+    fields = json.loads(path.read_text())
+    fields["frames"][2] = change(fields["frames"][2])
+    path.write_text(json.dumps(fields).replace("Infinity", "1e999"))
+
+
+WRONG: dict[str, tuple[Callable[[Path], None], str]] = {
+    "missing": (gone, r"capture: picture images/r_1\.png is not there; allowed: a PNG or a JPEG .* \(and 1 more\)$"),
+    "unreadable": (unreadable, r"images/r_2\.png: the picture cannot be read .*; allowed: a whole PNG or JPEG$"),
+    "of another shape": (of_another_shape, r"capture: picture images/r_2\.png has 10x14 pixels; allowed: .* 14x10$"),
+    "leading out": (leading_out, r"capture: camera r_2 names no picture in the folder of the capture; allowed"),
+    "of a fixed place": (of_a_fixed_place, r"capture: camera r_2 names no picture in the folder"),
+    "without a name": (without_a_name, r"capture: camera 0002 names no picture in the folder"),
+    "nowhere": (nowhere, r"capture: .*; allowed: "),
+    "NaN": (nan, r"capture: the JSON cannot be parsed"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_one_line(name: str, tmp_path: Path) -> None:
+    capture = photographed(write_nerfstudio, tmp_path / "capture", many(5))
+    change, said = WRONG[name]
+    change(capture)
+    with pytest.raises(NerfbakeError, match=said) as found:
+        read(capture)
+    assert found.value.exit_code == 1
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_views_are_refused(count: int, tmp_path: Path) -> None:
+    capture = photographed(write_nerfstudio, tmp_path, many(count))
+    with pytest.raises(InvalidFile, match=rf"the views are {count}, of which every 8th judges; allowed: 2 or more"):
+        read(capture)
+    if count == 1:
+        with pytest.raises(InvalidFile, match="the views are 1 to fit to and 1 to judge by; allowed: 2 or more"):
+            read(capture, test=str(capture))
+
+
+def test_pictures_count_as_memory_once(tmp_path: Path) -> None:
+    made = many(9)
+    capture = photographed(
+        write_nerfstudio, tmp_path, Rig(140, 100, 175, 175, 70, 50, made.poses), lambda pixels: pixels
+    )
+    with memory_limit(1_000_000):
+        posed = read(capture)
+        assert 1_000_000 - 9 * 56_000 - 30_000 < left() <= 1_000_000 - 9 * 56_000
+        del posed
+    for path in (capture / "images").iterdir():
+        Pillow.new("L", (140, 100)).save(path)
+    with memory_limit(400_000), pytest.raises(MemoryLimit, match=r"images/r_\d\.png: the picture needs .* beside"):
+        read(capture)
+
+
+def test_a_picture_beside_the_cameras_file_is_found(tmp_path: Path) -> None:
+    photographed(write_nerfstudio, tmp_path, many(5))
+    (tmp_path / "transforms.json").rename(tmp_path / "mine.json")
+    assert len(load(tmp_path / "mine.json", Cameras).cameras) == 5
+    assert len(read(tmp_path / "mine.json").trained.pictures) == 4

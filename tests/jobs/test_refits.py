@@ -1,0 +1,98 @@
+"""An octree fitted anew: nearer to what it is to look like, and not a node more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from nerfbake import SparseVoxelOctree, build_field, build_octree, load, measure_views, sample_n3tree, save
+from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
+from nerfbake.jobs import Again, Model, Source, refit_file
+from nerfbake.jobs.photographs import read_photographs
+from nerfbake.jobs.steps import SILENT
+from tests.jobs.listener import Listener
+from tests.support.photographs import write_scene
+from tests.support.scenes import n3tree
+
+LIKE = Model(like="fine.npz", frames=12, edge=48)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """fine.npz, a scene of 32^3; coarse.svo.npz, its octree of 8^3 with leaves of several sizes."""
+    monkeypatch.chdir(tmp_path)
+    tree = sample_n3tree(resolution=32, basis="SH4")
+    save("fine.npz", tree)
+    save("coarse.svo.npz", build_octree(tree, resolution=8))
+    return tmp_path
+
+
+def octree(name: str) -> SparseVoxelOctree:
+    return load(name, SparseVoxelOctree)
+
+
+def test_it_comes_nearer_to_the_finer_scene_with_the_same_nodes(listener: Listener) -> None:
+    found = refit_file("coarse.svo.npz", "out.svo.npz", LIKE, again=Again(samples=1), steps=listener)
+    before, after = found.psnr
+    assert after > before + 1
+    assert len(found.before) == len(found.after) == 8
+    assert_array_equal(octree("out.svo.npz").node_children, octree("coarse.svo.npz").node_children)
+    assert found.bytes == Path("out.svo.npz").stat().st_size
+    assert listener.said[-1].startswith(
+        f"out.svo.npz: {after:.2f} dB on 8 pictures with alpha, where coarse.svo.npz has"
+    )
+    assert listener.shares[-1][0] <= 1
+    assert found.worked > 0
+
+
+def test_it_comes_nearer_to_photographs_and_is_judged_by_others(tmp_path: Path) -> None:
+    capture = write_scene(tmp_path / "capture")
+    save("coarse.npz", sample_n3tree(resolution=8, basis="SH1"))
+    found = refit_file("coarse.npz", "out.svo.pb", Model(views=str(capture)), again=Again(epochs=3))
+    assert found.psnr[1] > found.psnr[0] + 0.5
+    judges = read_photographs(SILENT, Source(str(capture))).judges
+    assert found.after == measure_views(build_field(octree("out.svo.pb")), judges, samples=2)
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    for name, seed in (("a.svo.npz", 0), ("b.svo.npz", 0), ("c.svo.npz", 1)):
+        refit_file("coarse.svo.npz", name, LIKE, again=Again(epochs=1, samples=1, seed=seed))
+    a, b, c = (Path(name).read_bytes() for name in ("a.svo.npz", "b.svo.npz", "c.svo.npz"))
+    assert a == b != c
+
+
+def test_halves_and_the_layout_stay() -> None:
+    tree = sample_n3tree(resolution=16, basis="SH1")
+    save("half.svo.npz", build_octree(tree, resolution=8, dtype="float16", layout="compact"))
+    refit_file("half.svo.npz", "out.svo.npz", LIKE, again=Again(epochs=1, samples=1))
+    assert octree("out.svo.npz").node_data.dtype == np.float16
+    assert octree("out.svo.npz").layout == "compact"
+
+
+@pytest.mark.parametrize(
+    ("model", "target", "error", "message"),
+    [
+        (Model(), "a.svo.npz", UsageError, "--like and --views: neither says what IN is to look like; allowed: one"),
+        (Model("fine.npz", "capture"), "a.svo.npz", UsageError, "--like and --views: both say"),
+        (LIKE, "-", UsageError, "refit judges the file that it wrote"),
+        (LIKE, "a.png", UsageError, "'a.png' has no ending that an octree is written with"),
+        (LIKE, "coarse.svo.npz", OutputError, "coarse.svo.npz"),
+        (Model("none.npz"), "a.svo.npz", NerfbakeError, "none.npz: No such file or directory"),
+    ],
+)
+def test_what_is_refused_writes_nothing(
+    model: Model, target: str, error: type[Exception], message: str, folder: Path
+) -> None:
+    there = sorted(folder.iterdir())
+    with pytest.raises(error, match=message):
+        refit_file("coarse.svo.npz", target, model)
+    assert sorted(folder.iterdir()) == there
+
+
+def test_an_octree_of_another_basis_is_named() -> None:
+    save("grey.svo.npz", build_octree(n3tree(data_format="RGBA")))
+    with pytest.raises(InvalidScene, match=r"grey.svo.npz: basis is RGBA; allowed: SH1"):
+        refit_file("grey.svo.npz", "a.svo.npz", LIKE)
