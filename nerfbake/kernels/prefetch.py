@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numba
-from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
@@ -18,14 +17,14 @@ def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     LLVM's own, which is an instruction of every x86-64 and ARM. It changes no value, and is passed over where kernels
     are ordinary functions.
     """
+    tools: Any = cgutils  # numba tells no types
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kind = signature.args[0]
+        kind, number = signature.args[0], tools.int32_t
         held = context.make_array(kind)(context, builder, arguments[0])
-        found: Any = cgutils.get_item_pointer  # numba tells no types
-        place = found(context, builder, kind, held, arguments[1:], wraparound=False)
-        place, number = builder.bitcast(place, ir.IntType(8).as_pointer()), ir.IntType(32)
-        called = ir.FunctionType(ir.VoidType(), [place.type, number, number, number])
+        place = tools.get_item_pointer(context, builder, kind, held, arguments[1:], wraparound=False)
+        place = builder.bitcast(place, tools.voidptr_t)
+        called = tools.ir.FunctionType(tools.ir.VoidType(), [place.type, number, number, number])
         fetch = builder.module.declare_intrinsic("llvm.prefetch", [place.type], called)
         builder.call(fetch, [place, number(0), number(3), number(1)])  # to be read, often, as data
         return context.get_dummy_value()

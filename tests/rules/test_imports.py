@@ -66,7 +66,6 @@ OWN_LIBRARY = {
     "formats/wire/picture": {"PIL"},
     "formats/wire/texture": {"PIL"},
     "formats/wire/zstd": {"zstandard"},
-    "kernels/prefetch": {"llvmlite"},  # which numba itself is built on
     "stages/_mesh_summary": {"trimesh"},
 }
 HEAVY = {

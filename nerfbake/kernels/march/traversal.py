@@ -1,7 +1,7 @@
 """Rays through a tree of constant cells, from leaf to leaf: density and colour are constant there, so sums are exact.
 
 A ray first meets leaves by their densities, which stay in a core's cache, and asks for their coefficients, which do
-not; the colours are added up once these have come. That is a fifth of the time, and changes no bit.
+not; the colours are added up once these have come. That spares a sixth of the time, and changes no bit.
 Source of the rules: docs/conventions.md, "How a picture is made".
 """
 
