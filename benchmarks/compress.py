@@ -13,7 +13,6 @@ from nerfbake import N3Tree, build_octree, load
 from nerfbake.bench.compress.comparison import COLUMNS, chart_compression, compare_compression
 from nerfbake.bench.progress import told
 from nerfbake.bench.report import Report, Table
-from nerfbake.jobs.compressions import Photographs
 
 ROUNDS = 3
 
@@ -22,8 +21,8 @@ chart = chart_compression
 
 def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
     octree = build_octree(load(scenes.chair, N3Tree))
-    photographs = Photographs(str(scenes.views / "transforms.json"), str(scenes.views))
-    report = compare_compression(octree, scenes.chair.name, photographs, rounds=rounds, progress=told)
+    photographs = {"cameras": str(scenes.views / "transforms.json"), "truth": str(scenes.views)}
+    report = compare_compression(octree, scenes.chair.name, **photographs, rounds=rounds, progress=told)
     arrays = (np.asarray(octree.node_data).nbytes + octree.node_children.nbytes) / 1e6
     return {"compress": [report._replace(tables=[*report.tables, _aims(report, arrays)])]}
 

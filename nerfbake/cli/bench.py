@@ -208,13 +208,12 @@ def compress(
     from nerfbake.bench.compress.comparison import chart_compression, compare_compression
     from nerfbake.jobs.compressions import Photographs
 
-    photographs = Photographs(cameras, truth)
-    photographs.require()
+    Photographs(cameras, truth).require()
     if truth is None:
         without_effect("cameras", here="where nothing is measured", allowed="--cameras with --truth")
     octree, name = _octree(source, words, None, only=False), Path(source.path).name
     with source.blamed(words, "compressing"):
-        found = compare_compression(octree, name, photographs, rounds=rounds, progress=words.phase)
+        found = compare_compression(octree, name, cameras=cameras, truth=truth, rounds=rounds, progress=words.phase)
     destination.write([found], chart_compression)
 
 

@@ -48,7 +48,7 @@ PARTS = {"formats/wire": ({"errors", "memory", "kernels", "formats.wire"}, {"num
 OWN_LIBRARY = {
     "bench/access/warp_reader": {"warp"},  # beside ours in bench access
     "bench/atlas/clustering": {"sklearn"},  # beside ours in bench atlas
-    "bench/compress/contenders": {"sklearn"},
+    "bench/compress/contenders": {"sklearn", "zstandard"},
     "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
     "formats/atlas/folder": {"PIL"},  # its version, for atlas.json

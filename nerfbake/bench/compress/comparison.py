@@ -21,14 +21,12 @@ from nerfbake.bench.measure import Result, Statistics, Work, measure, seconds_of
 from nerfbake.bench.plot import Mark, scatter
 from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
-from nerfbake.formats.octree import svoq
-from nerfbake.jobs.compressions import SOURCE_PSNR, Photographs
-from nerfbake.jobs.steps import SILENT
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.memory import memory_limit
 from nerfbake.stages._coefficients import visible_leaves
 from nerfbake.stages._loss import measuring_judge, predicting_judge
 
+SOURCE_PSNR = 35.0  # dB, as `nerfbake compress` has it
 LOSSES = (0.05, 0.1, 0.2, 0.4, 0.8)  # dB
 COLUMNS = ["file", "MB", "predicted dB", "measured dB", "PSNR to the scene", "encode s", "decode s", "peak MB"]
 _GROUP = {"range": "svoq", "deflate": "svoq, deflate"}
@@ -38,27 +36,31 @@ NOTES = [
     f"predicted: the loss of PSNR for a source of {SOURCE_PSNR:g} dB, from views all around; measured: of the mean "
     "PSNR against the photographs.",
     "svoq: `nerfbake compress --max-loss`, its search included; the others pack the leaves, without inner nodes.",
-    "peak: memory that encoding added to its process. decode: of .svoq, from bytes to the octree.",
+    "peak: memory that encoding added to its process. decode: of .svoq, from the file to the octree.",
 ]
 
 
 def compare_compression(
     octree: nerfbake.SparseVoxelOctree,
     name: str,
-    photographs: Photographs,
     *,
+    cameras: str | None = None,
+    truth: str | None = None,
     rounds: int,
     progress: Progress,
 ) -> Report:
-    """Packs the octree in every way, and reports. photographs: what the loss is measured against, if anything."""
-    photographs.require()
-    rows = [(f"svoq {coding}, {loss:g} dB", coding, loss) for coding in svoq.CODINGS for loss in LOSSES]
+    """Packs the octree in every way, and reports.
+
+    cameras, truth: a capture, and the folder with a photograph NAME.png for each of its cameras, which the loss is
+    measured against; or None.
+    """
+    rows = [(f"svoq {coding}, {loss:g} dB", coding, loss) for coding in _GROUP for loss in LOSSES]
     cells = []
     with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
         path = str(Path(folder) / "scene.svo.npz")
         with progress("writing the octree"):
             io.save(path, octree)
-        seen = {"path": path, "cameras": photographs.cameras, "truth": photographs.truth}
+        seen = {"path": path, "cameras": cameras, "truth": truth}
         for label, coding, loss in rows:
             work = partial(measure, compressing, coding=coding, loss=loss, **seen)
             cells.append(_cells(label, [_told(progress, label, work) for _ in range(rounds)]))
@@ -82,21 +84,26 @@ def chart_compression(report: Report, suffix: str) -> bytes:
     return scatter(marks, title=report.title, x="file, MB", y="loss, dB", suffix=suffix)
 
 
-def compressing(path: str, coding: svoq.Coding, loss: float, cameras: str | None, truth: str | None) -> Work:
+def compressing(path: str, coding: str, loss: float, cameras: str | None, truth: str | None) -> Work:
     """The work of compressing the octree of a file to so small a loss, as predicted; in a process of its own."""
-    octree = _octree(path)
-    size = partial(svoq.coded_size, coding=coding)
-    _compiled(size)
+    octree, folder = _octree(path), TemporaryDirectory(prefix="nerfbake-bench-")
+    target = str(Path(folder.name) / "scene.svoq")
+    size = partial(io.format_for(target, "QuantisedOctree").load_packed_module().coded_size, coding=coding)
+    small = nerfbake.build_octree(nerfbake.sample_n3tree(resolution=8))
 
-    def run() -> bytes:
-        found = nerfbake.compress_octree(octree, coded_size=size, max_loss=loss)
-        return b"".join(svoq.encode(found.quantised, coding=coding))
+    def compressed(scene: nerfbake.SparseVoxelOctree, goal: dict[str, float]) -> int:
+        found = nerfbake.compress_octree(scene, coded_size=size, **goal)  # type: ignore[arg-type]
+        return io.save(target, found.quantised, coding=coding, force=True)
 
-    def check(data: bytes) -> dict[str, Any]:
-        back, seconds = seconds_of(lambda: svoq.decode(memoryview(data)))
-        return {"size": len(data), "decode": seconds, **_costs(octree, nerfbake.build_field(back), cameras, truth)}
+    compressed(small, {"step": 0.2})  # compiled code is read from the disk before the clock runs
+    io.load(target)
 
-    return Work(run, check)
+    def check(written: int) -> dict[str, Any]:
+        with folder, memory_limit(1 << 46):
+            back, seconds = seconds_of(lambda: io.load(target, nerfbake.SparseVoxelOctree))
+        return {"size": written, "decode": seconds, **_costs(octree, nerfbake.build_field(back), cameras, truth)}
+
+    return Work(lambda: compressed(octree, {"max_loss": loss}), check)
 
 
 def packing(path: str, name: str, cameras: str | None, truth: str | None) -> Work:
@@ -117,19 +124,17 @@ def _octree(path: str) -> nerfbake.SparseVoxelOctree:
         return io.load(path, nerfbake.SparseVoxelOctree)
 
 
-def _compiled(size: Any) -> None:
-    """Compiled code is read from the disk before the clock runs."""
-    small = nerfbake.build_octree(nerfbake.sample_n3tree(resolution=8))
-    svoq.decode(memoryview(b"".join(svoq.encode(nerfbake.compress_octree(small, coded_size=size, step=0.2).quantised))))
-
-
 def _costs(
     octree: nerfbake.SparseVoxelOctree, field: nerfbake.RadianceField, cameras: str | None, truth: str | None
 ) -> dict[str, Any]:
-    own, given = nerfbake.build_field(octree), Photographs(cameras, truth).read(SILENT)
+    own, measured = nerfbake.build_field(octree), None
     cost = predicting_judge(own, source_psnr=SOURCE_PSNR).cost(field)
     psnr = -10 / _LN_10 * float(log(cost.error)) if cost.error > 0 else None
-    measured = measuring_judge(own, given["cameras"], given["truth"]).cost(field).loss if truth else None
+    if cameras and truth:
+        views = io.load(cameras, nerfbake.Cameras)
+        seen = [io.load(Path(truth) / f"{view.name}.png", nerfbake.Image) for view in views.cameras]
+        sized = tuple(view.resized(*image.size) for view, image in zip(views.cameras, seen, strict=True))
+        measured = measuring_judge(own, replace(views, cameras=sized), seen).cost(field).loss
     return {"predicted": cost.loss, "measured": measured, "psnr": psnr}
 
 

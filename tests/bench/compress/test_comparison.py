@@ -12,7 +12,6 @@ from nerfbake import build_field, build_octree, orbit_cameras, render_field, sam
 from nerfbake.bench.compress import comparison
 from nerfbake.bench.compress.contenders import contenders
 from nerfbake.bench.measure import measure_here
-from nerfbake.jobs.compressions import Photographs
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
 
@@ -31,8 +30,8 @@ def test_the_report_has_the_curve_and_every_contender(tmp_path: Path, monkeypatc
     save(tmp_path / "views.json", views)
     for view in views.cameras:
         save(tmp_path / f"{view.name}.png", render_field(field, view))
-    photographs = Photographs(str(tmp_path / "views.json"), str(tmp_path))
-    report = comparison.compare_compression(octree, "small", photographs, rounds=1, progress=quiet)
+    photographs = {"cameras": str(tmp_path / "views.json"), "truth": str(tmp_path)}
+    report = comparison.compare_compression(octree, "small", **photographs, rounds=1, progress=quiet)
     rows = {row[0]: dict(zip(comparison.COLUMNS, row, strict=True)) for row in report.tables[0].rows}
     assert list(rows)[:4] == ["svoq range, 0.2 dB", "svoq range, 2 dB", "svoq deflate, 0.2 dB", "svoq deflate, 2 dB"]
     assert list(rows)[4:] == list(contenders())
