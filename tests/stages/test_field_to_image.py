@@ -150,7 +150,8 @@ def test_a_scene_that_is_no_field_yet_says_what_makes_one() -> None:
         with pytest.raises(UsageError, match=r"^N3Tree is no RadianceField; allowed: what build_field\(\) makes"):
             asked()
     picture: Any = render_field(solid(1.0), front())
-    with pytest.raises(UsageError, match=r"^Image has no radiance field; allowed: N3Tree, SparseVoxelOctree, Volume$"):
+    known = "N3Tree, SparseVoxelOctree, Volume, BrickField"
+    with pytest.raises(UsageError, match=f"^Image has no radiance field; allowed: {known}$"):
         build_field(picture)
 
 
