@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +19,10 @@ DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data
 
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("repeatable")
+
+# Whoever starts the tests in the background (nohup, a shell's &) has them ignore Ctrl-C, and all that they start, too.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN and threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 TOOLS = ("nanovdb_convert", "nanovdb_print", "nanovdb_validate", "vdb_print")
 
