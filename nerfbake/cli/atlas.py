@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, bakes_stage1, judges, speaks, without_effect
+from nerfbake.cli.params import as_json, bakes_stage1, judges, seed, speaks, without_effect
 from nerfbake.cli.words import Words
 from nerfbake.jobs.atlases import bake_atlas
 from nerfbake.jobs.files import FolderTarget, Stage1Source
@@ -68,9 +68,7 @@ from nerfbake.jobs.files import FolderTarget, Stage1Source
     show_default=True,
     help="The axis that points up in the mesh. z: nodes of scene.glb turn it to y, and Blender turns it back.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
-)
+@seed
 @judges
 @as_json
 @speaks

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import Command, as_json, max_memory, speaks, without_effect, writes
+from nerfbake.cli.params import Command, as_json, max_memory, seed, sh_basis, speaks, without_effect, writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
 from nerfbake.cli.words import Words
@@ -93,13 +93,7 @@ def takes_recipe(function: Command) -> Command:
         show_default=True,
         help="Voxels along each axis, before those that need it are split once more.",
     )
-    @click.option(
-        "--basis",
-        type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
-        default="SH9",
-        show_default=True,
-        help="The spherical harmonics that hold the colours.",
-    )
+    @sh_basis
     @click.option(
         "--samples",
         type=click.IntRange(1, 2),
@@ -110,9 +104,7 @@ def takes_recipe(function: Command) -> Command:
     @click.option(
         "--box", type=Box(), help="Two corners of the box around the object.  [default: as the pictures tell]"
     )
-    @click.option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
-    )
+    @seed
     @wraps(function)
     def command(
         *args: Any,

@@ -154,6 +154,16 @@ def writes(*scenes: str) -> Callable[[Command], Command]:
     return add
 
 
+seed = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
+)
+sh_basis = click.option(
+    "--basis",
+    type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
+    default="SH9",
+    show_default=True,
+    help="The spherical harmonics that hold the colours.",
+)
 samples = click.option(
     "--samples",
     type=click.IntRange(1, 8),

@@ -10,7 +10,7 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.fit import takes_album
-from nerfbake.cli.params import CAPTURE, Command, as_json, reads, speaks, without_effect, writes_octree
+from nerfbake.cli.params import CAPTURE, Command, as_json, reads, seed, speaks, without_effect, writes_octree
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source, Target
 from nerfbake.jobs.photographs import Album
@@ -67,9 +67,7 @@ def takes_model(function: Command) -> Command:
     show_default=True,
     help="Rays along each edge of a pixel, as pictures of OUT are to be made.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
-)
+@seed
 @as_json
 @speaks
 def refit(

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import max_memory, speaks, writes
+from nerfbake.cli.params import max_memory, seed, sh_basis, speaks, writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import FolderTarget, Target
 from nerfbake.jobs.samples import write_sample_capture, write_sample_n3tree, write_sample_stage1
@@ -26,16 +26,8 @@ def sample() -> None:
     show_default=True,
     help="Cells along each axis, a power of two.",
 )
-@click.option(
-    "--basis",
-    type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
-    default="SH9",
-    show_default=True,
-    help="The spherical harmonics that hold the colours.",
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
-)
+@sh_basis
+@seed
 @max_memory
 @speaks
 def octree(target: Target, words: Words, **options: Any) -> None:
@@ -50,9 +42,7 @@ def octree(target: Target, words: Words, **options: Any) -> None:
 @sample.command()
 @click.argument("target", metavar="OUT_DIR", type=click.Path())
 @click.option("--resolution", type=int, default=512, show_default=True, help="Texels along each edge of the textures.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
-)
+@seed
 @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
 @max_memory
 @speaks
@@ -69,9 +59,7 @@ def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
 @click.argument("target", metavar="OUT_DIR", type=click.Path())
 @click.option("--frames", type=click.IntRange(2, 1000), default=24, show_default=True, help="How many photographs.")
 @click.option("--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Their edge in pixels.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
-)
+@seed
 @click.option("--force", is_flag=True, help="Replace files in OUT_DIR that have the same names.")
 @max_memory
 @speaks
