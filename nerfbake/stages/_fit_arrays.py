@@ -63,22 +63,21 @@ def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int
 def _require_bricks(own: Arrays) -> None:
     """Raises InvalidScene for bricks and cells that do not lead to each other."""
     top, slots, first, places = (own[name] for name in ("top", "slots", "first", "places"))
-    counts = np.diff(first.astype(np.int64))
-    held = (
-        np.repeat(np.arange(len(slots)), np.maximum(counts, 0)) if len(places) == int(first[-1]) else np.zeros(0, int)
-    )
+    counts = first[1:].astype(np.int64) - first[:-1]
+    counted = first[0] == 0 and first[-1] == len(places) and bool(((counts >= 1) & (counts <= SIZE)).all())
     problem = None
     if int(np.count_nonzero(top >= 0)) != len(slots) or (top != top_grid(top >= 0)).any():
         problem = Problem(
             "the state's top", "does not number its bricks", "raster order, and the distance to the nearest"
         )
-    elif first[0] != 0 or (counts < 1).any() or (counts > SIZE).any() or len(held) != len(places):
+    elif not counted:
         problem = Problem("the state's first", "does not count its cells", f"from 0, up by 1 to {SIZE} a brick")
     elif (slots < EMPTY).any() or (slots >> 1 >= counts[:, None]).any():
         problem = Problem("the state's slots", "name cells that there are not", "-2, -1, or a cell of the brick")
     elif (places < 0).any() or (places >> 1 >= SIZE).any():
         problem = Problem("the state's places", "lie outside of a brick", f"0 to {SIZE - 1}, twice, and wide or not")
     else:
+        held = np.repeat(np.arange(len(slots)), counts)
         own_slot = (np.arange(len(places)) - first[held]) << 1 | places & 1
         if (slots[held, places >> 1] != own_slot).any():
             problem = Problem("the state's places", "are not where the slots have them", "each cell at its own place")

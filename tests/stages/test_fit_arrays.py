@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -112,6 +113,16 @@ def test_a_view_that_there_is_not_is_refused() -> None:
     found = fit_field(sample_views(frames=6, width=24, height=24), schedule=SCHEDULE, start=FitState.of_arrays(arrays))
     with pytest.raises(InvalidScene, match="the state's view is 6; allowed: below 6"):
         next(found)
+
+
+def test_nothing_is_made_for_cells_that_are_only_counted() -> None:
+    arrays = state()
+    arrays["first"][1] = 1 << 27  # and back again: as many as there are, to whoever looks at the last alone
+    tracemalloc.start()
+    with pytest.raises(InvalidScene, match="the state's first does not count its cells"):
+        FitState.of_arrays(arrays)
+    assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    tracemalloc.stop()
 
 
 def test_a_state_counts_as_memory() -> None:
