@@ -56,15 +56,15 @@ class Recipe(NamedTuple):
     box: tuple[float, float, float, float, float, float] | None = None
     seed: int = 0
 
-    def schedule(self, views: int = 100) -> Schedule:
-        """The stages for so many views. Raises UsageError for what contradicts itself, however many there are."""
+    def schedule(self, views: int | None = None) -> Schedule:
+        """The stages, for so many views if it is known how many. Raises UsageError for what contradicts itself."""
         given = [name for name in ("preset", "minutes", "epochs") if getattr(self, name) is not None]
         if len(given) > 1:
             names = " and ".join(f"--{name}" for name in given)
             raise UsageError(f"{names} each choose a schedule; allowed: one of them")
         from nerfbake.scene.schedule import parse_schedule, preset_schedule, schedule_for  # the help loads no arrays
 
-        asked = {"resolution": self.resolution, "samples": self.samples, "views": views}
+        asked = {"resolution": self.resolution, "samples": self.samples} | ({"views": views} if views else {})
         try:
             if self.epochs is not None:
                 return parse_schedule(self.epochs)

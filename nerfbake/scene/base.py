@@ -43,6 +43,13 @@ class Scene:
             raise InvalidScene(problems[0])
 
 
+def require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    """Raises InvalidScene unless the array has this shape and this number type. name: for the error."""
+    if array.shape != shape or array.dtype != dtype:
+        found = f"has shape {array.shape}, dtype {array.dtype}"
+        raise InvalidScene(Problem(name, found, f"{shape} {np.dtype(dtype)}"))
+
+
 def place_problems(name: str, place: npt.NDArray[np.float64]) -> list[Problem]:
     """Coordinates that are not finite, or too far away to calculate with."""
     return count_problem(name, ~(np.abs(place) <= MAX_WORLD), place, f"a finite number, up to {MAX_WORLD:g}")

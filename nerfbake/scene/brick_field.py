@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Coords, Ints, Points, Singles
 from nerfbake.kernels.fit.topgrid import top_grid
 from nerfbake.kernels.soundness import count_problem, plural
-from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
+from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, require_shape
 from nerfbake.scene.basis import Basis, shown_basis
 
 EDGE = 8  # cells along an axis of a brick
@@ -62,10 +61,10 @@ class BrickField(Scene):
         if shown_basis(str(self.basis)).kind != "SH":
             raise InvalidScene(Problem("basis", f"is {self.basis}", "SH1, SH4, SH9, SH16, SH25"))
         r = self.resolution // EDGE
-        _require_shape("box", self.box, (2, 3), np.float64)
-        _require_shape("top", self.top, (r, r, r), np.int32)
-        _require_shape("rows", self.rows, (len(self.rows), EDGE**3), np.int32)
-        _require_shape("values", self.values, (len(self.values), self.basis.data_dim), np.float32)
+        require_shape("the field's box", self.box, (2, 3), np.float64)
+        require_shape("the field's top", self.top, (r, r, r), np.int32)
+        require_shape("the field's rows", self.rows, (len(self.rows), EDGE**3), np.int32)
+        require_shape("the field's values", self.values, (len(self.values), self.basis.data_dim), np.float32)
 
     def __str__(self) -> str:
         held = f"{plural(self.n, 'cell')} in {plural(self.b, 'brick')}"
@@ -174,9 +173,3 @@ class BrickField(Scene):
         if np.any(np.bincount(met, minlength=self.n) != np.where(self.wide, 8, 1)):
             return [Problem("rows", "name a cell twice", "each row once, a wide one in the eight cells it fills")]
         return []
-
-
-def _require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
-    if array.shape != shape or array.dtype != dtype:
-        found = f"has shape {array.shape}, dtype {array.dtype}"
-        raise InvalidScene(Problem(f"the field's {name}", found, f"{shape} {np.dtype(dtype)}"))

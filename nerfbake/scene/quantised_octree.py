@@ -17,7 +17,7 @@ from nerfbake.kernels.octree.means import mean_edge
 from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
 from nerfbake.kernels.octree.pyramid import Level, children_table
 from nerfbake.kernels.soundness import plural
-from nerfbake.scene.base import Scene, edge_problems, place_problems
+from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 
@@ -84,10 +84,7 @@ class QuantisedOctree(Scene):
             ("values", (max(m, 1), D), np.int32),
             ("mixing", (D - 1, D - 1), np.int16),
         ):
-            array = getattr(self, name)
-            if array.shape != shape or array.dtype != dtype:
-                allowed = f"{shape} {np.dtype(dtype)}"
-                raise InvalidScene(Problem(name, f"has shape {array.shape}, dtype {array.dtype}", allowed))
+            require_shape(name, getattr(self, name), shape, dtype)
         for name in ("mixing_scale", "colour_step", "density_step", "density_scale"):
             object.__setattr__(self, name, float(getattr(self, name)))
             if not STEPS[0] <= getattr(self, name) <= STEPS[1]:

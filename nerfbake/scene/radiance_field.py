@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.errors import UsageError
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.march.cells import EMPTY, Cells, rows_at
 from nerfbake.kernels.maths.affine import inverse, placed, turned
+from nerfbake.scene.base import require_shape
 from nerfbake.scene.basis import Basis, shown_basis
 
 
@@ -45,9 +46,9 @@ class RadianceField:
 
     def __post_init__(self) -> None:
         shown_basis(str(self.basis))
-        _require_shape("values", self.values, (len(self.values), self.basis.data_dim), np.float32)
-        _require_shape("place", self.place, (3, 4), np.float64)
-        _require_shape("box", self.box, (2, 3), np.float64)
+        require_shape("the field's values", self.values, (len(self.values), self.basis.data_dim), np.float32)
+        require_shape("the field's place", self.place, (3, 4), np.float64)
+        require_shape("the field's box", self.box, (2, 3), np.float64)
 
     def __str__(self) -> str:
         return f"{self.basis} field of {len(self.values):,} leaves over {self.cells.edge}^3 cells"
@@ -110,9 +111,3 @@ def leaf_box(cells: Cells, limit: npt.ArrayLike = np.inf) -> Points:
         high = np.maximum(high, corners.max(axis=0) + width)
     high = np.minimum(high, limit)
     return np.stack([low, high]) if (low < high).all() else np.array([[0.0] * 3, [cells.edge] * 3])
-
-
-def _require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
-    if array.shape != shape or array.dtype != dtype:
-        found = f"has shape {array.shape}, dtype {array.dtype}"
-        raise InvalidScene(Problem(f"the field's {name}", found, f"{shape} {np.dtype(dtype)}"))

@@ -53,13 +53,7 @@ def zoomed(camera: Camera, scale: int) -> Camera:
 
 def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int) -> Singles:
     if camera.lens is not None and camera.lens.bends:
-        fine = replace(
-            camera,
-            width=camera.width * samples,
-            height=camera.height * samples,
-            focal=(camera.fx * samples, camera.fy * samples),
-            centre=(camera.cx * samples, camera.cy * samples),
-        )
+        fine = camera.part(slice(0, camera.width), slice(0, camera.height), finer=samples)
         rays = fine.rays()[1].reshape(camera.height, samples, camera.width, samples, 3).transpose(0, 2, 1, 3, 4)
         return rays.reshape(-1, samples * samples * 3)[pixels].reshape(-1, 3).astype(np.float32)
     out = np.empty((len(pixels) * samples * samples, 3), np.float32)

@@ -28,7 +28,7 @@ from nerfbake.kernels.coding.range_coder import (
 )
 from nerfbake.kernels.jit import compiled
 
-SOUND, ORPHAN, DEEP, CHILDLESS = range(4)  # what may be wrong with masks that are decoded
+SOUND, ORPHAN, DEEP = range(3)  # what may be wrong with masks that are decoded
 _ROOM = 4096
 _VALUES, _SETS = 1 << 14, 9
 _LEAF = 8  # its set of weights; the octants have 0 to 7

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
 from nerfbake.kernels.march.traversal import beyond, compiled_exp_parts, span, within
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
 
 
 @compiled()
 def collect_maxima(
     cells: Cells,
-    sigma: Floats,
-    box: Doubles,
-    origin: Doubles,
-    directions: Doubles,
+    sigma: Singles,
+    box: Floats,
+    origin: Floats,
+    directions: Floats,
     cut: float,
-    largest: Floats,
-    alpha: Floats,
+    largest: Singles,
+    alpha: Singles,
 ) -> None:
     """Raises each leaf's largest transmittance times alpha to what these rays see of it.
 
