@@ -53,7 +53,14 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def measure(function: Callable[..., Work], **arguments: Any) -> Result:
         return measure_here(function.__module__, function.__name__, json.loads(json.dumps(arguments)))
 
-    for module in ("access.comparison", "atlas.comparison", "formats.comparison", "render", "process"):
+    for module in (
+        "access.comparison",
+        "atlas.comparison",
+        "compress.comparison",
+        "formats.comparison",
+        "render",
+        "process",
+    ):
         monkeypatch.setattr(f"nerfbake.bench.{module}.measure", measure)
     for name in ("svo", "wires"):
         monkeypatch.setattr(f"benchmarks.{name}.measure", measure)

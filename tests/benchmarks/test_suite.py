@@ -185,6 +185,17 @@ def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert warm == counted != cold  # which is new, and has no compiled kernels
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_compress(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.bench.compress.comparison.LOSSES", (0.1,))
+    files = small("compress", scenes)
+    found = tables(files, "compress.md")
+    assert [row[0] for row in found["Compression"]][:2] == ["svoq range, 0.1 dB", "svoq deflate, 0.1 dB"]
+    assert len(found["Aims"]) == 6
+    assert b"palette of 256" in files["compress.svg"]
+
+
 def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missing(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -211,6 +222,6 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, atlas"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, atlas, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
