@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from nerfbake.scene.mesh import Meshes as Meshes
     from nerfbake.scene.n3tree import N3Tree as N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
+    from nerfbake.scene.page import Page as Page
+    from nerfbake.scene.page_field import PageField as PageField
     from nerfbake.scene.quantised_octree import QuantisedOctree as QuantisedOctree
     from nerfbake.scene.radiance_field import RadianceField as RadianceField
     from nerfbake.scene.specular import SpecularField as SpecularField
@@ -53,6 +55,8 @@ if TYPE_CHECKING:
     from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
     from nerfbake.stages.field_to_image import render_field as render_field
     from nerfbake.stages.field_to_importance import weigh_leaves as weigh_leaves
+    from nerfbake.stages.field_to_page_field import build_page_field as build_page_field
+    from nerfbake.stages.field_to_page_field import round_field as round_field
     from nerfbake.stages.identifiers_to_clusters import cluster_identifiers as cluster_identifiers
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
     from nerfbake.stages.meshes_to_image import render_meshes as render_meshes

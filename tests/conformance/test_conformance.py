@@ -64,7 +64,11 @@ def test_nothing_else_lies_there() -> None:
     assert {str(path.relative_to(HOME)) for path in HOME.rglob("*") if path.is_file()} == expected
 
 
-@pytest.mark.parametrize("form", catalog.FORMATS, ids=lambda form: form.name)
+# A page to look around in holds its own program, which may be bettered; what it carries are the bytes of a .svoq.
+FROZEN = [form for form in catalog.FORMATS if form.scene != "Page"]
+
+
+@pytest.mark.parametrize("form", FROZEN, ids=lambda form: form.name)
 def test_every_format_has_a_frozen_file_in_every_profile(form: catalog.Format) -> None:
     frozen = [each for case in CASES for each in case.files.values() if each.form == form]
     assert {each.options.get("profile") for each in frozen} >= set(form.choices("profile") or (None,))

@@ -43,9 +43,12 @@ def test_every_line_of_the_catalog_is_true() -> None:
 
 
 def test_longer_endings_come_first() -> None:
-    endings = [form.suffix for form in catalog.FORMATS]
-    for i, ending in enumerate(endings):
-        assert not any(ending.endswith(earlier) for earlier in endings[:i])
+    """Of what is read, and of what one type of scene is written as: pages of two types have the same ending."""
+    readable = [form for form in catalog.FORMATS if form.readable]
+    for forms in (readable, *(catalog.formats_of(scene) for scene in catalog.SCENES)):
+        endings = [form.suffix for form in forms]
+        for i, ending in enumerate(endings):
+            assert not any(ending.endswith(earlier) for earlier in endings[:i])
 
 
 def test_public_names_are_there() -> None:

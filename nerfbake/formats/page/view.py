@@ -1,0 +1,148 @@
+"""A scene to look around in as one page that needs nothing else: opened from a file, it asks nobody for anything.
+
+The page's own parts stand in nerfbake/shaders/page, as they are: document, style, scripts and shader. What it carries
+are a picture that is there at once, facts (JSON: what its script reads) and the data in base64, at its end:
+
+    octree  the bytes of a .svoq, as schemas/svoq.md has them
+    arrays  a zlib stream of a PageField's top and blocks, little-endian, then for each of the 4 T channels of the
+            texels the lower bytes of all rows, then their upper bytes
+
+Its policy lets its own script and style run, told by their digests, and nothing else; whatever a file is called, its
+name is text. The same page is the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import pkgutil
+import re
+from collections.abc import Iterator
+from html import escape
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import one_line
+from nerfbake.formats.octree import svoq
+from nerfbake.formats.picture import png
+from nerfbake.formats.wire.deflate import deflate_all
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.page import Page
+from nerfbake.scene.page_field import PageField, density_unit, grid_of, texels_of
+
+_SCRIPTS = ("svoq.js", "svoq_values.js", "field.js", "picture.js", "camera.js", "controls.js", "viewer.js")
+_NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera
+
+
+def encode(page: Page) -> Iterator[bytes]:
+    """The page, in pieces."""
+    data = base64.b64encode(_data(page.content))
+    head, tail = _document(page, len(data))
+    yield head.encode()
+    yield data
+    yield tail.encode()
+
+
+def coded_size(page: Page) -> int:
+    """Bytes of the page that encode() gives."""
+    return sum(map(len, encode(page)))
+
+
+def _document(page: Page, length: int) -> tuple[str, str]:
+    """The page up to its data, and behind them."""
+    script = '(() => {\n"use strict";\n' + "\n".join(map(_part, _SCRIPTS)) + "})();\n"
+    style = _part("page.css")
+    digests = {name: _digest(text) for name, text in (("script", script), ("style", style))}
+    policy = "; ".join(
+        [
+            "default-src 'none'",
+            f"script-src 'sha256-{digests['script']}'",
+            f"style-src 'sha256-{digests['style']}'",
+            "img-src data:",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
+    )
+    parts = {
+        "policy": policy,
+        "title": escape(one_line(page.title)),
+        "style": style,
+        "script": script,
+        "shader": _part("march.glsl"),
+        "cover": base64.b64encode(b"".join(png.encode(page.cover))).decode(),
+        "about": escape(f"All of the scene is in this file: {page.field}."),
+        "facts": json.dumps(_facts(page, length)).replace("<", "\\u003c"),
+    }
+    # One pass: what stands in a part, whatever it is, is not looked at again.
+    head, tail = (
+        re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], text) for text in _part("page.html").split("{{data}}")
+    )
+    return head, tail
+
+
+def _part(name: str) -> str:
+    """A text of the package's own, from wherever it was imported."""
+    data = pkgutil.get_data("nerfbake", f"shaders/page/{name}")
+    assert data is not None
+    return data.decode()
+
+
+def _digest(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _facts(page: Page, length: int) -> dict[str, Any]:
+    """What the page's script reads; all places and directions in the world, but for those named otherwise."""
+    field = page.field
+    start, shape = grid_of(field.box)
+    place = field.place.copy()
+    place[:, 3] -= start
+    corners = field.world(field.box)
+    centre, radius = (
+        field.world(field.box.mean(axis=0)[None])[0],
+        float(np.sqrt(((corners[1] - corners[0]) ** 2).sum())) / 2,
+    )
+    facts: dict[str, Any] = {
+        "length": length,
+        "kind": "arrays" if isinstance(page.content, PageField) else "svoq",
+        "rgba": field.basis.kind == "RGBA",
+        "texels": texels_of(field.basis),
+        "shape": shape,
+        "start": start.tolist(),
+        "edge": field.cells.edge,
+        "box": (field.box - start).tolist(),
+        "place": place.tolist(),
+        "axes": field.axes.tolist(),
+        "up": field.axes[2].tolist(),
+        "centre": centre.tolist(),
+        "radius": radius,
+        "densityUnit": density_unit(float(field.values[:, -1].max())),
+        "background": page.background,
+        "turns": page.turns,
+        "views": [_view(camera, centre, radius) for camera in page.cameras.cameras],
+    }
+    if isinstance(page.content, PageField):
+        content = page.content
+        facts |= {"rows": len(content.texels), "leaves": len(content.blocks) // 8}
+        facts["size"] = content.top.nbytes + content.blocks.nbytes + content.texels.nbytes
+    return facts
+
+
+def _view(camera: Camera, centre: npt.NDArray[np.float64], radius: float) -> dict[str, Any]:
+    """A camera, with the pivot where its line of sight passes the scene's middle."""
+    distance = float((camera.pose[:3, 2] * (camera.pose[:3, 3] - centre)).sum())
+    focal = 2 * camera.fx / min(camera.width, camera.height)
+    return {"pose": camera.pose.tolist(), "focal": focal, "distance": max(distance, _NEAREST * radius)}
+
+
+def _data(content: Any) -> bytes:
+    if not isinstance(content, PageField):
+        return b"".join(svoq.encode(content))
+    rows = len(content.texels)
+    halves = np.ascontiguousarray(content.texels.reshape(rows, -1).T).astype("<f2")
+    planes = halves.view(np.uint8).reshape(-1, rows, 2).transpose(0, 2, 1)
+    top, blocks = content.top.astype("<i4"), content.blocks.astype("<u4")
+    return deflate_all([top.tobytes(), blocks.tobytes(), *(plane.tobytes() for plane in planes)])

@@ -1,0 +1,91 @@
+// Pointers, keys and buttons: what they ask a Viewer for.
+
+const KEYS = {
+  ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
+};
+
+class Controls {
+  constructor(viewer) {
+    this.viewer = viewer;
+    this.listen();
+  }
+
+  listen() {
+    const { viewer } = this, { canvas } = viewer, pointers = new Map();
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+      viewer.turning = false;
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (pointers.has(event.pointerId) && viewer.state === "ready") this.drag(event, pointers);
+    });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => pointers.delete(event.pointerId));
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      const amount = event.deltaY * (event.deltaMode ? 16 : 1);
+      if (viewer.state === "ready") viewer.move((camera) => camera.zoom(Math.exp(Math.max(-300, Math.min(300, amount)) * 0.0015)));
+    }, { passive: false });
+    canvas.addEventListener("dblclick", (event) => viewer.state === "ready" && viewer.lookAt(event.offsetX, event.offsetY));
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      viewer.state = "lost";
+      viewer.busy = null;
+      viewer.say("The graphics were taken away for a moment.");
+    });
+    canvas.addEventListener("webglcontextrestored", () => viewer.start());
+    addEventListener("keydown", (event) => this.key(event));
+    addEventListener("hashchange", () => {
+      viewer.camera.hash = location.hash;
+      viewer.turning = false;
+      viewer.change();
+    });
+    new ResizeObserver(() => viewer.ask()).observe(canvas);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => viewer.change());
+    element("mode").addEventListener("change", () => viewer.show(element("mode").value));
+    element("reset").addEventListener("click", () => viewer.reset());
+    element("backdrop").addEventListener("click", () => viewer.nextBackground());
+    element("copy").addEventListener("click", () => viewer.copy());
+    element("full").addEventListener("click", () => viewer.fullScreen());
+    element("about").addEventListener("click", () => element("help").showModal());
+    element("full").hidden = !document.documentElement.requestFullscreen;
+  }
+
+  // One pointer turns, or pans with another button or Shift; of two the middle pans and the distance zooms.
+  drag(event, pointers) {
+    const { viewer } = this;
+    const before = pointers.get(event.pointerId), x = event.clientX - before.x, y = event.clientY - before.y;
+    const edge = Math.min(viewer.canvas.clientWidth, viewer.canvas.clientHeight);
+    const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    viewer.move((camera) => {
+      if (others.length) {
+        const [other] = others, far = (place) => Math.max(Math.hypot(place.x - other.x, place.y - other.y), 1);
+        camera.zoom(far(before) / far({ x: event.clientX, y: event.clientY }));
+        camera.pan(x / 2, y / 2, edge);
+      } else if (event.buttons & 6 || event.shiftKey) camera.pan(x, y, edge);
+      else camera.orbit((-x * 4) / edge, (y * 4) / edge);
+    });
+  }
+
+  key(event) {
+    const { viewer } = this;
+    const { ctrlKey, metaKey, altKey, shiftKey, key } = event, edge = Math.min(viewer.canvas.clientWidth, viewer.canvas.clientHeight);
+    if (ctrlKey || metaKey || altKey || viewer.state !== "ready" || document.querySelector("dialog[open]")) return;
+    if (KEYS[key] && document.activeElement !== element("mode")) {
+      const [x, y] = KEYS[key];
+      viewer.move((camera) => (shiftKey ? camera.pan((x * edge) / 12, (y * edge) / 12, edge) : camera.orbit(-x * 0.12, y * 0.12)));
+    } else if (key === "+" || key === "=") viewer.move((camera) => camera.zoom(1 / 1.15));
+    else if (key === "-" || key === "_") viewer.move((camera) => camera.zoom(1.15));
+    else if (key === "[" || key === "]") viewer.next(key === "[" ? -1 : 1);
+    else if (key >= "1" && key <= "4") viewer.show(Object.keys(MODES)[Number(key) - 1]);
+    else if (key === "r" || key === "R") viewer.reset();
+    else if (key === "f" || key === "F") viewer.fullScreen();
+    else if (key === "b" || key === "B") viewer.nextBackground();
+    else if (key === "c" || key === "C") viewer.copy();
+    else if (key === "h" || key === "H" || key === "?") element("help").showModal();
+    else return;
+    event.preventDefault();
+  }
+}

@@ -1,0 +1,184 @@
+// What the shader reads, from what the page carries: nerfbake/scene/page_field.py draws these arrays, and
+// nerfbake/stages/field_to_page_field.py makes the same ones.
+
+const CELL = 8, WHOLE = 1 << 30, ALL = 255, FARTHEST = 15;
+
+// Text in base64 -> bytes.
+function* bytesOf(text) {
+  const STEP = 1 << 20, bytes = new Uint8Array((text.length / 4) * 3 - (text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0));
+  for (let at = 0, to = 0; at < text.length; at += STEP) {
+    const part = atob(text.slice(at, at + STEP));
+    for (let i = 0; i < part.length; i++) bytes[to++] = part.charCodeAt(i);
+    yield at / text.length;
+  }
+  return bytes;
+}
+
+// A zlib stream -> bytes, of which there are so many; told: how much is done.
+async function inflated(packed, size, told) {
+  const bytes = new Uint8Array(size), reader = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate")).getReader();
+  for (let at = 0; ; ) {
+    const { value, done } = await reader.read();
+    if (done && at === size) return bytes;
+    if (done || at + value.length > size) throw new Error("the page's data are not whole");
+    bytes.set(value, at);
+    at += value.length;
+    await told(at / size);
+  }
+}
+
+// The arrays as the page carries them: the grid, the blocks, and the halves of the texels in planes of bytes.
+function* arraysOf(bytes, facts) {
+  const cells = facts.shape[0] * facts.shape[1] * facts.shape[2], rows = facts.rows, channels = 4 * facts.texels;
+  const top = new Int32Array(bytes.slice(0, 4 * cells).buffer);
+  const blocks = new Uint32Array(bytes.slice(4 * cells, 4 * cells + 128 * facts.leaves).buffer);
+  const texels = new Uint16Array(rows * channels);
+  for (let channel = 0, at = 4 * cells + 128 * facts.leaves; channel < channels; channel++, at += 2 * rows) {
+    for (let row = 0; row < rows; row++) texels[row * channels + channel] = bytes[at + row] | (bytes[at + rows + row] << 8);
+    yield channel / channels;
+  }
+  return { top, blocks, texels };
+}
+
+// The same of an octree, from its bytes as a .svoq.
+function* arraysOfSvoq(bytes, facts) {
+  const octree = yield* scaled(readSvoq(bytes), 0, 0.8), { start, edge } = facts, C = octree.C;
+  const density = (v) => Math.fround(octree.densityScale * Math.expm1(Math.max(v, 0)));
+  // The leaves that can be seen: node, corner, edge.
+  let leaves = { count: 0, held: new Int32Array(5 << 14) };
+  const visit = (node, x, y, z, width, held, at) => {
+    if (!(density(held[at]) > 0)) return;
+    if (5 * leaves.count === leaves.held.length) {
+      const more = new Int32Array(2 * leaves.held.length);
+      more.set(leaves.held);
+      leaves.held = more;
+    }
+    leaves.held.set([node, x - start[0], y - start[1], z - start[2], width], 5 * leaves.count++);
+  };
+  yield* scaled(eachLeaf(octree, edge, C - 1, visit), 0.8, 0.85);
+  const { top, blocks, rows } = structureOf(leaves.held.subarray(0, 5 * leaves.count), facts);
+  leaves = null;
+  const channels = 4 * facts.texels, texels = new Uint16Array(rows * channels), own = new Uint16Array(channels);
+  const write = (node, x0, y0, z0, width, held, at) => {
+    const sigma = density(held[at + C - 1]);
+    if (!(sigma > 0)) return;
+    fillRow(own, octree, held, at, sigma / facts.densityUnit);
+    const reach = width < 4 ? width : 1, end = facts.box[1];
+    for (let i = 0; i < reach ** 3; i++) {
+      const x = x0 - start[0] + Math.floor(i / reach / reach), y = y0 - start[1] + (Math.floor(i / reach) % reach), z = z0 - start[2] + (i % reach);
+      if (x < end[0] && y < end[1] && z < end[2]) texels.set(own, rowAt(top, blocks, facts.shape, x, y, z) * channels);
+    }
+  };
+  yield* scaled(eachLeaf(octree, edge, 0, write), 0.85, 1);
+  return { top, blocks, texels };
+}
+
+// A leaf's row of halves: the first coefficient of red, green, blue and the density, then all others.
+function fillRow(own, octree, held, at, sigma) {
+  const { B, C, mixing } = octree;
+  for (let i = 0; i < C - 1; i++) {
+    let sum = 0;
+    for (let k = 0, m = i * (C - 1); k < C - 1; k++) sum += held[at + k] * mixing[m + k];
+    const channel = Math.floor(i / B), k = i % B;
+    own[k ? 4 + 3 * (k - 1) + channel : channel] = halfOf(sum);
+  }
+  own[3] = halfOf(sigma);
+}
+
+const _float = new Float32Array(1), _bits = new Uint32Array(_float.buffer);
+
+// A number as the nearest float16's bits, of float32's nearest; the largest one for what is larger.
+function halfOf(value) {
+  _float[0] = value;
+  const sign = (_bits[0] >>> 16) & 0x8000, size = _bits[0] & 0x7fffffff;
+  if (size >= 0x477fe000) return sign | 0x7bff;
+  if (size < 0x38800000) {
+    const scaledUp = Math.abs(_float[0]) * 16777216, whole = Math.floor(scaledUp), rest = scaledUp - whole;
+    return sign | (rest > 0.5 || (rest === 0.5 && whole & 1) ? whole + 1 : whole);
+  }
+  return sign | ((size + 0xfff + ((size >>> 13) & 1) - 0x38000000) >>> 13);
+}
+
+// -- the grid and the blocks of leaves (node, x, y, z, edge), and how many rows there are --------------------------
+function structureOf(leaves, facts) {
+  const [, Y, Z] = facts.shape, end = facts.box[1], top = new Int32Array(facts.shape[0] * Y * Z).fill(-1);
+  const cellOf = (x, y, z) => ((x >> 3) * Y + (y >> 3)) * Z + (z >> 3);
+  const whole = [];
+  let count = 0;
+  for (let i = 0; i < leaves.length; i += 5) {
+    const [, x, y, z, width] = leaves.subarray(i, i + 5);
+    if (x >= end[0] || y >= end[1] || z >= end[2]) continue;
+    if (width >= 4) whole.push(i);
+    if (width < 8) top[cellOf(x, y, z)] = 0;
+  }
+  for (let i = 0; i < top.length; i++) if (top[i] === 0) top[i] = count++;
+  const blocks = new Uint32Array(32 * count);
+  for (let i = 0; i < leaves.length; i += 5) {
+    const [, x0, y0, z0, width] = leaves.subarray(i, i + 5);
+    for (let j = 0; width < 4 && j < width ** 3; j++) {
+      const x = x0 + Math.floor(j / width / width), y = y0 + (Math.floor(j / width) % width), z = z0 + (j % width);
+      if (x >= end[0] || y >= end[1] || z >= end[2]) continue;
+      blocks[4 * blockAt(top[cellOf(x, y, z)], x, y, z) + ((x >> 1) & 1)] |= 1 << bitAt(x, y, z);
+    }
+  }
+  let rows = 0;
+  for (let at = 0; at < blocks.length; at += 4) {
+    blocks[at + 2] = rows;
+    blocks[at + 3] = bitsIn(blocks[at]);
+    rows += blocks[at + 3] + bitsIn(blocks[at + 1]);
+  }
+  // Whole leaves in the order of their nodes, which is that of the octree's own rows.
+  for (const i of whole.sort((a, b) => leaves[a] - leaves[b])) {
+    const [, x, y, z, width] = leaves.subarray(i, i + 5);
+    if (width === 4) blocks.set([0xffffffff, 0xffffffff, rows, ALL], 4 * blockAt(top[cellOf(x, y, z)], x, y, z));
+    else fillCells(top, facts.shape, [x >> 3, y >> 3, z >> 3], width >> 3, WHOLE + rows);
+    rows++;
+  }
+  fillDistances(top, facts.shape);
+  return { top, blocks, rows };
+}
+
+function blockAt(leaf, x, y, z) {
+  return 8 * leaf + 4 * ((x >> 2) & 1) + 2 * ((y >> 2) & 1) + ((z >> 2) & 1);
+}
+
+function bitAt(x, y, z) {
+  return ((x & 1) << 4) | ((y & 3) << 2) | (z & 3);
+}
+
+function bitsIn(word) {
+  return BITS[word & 255] + BITS[(word >>> 8) & 255] + BITS[(word >>> 16) & 255] + BITS[word >>> 24];
+}
+
+function fillCells(top, [X, Y, Z], corner, width, value) {
+  const to = [X, Y, Z].map((edge, axis) => Math.min(edge, corner[axis] + width));
+  for (let x = corner[0]; x < to[0]; x++) {
+    for (let y = corner[1]; y < to[1]; y++) top.fill(value, (x * Y + y) * Z + corner[2], (x * Y + y) * Z + to[2]);
+  }
+}
+
+// The row at a voxel that has one.
+function rowAt(top, blocks, [, Y, Z], x, y, z) {
+  const here = top[((x >> 3) * Y + (y >> 3)) * Z + (z >> 3)];
+  if (here >= WHOLE) return here - WHOLE;
+  const at = 4 * blockAt(here, x, y, z), upper = (x >> 1) & 1, first = blocks[at + 2];
+  if (blocks[at + 3] === ALL) return first;
+  return first + (upper ? blocks[at + 3] : 0) + bitsIn(blocks[at + upper] & ((1 << bitAt(x, y, z)) - 1));
+}
+
+// Of each empty cell how far the next one is that is not, along the axis along which it is farthest.
+function fillDistances(top, [X, Y, Z]) {
+  let reached = Uint8Array.from(top, (value) => (value >= 0 ? 1 : 0));
+  for (let distance = 1; distance <= FARTHEST; distance++) {
+    for (let i = 0; i < top.length; i++) if (!reached[i]) top[i] = -distance;
+    for (const [stride, edge] of [[Y * Z, X], [Z, Y], [1, Z]]) {
+      const grown = reached.slice();
+      for (let i = 0; i < top.length; i++) {
+        const at = Math.floor(i / stride) % edge;
+        if ((at > 0 && reached[i - stride]) || (at < edge - 1 && reached[i + stride])) grown[i] = 1;
+      }
+      reached = grown;
+    }
+    if (!reached.includes(0)) break;
+  }
+}

@@ -1,0 +1,291 @@
+// The page: unpacks what it carries, then draws whenever something has changed, and not otherwise.
+
+const FRAME = 40; // ms that a drawing may take while the view moves, and a band of lines at rest
+const STILL = 150; // ms without a change, behind which the picture is refined
+const FINEST = 2; // rays along a pixel's edge at rest
+const COARSEST = 0.2; // of the pixels along an edge
+const BUTTONS = 64; // of the page's pixels; #cover's padding is the same
+const TURN = 40000; // ms around the scene
+const BACKGROUNDS = [null, [1, 1, 1], [0, 0, 0]]; // null: the page's own, light or dark
+
+const element = (id) => /** @type {any} */ (document.getElementById(id));
+const pause = () => new Promise((resume) => setTimeout(resume));
+
+class Viewer {
+  constructor(facts, shader, data) {
+    Object.assign(this, { facts, shader, data, packed: null, picture: null, state: "unpacking", frames: 0 });
+    Object.assign(this, { changed: false, moved: 0, scale: 0.5, lines: 64, rest: null, busy: null, asked: 0, view: 0 });
+    this.canvas = element("canvas");
+    this.camera = new Camera(facts.views[0], facts.up, facts.radius);
+    this.camera.hash = location.hash;
+    this.backgrounds = facts.background ? [facts.background, ...BACKGROUNDS] : BACKGROUNDS;
+    this.backdrop = 0;
+    this.mode = "colour";
+    const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.turning = facts.turns && !calm && !location.hash;
+    this.angle = 0;
+    new Controls(this);
+    this.showBackground();
+  }
+
+  // -- unpacking -------------------------------------------------------------------------------------------------
+  async start() {
+    try {
+      this.picture = new Picture(this.canvas, this.facts, this.shader);
+      this.picture.upload(await this.unpack());
+    } catch (error) {
+      if (this.picture?.gl.isContextLost()) return;
+      this.fail(error);
+      return;
+    }
+    this.say("");
+    element("progress").hidden = true;
+    element("tools").hidden = false;
+    this.state = "ready";
+    this.change();
+  }
+
+  async unpack() {
+    this.say("Unpacking");
+    element("progress").hidden = false;
+    if (!this.packed) {
+      this.packed = await this.run(bytesOf(this.data), 0, 0.1);
+      this.data = null;
+    }
+    if (this.facts.kind === "svoq") return this.run(arraysOfSvoq(this.packed, this.facts), 0.1, 1);
+    const raw = await inflated(this.packed, this.facts.size, (part) => this.tell(0.1 + 0.5 * part));
+    return this.run(arraysOf(raw, this.facts), 0.6, 1);
+  }
+
+  // Works a little at a time, so that the page stays alive.
+  async run(work, from, to) {
+    for (let since = performance.now(); ; ) {
+      const { value, done } = work.next();
+      if (done) return value;
+      if (performance.now() - since > 50) {
+        await this.tell(from + (to - from) * value);
+        since = performance.now();
+      }
+    }
+  }
+
+  async tell(part) {
+    element("progress").value = part;
+    await pause();
+  }
+
+  say(text) {
+    element("status").textContent = text;
+    element("note").hidden = !text;
+  }
+
+  fail(error) {
+    const none = error.message === "no WebGL2";
+    const why = none ? "Looking around needs WebGL 2, which this browser does not offer" : "This scene cannot be shown: " + error.message;
+    this.state = "failed";
+    element("progress").hidden = true;
+    this.say(why + ". What you see is a still picture.");
+  }
+
+  // -- drawing ---------------------------------------------------------------------------------------------------
+  get background() {
+    const chosen = this.backgrounds[this.backdrop];
+    if (chosen) return chosen;
+    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+    return dark ? [0x15 / 255, 0x18 / 255, 0x1c / 255] : [0xf4 / 255, 0xf5 / 255, 0xf7 / 255];
+  }
+
+  showBackground() {
+    const chosen = this.backgrounds[this.backdrop];
+    document.body.style.background = chosen ? `rgb(${chosen.map((part) => Math.round(255 * part))})` : "";
+    this.change();
+  }
+
+  // The camera, seen a little smaller than the canvas is, so that the buttons leave all of the opening view free.
+  get lens() {
+    const { camera, canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight;
+    const edge = Math.max(height / 2, Math.min(width, height - BUTTONS));
+    return { position: camera.position, rotation: camera.rotation, focal: (camera.focal * Math.min(edge, width)) / Math.min(width, height) };
+  }
+
+  // Something else is to be seen: draws a coarse picture now, a fine one once nothing changes any more.
+  change() {
+    this.changed = true;
+    this.rest = null;
+    this.moved = performance.now();
+    this.ask();
+  }
+
+  ask() {
+    if (!this.asked && this.state === "ready") this.asked = requestAnimationFrame((now) => this.frame(now));
+  }
+
+  frame(now) {
+    this.asked = 0;
+    if (this.state !== "ready") return;
+    if (this.busy && !this.busy.done()) return this.ask();
+    const took = this.busy ? now - this.busy.since : 0, coarse = this.busy?.coarse;
+    const factor = FRAME / Math.max(took, 8);
+    // A little at a time: the first drawing also waits for the shader, others for whatever else is going on.
+    if (this.busy && coarse) this.scale = Math.max(COARSEST, Math.min(1, this.scale * Math.max(0.75, Math.min(1.5, Math.sqrt(factor)))));
+    if (this.busy && !coarse) this.lines = Math.max(16, Math.min(4096, Math.round(this.lines * Math.max(0.5, Math.min(2, factor)))));
+    this.busy = null;
+    if (this.turning) this.turn(now, took);
+    this.fit();
+    if (this.changed) this.drawCoarse(now);
+    else if (this.rest) this.drawFine(now);
+    else if (performance.now() - this.moved >= STILL) return this.settle();
+    this.ask();
+    return undefined;
+  }
+
+  // The canvas has as many pixels as the screen has there, two for each of the page's at most.
+  fit() {
+    const ratio = Math.min(devicePixelRatio, 2), { canvas } = this;
+    const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+    if (canvas.width === width && canvas.height === height) return;
+    canvas.width = width;
+    canvas.height = height;
+    this.changed = true;
+    this.moved = performance.now();
+  }
+
+  drawCoarse(now) {
+    const { canvas, scale } = this, width = Math.max(1, Math.round(canvas.width * scale)), height = Math.max(1, Math.round(canvas.height * scale));
+    this.changed = false;
+    this.finished = false;
+    this.picture.look(this.lens, width, height, { background: this.background, mode: this.mode });
+    this.picture.draw("coarse", width, height);
+    this.picture.spread("coarse");
+    this.drawn(now, true);
+    if (!element("cover").className) element("cover").className = "gone";
+  }
+
+  // A band of lines from the top: all of them with a ray for each pixel, then all with more.
+  drawFine(now) {
+    const { canvas, rest } = this, from = Math.max(0, rest.from - this.lines);
+    this.picture.look(this.lens, canvas.width, canvas.height, { background: this.background, mode: this.mode, rays: rest.rays });
+    this.picture.draw("fine", canvas.width, canvas.height, from, rest.from);
+    this.picture.spread("fine");
+    rest.from = from;
+    if (from === 0) this.rest = rest.rays < FINEST ? { rays: FINEST, from: canvas.height } : null;
+    this.finished = !this.rest;
+    this.drawn(now, false);
+  }
+
+  drawn(now, coarse) {
+    this.frames++;
+    this.busy = { since: now, coarse, done: this.picture.fence() };
+  }
+
+  // Nothing has moved for a while.
+  settle() {
+    if (this.finished) return;
+    this.picture.spread("coarse", "fine");
+    this.rest = { rays: this.scale === 1 ? FINEST : 1, from: this.canvas.height };
+    this.ask();
+  }
+
+  turn(now, took) {
+    // Where a turning scene would be a blur, one that stands still is the better picture.
+    if (this.angle >= 2 * Math.PI || this.scale < 0.3) {
+      this.turning = false;
+      return;
+    }
+    const step = this.last ? (Math.min(now - this.last, 100) * 2 * Math.PI) / TURN : 0;
+    this.last = now;
+    this.angle += step;
+    this.camera.orbit(step, 0);
+    this.change();
+  }
+
+  // -- what people do ----------------------------------------------------------------------------------------------
+  move(act) {
+    this.turning = false;
+    act(this.camera);
+    this.change();
+    clearTimeout(this.keeping);
+    this.keeping = setTimeout(() => this.keep(this.camera.hash), 250);
+  }
+
+  keep(hash) {
+    history.replaceState(null, "", hash || location.href.split("#")[0]);
+  }
+
+  reset() {
+    this.move((camera) => camera.set(this.facts.views[this.view]));
+    clearTimeout(this.keeping);
+    this.keep("");
+  }
+
+  next(step) {
+    const { views } = this.facts;
+    this.view = (this.view + step + views.length) % views.length;
+    this.move((camera) => camera.set(views[this.view]));
+  }
+
+  show(mode) {
+    this.mode = element("mode").value = mode;
+    this.change();
+  }
+
+  nextBackground() {
+    this.backdrop = (this.backdrop + 1) % this.backgrounds.length;
+    this.showBackground();
+  }
+
+  fullScreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen?.().catch(() => {});
+  }
+
+  // This view alone as a transforms.json, for `nerfbake render --cameras`.
+  capture() {
+    return this.camera.capture(this.canvas.width, this.canvas.height, this.lens.focal);
+  }
+
+  async copy() {
+    const text = JSON.stringify(this.capture(), null, 1);
+    try {
+      await navigator.clipboard.writeText(text);
+      this.say("This camera is in the clipboard, as a transforms.json.");
+      setTimeout(() => this.say(""), 2500);
+    } catch {
+      element("frame").value = text;
+      element("camera").showModal();
+      element("frame").select();
+    }
+  }
+
+  lookAt(x, y) {
+    const ratio = this.canvas.width / this.canvas.clientWidth, edge = this.canvas, px = x * ratio, py = y * ratio;
+    const distance = this.picture.distanceAt(this.lens, px, py);
+    if (distance === null) return;
+    const focal = (this.lens.focal * Math.min(edge.width, edge.height)) / 2, [right, up, back] = this.camera.rotation;
+    const along = unit(plus(plus(back.map((part) => -part), right, (px - edge.width / 2) / focal), up, (edge.height / 2 - py) / focal));
+    this.move((camera) => camera.centre(plus(camera.position, along, distance)));
+  }
+}
+
+// What the page says of itself; null where it ends too early.
+function readFacts() {
+  try {
+    return JSON.parse(element("facts").textContent);
+  } catch {
+    return null;
+  }
+}
+
+document.addEventListener("DOMContentLoaded", () => {
+  const facts = readFacts(), data = element("data")?.textContent ?? "", count = (size) => size.toLocaleString("en");
+  if (data.length !== facts?.length) {
+    const there = facts ? `${count(data.length)} of ${count(facts.length)} characters of its data are there` : "its end is missing";
+    element("status").textContent = `This page is not complete: ${there}. What you see is a still picture.`;
+    return;
+  }
+  const viewer = new Viewer(facts, element("shader").textContent, data);
+  for (const name of ["shader", "facts", "data"]) element(name).remove();
+  /** @type {any} */ (window).nerfbake = viewer; // for scripts, and for whoever is curious
+  viewer.start();
+});
+element("status").textContent = "Opening";

@@ -1,0 +1,176 @@
+"""Radiance field -> the arrays that a page's shader reads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.march.cells import rows_at
+from nerfbake.scene.page_field import (
+    ALL,
+    BLOCK,
+    FARTHEST,
+    LARGEST,
+    WHOLE,
+    PageField,
+    density_unit,
+    grid_of,
+    texels_of,
+)
+from nerfbake.scene.radiance_field import RadianceField, leaves_of, require_field
+
+Ints = npt.NDArray[np.int64]
+_VOXEL_BYTES = 100  # that building takes for each voxel, beside its texels
+_CELL_BYTES = 8  # and for each cell of the grid
+
+
+def build_page_field(field: RadianceField) -> PageField:
+    """The same field for a shader: its values rounded to float16, leaves split into voxels where they are no whole
+    blocks of 4^3 or 8^3.
+
+    Raises InvalidScene where nothing is to be seen, MemoryLimit.
+
+    >>> from nerfbake import build_field, build_page_field, sample_n3tree
+    >>> print(build_page_field(build_field(sample_n3tree(resolution=16))))
+    SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
+    """
+    require_field(field)
+    start, shape = grid_of(field.box)
+    memory.require("the page's grid", _CELL_BYTES * shape[0] * shape[1] * shape[2])
+    parts = _parts_of(field, start)
+    rows = np.concatenate([parts.voxel_rows, parts.rows])
+    if not len(rows):
+        problem = Problem("the field", "has no leaf with a density", "at least one, or there is nothing to see")
+        raise InvalidScene(problem)
+    top, blocks = _structure(parts, shape)
+    texels, unit = _texels(field, rows)
+    place = field.place.copy()
+    place[:, 3] -= start
+    return memory.kept(PageField(top, blocks, texels, unit, place, field.box - start, field.basis))
+
+
+def round_field(field: RadianceField) -> RadianceField:
+    """The same field with its values as build_page_field() keeps them, in float16.
+
+    >>> from nerfbake import build_field, round_field, sample_n3tree
+    >>> field = build_field(sample_n3tree(resolution=8))
+    >>> bool((round_field(field).values == field.values).all())
+    True
+    """
+    require_field(field)
+    values = np.clip(field.values, -LARGEST, LARGEST).astype(np.float16).astype(np.float32)
+    unit = np.float32(density_unit(float(field.values[:, -1].max(initial=0))))
+    values[:, -1] = (field.values[:, -1] / unit).astype(np.float16).astype(np.float32) * unit
+    return memory.kept(replace(field, values=values))
+
+
+class _Parts(NamedTuple):
+    """Voxels (v, 3) in the order of their rows, their leaves (v,); whole leaves' corners (w, 3), widths and leaves."""
+
+    voxels: Ints
+    voxel_rows: Ints
+    corners: Ints
+    widths: Ints
+    rows: Ints
+
+
+def _parts_of(field: RadianceField, start: Ints) -> _Parts:
+    """Leaves that are whole blocks or cells, in the order of their rows, and the voxels of all others."""
+    voxels, voxel_rows = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    whole = [(np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    for corners, width in leaves_of(field.cells):
+        rows = rows_at(field.cells, corners + 0.5)
+        edge, low = int(width), corners.astype(np.int64) - start
+        if edge % BLOCK == 0 and edge & edge - 1 == 0:
+            whole.append((low, np.full(len(low), edge), rows))
+            continue
+        memory.require("the voxels of the field", len(low) * edge**3 * (_VOXEL_BYTES + 8 * texels_of(field.basis)))
+        steps = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3), axis=1)
+        voxels.append((low[:, None] + steps).reshape(-1, 3))
+        voxel_rows.append(np.repeat(rows, edge**3))
+    all_voxels, leaves = np.concatenate(voxels), np.concatenate(voxel_rows)
+    corners, widths, rows = (np.concatenate(each) for each in zip(*whole, strict=True))
+    # What lies outside of an octree's grid is never seen.
+    end = np.ceil(field.box[1]).astype(np.int64) - start
+    order = np.argsort(_key(all_voxels), kind="stable")
+    order = order[(all_voxels[order] < end).all(axis=1)]
+    by_row = np.argsort(rows, kind="stable")
+    by_row = by_row[(corners[by_row] < end).all(axis=1)]
+    return _Parts(all_voxels[order], leaves[order], corners[by_row], widths[by_row], rows[by_row])
+
+
+def _key(voxels: Ints) -> Ints:
+    """Numbers that put voxels into the order of cells, blocks in them and bits in those."""
+    x, y, z = voxels.T
+    cell = (x >> 3) << 40 | (y >> 3) << 20 | z >> 3
+    return np.asarray(cell << 9 | _block_and_bit(voxels), np.int64)
+
+
+def _block_and_bit(voxels: Ints) -> Ints:
+    x, y, z = voxels.T
+    block = (x >> 2 & 1) << 2 | (y >> 2 & 1) << 1 | z >> 2 & 1
+    return np.asarray(block << 6 | (x & 3) << 4 | (y & 3) << 2 | z & 3, np.int64)
+
+
+def _structure(parts: _Parts, shape: tuple[int, int, int]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint32]]:
+    """The grid and the blocks; whole leaves' rows follow those of the voxels."""
+    top = np.full(shape, -1, np.int32)
+    blocky = parts.widths == BLOCK
+    numbers = len(parts.voxels) + np.arange(len(parts.rows))
+    cells = np.concatenate([parts.voxels, parts.corners[blocky]]) >> 3
+    occupied = np.zeros(shape, bool)
+    occupied[tuple(cells.T)] = True
+    top[occupied] = np.arange(np.count_nonzero(occupied), dtype=np.int32)
+    for (x, y, z), width, number in zip(
+        (parts.corners[~blocky] >> 3).tolist(),
+        (parts.widths[~blocky] >> 3).tolist(),
+        numbers[~blocky].tolist(),
+        strict=True,
+    ):
+        top[x : x + width, y : y + width, z : z + width] = WHOLE + number
+    blocks = np.zeros((8 * int(np.count_nonzero(occupied)), 4), np.uint32)
+    inside = _block_and_bit(parts.voxels)
+    block = 8 * top[tuple((parts.voxels >> 3).T)].astype(np.int64) + (inside >> 6)
+    for half in (0, 1):
+        mine = (inside >> 5 & 1) == half
+        np.bitwise_or.at(blocks[:, half], block[mine], np.uint32(1) << (inside[mine] & 31).astype(np.uint32))
+    blocks[:, 3] = np.bitwise_count(blocks[:, 0])
+    counts = blocks[:, 3].astype(np.int64) + np.bitwise_count(blocks[:, 1])
+    blocks[:, 2] = np.cumsum(counts) - counts
+    corner = parts.corners[blocky]
+    own = 8 * top[tuple((corner >> 3).T)].astype(np.int64) + (_block_and_bit(corner) >> 6)
+    blocks[own, :2], blocks[own, 2], blocks[own, 3] = 0xFFFFFFFF, numbers[blocky], ALL
+    _set_distances(top)
+    return top, blocks
+
+
+def _set_distances(top: npt.NDArray[np.int32]) -> None:
+    """Of each empty cell how far the next one is that is not, along the axis along which it is farthest."""
+    reached = top >= 0
+    for distance in range(1, FARTHEST + 1):
+        top[~reached] = -distance
+        grown = np.pad(reached, 1)
+        grown = grown[:-2] | grown[1:-1] | grown[2:]
+        grown = grown[:, :-2] | grown[:, 1:-1] | grown[:, 2:]
+        grown = grown[:, :, :-2] | grown[:, :, 1:-1] | grown[:, :, 2:]
+        if grown.all():
+            break
+        reached = grown
+
+
+def _texels(field: RadianceField, rows: Ints) -> tuple[npt.NDArray[np.float16], float]:
+    B, T = field.basis.size, texels_of(field.basis)
+    memory.require("the page's colours", len(rows) * (8 * T + 4 * field.values.shape[1]))
+    unit = density_unit(float(field.values[:, -1].max()))
+    flat = np.zeros((len(rows), 4 * T), np.float16)
+    for channel in range(3):
+        own = np.clip(field.values[:, channel * B : (channel + 1) * B], -LARGEST, LARGEST).astype(np.float16)
+        flat[:, channel] = own[rows, 0]
+        flat[:, 4 + channel : 4 + 3 * (B - 1) : 3] = own[rows, 1:]
+    flat[:, 3] = (field.values[:, -1] / np.float32(unit)).astype(np.float16)[rows]
+    return flat.reshape(len(rows), T, 4), unit

@@ -1,0 +1,109 @@
+"""The page as bytes; tests/shaders/test_page.py opens it in a browser."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nerfbake import (
+    Page,
+    PageField,
+    build_field,
+    build_octree,
+    build_page_field,
+    orbit_cameras,
+    quantise_octree,
+    render_field,
+    sample_n3tree,
+    sphere_cameras,
+    weigh_leaves,
+)
+from nerfbake.errors import InvalidScene
+from nerfbake.formats.octree import svoq
+from nerfbake.formats.page import view as view_html
+
+
+@pytest.fixture(scope="module")
+def view() -> Page:
+    field = build_field(build_octree(sample_n3tree(resolution=16)))
+    cameras = orbit_cameras(field, width=24, height=24)
+    return Page(build_page_field(field), field, cameras, render_field(field, cameras.cameras[0]), "A <page> & more")
+
+
+def page_of(view: Page) -> str:
+    return b"".join(view_html.encode(view)).decode()
+
+
+def facts_of(page: str) -> dict[str, object]:
+    found = re.search(r'id="facts">(.*?)</script>', page)
+    assert found
+    facts: dict[str, object] = json.loads(found[1])
+    return facts
+
+
+def data_of(page: str) -> bytes:
+    found = re.search(r'id="data">(.*?)</script>', page)
+    assert found
+    assert len(found[1]) == facts_of(page)["length"]
+    return base64.b64decode(found[1], validate=True)
+
+
+def test_the_same_view_is_the_same_bytes_and_their_number_is_known(view: Page) -> None:
+    assert page_of(view) == page_of(view)
+    assert view_html.coded_size(view) == len(page_of(view).encode())
+
+
+def test_the_policy_lets_its_own_script_and_style_run_and_nothing_else(view: Page) -> None:
+    page = page_of(view)
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)
+    assert policy
+    allowed = dict(part.split(" ", 1) for part in policy[1].split("; "))
+    assert allowed["default-src"] == allowed["base-uri"] == allowed["form-action"] == "'none'"
+    assert set(allowed) == {"default-src", "base-uri", "form-action", "script-src", "style-src", "img-src"}
+    assert allowed["img-src"] == "data:"
+    [script] = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    [style] = re.findall(r"<style>(.*?)</style>", page, re.DOTALL)
+    for text, name in ((script, "script-src"), (style, "style-src")):
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert allowed[name] == f"'sha256-{digest}'"
+    assert not re.search(r"https?://|\son\w+=|{{", page)
+
+
+def test_the_title_is_text(view: Page) -> None:
+    page = page_of(view)
+    assert "<title>A &lt;page&gt; &amp; more</title>" in page
+    assert "<page>" not in page
+
+
+def test_exact_data_are_the_page_fields_arrays(view: Page) -> None:
+    page, content = page_of(view), view.content
+    facts, raw = facts_of(page), zlib.decompress(data_of(page))
+    assert isinstance(content, PageField)
+    top, blocks, texels = content.top, content.blocks, content.texels
+    assert (facts["kind"], facts["size"], facts["rows"]) == ("arrays", len(raw), len(texels))
+    assert raw[: top.nbytes] == top.tobytes()
+    assert raw[top.nbytes : top.nbytes + blocks.nbytes] == blocks.tobytes()
+    planes = np.frombuffer(raw[top.nbytes + blocks.nbytes :], np.uint8).reshape(-1, 2, len(texels)).astype(np.uint16)
+    halves = (planes[:, 0] | planes[:, 1] << 8).view(np.float16).T
+    np.testing.assert_array_equal(halves.reshape(texels.shape), texels)
+
+
+def test_compressed_data_are_the_bytes_of_a_svoq(view: Page) -> None:
+    octree = build_octree(sample_n3tree(resolution=16))
+    importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
+    quantised = quantise_octree(octree, importance, step=0.2)
+    page = page_of(replace(view, content=quantised))
+    assert facts_of(page)["kind"] == "svoq"
+    assert data_of(page) == b"".join(svoq.encode(quantised))
+
+
+def test_a_cover_is_square(view: Page) -> None:
+    with pytest.raises(InvalidScene, match="the cover has 24x12 pixels; allowed: a square picture"):
+        replace(view, cover=render_field(view.field, view.cameras.cameras[0].resized(24, 12)))
