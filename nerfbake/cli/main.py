@@ -31,6 +31,7 @@ from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
 from nerfbake.cli.svo import svo
 from nerfbake.cli.vdb import vdb
+from nerfbake.cli.view import view
 from nerfbake.errors import NerfbakeError, OutputError, PipeClosed, one_line
 
 OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
@@ -73,6 +74,7 @@ for command in (
     lod,
     refit,
     render,
+    view,
     compare,
     info,
     check,

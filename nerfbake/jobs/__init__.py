@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.samples import write_sample_n3tree as write_sample_n3tree
     from nerfbake.jobs.samples import write_sample_stage1 as write_sample_stage1
     from nerfbake.jobs.steps import Steps as Steps
+    from nerfbake.jobs.viewing import view_file as view_file
     from nerfbake.jobs.volumes import bake_volume as bake_volume
 
 JOBS = {
@@ -69,6 +70,7 @@ JOBS = {
     "measure_atlas": "atlases",
     "refit_file": "refits",
     "render_views": "pictures",
+    "view_file": "viewing",
     "write_sample_capture": "samples",
     "write_sample_n3tree": "samples",
     "write_sample_stage1": "samples",
