@@ -25,6 +25,7 @@ setup: $(VENV)/ready  ## a virtual environment of our own, with everything that 
 # Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
 READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
 READERS += g++ libnanovdb-dev zlib1g-dev
+READERS += chromium
 READERS += libegl-dev libgl-dev libgl1-mesa-dri
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
@@ -55,9 +56,11 @@ demo: $(VENV)/program  ## synthetic scenes, converted, fitted, rendered, inspect
 	$(BIN)/nerfbake fit build/demo/photographs build/demo/fitted.npz --resolution 64 --preset fast --force
 	$(BIN)/nerfbake render build/demo/fitted.npz --samples 2 --out build/demo/fitted.png --force
 	$(BIN)/nerfbake compress build/demo/fitted.npz build/demo/fitted.svoq --force
+	$(BIN)/nerfbake view build/demo/fitted.svoq build/demo/fitted.html --title 'Fitted on this machine' --force
 	@printf '%s\n' '' 'Made in build/demo, from scenes that are synthetic:' \
 		'  sample.png            look here first: the octree, rendered' \
-		'  fitted.png            a scene fitted to the 24 pictures in photographs, rendered; fitted.svoq is its file' \
+		'  fitted.html           open it in a browser: a scene fitted to the 24 pictures in photographs' \
+		'  fitted.png            the same scene, rendered; fitted.svoq is its file' \
 		'  sample.npz            the PlenOctree that all else came from' \
 		'  sample.svo.pb         the octree, Protocol Buffers; sample_64.svo.npz is a level coarser, NumPy arrays' \
 		'  sample.vdb            density and colour, for Blender and other programs with OpenVDB' \
