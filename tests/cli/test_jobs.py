@@ -66,6 +66,12 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
             "a.npz", "a.svo.pb", seen=Seen(size=(9, 9)), limits=Limits(min_psnr=20.0), pages=Pages(html=f"{out}.html")
         ),
     ),
+    "view": (
+        ["a.npz", "OUT.html", "--data", "exact", "--title", "A scene", "--background", "white", "--cameras", "c.json"],
+        lambda out: jobs.view_file(
+            "a.npz", f"{out}.html", data="exact", title="A scene", background=(1.0, 1.0, 1.0), cameras="c.json"
+        ),
+    ),
     "refit": (
         ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
         lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.Model(like="a.npz", frames=4, edge=24)),
