@@ -11,7 +11,7 @@ import nerfbake
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
-from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
@@ -87,6 +87,12 @@ class Pictures(Sequence["nerfbake.Image"]):
 LEAST_LOSS, PREDICTED = Goal(), Photographs()
 
 
+def coded_size_of(target: Target, **coding: Any) -> Callable[[nerfbake.QuantisedOctree], int]:
+    """How many bytes a quantised octree has as this target writes it."""
+    packed = io.format_for(target.path, "QuantisedOctree", to=target.to).load_packed_module()
+    return lambda quantised: packed.coded_size(quantised, **coding)
+
+
 def compress_file(
     source: AnySource,
     target: AnyTarget,
@@ -115,12 +121,8 @@ def compress_file(
     budget.require(target)
     octree = read_octree(steps, source)
     options |= photographs.read(steps)
-    form = io.format_for(target.path, "QuantisedOctree", to=target.to)
-
-    def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
-        return form.load_packed_module().coded_size(quantised, **coding)
-
     with source.blamed(steps, "compressing") as tell:
+        coded_size = coded_size_of(target, **coding)
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
     target.write(steps, found.quantised, **coding)
     steps.say(f"{target.path}: {found}")

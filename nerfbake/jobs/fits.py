@@ -13,22 +13,33 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import nerfbake
 from nerfbake import catalog, io
 from nerfbake.errors import InvalidScene, Stopped, UsageError
+from nerfbake.jobs.compressions import LEAST_LOSS, SOURCE_PSNR, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_course import Course, Point
 from nerfbake.jobs.fit_state import Keeper
 from nerfbake.jobs.photographs import ALL, Album, read_photographs
-from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.steps import SILENT, Steps, Tell
 
 if TYPE_CHECKING:
     from nerfbake.scene.schedule import Schedule
     from nerfbake.stages.views_to_error import ViewError
 
 _GRIDS = ("index",)  # all values in one grid: nothing is lost
+
+
+def _compressed(field: nerfbake.BrickField, target: Target, tell: Tell) -> nerfbake.QuantisedOctree:
+    """As `nerfbake compress` has it without options."""
+    octree, coded_size = nerfbake.octree_of_bricks(field), coded_size_of(target)
+    options = {**LEAST_LOSS.options, "source_psnr": SOURCE_PSNR}
+    return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
+
+
 # What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first.
-_WAYS: dict[str, Callable[[nerfbake.BrickField], Any]] = {
-    "SparseVoxelOctree": lambda field: nerfbake.octree_of_bricks(field),
-    "Volume": lambda field: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
-    "N3Tree": lambda field: nerfbake.n3tree_of_bricks(field),
+_WAYS: dict[str, Callable[[nerfbake.BrickField, Target, Tell], Any]] = {
+    "SparseVoxelOctree": lambda field, target, tell: nerfbake.octree_of_bricks(field),
+    "QuantisedOctree": _compressed,
+    "Volume": lambda field, target, tell: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
+    "N3Tree": lambda field, target, tell: nerfbake.n3tree_of_bricks(field),
 }
 PRESET = "balanced"
 FITTED = tuple(_WAYS)
@@ -148,8 +159,7 @@ def fit_file(
     field, stopped = _fit(steps, source, posed.trained, schedule, recipe, course, keeper)
     if stopped:
         _write_partial(steps, target, kind, field, state)
-    with steps.phase("putting the field together"), io.blame(target.path):
-        scene = _WAYS[kind](field)
+    scene = _made(steps, target, kind, field)
     del field, posed
     target.write(steps, scene)
     del scene
@@ -219,11 +229,16 @@ def _keep(keeper: Keeper, now: Any, course: Course) -> None:
         keeper.keep(now, worked=worked, curve=course.curve)
 
 
+def _made(steps: Steps, target: Target, kind: str, field: nerfbake.BrickField) -> Any:
+    with steps.phase("putting the field together") as tell, io.blame(target.path):
+        return _WAYS[kind](field, target, tell)
+
+
 def _write_partial(steps: Steps, target: Target, kind: str, field: nerfbake.BrickField, state: str | None) -> NoReturn:
     """Writes what there is beside where it should have been, and raises Stopped."""
     ending = io.format_for(target.path, kind, to=target.to).name
     partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
-    partial.write(steps, _WAYS[kind](field))
+    partial.write(steps, _made(steps, partial, kind, field))
     goes_on = f"; the same command goes on from {state}" if state else ""
     raise Stopped(f"stopped before it was done: {partial.path} has what there was{goes_on}")
 

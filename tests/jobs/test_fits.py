@@ -60,13 +60,14 @@ def test_compare_finds_what_was_said(capture: Path) -> None:
     ("name", "kind"),
     [
         ("a.npz", N3Tree), ("a.svo.npz", SparseVoxelOctree), ("a.svo.pb.zst", SparseVoxelOctree), ("a.nvdb", Volume),
-        ("a.vdb.npz", Volume),
+        ("a.vdb.npz", Volume), ("a.svoq", SparseVoxelOctree),
     ],
 )  # fmt: skip
 def test_every_ending_holds_the_same_field(name: str, kind: type, capture: Path) -> None:
     fitted = fit_file(capture, name)
     assert type(load(name)) is kind
-    assert fitted.psnr == pytest.approx(fit_file(capture, "other.npz").psnr, abs=0.02)
+    lost = 0.3 if name.endswith(".svoq") else 0.02
+    assert fitted.psnr == pytest.approx(fit_file(capture, "other.npz").psnr, abs=lost)
 
 
 def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit) -> None:
