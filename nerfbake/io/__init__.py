@@ -10,6 +10,7 @@ from nerfbake.io.checkpoints import checkpoint_path as checkpoint_path
 from nerfbake.io.checkpoints import load_checkpoint as load_checkpoint
 from nerfbake.io.checkpoints import require_checkpoints as require_checkpoints
 from nerfbake.io.checkpoints import save_checkpoint as save_checkpoint
+from nerfbake.io.photographs import Truth as Truth
 from nerfbake.io.photographs import find_photograph as find_photograph
 from nerfbake.io.photographs import load_photograph as load_photograph
 from nerfbake.io.reading import Loaded as Loaded

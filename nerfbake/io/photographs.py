@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from nerfbake import memory
 from nerfbake.catalog import load_photographs
 from nerfbake.contract import PICTURES
 from nerfbake.errors import InvalidFile
+from nerfbake.io.reading import load
 from nerfbake.io.sources import blame, read_file
 
 
@@ -18,6 +20,21 @@ def find_photograph(folder: str | Path, name: str) -> Path | None:
         return None
     paths = (Path(folder) / f"{name}{ending}" for ending in ("", *PICTURES))
     return next((path for path in paths if path.is_file()), None)
+
+
+class Truth(Sequence[Any]):
+    """The photographs NAME.png of these names in a folder, as Images, the type of scene that is handed in. Each is read
+    whenever it is asked for: all at once may not fit into memory.
+    """
+
+    def __init__(self, folder: str | Path, names: Iterable[str], image: type[Any]) -> None:
+        self._paths, self._image = [Path(folder) / f"{name}.png" for name in names], image
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def __getitem__(self, i: Any) -> Any:
+        return load(self._paths[i], self._image)
 
 
 def load_photograph(path: str | Path) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import nerfbake
@@ -95,11 +94,9 @@ def compare_files(
     views = views_of(
         steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples
     )
-    photographs = _photographs(seen.truth, views) if seen.truth else None
+    photographs = list(io.Truth(seen.truth, views.names, nerfbake.Image)) if seen.truth else None
     if photographs and not seen.size:
-        sizes = [photograph.size for photograph in photographs]
-        resized = tuple(view.resized(*size) for view, size in zip(views.cameras, sizes, strict=True))
-        views = nerfbake.Cameras(resized, samples=views.samples)
+        views = views.fitting(photographs)
     with second.blamed(steps, f"rendering {2 * len(views.cameras)} pictures"):
         if pages:
             views.require_memory(pictures=6 if photographs else 4)
@@ -123,7 +120,3 @@ def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     found = source.read_with_format(steps, *kinds)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
     return found.scene, facts
-
-
-def _photographs(folder: str, views: nerfbake.Cameras) -> list[nerfbake.Image]:
-    return [io.load(Path(folder) / f"{view.name}.png", nerfbake.Image) for view in views.cameras]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import nerfbake
@@ -65,23 +64,9 @@ class Photographs:
         if not (self.truth and self.cameras):
             return {"source_psnr": SOURCE_PSNR if self.source_psnr is None else self.source_psnr}
         read = read_cameras(steps, self.cameras).chosen(samples=self.samples)
-        truth = Pictures([Path(self.truth) / f"{view.name}.png" for view in read.cameras])
+        truth = io.Truth(self.truth, read.names, nerfbake.Image)
         with steps.phase(f"reading {self.truth}"):
-            sized = tuple(view.resized(*image.size) for view, image in zip(read.cameras, truth, strict=True))
-        return {"cameras": replace(read, cameras=sized), "truth": truth}
-
-
-class Pictures(Sequence["nerfbake.Image"]):
-    """The pictures in these files, each read whenever it is asked for: all of them at once may not fit into memory."""
-
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self._paths = paths
-
-    def __len__(self) -> int:
-        return len(self._paths)
-
-    def __getitem__(self, i: Any) -> Any:
-        return io.load(self._paths[i], nerfbake.Image)
+            return {"cameras": read.fitting(truth), "truth": truth}
 
 
 LEAST_LOSS, PREDICTED = Goal(), Photographs()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -184,6 +186,15 @@ class Cameras(Scene):
         """The same cameras with pictures of another size (W, H) and another number of samples, where they are given."""
         cameras = self.cameras if size is None else tuple(camera.resized(*size) for camera in self.cameras)
         return replace(self, cameras=cameras, samples=self.samples if samples is None else samples)
+
+    @property
+    def names(self) -> list[str]:
+        return [camera.name for camera in self.cameras]
+
+    def fitting(self, pictures: Iterable[Any]) -> Cameras:
+        """The same cameras, each for pictures as large as its own of these, which have a `size` (W, H)."""
+        sized = tuple(view.resized(*picture.size) for view, picture in zip(self.cameras, pictures, strict=True))
+        return replace(self, cameras=sized)
 
     def value_problems(self) -> list[Problem]:
         """Poses that are no rotation, and lenses that do not cover their picture."""

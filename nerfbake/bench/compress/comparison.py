@@ -132,9 +132,8 @@ def _costs(
     psnr = -10 / _LN_10 * float(log(cost.error)) if cost.error > 0 else None
     if cameras and truth:
         views = io.load(cameras, nerfbake.Cameras)
-        seen = [io.load(Path(truth) / f"{view.name}.png", nerfbake.Image) for view in views.cameras]
-        sized = tuple(view.resized(*image.size) for view, image in zip(views.cameras, seen, strict=True))
-        measured = measuring_judge(own, replace(views, cameras=sized), seen).cost(field).loss
+        seen = io.Truth(truth, views.names, nerfbake.Image)
+        measured = measuring_judge(own, views.fitting(seen), seen).cost(field).loss
     return {"predicted": cost.loss, "measured": measured, "psnr": psnr}
 
 
