@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
     from nerfbake.stages.field_to_image import render_field as render_field
     from nerfbake.stages.field_to_importance import weigh_leaves as weigh_leaves
+    from nerfbake.stages.field_to_mesh import build_hull as build_hull
     from nerfbake.stages.field_to_page_field import build_page_field as build_page_field
     from nerfbake.stages.field_to_page_field import round_field as round_field
     from nerfbake.stages.identifiers_to_clusters import cluster_identifiers as cluster_identifiers

@@ -158,6 +158,7 @@ STAGES = {
     "bake_stage1": "nerfbake.stages.stage1_to_atlas",
     "bricks_of_octree": "nerfbake.stages.octree_to_brick_field",
     "build_field": "nerfbake.stages.scene_to_field",
+    "build_hull": "nerfbake.stages.field_to_mesh",
     "build_octree": "nerfbake.stages.n3tree_to_octree",
     "build_page_field": "nerfbake.stages.field_to_page_field",
     "build_vdb": "nerfbake.stages.octree_to_vdb",

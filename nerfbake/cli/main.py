@@ -24,6 +24,7 @@ from nerfbake.cli.compare import compare
 from nerfbake.cli.compress import compress
 from nerfbake.cli.convert import convert
 from nerfbake.cli.fit import fit
+from nerfbake.cli.hull import hull
 from nerfbake.cli.info import info
 from nerfbake.cli.lod import lod
 from nerfbake.cli.refit import refit
@@ -75,6 +76,7 @@ for command in (
     refit,
     render,
     view,
+    hull,
     compare,
     info,
     check,

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.fits import Recipe as Recipe
     from nerfbake.jobs.fits import fit_file as fit_file
     from nerfbake.jobs.grids import Choice as Choice
+    from nerfbake.jobs.hulls import bake_hull as bake_hull
     from nerfbake.jobs.octrees import bake_lod as bake_lod
     from nerfbake.jobs.octrees import bake_octree as bake_octree
     from nerfbake.jobs.photographs import Album as Album
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 
 JOBS = {
     "bake_atlas": "atlases",
+    "bake_hull": "hulls",
     "bake_lod": "octrees",
     "bake_octree": "octrees",
     "bake_volume": "volumes",

@@ -38,6 +38,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["a.svo.pb", "OUT.svo.fb", "--level", "1"],
         lambda out: jobs.bake_lod("a.svo.pb", f"{out}.svo.fb", level=1),
     ),
+    "hull": (
+        ["a.npz", "OUT.glb", "--level", "2", "--up", "z"],
+        lambda out: jobs.bake_hull("a.npz", f"{out}.glb", level=2, up="z"),
+    ),
     "atlas": (
         ["in", "OUT", "--clusters", "3", "--map-size", "8"],
         lambda out: jobs.bake_atlas("in", out, **{**ATLAS_DEFAULTS, "clusters": 3, "map_size": 8}),
