@@ -11,8 +11,8 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.maths.elementary import expm1
-from nerfbake.kernels.maths.products import product
 from nerfbake.kernels.octree import haar
+from nerfbake.kernels.octree.haar_blocks import restore
 from nerfbake.kernels.octree.means import mean_edge
 from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
 from nerfbake.kernels.octree.pyramid import Level, children_table
@@ -22,7 +22,6 @@ from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 
 MAX_VALUE = (1 << 30) - 1  # of a coefficient, in steps
-_CHUNK = 1 << 15  # leaves at a time
 STEPS = (1e-9, 1e9)  # what a step and a scale may be
 
 
@@ -155,15 +154,11 @@ class QuantisedOctree(Scene):
     def _leaf_values(self, levels: list[Level]) -> npt.NDArray[np.float32]:
         codes, leaf = haar.leaf_codes(levels, self.grid_level)
         merges = haar.merges_of(codes, self.grid_level)
+        del codes
         memory.require("the leaves of the octree", self.m * self.values.shape[1] * (8 + 4))
-        points = haar.inverse(self.values, self.steps, merges)
-        values = np.empty(self.values.shape, np.float32)
         mixing = np.ascontiguousarray((self.mixing * self.mixing_scale).T)
-        for first in range(0, self.m, _CHUNK):
-            some = slice(first, first + _CHUNK)
-            rows = leaf[some]
-            values[rows, :-1] = cast(product(points[some, :-1], mixing), np.float32)
-            values[rows, -1] = cast(self.density_scale * expm1(np.maximum(points[some, -1], 0)), np.float32)
+        values, density = restore(self.values, self.steps, merges, mixing, leaf)
+        values[:, -1] = cast(self.density_scale * expm1(np.maximum(density, 0)), np.float32)
         return values
 
     def restored(self) -> SparseVoxelOctree:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import BudgetMissed, InvalidScene, Problem
-from nerfbake.kernels.march.cells import EMPTY
+from nerfbake.kernels.march.cells import EMPTY, with_rows
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.compression import Compression
@@ -116,8 +116,11 @@ class _Search:
         allowed = self._judge.allowed_error(most)
         allowed = max(allowed - self._pruning[0.0], 0.01 * allowed)
         share, step = self._share_for(_PRUNED * allowed), _FIRST * float(np.sqrt(allowed))
-        best, points = None, []
+        best: Compression | None = None
+        made: Compression | None = None
+        points: list[tuple[float, float]] = []
         for _ in range(_TRIALS):
+            made = None  # unless it is the best, its memory is needed
             made = self._trial(share, step)
             points.append((step, made.loss / most))
             if made.loss <= most and (best is None or made.size < best.size):
@@ -128,13 +131,17 @@ class _Search:
             if step == points[-1][0]:
                 break
         found = best or made
+        assert found is not None
         found.require(most)
         return found
 
     def within_size(self, most: int) -> Compression:
         share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
-        best, points = None, []
+        best: Compression | None = None
+        made: Compression | None = None
+        points: list[tuple[float, float]] = []
         for count in range(_TRIALS):
+            made = None
             made = self._trial(share, step)
             points.append((step, made.size / most))
             if made.size <= most and (best is None or made.loss < best.loss):
@@ -149,6 +156,7 @@ class _Search:
                 share = self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
                 points = points if share == made.pruned else points[-1:]
         if best is None:
+            assert made is not None
             raise BudgetMissed(Problem("the octree", f"takes {made.size:,} bytes at the least", f"--max-size {most:,}"))
         return best
 
@@ -186,12 +194,9 @@ class _Search:
     def _cost(self, keep: Rows, values: npt.NDArray[np.float32]) -> Cost:
         """Of the field with only these leaves, which hold these values."""
         own = self._own
-        whole = np.zeros_like(own.values)
-        whole[keep] = values
-        slots = own.cells.slots.copy()
-        leaves = np.flatnonzero(slots < EMPTY)
-        slots[leaves[~(whole[-2 - slots[leaves], -1] > 0)]] = EMPTY
-        return self._judge.cost(replace(own, cells=own.cells._replace(slots=slots), values=whole))
+        slot = np.full(len(own.values), EMPTY, np.int32)
+        slot[keep] = np.where(values[:, -1] > 0, -2 - np.arange(len(keep)), EMPTY)
+        return self._judge.cost(replace(own, cells=with_rows(own.cells, slot), values=values))
 
 
 def next_step(points: list[tuple[float, float]], *, slope: float) -> float:

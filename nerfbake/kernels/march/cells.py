@@ -61,6 +61,14 @@ def cells_of(slots: npt.NDArray[np.int32], bits: list[int], *, first: list[int] 
     return Cells(table, starts, np.array(bits, np.int64), below, widths, edge, radix, *own)
 
 
+def with_rows(cells: Cells, slot: npt.NDArray[np.int32]) -> Cells:
+    """The same tree where the leaf of row i has slot[i]: EMPTY, or another row."""
+    slots = cells.slots.copy()
+    leaves = np.flatnonzero(slots < EMPTY)
+    slots[leaves] = slot[-2 - slots[leaves]]
+    return cells_of(slots, cells.bits.tolist(), first=cells.first.tolist(), radix=cells.radix)
+
+
 def _top(slots: npt.NDArray[np.int32], first: Ints, bits: list[int]) -> Ints:
     """Each cell's slot and level after so many levels, x-major."""
     found = np.zeros((1, 1, 1), np.int64)  # node 0 alone

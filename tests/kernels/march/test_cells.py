@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of, descend, lowest, rows_at
+from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of, descend, lowest, rows_at, with_rows
 
 
 @compiled()
@@ -55,6 +55,20 @@ def test_every_cell_is_where_the_tree_has_it(bits: list[int], radix: int) -> Non
     assert_array_equal(np.where(found[:, 0] == EMPTY, EMPTY, -2 - found[:, 0]), rows)
     assert len(set(rows.tolist())) > 3
     assert_array_equal(found[:, 2:], places // found[:, 1:2] * found[:, 1:2])
+
+
+@pytest.mark.parametrize(("bits", "radix"), [([1] * 5, 0), ([3, 2], 0), ([2] * 3, 3)])
+def test_leaves_are_found_by_their_new_rows_on_either_way_down(bits: list[int], radix: int) -> None:
+    cells = tree(bits, radix=radix)
+    new = np.arange(2 - cells.slots.min(), dtype=np.int32)[::-1].copy()
+    new[::3] = EMPTY
+    new[new != EMPTY] = -2 - new[new != EMPTY]
+    before, after = (np.empty((cells.edge**3, 5), np.int64) for _ in range(2))
+    at_every_place(cells, before)
+    at_every_place(with_rows(cells, new), after)
+    slots = before[:, 0]
+    assert_array_equal(after[:, 0], np.where(slots < EMPTY, new[np.maximum(-2 - slots, 0)], slots))
+    assert_array_equal(after[:, 1:], before[:, 1:])
 
 
 def test_the_table_for_the_first_levels_stays_small() -> None:

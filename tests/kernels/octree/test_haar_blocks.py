@@ -1,0 +1,43 @@
+"""Leaves are restored block by block to the bits that the whole transform gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from nerfbake.kernels.octree import haar, haar_blocks
+
+
+@given(st.integers(0, 2**32), st.integers(1, 400), st.integers(1, 6), st.integers(1, 5))
+def test_blocks_give_the_bits_of_the_whole_transform(seed: int, m: int, levels: int, width: int) -> None:
+    """Up to six levels are eighteen bits, of which a block has twelve."""
+    random = np.random.default_rng(seed)
+    codes = np.unique(random.integers(0, 8**levels, m))
+    merges, m = haar.merges_of(codes, levels), len(codes)
+    rows = random.integers(-1000, 1000, (m, width + 1)).astype(np.int32)
+    steps, mixing, leaf = random.random(width + 1), random.normal(size=(width, width)), random.permutation(m)
+    values, last = haar_blocks.restore(rows, steps, merges, mixing, leaf)
+    points = haar.inverse(rows, steps, merges)
+    sums = np.zeros((m, width))
+    for channel in range(width):
+        sums += points[:, channel, None] * mixing[channel]
+    assert_array_equal(values[leaf, :-1], sums.astype(np.float32))
+    assert_array_equal(last[leaf], points[:, -1])
+    assert not values[:, -1].any()
+
+
+@pytest.mark.parametrize("levels", [1, 4, 5, 10])
+def test_a_block_is_a_cube(levels: int) -> None:
+    codes = np.unique(np.random.default_rng(levels).integers(0, 8**levels, 3000))
+    merges = haar.merges_of(codes, levels)
+    blocks = haar_blocks.blocks_of(merges)
+    cube = codes >> 12
+    assert_array_equal(blocks.heads, np.append(np.flatnonzero(np.append(True, cube[1:] != cube[:-1])), len(codes)))
+    assert_array_equal(np.sort(blocks.pairs), np.arange(len(blocks.heads) - 2, len(codes) - 1))
+    for block in range(len(blocks.heads) - 1):
+        own = blocks.pairs[blocks.first[block] : blocks.first[block + 1]]
+        assert (np.diff(own) > 0).all()
+        assert ((merges.low[own] >= blocks.heads[block]) & (merges.high[own] < blocks.heads[block + 1])).all()
