@@ -70,6 +70,8 @@ if TYPE_CHECKING:
     from nerfbake.stages.octree_to_octree import lower_basis as lower_basis
     from nerfbake.stages.octree_to_quantised import quantise_octree as quantise_octree
     from nerfbake.stages.octree_to_vdb import build_vdb as build_vdb
+    from nerfbake.stages.page_field_to_field import field_of_page_field as field_of_page_field
+    from nerfbake.stages.page_field_to_field import round_to_bytes as round_to_bytes
     from nerfbake.stages.pictures_to_views import build_views as build_views
     from nerfbake.stages.scene_to_cameras import orbit_cameras as orbit_cameras
     from nerfbake.stages.scene_to_cameras import sphere_cameras as sphere_cameras

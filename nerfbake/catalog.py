@@ -37,6 +37,9 @@ class Format(NamedTuple):
     def load_packed_module(self) -> contract.PackedFormat:
         return cast(contract.PackedFormat, self.load_module())
 
+    def load_page_module(self) -> contract.PageFormat:
+        return cast(contract.PageFormat, self.load_module())
+
     def require_options(self, given: Mapping[str, object]) -> None:
         """Raises UsageError for options that the format does not take, or other values than it takes."""
         contract.require_options(self.name, self.load_module().encode, given)
@@ -148,6 +151,7 @@ SCENES = {
 
 STAGES = {
     "carve_hull": "nerfbake.stages.views_to_hull",
+    "field_of_page_field": "nerfbake.stages.page_field_to_field",
     "fit_field": "nerfbake.stages.views_to_field",
     "sphere_cameras": "nerfbake.stages.scene_to_cameras",
     "lower_basis": "nerfbake.stages.octree_to_octree",
@@ -189,6 +193,7 @@ STAGES = {
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "sample_stage1": "nerfbake.stages.shapes_to_stage1",
     "round_field": "nerfbake.stages.field_to_page_field",
+    "round_to_bytes": "nerfbake.stages.page_field_to_field",
     "render_stage1": "nerfbake.stages.stage1_to_image",
     "bake_snapped_maps": "nerfbake.stages.clusters_to_maps",
     "summarise_scene": "nerfbake.stages.scene_to_summary",

@@ -92,6 +92,13 @@ class PackedFormat(FileFormat, Protocol):
         """What a whole file says of how it was packed, for people and scripts; JSON can hold it. Raises InvalidFile."""
 
 
+class PageFormat(PackedFormat, Protocol):
+    """A page that people look at, and that is judged by what it carries."""
+
+    def content_of(self, view: memoryview, /) -> Any:
+        """The scene that a whole page carries. Raises InvalidFile, MemoryLimit."""
+
+
 class Compression(Protocol):
     """A further ending of any format."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.image import Image
+from nerfbake.scene.octree import Lookup
 from nerfbake.scene.page_field import PageField
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
@@ -23,6 +24,7 @@ class Page:
     title    shown in the page, as text
     turns    the scene turns slowly until it is touched
     background  sRGB in 0..1; None: the reader's own, light or dark
+    lookup   how the page opens, as render_field() has it
 
     >>> from nerfbake import Page, build_field, build_page_field, orbit_cameras, render_field, sample_n3tree
     >>> field = build_field(sample_n3tree(resolution=16))
@@ -39,6 +41,7 @@ class Page:
     title: str = "A radiance field"
     turns: bool = True
     background: tuple[float, float, float] | None = None
+    lookup: Lookup = "nearest"
 
     def __post_init__(self) -> None:
         width, height = self.cover.size

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.maths.affine import inverse, turned
 from nerfbake.kernels.maths.elementary import log
-from nerfbake.kernels.octree.morton import dilate
 from nerfbake.kernels.vdb.bitmask import slots_of
 from nerfbake.scene.basis import Basis, parse_basis, shown_basis
 from nerfbake.scene.radiance_field import RadianceField, leaf_box
@@ -21,6 +17,7 @@ from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._fog import density_of
+from nerfbake.stages._tile_levels import tile_levels
 
 _EDGE = 1e-6  # how near to 0 and 1 a colour may be, for its sigmoid to be undone
 
@@ -107,7 +104,7 @@ def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, n
     outer = topology.root_origin if tiles is None else np.concatenate([topology.root_origin, tiles.root_origin])
     places = outer.astype(np.int64) >> 12
     low = places.min(axis=0, initial=1 << 31)
-    levels = _tile_levels(places - low, np.concatenate([np.arange(len(topology.root_origin)), of_tiles[2]]))
+    levels = tile_levels(places - low, np.concatenate([np.arange(len(topology.root_origin)), of_tiles[2]]))
     bits = [1] * len(levels)
     masks = topology.upper_mask, topology.lower_mask, topology.leaf_mask
     of_nodes = tiles and [(tiles.upper_mask, of_tiles[1]), (tiles.lower_mask, of_tiles[0])]
@@ -124,19 +121,3 @@ def _cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Cells, n
     first = np.cumsum([0, *(level.size for level in levels[:-1])]).tolist()
     cells = cells_of(np.concatenate([level.reshape(-1) for level in levels]), bits, first=first)
     return cells, low * 4096
-
-
-def _tile_levels(tiles: Ints, number: Ints) -> list[npt.NDArray[Any]]:
-    """Octree levels (nodes, 8) down to root tiles (u, 3) from 0 on, with the number of each; none where there is
-    one tile."""
-    height = int(tiles.max(initial=0)).bit_length()
-    x, y, z = (dilate(tiles[:, axis]) for axis in range(3))
-    below = x << 2 | y << 1 | z
-    levels: list[npt.NDArray[Any]] = []
-    for _ in range(height):
-        above, parent = np.unique(below >> 3, return_inverse=True)
-        table = np.full((len(above), 8), EMPTY, np.int32)
-        table[parent, below & 7] = number
-        levels.insert(0, table)
-        below, number = above, np.arange(len(above))
-    return levels

@@ -18,9 +18,9 @@ from nerfbake import Camera
 
 PATIENCE = 120  # seconds: software draws, perhaps on a busy machine
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-_PIXELS = """([pose, focal, edge, background]) => {
+_PIXELS = """([pose, focal, edge, looks]) => {
   const camera = new nerfbake.camera.constructor({pose, focal, distance: 1}, nerfbake.facts.up, nerfbake.facts.radius);
-  return textOf(nerfbake.picture.pixels(camera, edge, edge, {background}));
+  return textOf(nerfbake.picture.pixels(camera, edge, edge, {background: [1, 1, 1], ...looks}));
 }"""
 # What every page is given beside its own script: an array's bytes as text, a part at a time.
 _TEXT = """window.textOf = (array) => {
@@ -56,15 +56,17 @@ class Seen:
             time.sleep(0.1)
 
     def wait_until_ready(self) -> None:
-        self.wait_for("window.nerfbake?.state === 'ready'")
+        self.wait_for("['ready', 'failed'].includes(window.nerfbake?.state)")
+        assert self.ask("nerfbake.state") == "ready", self.status
 
     def wait_until_still(self) -> None:
         self.wait_for("nerfbake.finished && !nerfbake.asked && !nerfbake.busy")
 
-    def pixels(self, camera: Camera) -> npt.NDArray[np.uint8]:
-        """(edge, edge, 3) what the page's shader makes of a square camera, over white."""
+    def pixels(self, camera: Camera, **looks: Any) -> npt.NDArray[np.uint8]:
+        """(edge, edge, 3) what the page's shader makes of a square camera, over white; looks: as Picture.look() has
+        them."""
         edge = camera.width
-        arguments = [camera.pose.tolist(), 2 * camera.fx / edge, edge, [1, 1, 1]]
+        arguments = [camera.pose.tolist(), 2 * camera.fx / edge, edge, looks]
         found = base64.b64decode(self.ask(_PIXELS, arguments))
         return np.frombuffer(found, np.uint8).reshape(edge, edge, 4)[..., :3]
 

@@ -25,15 +25,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.errors import one_line
+from nerfbake.errors import InvalidFile, one_line
 from nerfbake.formats.octree import svoq
 from nerfbake.formats.picture import png
-from nerfbake.formats.wire.deflate import deflate_all
+from nerfbake.formats.wire.deflate import deflate_all, inflate
+from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera
+from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.page import Page
 from nerfbake.scene.page_field import PageField, density_unit, grid_of, texels_of
 
-_SCRIPTS = ("svoq.js", "svoq_values.js", "field.js", "picture.js", "camera.js", "controls.js", "viewer.js")
+_SCRIPTS = (
+    "svoq.js",
+    "svoq_values.js",
+    "field.js",
+    "bytes.js",
+    "levels.js",
+    "carried.js",
+    "picture.js",
+    "camera.js",
+    "controls.js",
+    "panel.js",
+    "viewer.js",
+)
+_SHADERS = ("march.glsl", "smooth.glsl")
 _NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera
 
 
@@ -49,6 +64,29 @@ def encode(page: Page) -> Iterator[bytes]:
 def coded_size(page: Page) -> int:
     """Bytes of the page that encode() gives."""
     return sum(map(len, encode(page)))
+
+
+def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
+    """What a page carries, of the bytes that encode() gave. Raises InvalidFile, MemoryLimit."""
+    found = re.search(rb'id="facts">([^<]*)</script>.*?id="data">([^<]*)</script>', view, re.DOTALL)
+    if found is None:
+        raise InvalidFile("is no whole page to look around in; allowed: what `nerfbake view` writes")
+    facts, data = json.loads(found[1]), base64.b64decode(found[2])
+    if facts["kind"] == "svoq":
+        return svoq.decode(memoryview(data))
+    cells, leaves, rows, T = int(np.prod(facts["shape"])), facts["leaves"], facts["rows"], facts["texels"]
+    raw = np.frombuffer(inflate(memoryview(data), facts["size"], "the page's data"), np.uint8)
+    top, blocks, planes = np.split(raw, [4 * cells, 4 * cells + 128 * leaves])
+    halves = np.ascontiguousarray(planes.reshape(4 * T, 2, rows).transpose(2, 0, 1)).view("<f2")
+    return PageField(
+        top.view("<i4").astype(np.int32).reshape(facts["shape"]),
+        blocks.view("<u4").astype(np.uint32).reshape(-1, 4),
+        halves.astype(np.float16).reshape(rows, T, 4),
+        facts["densityUnit"],
+        np.array(facts["place"]),
+        np.array(facts["box"]),
+        parse_basis(facts["basis"]),
+    )
 
 
 def _document(page: Page, length: int) -> tuple[str, str]:
@@ -71,7 +109,7 @@ def _document(page: Page, length: int) -> tuple[str, str]:
         "title": escape(one_line(page.title)),
         "style": style,
         "script": script,
-        "shader": _part("march.glsl"),
+        "shader": "\n".join(map(_part, _SHADERS)),
         "cover": base64.b64encode(b"".join(png.encode(page.cover))).decode(),
         "about": escape(f"All of the scene is in this file: {page.field}."),
         "facts": json.dumps(_facts(page, length)).replace("<", "\\u003c"),
@@ -108,7 +146,7 @@ def _facts(page: Page, length: int) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "length": length,
         "kind": "arrays" if isinstance(page.content, PageField) else "svoq",
-        "rgba": field.basis.kind == "RGBA",
+        "basis": str(field.basis),
         "texels": texels_of(field.basis),
         "shape": shape,
         "start": start.tolist(),
@@ -122,6 +160,7 @@ def _facts(page: Page, length: int) -> dict[str, Any]:
         "densityUnit": density_unit(float(field.values[:, -1].max())),
         "background": page.background,
         "turns": page.turns,
+        "lookup": page.lookup,
         "views": [_view(camera, centre, radius) for camera in page.cameras.cameras],
     }
     if isinstance(page.content, PageField):

@@ -30,6 +30,7 @@ class Controls {
     canvas.addEventListener("dblclick", (event) => viewer.state === "ready" && viewer.lookAt(event.offsetX, event.offsetY));
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
+      viewer.ticket++;
       viewer.state = "lost";
       viewer.busy = null;
       viewer.say("The graphics were taken away for a moment.");
@@ -46,7 +47,6 @@ class Controls {
     element("mode").addEventListener("change", () => viewer.show(element("mode").value));
     element("reset").addEventListener("click", () => viewer.reset());
     element("backdrop").addEventListener("click", () => viewer.nextBackground());
-    element("copy").addEventListener("click", () => viewer.copy());
     element("full").addEventListener("click", () => viewer.fullScreen());
     element("about").addEventListener("click", () => element("help").showModal());
     element("full").hidden = !document.documentElement.requestFullscreen;
@@ -73,17 +73,21 @@ class Controls {
     const { viewer } = this;
     const { ctrlKey, metaKey, altKey, shiftKey, key } = event, edge = Math.min(viewer.canvas.clientWidth, viewer.canvas.clientHeight);
     if (ctrlKey || metaKey || altKey || viewer.state !== "ready" || document.querySelector("dialog[open]")) return;
-    if (KEYS[key] && document.activeElement !== element("mode")) {
+    if (KEYS[key]) {
+      if (event.target.matches?.("select, input")) return;
       const [x, y] = KEYS[key];
       viewer.move((camera) => (shiftKey ? camera.pan((x * edge) / 12, (y * edge) / 12, edge) : camera.orbit(-x * 0.12, y * 0.12)));
     } else if (key === "+" || key === "=") viewer.move((camera) => camera.zoom(1 / 1.15));
     else if (key === "-" || key === "_") viewer.move((camera) => camera.zoom(1.15));
     else if (key === "[" || key === "]") viewer.next(key === "[" ? -1 : 1);
-    else if (key >= "1" && key <= "4") viewer.show(Object.keys(MODES)[Number(key) - 1]);
+    else if (key >= "1" && key <= "5") viewer.show(Object.keys(MODES)[Number(key) - 1]);
     else if (key === "r" || key === "R") viewer.reset();
     else if (key === "f" || key === "F") viewer.fullScreen();
     else if (key === "b" || key === "B") viewer.nextBackground();
     else if (key === "c" || key === "C") viewer.copy();
+    else if (key === "o" || key === "O") viewer.panel.toggle();
+    else if (key === "s" || key === "S") viewer.panel.save();
+    else if (key === "t" || key === "T") viewer.panel.look(viewer.looks.smoothly ? "nearest" : "trilinear");
     else if (key === "h" || key === "H" || key === "?") element("help").showModal();
     else return;
     event.preventDefault();

@@ -99,6 +99,12 @@ function halfOf(value) {
   return sign | ((size + 0xfff + ((size >>> 13) & 1) - 0x38000000) >>> 13);
 }
 
+// A float16's bits as the number; as a float32's they are too small by 2^112.
+function numberOf(half) {
+  _bits[0] = (half & 0x7fff) << 13;
+  return (half & 0x8000 ? -1 : 1) * 2 ** 112 * _float[0];
+}
+
 // -- the grid and the blocks of leaves (node, x, y, z, edge), and how many rows there are --------------------------
 function structureOf(leaves, facts) {
   const [, Y, Z] = facts.shape, end = facts.box[1], top = new Int32Array(facts.shape[0] * Y * Z).fill(-1);

@@ -7,6 +7,9 @@
 //   GROUPS   groups of four basis functions behind the first one: 0, 1, 2, 4 or 6
 //   BASE     the first basis function: 1 for RGBA
 //   TEXELS   texels of a row of colours, 1 + 3 GROUPS
+//   SMOOTH   1: trilinear lookup, marchSmooth() in smooth.glsl
+//   NORMALS  1: mode is SLOPE
+//   BYTES    1: coefficients are bytes, the density stands in a texture of its own; 0: all is float16
 precision highp float;
 precision highp int;
 precision highp isampler3D;
@@ -16,6 +19,9 @@ precision highp sampler2D;
 uniform isampler3D top;     // below 0 empty, a leaf's number, or from WHOLE on a row for all of the cell
 uniform usampler2D blocks;  // eight 4^3 blocks a leaf: mask low, mask high, first row, count of low
 uniform sampler2D texels;   // red, green, blue of the first coefficient and the density; then the other coefficients
+uniform sampler2D densities;
+uniform vec3 lows[4 * GROUPS + 1];     // of each basis function: a coefficient is lows + widths * what the texel says
+uniform float widths[4 * GROUPS + 1];
 uniform int blockBits;      // a line of `blocks` has 2^blockBits texels
 uniform int rowsAcross;     // rows in a line of `texels`
 uniform float densityUnit;
@@ -23,6 +29,7 @@ uniform float densityUnit;
 uniform vec3 eye;           // where the camera is, in voxels
 uniform mat3 toVoxels;      // camera to voxels, and to the axes of the spherical harmonics
 uniform mat3 toAxes;
+uniform mat3 worldToVoxels; // its transpose turns gradients
 uniform vec3 boxLow;
 uniform vec3 boxHigh;
 uniform vec2 size;          // of the picture, in pixels
@@ -38,13 +45,16 @@ out vec4 colour;
 
 const int WHOLE = 1 << 30;
 const uint ALL = 255u;
-const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4;
+const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4, SLOPE = 5;
 const int LIMIT = 1 << 14;  // steps
 
-struct Found { vec3 colour; float alpha; float far; int steps; };
+struct Found { vec3 colour; float alpha; float far; int steps; };  // the normal, where colours are not asked for
+
+vec4 basis[GROUPS + 1];     // of the ray's direction, times `widths`
+vec3 base;                  // what a colour is before its coefficients are added
 
 // The basis functions behind the first one, four at a time: nerfbake/kernels/march/sh.py.
-void fillBasis(vec3 p, out vec4 basis[GROUPS + 1]) {
+void fillBasis(vec3 p) {
 #if GROUPS > 0
   float x = p.x, y = p.y, z = p.z, xx = x * x, yy = y * y, zz = z * z;
   for (int i = 0; i <= GROUPS; i++) basis[i] = vec4(0.0);
@@ -72,6 +82,16 @@ void fillBasis(vec3 p, out vec4 basis[GROUPS + 1]) {
 #endif
 }
 
+// The basis for a ray's direction in the field's own axes.
+void face(vec3 along) {
+  fillBasis(along);
+  base = BASE * lows[0];
+  for (int i = 0; i < 4 * GROUPS; i++) {
+    if (mode != FIRST) base += basis[i / 4][i % 4] * lows[i + 1];
+    basis[i / 4][i % 4] *= widths[i + 1];
+  }
+}
+
 // How many bits are set; GLSL ES 3.00 has no bitCount.
 uint count(uint bits) {
   bits -= bits >> 1 & 0x55555555u;
@@ -84,9 +104,19 @@ ivec2 placeOf(int row) {
   return ivec2((row - line * rowsAcross) * TEXELS, line);
 }
 
-// A row's colour in the ray's direction, of which `first` is the first texel.
-vec3 shade(vec3 first, ivec2 place, vec4 basis[GROUPS + 1]) {
-  vec3 sum = BASE * first;
+// Of a row the first coefficient's red, green and blue, and the density per world unit.
+vec4 headOf(ivec2 place) {
+  vec4 head = texelFetch(texels, place, 0);
+#if BYTES
+  head.a = texelFetch(densities, ivec2(place.x / TEXELS, place.y), 0).r;
+#endif
+  head.a *= densityUnit;
+  return head;
+}
+
+// What a row's colour in the ray's direction is the sigmoid of; first: its headOf().
+vec3 sumOf(vec3 first, ivec2 place) {
+  vec3 sum = base + BASE * widths[0] * first;
   if (mode != FIRST) {
     for (int i = 0; i < GROUPS; i++) {
       vec4 a = texelFetch(texels, place + ivec2(3 * i + 1, 0), 0);
@@ -96,6 +126,10 @@ vec3 shade(vec3 first, ivec2 place, vec4 basis[GROUPS + 1]) {
       sum += k.x * a.rgb + k.y * vec3(a.a, b.rg) + k.z * vec3(b.ba, c.r) + k.w * c.gba;
     }
   }
+  return sum;
+}
+
+vec3 sigmoid(vec3 sum) {
   return 1.0 / (1.0 + exp(-sum));
 }
 
@@ -134,6 +168,24 @@ int look(ivec3 voxel, out ivec3 corner, out int edge) {
   return -1;
 }
 
+#if NORMALS
+// The density at a voxel, in 1/world unit.
+float densityAt(ivec3 voxel) {
+  ivec3 corner;
+  int edge;
+  if (any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, textureSize(top, 0) * 8))) return 0.0;
+  int row = look(voxel, corner, edge);
+  return row < 0 ? 0.0 : headOf(placeOf(row)).a;
+}
+
+// Against the density's gradient over the voxels beside this one, in voxels.
+vec3 slopeAt(ivec3 voxel) {
+  const ivec3 x = ivec3(1, 0, 0), y = ivec3(0, 1, 0), z = ivec3(0, 0, 1);
+  return vec3(densityAt(voxel - x) - densityAt(voxel + x), densityAt(voxel - y) - densityAt(voxel + y),
+              densityAt(voxel - z) - densityAt(voxel + z));
+}
+#endif
+
 Found march(vec3 along) {
   Found found = Found(vec3(0.0), 0.0, 0.0, 0);
   vec3 world = normalize(along), d = toVoxels * world;
@@ -145,8 +197,7 @@ Found march(vec3 along) {
   vec3 near = min(one, other), away = max(one, other);
   float start = max(max(near.x, near.y), max(near.z, 0.0)), end = min(away.x, min(away.y, away.z)) - start;
   if (end <= 0.0) return found;
-  vec4 basis[GROUPS + 1];
-  fillBasis(normalize(toAxes * world), basis);
+  face(normalize(toAxes * world));
   // From where the ray enters: distances stay small, and exact, however far away the camera is.
   vec3 o = eye + start * d;
   ivec3 low = ivec3(floor(boxLow)), high = ivec3(ceil(boxHigh)) - 1;
@@ -160,11 +211,14 @@ Found march(vec3 along) {
     float ahead = max(min(exits.x, min(exits.y, exits.z)), t);
     if (row >= 0) {
       ivec2 place = placeOf(row);
-      vec4 first = texelFetch(texels, place, 0);
-      float sigma = first.a * densityUnit, depth = sigma * (min(ahead, end) - t) * unit, kept = exp(-depth);
+      vec4 first = headOf(place);
+      float sigma = first.a, depth = sigma * (min(ahead, end) - t) * unit, kept = exp(-depth);
       float weight = through * (1.0 - kept);
-      if (mode <= FIRST) found.colour += weight * shade(first.rgb, place, basis);
-      else found.far += weight * (start + t) * unit + through * (1.0 - kept - depth * kept) / max(sigma, 1e-30);
+      if (mode <= FIRST) found.colour += weight * sigmoid(sumOf(first.rgb, place));
+#if NORMALS
+      found.colour += weight * slopeAt(voxel);
+#endif
+      if (mode == DEPTH || mode == PICK) found.far += weight * (start + t) * unit + through * (1.0 - kept - depth * kept) / max(sigma, 1e-30);
       through *= kept;
       if (through < cut) break;
     }
@@ -184,9 +238,19 @@ vec3 heat(float part) {
   return clamp(vec3(3.0 * part, 3.0 * part - 1.0, 3.0 * part - 2.0), 0.0, 1.0);
 }
 
+#if SMOOTH
+Found marchSmooth(vec3 along);
+#define march marchSmooth
+#endif
+
 vec3 shown(vec2 pixel) {
-  Found found = march(vec3((pixel - 0.5 * size) / focal, -1.0));
+  vec3 along = vec3((pixel - 0.5 * size) / focal, -1.0);
+  Found found = march(along);
   if (mode == STEPS) return heat(float(found.steps) / 160.0);
+  if (mode == SLOPE) {
+    vec3 normal = found.colour * worldToVoxels;
+    return mix(background, 0.5 + 0.5 * normal / max(length(normal), 1e-30), found.alpha);
+  }
   if (mode == DEPTH) {
     float depth = (found.far / max(found.alpha, 1e-6) - range.x) / (range.y - range.x);
     return mix(background, vec3(1.0 - 0.85 * clamp(depth, 0.0, 1.0)), found.alpha);
@@ -197,7 +261,8 @@ vec3 shown(vec2 pixel) {
 void main() {
   if (mode == PICK) {
     // The mean distance as 24 bits of the range's end, and how opaque it is.
-    Found found = march(vec3((aim - 0.5 * size) / focal, -1.0));
+    vec3 along = vec3((aim - 0.5 * size) / focal, -1.0);
+    Found found = march(along);
     float part = clamp(found.far / max(found.alpha, 1e-6) / range.y, 0.0, 0.9999999);
     vec3 digits = floor(fract(part * vec3(1.0, 256.0, 65536.0)) * 256.0);
     colour = vec4(digits / 255.0, found.alpha);

@@ -1,87 +1,116 @@
 // The field in a graphics card's textures, and pictures of it.
 
-const MODES = { colour: 0, first: 1, depth: 2, steps: 3, pick: 4 };
+const MODES = { colour: 0, first: 1, depth: 2, normals: 5, steps: 3, pick: 4 };
 const CUT = 1e-4; // the share of light below which a ray ends, as `nerfbake render` has it
+const UNCLIPPED = [[0, 0, 0], [1, 1, 1]];
 
 class Picture {
   constructor(canvas, facts, shader) {
     const options = { alpha: false, antialias: false, depth: false };
     const gl = canvas.getContext("webgl2", options);
     if (!gl) throw new Error("no WebGL2");
-    Object.assign(this, { canvas, facts, gl, names: {}, frames: {} });
-    const groups = (facts.texels - 1) / 3, base = facts.rgba ? "1.0" : "0.28209479177387814";
-    const defines = `\n#define GROUPS ${groups}\n#define BASE ${base}\n#define TEXELS ${facts.texels}\n`;
+    Object.assign(this, { canvas, facts, gl, shader, frames: {}, textures: [], programs: {}, constants: new Map() });
+    this.use(facts.lookup === "trilinear", false);
+  }
+
+  // The program for a lookup, with or without normals: built when it is first asked for, as that may take a while.
+  use(smoothly, normals) {
+    const { gl, facts, shader, programs } = this, name = `${smoothly} ${normals}`;
+    if (!programs[name]) {
+      const groups = (facts.texels - 1) / 3, base = facts.basis === "RGBA" ? "1.0" : "0.28209479177387814";
+      const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, BYTES: facts.kind === "svoq" ? 1 : 0, SMOOTH: smoothly ? 1 : 0, NORMALS: normals ? 1 : 0 };
+      const lines = Object.entries(defines).map(([key, value]) => `#define ${key} ${value}\n`).join("");
+      programs[name] = { built: this.build(shader.replace("#version 300 es\n", "#version 300 es\n" + lines)), names: {}, constants: 0 };
+    }
+    const program = programs[name], { names, built } = program;
+    gl.useProgram(built);
+    this.uniform = (key) => (names[key] ??= gl.getUniformLocation(built, key));
+    if (program.constants !== this.constants) for (const [key, tell] of this.constants) tell(this.uniform(key));
+    program.constants = this.constants;
+  }
+
+  build(text) {
+    const { gl } = this, program = gl.createProgram();
     const corners = "#version 300 es\nvoid main() {\n  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1);\n}";
-    const program = gl.createProgram();
-    for (const [kind, text] of [
-      [gl.VERTEX_SHADER, corners],
-      [gl.FRAGMENT_SHADER, shader.replace("#version 300 es\n", "#version 300 es" + defines)],
-    ]) {
+    for (const [kind, source] of [[gl.VERTEX_SHADER, corners], [gl.FRAGMENT_SHADER, text]]) {
       const part = gl.createShader(kind);
-      gl.shaderSource(part, text);
+      gl.shaderSource(part, source);
       gl.compileShader(part);
       gl.attachShader(program, part);
     }
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      throw new Error("the shader does not run here: " + gl.getProgramInfoLog(program));
+      const [first] = gl.getAttachedShaders(program).map((part) => gl.getShaderInfoLog(part)).filter(Boolean);
+      throw new Error("the shader does not run here: " + (first || gl.getProgramInfoLog(program)));
     }
-    gl.useProgram(program);
-    this.uniform = (name) => (this.names[name] ??= gl.getUniformLocation(program, name));
+    return program;
   }
 
-  // Hands the arrays over; they are not needed any more behind this.
-  upload({ top, blocks, texels }) {
-    const { gl, facts } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE), T = facts.texels;
-    const [X, Y, Z] = facts.shape, across = Math.floor(most / T), rows = texels.length / (4 * T);
+  // Hands a level of detail over, as Carried gives it; its arrays are not needed any more behind this.
+  upload({ top, blocks, texels, bytes, densities, lows, widths, facts }) {
+    const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE), T = facts.texels, colours = bytes ?? texels;
+    const [X, Y, Z] = facts.shape, across = Math.floor(most / T), rows = colours.length / (4 * T);
     const blockBits = Math.min(12, 31 - Math.clz32(most)), lines = Math.ceil(rows / across);
     const blockLines = Math.max(Math.ceil(blocks.length / 4 / (1 << blockBits)), 1);
     if (lines > most || blockLines > most || Math.max(X, Y, Z) > gl.getParameter(gl.MAX_3D_TEXTURE_SIZE)) {
       throw new Error("this scene is larger than what this device's graphics can hold");
     }
+    this.facts = facts;
     // The grid's z is fastest, as a texture's x is: shader and page count x, y, z, so that it is turned here.
     const turned = new Int32Array(top.length);
     for (let x = 0, i = 0; x < X; x++) {
       for (let y = 0; y < Y; y++) for (let z = 0; z < Z; z++) turned[(z * Y + y) * X + x] = top[i++];
     }
-    this.texture(0, "top", gl.TEXTURE_3D);
+    this.texture(0, gl.TEXTURE_3D);
     gl.texStorage3D(gl.TEXTURE_3D, 1, gl.R32I, X, Y, Z);
     gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, X, Y, Z, gl.RED_INTEGER, gl.INT, turned);
-    this.texture(1, "blocks", gl.TEXTURE_2D);
+    this.texture(1, gl.TEXTURE_2D);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, 1 << blockBits, blockLines);
-    this.fill(1 << blockBits, blocks, gl.RGBA_INTEGER, gl.UNSIGNED_INT);
-    this.texture(2, "texels", gl.TEXTURE_2D);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, across * T, lines);
-    this.fill(across * T, texels, gl.RGBA, gl.HALF_FLOAT);
-    gl.uniform1i(this.uniform("blockBits"), blockBits);
-    gl.uniform1i(this.uniform("rowsAcross"), across);
-    gl.uniform1f(this.uniform("densityUnit"), facts.densityUnit);
-    gl.uniform3fv(this.uniform("boxLow"), facts.box[0]);
-    gl.uniform3fv(this.uniform("boxHigh"), facts.box[1]);
-    gl.uniform1f(this.uniform("cut"), CUT);
+    this.fill(1 << blockBits, blocks, 4, gl.RGBA_INTEGER, gl.UNSIGNED_INT);
+    this.texture(2, gl.TEXTURE_2D);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, bytes ? gl.RGBA8 : gl.RGBA16F, across * T, lines);
+    this.fill(across * T, colours, 4, gl.RGBA, bytes ? gl.UNSIGNED_BYTE : gl.HALF_FLOAT);
+    if (bytes) {
+      gl.pixelStorei(gl.UNPACK_ALIGNMENT, 2);
+      this.texture(3, gl.TEXTURE_2D);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R16F, across, lines);
+      this.fill(across, densities, 1, gl.RED, gl.HALF_FLOAT);
+    }
+    const functions = 1 + (4 * (T - 1)) / 3, place = facts.place.flatMap((row) => row.slice(0, 3));
+    this.constants = new Map([
+      ...["top", "blocks", "texels", "densities"].map((name, unit) => [name, (at) => gl.uniform1i(at, unit)]),
+      ["lows", (at) => gl.uniform3fv(at, lows ?? new Float32Array(3 * functions))],
+      ["widths", (at) => gl.uniform1fv(at, widths ?? new Float32Array(functions).fill(1))],
+      ["blockBits", (at) => gl.uniform1i(at, blockBits)],
+      ["rowsAcross", (at) => gl.uniform1i(at, across)],
+      ["densityUnit", (at) => gl.uniform1f(at, facts.densityUnit)],
+      ["worldToVoxels", (at) => gl.uniformMatrix3fv(at, true, place)],
+    ]);
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("this device's graphics have too little memory for this scene");
   }
 
-  texture(unit, name, kind) {
+  texture(unit, kind) {
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.bindTexture(kind, gl.createTexture());
+    gl.deleteTexture(this.textures[unit] ?? null);
+    gl.bindTexture(kind, (this.textures[unit] = gl.createTexture()));
     gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-    gl.uniform1i(this.uniform(name), unit);
   }
 
-  // Texels of four numbers, line by line; the last line may be a part of one.
-  fill(width, numbers, format, type) {
-    const { gl } = this, count = numbers.length / 4, whole = Math.floor(count / width), rest = count - whole * width;
+  // Texels of so many numbers, line by line; the last line may be a part of one.
+  fill(width, numbers, channels, format, type) {
+    const { gl } = this, count = numbers.length / channels, whole = Math.floor(count / width), rest = count - whole * width;
     if (whole) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, whole, format, type, numbers, 0);
-    if (rest) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest, 1, format, type, numbers, 4 * width * whole);
+    if (rest) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest, 1, format, type, numbers, channels * width * whole);
   }
 
   // Says what the next draw() shows. camera: {position, rotation (columns right, up, back), focal: of half the shorter
-  // edge}; mode: a name of MODES; rays: along a pixel's edge.
-  look(camera, width, height, { background, mode = "colour", rays = 1, aim = [0, 0] }) {
+  // edge}; mode: a name of MODES; smoothly: trilinear; clip: the part of the box that is shown, 0 to 1; cut: the share of
+  // light below which a ray ends; rays: along a pixel's edge.
+  look(camera, width, height, { background, mode = "colour", smoothly = false, clip = UNCLIPPED, cut = CUT, rays = 1, aim = [0, 0] }) {
     const { gl, facts } = this, { place, axes } = facts, { position, rotation } = camera;
+    this.use(smoothly, mode === "normals");
     const eye = place.map((row) => row[0] * position[0] + row[1] * position[1] + row[2] * position[2] + row[3]);
     // WebGL's matrices stand column by column, and so do rotations here.
     const times = (rows) => [0, 1, 2].flatMap((c) => rows.map((row) => row[0] * rotation[c][0] + row[1] * rotation[c][1] + row[2] * rotation[c][2]));
@@ -93,6 +122,11 @@ class Picture {
     gl.uniform3fv(this.uniform("background"), background);
     gl.uniform1i(this.uniform("rays"), rays);
     gl.uniform1i(this.uniform("mode"), MODES[mode]);
+    gl.uniform1f(this.uniform("cut"), cut);
+    // What is interpolated reaches half a voxel further than the voxels do.
+    const [low, high] = facts.box, reach = smoothly ? 0.5 : 0, at = (part, axis) => low[axis] - reach + part * (high[axis] - low[axis] + 2 * reach);
+    gl.uniform3fv(this.uniform("boxLow"), clip[0].map(at));
+    gl.uniform3fv(this.uniform("boxHigh"), clip[1].map(at));
     const away = Math.hypot(...position.map((value, axis) => value - facts.centre[axis]));
     gl.uniform2f(this.uniform("range"), Math.max(away - facts.radius, 0), away + facts.radius);
     gl.uniform2fv(this.uniform("aim"), aim);
@@ -137,18 +171,24 @@ class Picture {
 
   // The same as bytes, four a pixel, lines from the top.
   pixels(camera, width, height, options) {
-    const { gl } = this, line = 4 * width, found = new Uint8Array(line * height);
     this.look(camera, width, height, options);
     this.draw("aside", width, height);
+    return this.held("aside").bytes;
+  }
+
+  // What such a picture holds: {width, height, bytes}.
+  held(name) {
+    const { gl } = this, { frame, width, height } = this.frames[name], line = 4 * width, found = new Uint8Array(line * height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, found);
-    const turned = new Uint8Array(found.length);
-    for (let y = 0; y < height; y++) turned.set(found.subarray(y * line, (y + 1) * line), (height - 1 - y) * line);
-    return turned;
+    const bytes = new Uint8Array(found.length);
+    for (let y = 0; y < height; y++) bytes.set(found.subarray(y * line, (y + 1) * line), (height - 1 - y) * line);
+    return { width, height, bytes };
   }
 
   // The distance from the camera at a pixel of the canvas, counted from the upper left, in world units; null: nothing.
-  distanceAt(camera, x, y) {
-    const { gl, canvas } = this, options = { background: [0, 0, 0], mode: "pick", aim: [x, canvas.height - y] };
+  distanceAt(camera, x, y, looks) {
+    const { gl, canvas } = this, options = { ...looks, mode: "pick", aim: [x, canvas.height - y] };
     const most = this.look(camera, canvas.width, canvas.height, options), found = new Uint8Array(4);
     this.draw("aside", 1, 1);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, found);

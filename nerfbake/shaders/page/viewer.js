@@ -9,22 +9,23 @@ const TURN = 40000; // ms around the scene
 const BACKGROUNDS = [null, [1, 1, 1], [0, 0, 0]]; // null: the page's own, light or dark
 
 const element = (id) => /** @type {any} */ (document.getElementById(id));
-const pause = () => new Promise((resume) => setTimeout(resume));
 
 class Viewer {
   constructor(facts, shader, data) {
-    Object.assign(this, { facts, shader, data, packed: null, picture: null, state: "unpacking", frames: 0 });
+    Object.assign(this, { facts, shader, picture: null, state: "unpacking", frames: 0, ticket: 0, detail: 0 });
     Object.assign(this, { changed: false, moved: 0, scale: 0.5, lines: 64, rest: null, busy: null, asked: 0, view: 0 });
+    this.carried = new Carried(facts, data, (part) => this.tell(part));
     this.canvas = element("canvas");
     this.camera = new Camera(facts.views[0], facts.up, facts.radius);
     this.camera.hash = location.hash;
     this.backgrounds = facts.background ? [facts.background, ...BACKGROUNDS] : BACKGROUNDS;
     this.backdrop = 0;
-    this.mode = "colour";
+    this.looks = { mode: "colour", smoothly: facts.lookup === "trilinear", clip: UNCLIPPED, cut: CUT };
     const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.turning = facts.turns && !calm && !location.hash;
     this.angle = 0;
     new Controls(this);
+    this.panel = new Panel(this);
     this.showBackground();
   }
 
@@ -32,10 +33,24 @@ class Viewer {
   async start() {
     try {
       this.picture = new Picture(this.canvas, this.facts, this.shader);
-      this.picture.upload(await this.unpack());
     } catch (error) {
-      if (this.picture?.gl.isContextLost()) return;
-      this.fail(error);
+      if (!this.canvas.getContext("webgl2")?.isContextLost()) this.fail(error);
+      return;
+    }
+    await this.load();
+  }
+
+  // Hands the level of detail that is asked for to the graphics; what was there before is shown until then.
+  async load() {
+    const ticket = ++this.ticket, { picture } = this;
+    this.say("Unpacking");
+    element("progress").hidden = false;
+    try {
+      const level = await this.carried.level(this.detail);
+      if (ticket !== this.ticket) return;
+      picture.upload(level);
+    } catch (error) {
+      if (ticket === this.ticket && !picture.gl.isContextLost()) this.fail(error);
       return;
     }
     this.say("");
@@ -45,33 +60,9 @@ class Viewer {
     this.change();
   }
 
-  async unpack() {
-    this.say("Unpacking");
-    element("progress").hidden = false;
-    if (!this.packed) {
-      this.packed = await this.run(bytesOf(this.data), 0, 0.1);
-      this.data = null;
-    }
-    if (this.facts.kind === "svoq") return this.run(arraysOfSvoq(this.packed, this.facts), 0.1, 1);
-    const raw = await inflated(this.packed, this.facts.size, (part) => this.tell(0.1 + 0.5 * part));
-    return this.run(arraysOf(raw, this.facts), 0.6, 1);
-  }
-
-  // Works a little at a time, so that the page stays alive.
-  async run(work, from, to) {
-    for (let since = performance.now(); ; ) {
-      const { value, done } = work.next();
-      if (done) return value;
-      if (performance.now() - since > 50) {
-        await this.tell(from + (to - from) * value);
-        since = performance.now();
-      }
-    }
-  }
-
   async tell(part) {
     element("progress").value = part;
-    await pause();
+    await new Promise((resume) => setTimeout(resume));
   }
 
   say(text) {
@@ -93,6 +84,11 @@ class Viewer {
     if (chosen) return chosen;
     const dark = matchMedia("(prefers-color-scheme: dark)").matches;
     return dark ? [0x15 / 255, 0x18 / 255, 0x1c / 255] : [0xf4 / 255, 0xf5 / 255, 0xf7 / 255];
+  }
+
+  // What a drawing is to look like.
+  get shown() {
+    return { background: this.background, ...this.looks };
   }
 
   showBackground() {
@@ -126,6 +122,7 @@ class Viewer {
     if (this.busy && !this.busy.done()) return this.ask();
     const took = this.busy ? now - this.busy.since : 0, coarse = this.busy?.coarse;
     const factor = FRAME / Math.max(took, 8);
+    if (coarse) this.panel.pace(took);
     // A little at a time: the first drawing also waits for the shader, others for whatever else is going on.
     if (this.busy && coarse) this.scale = Math.max(COARSEST, Math.min(1, this.scale * Math.max(0.75, Math.min(1.5, Math.sqrt(factor)))));
     if (this.busy && !coarse) this.lines = Math.max(16, Math.min(4096, Math.round(this.lines * Math.max(0.5, Math.min(2, factor)))));
@@ -154,7 +151,7 @@ class Viewer {
     const { canvas, scale } = this, width = Math.max(1, Math.round(canvas.width * scale)), height = Math.max(1, Math.round(canvas.height * scale));
     this.changed = false;
     this.finished = false;
-    this.picture.look(this.lens, width, height, { background: this.background, mode: this.mode });
+    this.picture.look(this.lens, width, height, this.shown);
     this.picture.draw("coarse", width, height);
     this.picture.spread("coarse");
     this.drawn(now, true);
@@ -164,13 +161,14 @@ class Viewer {
   // A band of lines from the top: all of them with a ray for each pixel, then all with more.
   drawFine(now) {
     const { canvas, rest } = this, from = Math.max(0, rest.from - this.lines);
-    this.picture.look(this.lens, canvas.width, canvas.height, { background: this.background, mode: this.mode, rays: rest.rays });
+    this.picture.look(this.lens, canvas.width, canvas.height, { ...this.shown, rays: rest.rays });
     this.picture.draw("fine", canvas.width, canvas.height, from, rest.from);
     this.picture.spread("fine");
     rest.from = from;
     if (from === 0) this.rest = rest.rays < FINEST ? { rays: FINEST, from: canvas.height } : null;
     this.finished = !this.rest;
     this.drawn(now, false);
+    if (this.finished) this.panel.finished();
   }
 
   drawn(now, coarse) {
@@ -225,7 +223,7 @@ class Viewer {
   }
 
   show(mode) {
-    this.mode = element("mode").value = mode;
+    this.looks.mode = element("mode").value = mode;
     this.change();
   }
 
@@ -257,12 +255,17 @@ class Viewer {
     }
   }
 
+  // How far away what stands at a place of the page is, in world units; null: nothing.
+  distanceAt(x, y) {
+    const ratio = this.canvas.width / this.canvas.clientWidth;
+    return this.picture.distanceAt(this.lens, x * ratio, y * ratio, this.shown);
+  }
+
   lookAt(x, y) {
-    const ratio = this.canvas.width / this.canvas.clientWidth, edge = this.canvas, px = x * ratio, py = y * ratio;
-    const distance = this.picture.distanceAt(this.lens, px, py);
+    const distance = this.distanceAt(x, y), { clientWidth: width, clientHeight: height } = this.canvas;
     if (distance === null) return;
-    const focal = (this.lens.focal * Math.min(edge.width, edge.height)) / 2, [right, up, back] = this.camera.rotation;
-    const along = unit(plus(plus(back.map((part) => -part), right, (px - edge.width / 2) / focal), up, (edge.height / 2 - py) / focal));
+    const focal = (this.lens.focal * Math.min(width, height)) / 2, [right, up, back] = this.camera.rotation;
+    const along = unit(plus(plus(back.map((part) => -part), right, (x - width / 2) / focal), up, (height / 2 - y) / focal));
     this.move((camera) => camera.centre(plus(camera.position, along, distance)));
   }
 }

@@ -15,6 +15,7 @@ import pytest
 from nerfbake import (
     Page,
     PageField,
+    SparseVoxelOctree,
     build_field,
     build_octree,
     build_page_field,
@@ -25,7 +26,7 @@ from nerfbake import (
     sphere_cameras,
     weigh_leaves,
 )
-from nerfbake.errors import InvalidScene
+from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.octree import svoq
 from nerfbake.formats.page import view as view_html
 
@@ -107,3 +108,26 @@ def test_compressed_data_are_the_bytes_of_a_svoq(view: Page) -> None:
 def test_a_cover_is_square(view: Page) -> None:
     with pytest.raises(InvalidScene, match="the cover has 24x12 pixels; allowed: a square picture"):
         replace(view, cover=render_field(view.field, view.cameras.cameras[0].resized(24, 12)))
+
+
+@pytest.mark.parametrize("data", ["exact", "compressed"])
+def test_what_a_page_carries_comes_back(view: Page, data: str) -> None:
+    if data == "compressed":
+        importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
+        octree = build_octree(sample_n3tree(resolution=16))
+        view = replace(view, content=quantise_octree(octree, importance, step=0.1, prune=0.1))
+        found = view_html.content_of(memoryview(page_of(view).encode()))
+        assert isinstance(found, SparseVoxelOctree)
+        assert (found.node_data == view.content.restored().node_data).all()  # type: ignore[union-attr]
+        return
+    found = view_html.content_of(memoryview(page_of(view).encode()))
+    assert isinstance(found, PageField)
+    assert isinstance(view.content, PageField)
+    for name in ("top", "blocks", "texels", "place", "box"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(view.content, name))
+    assert (found.density_unit, found.basis) == (view.content.density_unit, view.content.basis)
+
+
+def test_what_is_no_page_is_refused() -> None:
+    with pytest.raises(InvalidFile, match="is no whole page"):
+        view_html.content_of(memoryview(b"<!DOCTYPE html>"))

@@ -1,0 +1,42 @@
+// What the page carries, unpacked as often as it is asked for: none of it is kept but the packed bytes.
+
+class Carried {
+  // tell: takes how much is done, 0 to 1, and lets the page breathe.
+  constructor(facts, text, tell) {
+    Object.assign(this, { facts, text, tell, packed: null });
+  }
+
+  // The grid, the blocks and the halves.
+  async arrays() {
+    if (!this.packed) {
+      this.packed = await this.run(bytesOf(this.text), 0, 0.1);
+      this.text = null;
+    }
+    if (this.facts.kind === "svoq") return this.run(arraysOfSvoq(this.packed, this.facts), 0.1, 0.9);
+    const raw = await inflated(this.packed, this.facts.size, (part) => this.tell(0.1 + 0.4 * part));
+    return this.run(arraysOf(raw, this.facts), 0.5, 0.9);
+  }
+
+  // The same at a level of detail, where 2^steps voxels are one: as a Picture takes it.
+  async level(steps) {
+    let arrays = await this.arrays(), facts = this.facts;
+    if (steps) {
+      facts = coarserFacts(this.facts, steps);
+      arrays = await this.run(coarser(arrays, this.facts, facts, steps), 0.9, 0.95);
+    }
+    if (facts.kind === "svoq") Object.assign(arrays, await this.run(inBytes(arrays.texels, facts.texels), 0.95, 1), { texels: null });
+    return { ...arrays, facts };
+  }
+
+  // Works a little at a time, so that the page stays alive.
+  async run(work, from, to) {
+    for (let since = performance.now(); ; ) {
+      const { value, done } = work.next();
+      if (done) return value;
+      if (performance.now() - since > 50) {
+        await this.tell(from + (to - from) * value);
+        since = performance.now();
+      }
+    }
+  }
+}
