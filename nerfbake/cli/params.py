@@ -133,12 +133,15 @@ def bakes_stage1(function: Command) -> Command:
     return command
 
 
-def writes(*scenes: str) -> Callable[[Command], Command]:
-    """Adds the argument OUT, --to and --force for scenes of these types; the command gets `target`, a Target."""
+def writes(*scenes: str, required: bool = True) -> Callable[[Command], Command]:
+    """Adds the argument OUT, --to and --force for scenes of these types; the command gets `target`, a Target, or None
+    where it is not required and nobody names one."""
     names = ", ".join(form.name for scene in scenes for form in catalog.formats_of(scene))
 
     def add(function: Command) -> Command:
-        @click.argument("target", metavar="OUT", type=click.Path(allow_dash=True))
+        @click.argument(
+            "target", metavar="OUT" if required else "[OUT]", required=required, type=click.Path(allow_dash=True)
+        )
         @click.option(
             "--to",
             metavar="FORMAT",
@@ -146,8 +149,10 @@ def writes(*scenes: str) -> Callable[[Command], Command]:
         )
         @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
         @functools.wraps(function)
-        def command(*args: Any, target: str, to: str | None, force: bool, **others: Any) -> Any:
-            return function(*args, target=Target(target, to, force), **others)
+        def command(*args: Any, target: str | None, to: str | None, force: bool, **others: Any) -> Any:
+            if target is None:
+                without_effect("to", "force", here="where no file is named", allowed="with an OUT")
+            return function(*args, target=None if target is None else Target(target, to, force), **others)
 
         return command
 

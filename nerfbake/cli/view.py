@@ -9,6 +9,7 @@ import click
 
 from nerfbake.cli.params import CAPTURE, Command, Size, reads, speaks, without_effect, writes
 from nerfbake.cli.render import Background
+from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
 from nerfbake.jobs.compressions import Goal
 from nerfbake.jobs.files import Source, Target
@@ -16,25 +17,30 @@ from nerfbake.jobs.viewing import view_file
 
 
 def carries(function: Command) -> Command:
-    """Adds --data, --max-loss and --max-size; the command gets `data` and `goal`."""
+    """Adds --data, --max-loss, --max-size and --truth; the command gets `data`, `goal` and `truth`."""
 
     @click.option(
         "--data",
         type=click.Choice(["compressed", "exact"]),
-        default="compressed",
-        show_default=True,
-        help="What OUT carries. compressed: as `nerfbake compress` does it; exact: float16, about ten times as large.",
+        help="What OUT carries. compressed: as `nerfbake compress` does it; exact: float16, about ten times as large."
+        "  [default: compressed, but exact of a volume]",
     )
     @click.option(
         "--max-loss",
         type=click.FloatRange(min=0.001, max=20),
-        help="The most PSNR that pictures may lose against photographs, in dB, as predicted.  [default: 0.1]",
+        help="The most PSNR that pictures may lose against photographs, in dB.  [default: 0.1]",
     )
     @click.option("--max-size", type=Size(), help="The most bytes that OUT may have, for example 2MB.")
+    @click.option(
+        "--truth",
+        type=click.Path(),
+        help="A folder with a photograph NAME.png for each of --cameras: the loss is measured, not predicted.",
+    )
     @wraps(function)
-    def command(*args: Any, data: str, max_loss: float | None, max_size: int | None, **others: Any) -> Any:
+    def command(*args: Any, data: Any, max_loss: float | None, max_size: int | None, **others: Any) -> Any:
         if data == "exact":
-            without_effect("max_loss", "max_size", here="on exact data", allowed="with --data compressed")
+            here = "on exact data"
+            without_effect("max_loss", "max_size", "truth", here=here, allowed="with --data compressed")
         return function(*args, data=data, goal=Goal(max_loss, max_size), **others)
 
     return command
@@ -42,8 +48,13 @@ def carries(function: Command) -> Command:
 
 @click.command()
 @reads
-@writes("Page")
+@writes("Page", required=False)
 @carries
+@click.option(
+    "--min-psnr",
+    type=float,
+    help="The least PSNR in dB of what OUT shows: below it OUT becomes OUT.rejected (exit 3).",
+)
 @click.option("--title", help="What the page is called.  [default: the name of IN]")
 @click.option(
     "--background",
@@ -52,12 +63,23 @@ def carries(function: Command) -> Command:
     show_default=True,
     help="white, black, R,G,B, or transparent: light or dark, as the reader has it.",
 )
+@click.option(
+    "--lookup",
+    type=click.Choice(["nearest", "trilinear"]),
+    default="nearest",
+    show_default=True,
+    help="How OUT opens: cells as they are, or values interpolated between their centres; the page can switch.",
+)
 @click.option("--cameras", metavar="CAPTURE", help=f"Where to look from: {CAPTURE}.  [default: the front, turning]")
+@chooses_grids
 @speaks
-def view(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Write OUT, one HTML page that shows the PlenOctree or octree IN in any browser, and can be mailed.
+def view(source: Source, target: Target | None, words: Words, **options: Any) -> None:
+    """Write OUT, one HTML page that shows the PlenOctree, octree or volume IN in any browser, and can be mailed.
+
+    Without OUT the page is a temporary one, and opens at once.
 
     \b
+      nerfbake view chair.npz
       nerfbake view chair.npz chair.html
       nerfbake view chair.npz small.html --max-size 1MB --title "A chair"
       nerfbake view chair.svo.pb chair.html --data exact --cameras transforms.json

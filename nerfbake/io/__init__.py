@@ -19,6 +19,7 @@ from nerfbake.io.reading import decode_files as decode_files
 from nerfbake.io.reading import load as load
 from nerfbake.io.reading import load_files as load_files
 from nerfbake.io.reading import load_folder as load_folder
+from nerfbake.io.reading import load_page_content as load_page_content
 from nerfbake.io.reading import load_split as load_split
 from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.sources import STREAM as STREAM

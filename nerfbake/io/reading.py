@@ -18,6 +18,7 @@ from nerfbake.catalog import (
     folder_of_member,
     folders_of,
     format_of_content,
+    formats_of,
     load_compression,
     uncompressed,
 )
@@ -89,6 +90,19 @@ def check(source: str | Path) -> list[Problem]:
     except NerfbakeError as error:
         return [error.problem]
     return scene.problems()
+
+
+def load_page_content(source: str | Path) -> Any:
+    """What a page to look around in carries, for whoever judges it; load() reads no pages, which are for people.
+
+    Raises NerfbakeError naming the file.
+    """
+    with blame(str(source)), memory.scope():
+        view = read_file(Path(source))
+        if view[:4] == COMPRESSION_MAGIC:
+            view = load_compression().decompress(view)
+        content = formats_of("Page")[0].load_page_module().content_of(view)
+    return memory.kept(content)
 
 
 def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:

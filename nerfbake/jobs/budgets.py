@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import nerfbake
@@ -37,14 +38,22 @@ UNLIMITED = Budget()
 
 
 def judge(
-    written: str, scene: Any, budget: Budget, *, made_from: str, up: str = "z", steps: Steps = SILENT
+    written: str,
+    scene: Any,
+    budget: Budget,
+    *,
+    made_from: str,
+    up: str = "z",
+    read: Callable[[str], Any] = io.load,
+    steps: Steps = SILENT,
 ) -> float | None:
     """Renders a file or folder as it was written beside the scene that it was made from: the mean PSNR between them.
 
     Reads `written` and budget.cameras. Where the budget is missed, `written` is renamed to `written`.rejected and
     BudgetMissed is raised, exit code 3. Gives None, and reads nothing, where the budget has no limit.
 
-    made_from: what words and errors call the scene. up: the axis of a volume's world that the scene's z became.
+    made_from: what words and errors call the scene. up: the axis of a volume's world that the scene's z became. read:
+    what makes a scene of `written` again, where that is not io.load().
 
     >>> tree = nerfbake.load("a.npz")
     >>> nerfbake.save("judged.svo.npz", nerfbake.build_octree(tree)) > 0
@@ -58,7 +67,8 @@ def judge(
     views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples)
     file = Source(written)
     with file.blamed(steps, "judging"), io.rejected_unless_good(written):
-        made = file.read(steps)
+        with steps.phase(f"reading {written}"):
+            made = read(written)
         found = nerfbake.compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
         found.require(min_psnr=budget.min_psnr)
     decibels = float(found.means["a_b"]["psnr"])

@@ -6,11 +6,13 @@ from pathlib import PurePath
 from typing import Any, Literal
 
 import nerfbake
-from nerfbake import catalog
+from nerfbake import catalog, io
 from nerfbake.errors import UsageError
-from nerfbake.jobs.compressions import LEAST_LOSS, SOURCE_PSNR, Goal
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
-from nerfbake.jobs.octrees import read_octree
+from nerfbake.jobs.browsers import written_or_opened
+from nerfbake.jobs.budgets import Budget, judge
+from nerfbake.jobs.compressions import LEAST_LOSS, Goal, Photographs
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
+from nerfbake.jobs.grids import AS_IT_IS, Choice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
 
@@ -22,68 +24,105 @@ Data = Literal["compressed", "exact"]
 
 def view_file(
     source: AnySource,
-    target: AnyTarget,
+    target: AnyTarget | None = None,
     *,
-    data: Data = "compressed",
+    data: Data | None = None,
     goal: Goal = LEAST_LOSS,
+    choice: Choice = AS_IT_IS,
+    cameras: str | None = None,
+    truth: str | None = None,
+    min_psnr: float | None = None,
     title: str | None = None,
     background: tuple[float, float, float] | None = None,
-    cameras: str | None = None,
+    lookup: Literal["nearest", "trilinear"] = "nearest",
     steps: Steps = SILENT,
 ) -> nerfbake.Page:
-    """Writes a page that shows a PlenOctree or an octree in any browser, and gives what it shows; `nerfbake view`.
+    """Writes a page that shows a PlenOctree, an octree or a volume in any browser, and gives what it shows;
+    `nerfbake view`.
 
-    Reads `source`, and the cameras if they are named; writes `target`. data: compressed, as compress_file() does it, to
-    a goal whose max_size is that of the page; exact, float16. title: None for the name of the source. background: sRGB
-    in 0..1; None: the reader's own. cameras: a capture to look from; None: the page opens with the front of the scene,
-    which turns slowly. Raises NerfbakeError.
+    Reads `source`, and the cameras and photographs if they are named; writes `target`, or `target`.rejected where
+    min_psnr is missed. Without a target the page is a temporary one, opened in the reader's browser.
 
-    >>> page = view_file("a.npz", "a.html", data="exact", title="A sample")
+    data        compressed, as compress_file() does it; exact, float16; None: exact for a volume, else compressed
+    goal        of the compression; its max_size is that of the page
+    choice      which grids of a volume
+    cameras     a capture to look from, and to judge by; None: the page opens with the front of the scene, which turns
+                slowly, and 8 views around it judge
+    truth       a folder with a photograph, NAME.png, for each of the cameras, against which the compression's loss is
+                measured; None: it is predicted
+    min_psnr    the least mean PSNR in dB of what the written page shows, against `source`; None: any
+    title       None: the name of the source
+    background  sRGB in 0..1; None: the reader's own, light or dark
+    lookup      how the page opens, as render_field() has it; its reader may change it
+
+    Raises NerfbakeError.
+
+    >>> page = view_file("a.npz", "a.html", data="exact", title="A sample", min_psnr=60)
     >>> print(page)
-    page of a SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
+    page of a SH1 page field of 1,252 rows, 2x2x2 cells of 8^3
     """
-    source, target = as_source(source), as_target(target)
-    if data == "exact" and goal != LEAST_LOSS:
-        raise UsageError("exact data have no goal; allowed: --max-loss and --max-size with --data compressed")
-    options = goal.options
-    title = title if title is not None else PurePath(source.name).name
-    form = target.require("Page")
-    if data == "exact":
-        scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
-    else:
-        scene = read_octree(steps, source)
-    with source.blamed(steps, "building the field"):
-        field = nerfbake.build_field(scene)
-    with source.blamed(steps, "arranging the field"):
-        content = nerfbake.build_page_field(field) if data == "exact" else None
-    views = views_of(steps, field, cameras, name=source.name, frames=1, edge=COVER)
-    with source.blamed(steps, "rendering the cover"):
-        cover = nerfbake.render_field(field, _square(views.cameras[0]), background=background)
+    source = as_source(source)
+    goals, photographs, budget = goal.options, Photographs(cameras, truth), Budget(min_psnr, cameras)
+    photographs.require()
+    packed = goal != LEAST_LOSS or truth is not None
+    if data == "exact" and packed:
+        raise UsageError("exact data have no goal; allowed: --max-loss, --max-size and --truth with --data compressed")
+    with written_or_opened(target) as file:
+        form = file.require("Page")
+        budget.require(file)
+        scene = _read(steps, source, data, choice, packed=packed)
+        with source.blamed(steps, "building the field"):
+            field = nerfbake.build_field(scene)
+        views = views_of(steps, field, cameras, name=source.name, frames=1, edge=COVER)
+        with source.blamed(steps, "rendering the cover"):
+            cover = nerfbake.render_field(field, _square(views.cameras[0]), background=background, lookup=lookup)
+        called = title if title is not None else PurePath(source.name).name
 
-    def page(content: Any) -> nerfbake.Page:
-        return nerfbake.Page(content, field, views, cover, title, turns=cameras is None, background=background)
+        def page(content: Any) -> nerfbake.Page:
+            turns = cameras is None
+            return nerfbake.Page(content, field, views, cover, called, turns, background, lookup)
 
-    if content is not None:
-        _tell_rounding(steps, source, field)
-        made = page(content)
-    else:
-        packed = (
-            form.load_packed_module()
-            if goal.max_size
-            else catalog.formats_of("QuantisedOctree")[0].load_packed_module()
-        )
+        if data == "exact" or isinstance(scene, nerfbake.Volume):
+            with source.blamed(steps, "arranging the field"):
+                made = page(nerfbake.build_page_field(field))
+            _tell_rounding(steps, source, field)
+        else:
+            goals |= photographs.read(steps)
+            module = (form if goal.max_size else catalog.formats_of("QuantisedOctree")[0]).load_packed_module()
 
-        def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
-            return packed.coded_size(page(quantised)) if goal.max_size else packed.coded_size(quantised)
+            def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
+                return module.coded_size(page(quantised) if goal.max_size else quantised)
 
-        with source.blamed(steps, "compressing") as tell:
-            found = nerfbake.compress_octree(
-                scene, coded_size=coded_size, source_psnr=SOURCE_PSNR, tell=tell, **options
-            )
-        steps.say(f"{target.path}: {found}")
-        made = page(found.quantised)
-    target.write(steps, made)
+            with source.blamed(steps, "compressing") as tell:
+                found = nerfbake.compress_octree(scene, coded_size=coded_size, tell=tell, **goals)
+            steps.say(f"{file.path}: {found}")
+            made = page(found.quantised)
+        file.write(steps, made)
+        judge(file.path, field, budget, made_from=source.name, read=_shown, steps=steps)
     return made
+
+
+def _read(steps: Steps, source: Source, data: Data | None, choice: Choice, *, packed: bool) -> Any:
+    """The scene: an octree, where it is to be compressed."""
+    read = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    scene = choice.of(steps, source, read)
+    if isinstance(scene, nerfbake.Volume):
+        if data == "compressed" or packed:
+            raise UsageError(f"{source.name} is a volume, which is not compressed; allowed: --data exact")
+        if data is None:
+            steps.say(f"{source.name}: a volume is not compressed, so that the page carries it as it is, in float16")
+    elif data != "exact" and isinstance(scene, nerfbake.N3Tree):
+        with source.blamed(steps, "building the octree"):
+            return nerfbake.build_octree(scene)
+    return scene
+
+
+def _shown(path: str) -> nerfbake.RadianceField:
+    """What the page in a file shows: the values that its shader reads."""
+    content = io.load_page_content(path)
+    if isinstance(content, nerfbake.PageField):
+        return nerfbake.field_of_page_field(content)
+    return nerfbake.round_to_bytes(nerfbake.round_field(nerfbake.build_field(content)))
 
 
 def _square(camera: nerfbake.Camera) -> nerfbake.Camera:

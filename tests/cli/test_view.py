@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
-from nerfbake import Cameras, N3Tree, build_field, build_octree, load, orbit_cameras, save
+from nerfbake import Cameras, N3Tree, build_field, build_octree, build_vdb, load, orbit_cameras, render_field, save
 from nerfbake import sample_n3tree as made_tree
 from tests.conftest import Shell
 from tests.support.scenes import n3tree
@@ -77,3 +78,78 @@ def test_what_cannot_be_asked_for(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "g.npz", "g.html")
     assert done.returncode == 1
     assert done.stderr.decode() == "error: g.npz: data_format is SG2; allowed: SHk or RGBA can be rendered\n"
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_volume_is_shown_as_it_is_and_says_so(shell: Shell, tmp_path: Path) -> None:
+    octree = build_octree(load(tmp_path / "a.npz", N3Tree))
+    save(tmp_path / "a.vdb.npz", build_vdb(octree, grids=("density", "sh")))
+    done = shell("view", "a.vdb.npz", "a.html", "--min-psnr", "60")
+    assert done.returncode == 0, done.stderr
+    assert b"a.vdb.npz: a volume is not compressed, so that the page carries it as it is, in float16" in done.stderr
+    assert '"kind": "arrays"' in (tmp_path / "a.html").read_text()
+    assert b"dB against a.vdb.npz" in done.stderr
+    for options in (["--data", "compressed"], ["--max-size", "1MB"]):
+        done = shell("view", "a.vdb.npz", "b.html", *options)
+        assert done.returncode == 2
+        assert b"a.vdb.npz is a volume, which is not compressed; allowed: --data exact" in done.stderr
+    done = shell("view", "-", "-", stdin=(tmp_path / "a.vdb.npz").read_bytes())
+    assert done.returncode == 0, done.stderr
+    assert b"<title>stdin</title>" in done.stdout
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_page_that_shows_too_little_is_rejected(shell: Shell, tmp_path: Path) -> None:
+    done = shell("view", "a.npz", "a.html", "--min-psnr", "99")
+    assert done.returncode == 3
+    assert done.stderr.decode().splitlines()[-1].startswith("error: a.html: the picture has a mean PSNR of")
+    assert not (tmp_path / "a.html").exists()
+    assert (tmp_path / "a.html.rejected").exists()
+    done = shell("view", "a.npz", "-", "--min-psnr", "9")
+    assert done.returncode == 2
+    assert b"--min-psnr judges a file" in done.stderr
+
+
+@pytest.mark.usefixtures("scene")
+def test_the_loss_is_measured_where_there_are_photographs(shell: Shell, tmp_path: Path) -> None:
+    field = build_field(load(tmp_path / "a.npz", N3Tree))
+    views = orbit_cameras(field, frames=2, width=40, height=40)
+    save(tmp_path / "c.json", Cameras(views.cameras))
+    for camera in views.cameras:
+        save(tmp_path / "photographs" / f"{camera.name}.png", render_field(field, camera), parents=True)
+    done = shell("view", "a.npz", "a.html", "--truth", "photographs")
+    assert done.returncode == 2
+    assert b"--truth has no cameras" in done.stderr
+    done = shell("view", "a.npz", "a.html", "--truth", "photographs", "--cameras", "c.json", "--max-loss", "3")
+    assert done.returncode == 0, done.stderr
+    assert b"measured on 2 views" in done.stderr
+
+
+BROWSER = (
+    "import shutil, sys, urllib.request\nshutil.copy(urllib.request.url2pathname(sys.argv[1][7:]), 'opened.html')\n"
+)
+
+
+@pytest.mark.usefixtures("scene")
+def test_without_out_a_browser_opens_the_page(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "browser.py").write_text(BROWSER)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "kept"))
+    (tmp_path / "kept").mkdir()
+    done = shell("view", "a.npz")
+    assert done.returncode == 2
+    assert b"there is no display for a browser; allowed: an OUT, to be opened where there is one" in done.stderr
+    monkeypatch.setenv("BROWSER", f"{sys.executable} browser.py %s")
+    done = shell("view", "a.npz", "--data", "exact")
+    assert done.returncode == 0, done.stderr
+    assert b"<title>a.npz</title>" in (tmp_path / "opened.html").read_bytes()
+    assert len(list((tmp_path / "kept").glob("nerfbake-*/page.html"))) == 1
+    # What fails leaves nothing behind, and options of a file are refused where there is none.
+    assert shell("view", "a.npz", "--min-psnr", "200", "--data", "exact").returncode == 3
+    assert len(list((tmp_path / "kept").glob("nerfbake-*"))) == 1
+    assert b"--force has no effect where no file is named" in shell("view", "a.npz", "--force").stderr
+    monkeypatch.setenv("BROWSER", f"{sys.executable} missing.py %s")
+    done = shell("view", "a.npz", "--data", "exact")
+    assert done.returncode == 2
+    assert b"no browser took " in done.stderr
