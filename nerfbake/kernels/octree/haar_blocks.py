@@ -54,8 +54,7 @@ def restore(
     low, high = (np.searchsorted(blocks.heads, each[: b - 1]).astype(np.int32) for each in (merges.low, merges.high))
     sums = inverse(rows[:b], steps, merges._replace(low=low, high=high))
     values, last = np.zeros(rows.shape, np.float32), np.empty(len(rows))
-    _restore(rows, steps, merges.low, merges.high, merges.low_count, merges.high_count, blocks, sums, mixing, leaf,
-             values, last)  # fmt: skip
+    _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last)
     return values, last
 
 
@@ -63,10 +62,7 @@ def restore(
 def _restore(
     rows: npt.NDArray[Any],
     steps: Floats,
-    low: Counts,
-    high: Counts,
-    low_count: Counts,
-    high_count: Counts,
+    merges: Merges,
     blocks: Blocks,
     sums: Floats,
     mixing: Floats,
@@ -75,7 +71,7 @@ def _restore(
     last: Floats,
 ) -> None:
     for block in prange(len(sums)):
-        _restore_block(block, rows, steps, low, high, low_count, high_count, blocks, sums, mixing, leaf, values, last)
+        _restore_block(block, rows, steps, merges, blocks, sums, mixing, leaf, values, last)
 
 
 @compiled()
@@ -83,10 +79,7 @@ def _restore_block(
     block: int,
     rows: npt.NDArray[Any],
     steps: Floats,
-    low: Counts,
-    high: Counts,
-    low_count: Counts,
-    high_count: Counts,
+    merges: Merges,
     blocks: Blocks,
     sums: Floats,
     mixing: Floats,
@@ -96,6 +89,7 @@ def _restore_block(
 ) -> None:
     begin, C = blocks.heads[block], len(steps)
     points, own = np.empty((blocks.heads[block + 1] - begin, C)), np.empty(C - 1)
+    low, high, low_count, high_count = merges.low, merges.high, merges.low_count, merges.high_count
     points[0] = sums[block]
     for i in range(blocks.first[block], blocks.first[block + 1]):
         pair = blocks.pairs[i]
