@@ -25,15 +25,21 @@ setup: $(VENV)/ready  ## a virtual environment of our own, with everything that 
 # Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
 READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
 READERS += g++ libnanovdb-dev zlib1g-dev
-READERS += chromium
+READERS += chromium nodejs npm
 READERS += libegl-dev libgl-dev libgl1-mesa-dri
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
+
+# TypeScript and ESLint, which read the scripts of pages: no page holds anything of them.
+SCRIPTS := tests/shaders/scripts
 
 tools:  ## other programs that read our files in tests, OpenVDB to Blender: from Debian, where they are missing and we are root
 	@if dpkg -s $(READERS) >/dev/null 2>&1; then :; \
 	elif [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then \
 		echo "tests that need a program that is missing are skipped (Debian: $(READERS))"; \
 	else apt-get update -qq && apt-get install -y -qq --no-install-recommends $(READERS) >/dev/null; fi
+	@if command -v npm >/dev/null && ! cmp -s $(SCRIPTS)/package-lock.json $(SCRIPTS)/node_modules/.installed; then \
+		npm ci --prefix $(SCRIPTS) --silent --no-audit --no-fund && \
+		cp $(SCRIPTS)/package-lock.json $(SCRIPTS)/node_modules/.installed; fi
 
 demo: $(VENV)/program  ## synthetic scenes, converted, fitted, rendered, inspected and checked: build/demo
 	mkdir -p build/demo

@@ -47,6 +47,7 @@ _SCRIPTS = (
     "controls.js",
     "panel.js",
     "viewer.js",
+    "main.js",
 )
 _SHADERS = ("march.glsl", "smooth.glsl")
 _NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera

@@ -10,7 +10,8 @@ class Camera {
   // view: {pose (4 x 4), focal: of half the shorter edge, distance: of the pivot}; up: what the vertical is; radius: the
   // scene's.
   constructor(view, up, radius) {
-    Object.assign(this, { up, radius });
+    this.up = up;
+    this.radius = radius;
     this.set(view);
   }
 

@@ -3,7 +3,10 @@
 class Carried {
   // tell: takes how much is done, 0 to 1, and lets the page breathe.
   constructor(facts, text, tell) {
-    Object.assign(this, { facts, text, tell, packed: null });
+    this.facts = facts;
+    this.text = text;
+    this.tell = tell;
+    this.packed = null;
   }
 
   // The grid, the blocks and the halves.

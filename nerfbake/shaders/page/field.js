@@ -59,7 +59,7 @@ function* arraysOfSvoq(bytes, facts) {
   const { top, blocks, rows } = structureOf(leaves.held.subarray(0, 5 * leaves.count), facts);
   leaves = null;
   const channels = 4 * facts.texels, texels = new Uint16Array(rows * channels), own = new Uint16Array(channels);
-  const write = (node, x0, y0, z0, width, held, at) => {
+  const write = (_node, x0, y0, z0, width, held, at) => {
     const sigma = density(held[at + C - 1]);
     if (!(sigma > 0)) return;
     fillRow(own, octree, held, at, sigma / facts.densityUnit);

@@ -6,7 +6,10 @@ const MOST_HALVINGS = 5;
 
 class Panel {
   constructor(viewer) {
-    Object.assign(this, { viewer, box: element("panel"), pointer: null, waiting: null, wanted: false });
+    this.viewer = viewer;
+    this.box = element("panel");
+    this.waiting = 0;
+    this.wanted = false;
     const { facts, canvas } = viewer;
     const longest = Math.max(...facts.box[1].map((high, axis) => high - facts.box[0][axis]));
     for (let steps = 1; steps <= MOST_HALVINGS && 2 ** steps < longest; steps++) {
@@ -27,7 +30,7 @@ class Panel {
 
   // Low and high end of x, of y, of z.
   get sliders() {
-    return [...document.querySelectorAll("#clip input")];
+    return /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("#clip input")]);
   }
 
   toggle() {
@@ -90,10 +93,10 @@ class Panel {
 
   // A frame that took so long while the view moved.
   pace(took) {
-    const { viewer } = this, width = Math.round(viewer.canvas.width * viewer.scale), height = Math.round(viewer.canvas.height * viewer.scale);
-    if (!this.box.hidden && took > 0) {
-      element("pace").textContent = `${took.toFixed(0)} ms, ${(1000 / took).toFixed(0)} a second, ${width} \u00d7 ${height}`;
-    }
+    if (this.box.hidden || !(took > 0)) return;
+    const { canvas, scale } = this.viewer, pace = element("pace");
+    pace.textContent = `${took.toFixed(0)} ms, ${(1000 / took).toFixed(0)} a second`;
+    pace.title = `at ${Math.round(canvas.width * scale)} \u00d7 ${Math.round(canvas.height * scale)} pixels`;
   }
 
   // -- the picture as a file -----------------------------------------------------------------------------------------

@@ -9,7 +9,14 @@ class Picture {
     const options = { alpha: false, antialias: false, depth: false };
     const gl = canvas.getContext("webgl2", options);
     if (!gl) throw new Error("no WebGL2");
-    Object.assign(this, { canvas, facts, gl, shader, frames: {}, textures: [], programs: {}, constants: new Map() });
+    this.canvas = canvas;
+    this.facts = facts;
+    this.gl = gl;
+    this.shader = shader;
+    this.frames = {};
+    this.textures = [];
+    this.programs = {};
+    this.constants = {};
     this.use(facts.lookup === "trilinear", false);
   }
 
@@ -20,12 +27,12 @@ class Picture {
       const groups = (facts.texels - 1) / 3, base = facts.basis === "RGBA" ? "1.0" : "0.28209479177387814";
       const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, BYTES: facts.kind === "svoq" ? 1 : 0, SMOOTH: smoothly ? 1 : 0, NORMALS: normals ? 1 : 0 };
       const lines = Object.entries(defines).map(([key, value]) => `#define ${key} ${value}\n`).join("");
-      programs[name] = { built: this.build(shader.replace("#version 300 es\n", "#version 300 es\n" + lines)), names: {}, constants: 0 };
+      programs[name] = { built: this.build(shader.replace("#version 300 es\n", "#version 300 es\n" + lines)), names: {}, constants: null };
     }
     const program = programs[name], { names, built } = program;
     gl.useProgram(built);
     this.uniform = (key) => (names[key] ??= gl.getUniformLocation(built, key));
-    if (program.constants !== this.constants) for (const [key, tell] of this.constants) tell(this.uniform(key));
+    if (program.constants !== this.constants) for (const key in this.constants) this.constants[key](this.uniform(key));
     program.constants = this.constants;
   }
 
@@ -77,15 +84,18 @@ class Picture {
       this.fill(across, densities, 1, gl.RED, gl.HALF_FLOAT);
     }
     const functions = 1 + (4 * (T - 1)) / 3, place = facts.place.flatMap((row) => row.slice(0, 3));
-    this.constants = new Map([
-      ...["top", "blocks", "texels", "densities"].map((name, unit) => [name, (at) => gl.uniform1i(at, unit)]),
-      ["lows", (at) => gl.uniform3fv(at, lows ?? new Float32Array(3 * functions))],
-      ["widths", (at) => gl.uniform1fv(at, widths ?? new Float32Array(functions).fill(1))],
-      ["blockBits", (at) => gl.uniform1i(at, blockBits)],
-      ["rowsAcross", (at) => gl.uniform1i(at, across)],
-      ["densityUnit", (at) => gl.uniform1f(at, facts.densityUnit)],
-      ["worldToVoxels", (at) => gl.uniformMatrix3fv(at, true, place)],
-    ]);
+    this.constants = {
+      top: (at) => gl.uniform1i(at, 0),
+      blocks: (at) => gl.uniform1i(at, 1),
+      texels: (at) => gl.uniform1i(at, 2),
+      densities: (at) => gl.uniform1i(at, 3),
+      lows: (at) => gl.uniform3fv(at, lows ?? new Float32Array(3 * functions)),
+      widths: (at) => gl.uniform1fv(at, widths ?? new Float32Array(functions).fill(1)),
+      blockBits: (at) => gl.uniform1i(at, blockBits),
+      rowsAcross: (at) => gl.uniform1i(at, across),
+      densityUnit: (at) => gl.uniform1f(at, facts.densityUnit),
+      worldToVoxels: (at) => gl.uniformMatrix3fv(at, true, place),
+    };
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("this device's graphics have too little memory for this scene");
   }
 

@@ -12,8 +12,21 @@ const element = (id) => /** @type {any} */ (document.getElementById(id));
 
 class Viewer {
   constructor(facts, shader, data) {
-    Object.assign(this, { facts, shader, picture: null, state: "unpacking", frames: 0, ticket: 0, detail: 0 });
-    Object.assign(this, { changed: false, moved: 0, scale: 0.5, lines: 64, rest: null, busy: null, asked: 0, view: 0 });
+    this.facts = facts;
+    this.shader = shader;
+    this.picture = null;
+    this.state = "unpacking"; // ready, lost, failed
+    this.ticket = 0; // of the last unpacking that was begun
+    this.detail = 0; // 2^detail voxels along an edge are shown as one
+    this.frames = 0; // that were drawn
+    this.changed = false; // since the last one
+    this.moved = 0; // when anything changed last
+    this.scale = 0.5; // of the pixels along an edge, while the view moves
+    this.lines = 64; // in a band, at rest
+    this.rest = null; // what is still to be refined
+    this.busy = null; // what the graphics have not finished
+    this.asked = 0; // for a frame
+    this.view = 0; // the number of the camera that R leads back to
     this.carried = new Carried(facts, data, (part) => this.tell(part));
     this.canvas = element("canvas");
     this.camera = new Camera(facts.views[0], facts.up, facts.radius);
@@ -127,7 +140,7 @@ class Viewer {
     if (this.busy && coarse) this.scale = Math.max(COARSEST, Math.min(1, this.scale * Math.max(0.75, Math.min(1.5, Math.sqrt(factor)))));
     if (this.busy && !coarse) this.lines = Math.max(16, Math.min(4096, Math.round(this.lines * Math.max(0.5, Math.min(2, factor)))));
     this.busy = null;
-    if (this.turning) this.turn(now, took);
+    if (this.turning) this.turn(now);
     this.fit();
     if (this.changed) this.drawCoarse(now);
     else if (this.rest) this.drawFine(now);
@@ -184,7 +197,7 @@ class Viewer {
     this.ask();
   }
 
-  turn(now, took) {
+  turn(now) {
     // Where a turning scene would be a blur, one that stands still is the better picture.
     if (this.angle >= 2 * Math.PI || this.scale < 0.3) {
       this.turning = false;
@@ -269,26 +282,3 @@ class Viewer {
     this.move((camera) => camera.centre(plus(camera.position, along, distance)));
   }
 }
-
-// What the page says of itself; null where it ends too early.
-function readFacts() {
-  try {
-    return JSON.parse(element("facts").textContent);
-  } catch {
-    return null;
-  }
-}
-
-document.addEventListener("DOMContentLoaded", () => {
-  const facts = readFacts(), data = element("data")?.textContent ?? "", count = (size) => size.toLocaleString("en");
-  if (data.length !== facts?.length) {
-    const there = facts ? `${count(data.length)} of ${count(facts.length)} characters of its data are there` : "its end is missing";
-    element("status").textContent = `This page is not complete: ${there}. What you see is a still picture.`;
-    return;
-  }
-  const viewer = new Viewer(facts, element("shader").textContent, data);
-  for (const name of ["shader", "facts", "data"]) element(name).remove();
-  /** @type {any} */ (window).nerfbake = viewer; // for scripts, and for whoever is curious
-  viewer.start();
-});
-element("status").textContent = "Opening";
