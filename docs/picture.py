@@ -2,6 +2,7 @@
 
 python docs/picture.py              rewrites docs/octree.png: the sample scene as an octree, and cut at coarser levels
 python docs/picture.py chair        rewrites docs/chair.png: the real chair in four files; prints their sizes and PSNR
+python docs/picture.py page         rewrites docs/page.png: the page of the chair in Chromium, its options open
 """
 
 from __future__ import annotations
@@ -61,6 +62,21 @@ def draw_chair() -> None:
     _save("chair.png", pictures)
 
 
+def draw_page() -> None:
+    """What `nerfbake view` makes of the chair, in a dark window."""
+    from tests.support.browser import chromium
+
+    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        jobs.view_file(CHAIR, page := Path(folder) / "chair.html", title="A chair", lookup="trilinear")
+        with browser.opened(page, viewport={"width": 960, "height": 600}, color_scheme="dark") as seen:
+            seen.wait_until_ready()
+            seen.page.keyboard.press("o")
+            seen.page.mouse.move(530, 200)
+            seen.wait_until_still()
+            seen.wait_for("document.getElementById('depth').textContent.length > 1")
+            seen.page.screenshot(path=Path(__file__).with_name("page.png"))
+
+
 def _save(name: str, pictures: list[Image]) -> None:
     parts = ("colour", "alpha", "depth")
     colour, alpha, depth = (np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in parts)
@@ -68,4 +84,4 @@ def _save(name: str, pictures: list[Image]) -> None:
 
 
 if __name__ == "__main__":
-    draw_chair() if sys.argv[1:] == ["chair"] else draw_levels()
+    {"chair": draw_chair, "page": draw_page}.get("".join(sys.argv[1:]), draw_levels)()

@@ -244,3 +244,14 @@ def test_the_saved_picture_is_what_is_seen(browser: Browser, exact: Made, tmp_pa
         wanted = render_field(exact.field, camera_of(page), background=LIGHT, samples=2).pixels
         assert decibels(saved, wanted.astype(np.float64)) > 55
         assert page.log == []
+
+
+def test_frames_are_told_while_the_view_moves_and_only_then(browser: Browser, exact: Made) -> None:
+    with browser.opened(exact.path) as page:
+        page.wait_until_ready()
+        page.page.keyboard.press("o")
+        page.page.keyboard.press("t")
+        page.wait_until_still()
+        assert page.page.text_content("#pace") == "\u2013"
+        page.page.keyboard.press("ArrowLeft")
+        page.wait_for("/^\\d+ ms, [\\d.]+ a second$/.test(document.getElementById('pace').textContent)")

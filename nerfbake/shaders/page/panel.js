@@ -95,7 +95,7 @@ class Panel {
   pace(took) {
     if (this.box.hidden || !(took > 0)) return;
     const { canvas, scale } = this.viewer, pace = element("pace");
-    pace.textContent = `${took.toFixed(0)} ms, ${(1000 / took).toFixed(0)} a second`;
+    pace.textContent = `${took.toFixed(0)} ms, ${(1000 / took).toFixed(took > 100 ? 1 : 0)} a second`;
     pace.title = `at ${Math.round(canvas.width * scale)} \u00d7 ${Math.round(canvas.height * scale)} pixels`;
   }
 

@@ -21,6 +21,7 @@ class Viewer {
     this.frames = 0; // that were drawn
     this.changed = false; // since the last one
     this.moved = 0; // when anything changed last
+    this.moving = false; // the camera, since the view was last at rest
     this.scale = 0.5; // of the pixels along an edge, while the view moves
     this.lines = 64; // in a band, at rest
     this.rest = null; // what is still to be refined
@@ -135,7 +136,7 @@ class Viewer {
     if (this.busy && !this.busy.done()) return this.ask();
     const took = this.busy ? now - this.busy.since : 0, coarse = this.busy?.coarse;
     const factor = FRAME / Math.max(took, 8);
-    if (coarse) this.panel.pace(took);
+    if (this.busy?.moving) this.panel.pace(took);
     // A little at a time: the first drawing also waits for the shader, others for whatever else is going on.
     if (this.busy && coarse) this.scale = Math.max(COARSEST, Math.min(1, this.scale * Math.max(0.75, Math.min(1.5, Math.sqrt(factor)))));
     if (this.busy && !coarse) this.lines = Math.max(16, Math.min(4096, Math.round(this.lines * Math.max(0.5, Math.min(2, factor)))));
@@ -186,12 +187,13 @@ class Viewer {
 
   drawn(now, coarse) {
     this.frames++;
-    this.busy = { since: now, coarse, done: this.picture.fence() };
+    this.busy = { since: now, coarse, moving: coarse && this.moving, done: this.picture.fence() };
   }
 
   // Nothing has moved for a while.
   settle() {
     if (this.finished) return;
+    this.moving = false;
     this.picture.spread("coarse", "fine");
     this.rest = { rays: this.scale === 1 ? FINEST : 1, from: this.canvas.height };
     this.ask();
@@ -207,6 +209,7 @@ class Viewer {
     this.last = now;
     this.angle += step;
     this.camera.orbit(step, 0);
+    this.moving = true;
     this.change();
   }
 
@@ -214,6 +217,7 @@ class Viewer {
   move(act) {
     this.turning = false;
     act(this.camera);
+    this.moving = true;
     this.change();
     clearTimeout(this.keeping);
     this.keeping = setTimeout(() => this.keep(this.camera.hash), 250);
