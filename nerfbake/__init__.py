@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.octree import SparseVoxelOctree as SparseVoxelOctree
     from nerfbake.scene.page import Page as Page
     from nerfbake.scene.page_field import PageField as PageField
+    from nerfbake.scene.page_surface import PageSurface as PageSurface
     from nerfbake.scene.quantised_octree import QuantisedOctree as QuantisedOctree
     from nerfbake.scene.radiance_field import RadianceField as RadianceField
     from nerfbake.scene.specular import SpecularField as SpecularField
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.stage1_to_atlas import bake_stage1 as bake_stage1
     from nerfbake.stages.stage1_to_atlas import measure_stage1_error as measure_stage1_error
     from nerfbake.stages.stage1_to_image import render_stage1 as render_stage1
+    from nerfbake.stages.stage1_to_page_surface import build_page_surface as build_page_surface
     from nerfbake.stages.vdb_to_octree import octree_of_density as octree_of_density
     from nerfbake.stages.vdb_to_octree import octree_of_volume as octree_of_volume
     from nerfbake.stages.vdb_to_vdb import cast_volume as cast_volume

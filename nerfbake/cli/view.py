@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from nerfbake.cli.params import CAPTURE, Command, Size, reads, speaks, without_effect, writes
-from nerfbake.cli.render import Background
+from nerfbake.cli.render import Background, places_mesh
 from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
 from nerfbake.jobs.compressions import Goal
@@ -70,18 +70,23 @@ def carries(function: Command) -> Command:
     show_default=True,
     help="How OUT opens: cells as they are, or values interpolated between their centres; the page can switch.",
 )
+@places_mesh
+@click.option("--stage1", type=click.Path(), help="Of an atlas IN: the stage-1 folder it was baked from, to show both.")
 @click.option("--cameras", metavar="CAPTURE", help=f"Where to look from: {CAPTURE}.  [default: the front, turning]")
 @chooses_grids
 @speaks
 def view(source: Source, target: Target | None, words: Words, **options: Any) -> None:
-    """Write OUT, one HTML page that shows the PlenOctree, octree or volume IN in any browser, and can be mailed.
+    """Write OUT, one HTML page that shows IN in any browser, and can be mailed.
 
-    Without OUT the page is a temporary one, and opens at once.
+    IN is a PlenOctree, an octree, a volume, or a folder with its mesh: nerf2mesh's stage 1, or an atlas. Without OUT
+    the page is a temporary one, and opens at once.
 
     \b
       nerfbake view chair.npz
       nerfbake view chair.npz chair.html
       nerfbake view chair.npz small.html --max-size 1MB --title "A chair"
       nerfbake view chair.svo.pb chair.html --data exact --cameras transforms.json
+      nerfbake view chair.npz room.html --mesh room.glb
+      nerfbake view atlas_64 atlas.html --stage1 mesh_stage1
     """
     view_file(source, target, steps=words, **options)

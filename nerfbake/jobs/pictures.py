@@ -124,6 +124,10 @@ class PlacedMesh(NamedTuple):
     up: Literal["y", "z"] = "y"
     how: Literal["stop", "ztest"] = "stop"
 
+    def read(self) -> nerfbake.Meshes:
+        """The triangles where they stand. Raises NerfbakeError."""
+        return io.load(self.path, nerfbake.Meshes).with_up(self.up)
+
 
 def render_views(
     source: AnySource,
@@ -184,8 +188,7 @@ def _renderer(
     """What makes a picture of a camera."""
     if mesh is None:
         return partial(nerfbake.render_field, field, samples=samples, **options)
-    meshes = io.load(mesh.path, nerfbake.Meshes).with_up(mesh.up)
-    return partial(nerfbake.render_field_and_meshes, field, meshes, how=mesh.how, samples=samples, **options)
+    return partial(nerfbake.render_field_and_meshes, field, mesh.read(), how=mesh.how, samples=samples, **options)
 
 
 def _drawn(

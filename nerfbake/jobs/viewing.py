@@ -13,10 +13,11 @@ from nerfbake.jobs.budgets import Budget, judge
 from nerfbake.jobs.compressions import LEAST_LOSS, Goal, Photographs
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
 from nerfbake.jobs.grids import AS_IT_IS, Choice
+from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import views_of
+from nerfbake.jobs.surfaces import Beside, Look, surface_page
+from nerfbake.jobs.views import COVER, cover_view, views_of
 
-COVER = 320  # pixels along an edge of the picture that is there at once
 _FRAMES, _EDGE = 4, 200  # of the pictures that tell what float16 loses
 
 Data = Literal["compressed", "exact"]
@@ -35,13 +36,16 @@ def view_file(
     title: str | None = None,
     background: tuple[float, float, float] | None = None,
     lookup: Literal["nearest", "trilinear"] = "nearest",
+    mesh: PlacedMesh | None = None,
+    stage1: str | None = None,
     steps: Steps = SILENT,
 ) -> nerfbake.Page:
-    """Writes a page that shows a PlenOctree, an octree or a volume in any browser, and gives what it shows;
-    `nerfbake view`.
+    """Writes a page that shows a scene in any browser, and gives what it shows; `nerfbake view`.
 
-    Reads `source`, and the cameras and photographs if they are named; writes `target`, or `target`.rejected where
-    min_psnr is missed. Without a target the page is a temporary one, opened in the reader's browser.
+    The scene is a PlenOctree, an octree, a volume, or a folder with its mesh: nerf2mesh's stage 1, or an atlas. Reads
+    `source`, and the cameras, the photographs, the mesh and the stage 1 that are named; writes `target`, or
+    `target`.rejected where min_psnr is missed. Without a target the page is a temporary one, opened in the reader's
+    browser.
 
     data        compressed, as compress_file() does it; exact, float16; None: exact for a volume, else compressed
     goal        of the compression; its max_size is that of the page
@@ -54,6 +58,8 @@ def view_file(
     title       None: the name of the source
     background  sRGB in 0..1; None: the reader's own, light or dark
     lookup      how the page opens, as render_field() has it; its reader may change it
+    mesh        triangles that stand in a field
+    stage1      of an atlas the stage-1 folder that it was baked from, whose MLP the page shows, too
 
     Raises NerfbakeError.
 
@@ -71,16 +77,28 @@ def view_file(
         form = file.require("Page")
         budget.require(file)
         scene = _read(steps, source, data, choice, packed=packed)
+        called = title if title is not None else PurePath(source.name).name
+        if isinstance(scene, nerfbake.Stage1 | nerfbake.BakedAtlas):
+            if mesh or packed or min_psnr is not None:
+                raise UsageError(
+                    f"{source.name} holds triangles, which have no goal, no judge, and no mesh beside them; "
+                    "allowed: these options with a field"
+                )
+            made = surface_page(steps, source, scene, stage1, Look(called, cameras, background))
+            file.write(steps, made)
+            return made
+        if stage1 is not None:
+            raise UsageError(f"--stage1 goes with an atlas, and {source.name} holds none; allowed: an atlas folder")
         with source.blamed(steps, "building the field"):
             field = nerfbake.build_field(scene)
         views = views_of(steps, field, cameras, name=source.name, frames=1, edge=COVER)
         with source.blamed(steps, "rendering the cover"):
-            cover = nerfbake.render_field(field, _square(views.cameras[0]), background=background, lookup=lookup)
-        called = title if title is not None else PurePath(source.name).name
+            beside = Beside.of(mesh)
+            cover = beside.render(field, cover_view(views.cameras[0]), background=background, lookup=lookup)
 
         def page(content: Any) -> nerfbake.Page:
             turns = cameras is None
-            return nerfbake.Page(content, field, views, cover, called, turns, background, lookup)
+            return nerfbake.Page(content, field, views, cover, called, turns, background, lookup, *beside)
 
         if data == "exact" or isinstance(scene, nerfbake.Volume):
             with source.blamed(steps, "arranging the field"):
@@ -104,7 +122,8 @@ def view_file(
 
 def _read(steps: Steps, source: Source, data: Data | None, choice: Choice, *, packed: bool) -> Any:
     """The scene: an octree, where it is to be compressed."""
-    read = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume
+    read = source.read(steps, *fields, nerfbake.Stage1, nerfbake.BakedAtlas)
     scene = choice.of(steps, source, read)
     if isinstance(scene, nerfbake.Volume):
         if data == "compressed" or packed:
@@ -123,12 +142,6 @@ def _shown(path: str) -> nerfbake.RadianceField:
     if isinstance(content, nerfbake.PageField):
         return nerfbake.field_of_page_field(content)
     return nerfbake.round_to_bytes(nerfbake.round_field(nerfbake.build_field(content)))
-
-
-def _square(camera: nerfbake.Camera) -> nerfbake.Camera:
-    """A page's first picture, of the camera's shorter edge."""
-    focal = camera.fx * COVER / min(camera.width, camera.height)
-    return nerfbake.Camera(COVER, COVER, focal, camera.pose, camera.name)
 
 
 def _tell_rounding(steps: Steps, source: Source, field: nerfbake.RadianceField) -> None:

@@ -8,6 +8,8 @@ import nerfbake
 from nerfbake import io
 from nerfbake.jobs.steps import Steps
 
+COVER = 320  # pixels along an edge of the picture that is there at once in a page
+
 
 def read_cameras(steps: Steps, path: str) -> nerfbake.Cameras:
     """The cameras of a file or a folder; says which file of a folder it took, and what it took for granted."""
@@ -56,3 +58,9 @@ def views_of(
             orbit = nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
         return orbit.chosen(samples=samples)
     return read_cameras(steps, cameras).chosen(size=size, samples=samples)
+
+
+def cover_view(camera: nerfbake.Camera) -> nerfbake.Camera:
+    """A page's first picture, of the camera's shorter edge."""
+    focal = camera.fx * COVER / min(camera.width, camera.height)
+    return nerfbake.Camera(COVER, COVER, focal, camera.pose, camera.name)

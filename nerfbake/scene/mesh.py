@@ -14,6 +14,7 @@ from nerfbake.kernels.maths.affine import turned
 from nerfbake.kernels.soundness import count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 
+Composite = Literal["stop", "ztest"]  # how meshes and a field are seen together
 MAX_MESHES = 10_000
 MAX_UV = 1e6  # float32 has no digits for texels beyond it
 UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for a writer's rounding

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.image import Image
+from nerfbake.scene.mesh import Composite, Mesh
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.page_field import PageField
+from nerfbake.scene.page_surface import PageSurface
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 
@@ -17,14 +19,17 @@ from nerfbake.scene.radiance_field import RadianceField
 class Page:
     """A scene to look around in.
 
-    content  what the page carries: a PageField as it is, or a QuantisedOctree in the bytes of a .svoq
-    field    what the content was made from: its place in the world, its box and its basis are the page's
+    content  what the page carries: a PageField or a PageSurface as it is, or a QuantisedOctree in the bytes of a .svoq
+    field    what the content was made from: its place in the world, its box and its basis are the page's; None of a
+             PageSurface
     cameras  where one looks from: at first from the first of them
     cover    what that one sees, a square picture
     title    shown in the page, as text
     turns    the scene turns slowly until it is touched
     background  sRGB in 0..1; None: the reader's own, light or dark
     lookup   how the page opens, as render_field() has it
+    meshes   triangles beside a field, in its world; (): none, or a PageSurface's own
+    composite  how both are seen at first, as render_field_and_meshes() has it
 
     >>> from nerfbake import Page, build_field, build_page_field, orbit_cameras, render_field, sample_n3tree
     >>> field = build_field(sample_n3tree(resolution=16))
@@ -34,19 +39,26 @@ class Page:
     page of a SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
     """
 
-    content: PageField | QuantisedOctree
-    field: RadianceField
+    content: PageField | QuantisedOctree | PageSurface
+    field: RadianceField | None
     cameras: Cameras
     cover: Image
     title: str = "A radiance field"
     turns: bool = True
     background: tuple[float, float, float] | None = None
     lookup: Lookup = "nearest"
+    meshes: tuple[Mesh, ...] = ()
+    composite: Composite = "stop"
 
     def __post_init__(self) -> None:
         width, height = self.cover.size
         if width != height:
             raise InvalidScene(Problem("the cover", f"has {width}x{height} pixels", "a square picture"))
+        if (self.field is None) != isinstance(self.content, PageSurface):
+            found = "is missing" if self.field is None else "is there"
+            raise InvalidScene(Problem("the field", found, "one of what is marched, none of triangles"))
+        if self.meshes and self.field is None:
+            raise InvalidScene(Problem("the meshes", "stand beside a surface", "a field, or the surface alone"))
 
     def __str__(self) -> str:
-        return f"page of a {self.content}"
+        return f"page of {self.content}" if self.field is None else f"page of a {self.content}"

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
-from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.mesh import Composite, Meshes
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.stages._supersampled import supersampled
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
-
-Composite = Literal["stop", "ztest"]
 
 
 def render_field_and_meshes(

@@ -49,7 +49,7 @@ def encode(baked: BakedAtlas, *, up: Literal["y", "z"] = "y") -> Iterator[tuple[
     for cascade, atlas in enumerate(baked.atlases):
         textures: dict[str, bytes | memoryview] = {
             "atlas": encode_texture(atlas.image),
-            "labels": encode_texture(_label_texels(atlas)),
+            "labels": encode_texture(label_texels(atlas)),
         }
         if atlas.features is not None:
             textures["features"] = encode_texture(atlas.features)
@@ -112,7 +112,8 @@ def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
     return BakedAtlas(tuple(atlases), tuple(meshes), {}, document["facts"])
 
 
-def _label_texels(atlas: OctahedralAtlas) -> npt.NDArray[np.uint8]:
+def label_texels(atlas: OctahedralAtlas) -> npt.NDArray[np.uint8]:
+    """(H, W, 3) what labels_{c}.png holds."""
     texels = np.zeros((*atlas.labels.shape, 3), np.uint8)
     texels[..., 0], texels[..., 1] = atlas.labels & 255, atlas.labels >> 8
     if atlas.slopes is not None:

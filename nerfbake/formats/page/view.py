@@ -6,6 +6,9 @@ are a picture that is there at once, facts (JSON: what its script reads) and the
     octree  the bytes of a .svoq, as schemas/svoq.md has them
     arrays  a zlib stream of a PageField's top and blocks, little-endian, then for each of the 4 T channels of the
             texels the lower bytes of all rows, then their upper bytes
+    surface none of these
+
+and behind them triangles, where there are some, as triangles.py in this folder packs them.
 
 Its policy lets its own script and style run, told by their digests, and nothing else; whatever a file is called, its
 name is text. The same page is the same bytes.
@@ -16,7 +19,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import pkgutil
 import re
 from collections.abc import Iterator
 from html import escape
@@ -27,6 +29,8 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, one_line
 from nerfbake.formats.octree import svoq
+from nerfbake.formats.page.parts import ball_of, part_of
+from nerfbake.formats.page.triangles import pack_triangles, surface_facts, triangle_facts
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.deflate import deflate_all, inflate
 from nerfbake.scene.basis import parse_basis
@@ -34,6 +38,8 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.page import Page
 from nerfbake.scene.page_field import PageField, density_unit, grid_of, texels_of
+from nerfbake.scene.page_surface import PageSurface
+from nerfbake.scene.radiance_field import RadianceField
 
 _SCRIPTS = (
     "svoq.js",
@@ -42,8 +48,10 @@ _SCRIPTS = (
     "bytes.js",
     "levels.js",
     "carried.js",
+    "triangles.js",
     "picture.js",
     "camera.js",
+    "choices.js",
     "controls.js",
     "panel.js",
     "viewer.js",
@@ -55,8 +63,9 @@ _NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera
 
 def encode(page: Page) -> Iterator[bytes]:
     """The page, in pieces."""
-    data = base64.b64encode(_data(page.content))
-    head, tail = _document(page, len(data))
+    content = _data(page.content)
+    data = base64.b64encode(content + pack_triangles(page))
+    head, tail = _document(page, {"length": len(data), **_facts(page), **triangle_facts(page, at=len(content))})
     yield head.encode()
     yield data
     yield tail.encode()
@@ -68,11 +77,12 @@ def coded_size(page: Page) -> int:
 
 
 def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
-    """What a page carries, of the bytes that encode() gave. Raises InvalidFile, MemoryLimit."""
+    """The field that a page carries, of the bytes that encode() gave. Raises InvalidFile, MemoryLimit."""
     found = re.search(rb'id="facts">([^<]*)</script>.*?id="data">([^<]*)</script>', view, re.DOTALL)
     if found is None:
         raise InvalidFile("is no whole page to look around in; allowed: what `nerfbake view` writes")
-    facts, data = json.loads(found[1]), base64.b64decode(found[2])
+    facts = json.loads(found[1])
+    data = base64.b64decode(found[2])[: facts.get("triangles", {}).get("at")]
     if facts["kind"] == "svoq":
         return svoq.decode(memoryview(data))
     cells, leaves, rows, T = int(np.prod(facts["shape"])), facts["leaves"], facts["rows"], facts["texels"]
@@ -90,10 +100,10 @@ def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
     )
 
 
-def _document(page: Page, length: int) -> tuple[str, str]:
+def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
     """The page up to its data, and behind them."""
-    script = '(() => {\n"use strict";\n' + "\n".join(map(_part, _SCRIPTS)) + "})();\n"
-    style = _part("page.css")
+    script = '(() => {\n"use strict";\n' + "\n".join(map(part_of, _SCRIPTS)) + "})();\n"
+    style = part_of("page.css")
     digests = {name: _digest(text) for name, text in (("script", script), ("style", style))}
     policy = "; ".join(
         [
@@ -110,43 +120,37 @@ def _document(page: Page, length: int) -> tuple[str, str]:
         "title": escape(one_line(page.title)),
         "style": style,
         "script": script,
-        "shader": "\n".join(map(_part, _SHADERS)),
+        "shader": "\n".join(map(part_of, _SHADERS)) if page.field else part_of("surface.glsl"),
         "cover": base64.b64encode(b"".join(png.encode(page.cover))).decode(),
-        "about": escape(f"All of the scene is in this file: {page.field}."),
-        "facts": json.dumps(_facts(page, length)).replace("<", "\\u003c"),
+        "about": escape(f"All of the scene is in this file: {page.field or page.content}."),
+        "facts": json.dumps(facts).replace("<", "\\u003c"),
     }
     # One pass: what stands in a part, whatever it is, is not looked at again.
     head, tail = (
-        re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], text) for text in _part("page.html").split("{{data}}")
+        re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], text) for text in part_of("page.html").split("{{data}}")
     )
     return head, tail
-
-
-def _part(name: str) -> str:
-    """A text of the package's own, from wherever it was imported."""
-    data = pkgutil.get_data("nerfbake", f"shaders/page/{name}")
-    assert data is not None
-    return data.decode()
 
 
 def _digest(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _facts(page: Page, length: int) -> dict[str, Any]:
+def _facts(page: Page) -> dict[str, Any]:
     """What the page's script reads; all places and directions in the world, but for those named otherwise."""
-    field = page.field
+    facts = _field_facts(page.content, page.field) if page.field else surface_facts(page.content)
+    facts |= {"background": page.background, "turns": page.turns, "lookup": page.lookup}
+    centre, radius = np.array(facts["centre"]), facts["radius"]
+    return {**facts, "views": [_view(camera, centre, radius) for camera in page.cameras.cameras]}
+
+
+def _field_facts(content: Any, field: RadianceField) -> dict[str, Any]:
     start, shape = grid_of(field.box)
     place = field.place.copy()
     place[:, 3] -= start
-    corners = field.world(field.box)
-    centre, radius = (
-        field.world(field.box.mean(axis=0)[None])[0],
-        float(np.sqrt(((corners[1] - corners[0]) ** 2).sum())) / 2,
-    )
+    centre, radius = ball_of(field.world(field.box))
     facts: dict[str, Any] = {
-        "length": length,
-        "kind": "arrays" if isinstance(page.content, PageField) else "svoq",
+        "kind": "arrays" if isinstance(content, PageField) else "svoq",
         "basis": str(field.basis),
         "texels": texels_of(field.basis),
         "shape": shape,
@@ -159,13 +163,8 @@ def _facts(page: Page, length: int) -> dict[str, Any]:
         "centre": centre.tolist(),
         "radius": radius,
         "densityUnit": density_unit(float(field.values[:, -1].max())),
-        "background": page.background,
-        "turns": page.turns,
-        "lookup": page.lookup,
-        "views": [_view(camera, centre, radius) for camera in page.cameras.cameras],
     }
-    if isinstance(page.content, PageField):
-        content = page.content
+    if isinstance(content, PageField):
         facts |= {"rows": len(content.texels), "leaves": len(content.blocks) // 8}
         facts["size"] = content.top.nbytes + content.blocks.nbytes + content.texels.nbytes
     return facts
@@ -179,6 +178,8 @@ def _view(camera: Camera, centre: npt.NDArray[np.float64], radius: float) -> dic
 
 
 def _data(content: Any) -> bytes:
+    if isinstance(content, PageSurface):
+        return b""
     if not isinstance(content, PageField):
         return b"".join(svoq.encode(content))
     rows = len(content.texels)

@@ -7,6 +7,7 @@
 //   GROUPS   groups of four basis functions behind the first one: 0, 1, 2, 4 or 6
 //   BASE     the first basis function: 1 for RGBA
 //   TEXELS   texels of a row of colours, 1 + 3 GROUPS
+//   MESHES   1: there are triangles, which mesh.glsl has drawn; 0: there are none
 //   SMOOTH   1: trilinear lookup, marchSmooth() in smooth.glsl
 //   NORMALS  1: mode is SLOPE
 //   BYTES    1: coefficients are bytes, the density stands in a texture of its own; 0: all is float16
@@ -41,12 +42,26 @@ uniform int mode;           // what is shown: one of those below
 uniform vec2 range;         // of depth, in world units
 uniform vec2 aim;           // PICK: the pixel
 
+#if MESHES
+uniform sampler2D meshColour;      // of each ray's triangle
+uniform highp usampler2D meshFar;  // how far away it is, as a float's bits; infinite: there is none
+uniform ivec2 corner;              // the pixel that their first texel belongs to
+uniform bool ztest;                // a ray's field lies in front of the triangle as a whole, or is hidden
+uniform vec3 light;                // towards it, as the camera sees it; zero: there are no shadows
+#else
+const bool ztest = false;
+#endif
+
 out vec4 colour;
 
 const int WHOLE = 1 << 30;
 const uint ALL = 255u;
 const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4, SLOPE = 5;
 const int LIMIT = 1 << 14;  // steps
+const float SHADE = 0.4;    // of a mesh's colour, where no light from above comes through the field
+float stop = 1e30;          // where a ray ends, in world units from its origin
+vec3 origin;                // where a ray starts, in voxels
+bool dark = false;          // nobody asks for its colour
 
 struct Found { vec3 colour; float alpha; float far; int steps; };  // the normal, where colours are not asked for
 
@@ -193,13 +208,13 @@ Found march(vec3 along) {
   d /= scale;
   // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
   d = mix(d, vec3(1e-12), lessThan(abs(d), vec3(1e-12)));
-  vec3 inverse = 1.0 / d, one = (boxLow - eye) * inverse, other = (boxHigh - eye) * inverse;
+  vec3 inverse = 1.0 / d, one = (boxLow - origin) * inverse, other = (boxHigh - origin) * inverse;
   vec3 near = min(one, other), away = max(one, other);
-  float start = max(max(near.x, near.y), max(near.z, 0.0)), end = min(away.x, min(away.y, away.z)) - start;
+  float start = max(max(near.x, near.y), max(near.z, 0.0)), end = min(min(away.x, stop * scale), min(away.y, away.z)) - start;
   if (end <= 0.0) return found;
   face(normalize(toAxes * world));
   // From where the ray enters: distances stay small, and exact, however far away the camera is.
-  vec3 o = eye + start * d;
+  vec3 o = origin + start * d;
   ivec3 low = ivec3(floor(boxLow)), high = ivec3(ceil(boxHigh)) - 1;
   ivec3 voxel = clamp(ivec3(floor(o)), low, high), corner;
   int edge;
@@ -214,11 +229,11 @@ Found march(vec3 along) {
       vec4 first = headOf(place);
       float sigma = first.a, depth = sigma * (min(ahead, end) - t) * unit, kept = exp(-depth);
       float weight = through * (1.0 - kept);
-      if (mode <= FIRST) found.colour += weight * sigmoid(sumOf(first.rgb, place));
+      if (mode <= FIRST && !dark) found.colour += weight * sigmoid(sumOf(first.rgb, place));
 #if NORMALS
       found.colour += weight * slopeAt(voxel);
 #endif
-      if (mode == DEPTH || mode == PICK) found.far += weight * (start + t) * unit + through * (1.0 - kept - depth * kept) / max(sigma, 1e-30);
+      if (mode == DEPTH || mode == PICK || ztest) found.far += weight * (start + t) * unit + through * (1.0 - kept - depth * kept) / max(sigma, 1e-30);
       through *= kept;
       if (through < cut) break;
     }
@@ -243,9 +258,38 @@ Found marchSmooth(vec3 along);
 #define march marchSmooth
 #endif
 
-vec3 shown(vec2 pixel) {
-  vec3 along = vec3((pixel - 0.5 * size) / focal, -1.0);
+// What a ray meets through a place of the picture: the field, and the triangle behind it where there is one.
+Found meet(vec2 place) {
+  vec3 along = vec3((place - 0.5 * size) / focal, -1.0);
+  origin = eye;
+#if MESHES
+  ivec2 texel = ivec2(place * float(rays)) - corner * rays;
+  float far = uintBitsToFloat(texelFetch(meshFar, texel, 0).r);
+  bool solid = !isinf(far);
+  if (solid && !ztest) stop = far;
   Found found = march(along);
+  stop = 1e30;
+  if (!solid) return found;
+  if (ztest && found.far >= far * found.alpha) found = Found(vec3(0.0), 0.0, 0.0, found.steps);
+  float left = 1.0 - found.alpha, lit = 1.0;
+  if (light != vec3(0.0) && mode <= FIRST && left > cut) {
+    dark = true;
+    origin = eye + far * (toVoxels * normalize(along));
+    lit = mix(1.0, SHADE, march(light).alpha);
+    dark = false;
+  }
+  // Normals are the field's alone.
+  if (mode <= FIRST) found.colour += left * lit * texelFetch(meshColour, texel, 0).rgb;
+  found.far += left * far;
+  found.alpha = 1.0;
+  return found;
+#else
+  return march(along);
+#endif
+}
+
+vec3 shown(vec2 pixel) {
+  Found found = meet(pixel);
   if (mode == STEPS) return heat(float(found.steps) / 160.0);
   if (mode == SLOPE) {
     vec3 normal = found.colour * worldToVoxels;
@@ -261,8 +305,7 @@ vec3 shown(vec2 pixel) {
 void main() {
   if (mode == PICK) {
     // The mean distance as 24 bits of the range's end, and how opaque it is.
-    vec3 along = vec3((aim - 0.5 * size) / focal, -1.0);
-    Found found = march(along);
+    Found found = meet(aim);
     float part = clamp(found.far / max(found.alpha, 1e-6) / range.y, 0.0, 0.9999999);
     vec3 digits = floor(fract(part * vec3(1.0, 256.0, 65536.0)) * 256.0);
     colour = vec4(digits / 255.0, found.alpha);

@@ -2,7 +2,28 @@
 
 const MODES = { colour: 0, first: 1, depth: 2, normals: 5, steps: 3, pick: 4 };
 const CUT = 1e-4; // the share of light below which a ray ends, as `nerfbake render` has it
+const CUTOUT = 0.5; // the same of an opaque cutout
 const UNCLIPPED = [[0, 0, 0], [1, 1, 1]];
+
+const CORNERS = "#version 300 es\nvoid main() {\n  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1);\n}";
+
+// A program of two shaders; attributes: names, in the order of their places.
+function linked(gl, vertex, fragment, attributes = []) {
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const part = gl.createShader(kind);
+    gl.shaderSource(part, source);
+    gl.compileShader(part);
+    gl.attachShader(program, part);
+  }
+  attributes.forEach((name, place) => gl.bindAttribLocation(program, place, name));
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+    const [first] = gl.getAttachedShaders(program).map((part) => gl.getShaderInfoLog(part)).filter(Boolean);
+    throw new Error("the shader does not run here: " + (first || gl.getProgramInfoLog(program)));
+  }
+  return program;
+}
 
 class Picture {
   constructor(canvas, facts, shader) {
@@ -14,6 +35,8 @@ class Picture {
     this.gl = gl;
     this.shader = shader;
     this.frames = {};
+    this.triangles = null;
+    this.shot = null; // what look() said of triangles
     this.textures = [];
     this.programs = {};
     this.constants = {};
@@ -25,32 +48,21 @@ class Picture {
     const { gl, facts, shader, programs } = this, name = `${smoothly} ${normals}`;
     if (!programs[name]) {
       const groups = (facts.texels - 1) / 3, base = facts.basis === "RGBA" ? "1.0" : "0.28209479177387814";
-      const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, BYTES: facts.kind === "svoq" ? 1 : 0, SMOOTH: smoothly ? 1 : 0, NORMALS: normals ? 1 : 0 };
-      const lines = Object.entries(defines).map(([key, value]) => `#define ${key} ${value}\n`).join("");
-      programs[name] = { built: this.build(shader.replace("#version 300 es\n", "#version 300 es\n" + lines)), names: {}, constants: null };
+      const switches = { BYTES: facts.kind === "svoq", SMOOTH: smoothly, NORMALS: normals, MESHES: !!facts.triangles };
+      const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, ...switches };
+      const lines = Object.entries(defines).map(([key, value]) => `#define ${key} ${typeof value === "boolean" ? Number(value) : value}\n`).join("");
+      programs[name] = { built: linked(gl, CORNERS, shader.replace("#version 300 es\n", "#version 300 es\n" + lines)), names: {}, constants: null };
     }
     const program = programs[name], { names, built } = program;
     gl.useProgram(built);
+    this.program = built;
     this.uniform = (key) => (names[key] ??= gl.getUniformLocation(built, key));
     if (program.constants !== this.constants) for (const key in this.constants) this.constants[key](this.uniform(key));
     program.constants = this.constants;
   }
 
-  build(text) {
-    const { gl } = this, program = gl.createProgram();
-    const corners = "#version 300 es\nvoid main() {\n  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1);\n}";
-    for (const [kind, source] of [[gl.VERTEX_SHADER, corners], [gl.FRAGMENT_SHADER, text]]) {
-      const part = gl.createShader(kind);
-      gl.shaderSource(part, source);
-      gl.compileShader(part);
-      gl.attachShader(program, part);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      const [first] = gl.getAttachedShaders(program).map((part) => gl.getShaderInfoLog(part)).filter(Boolean);
-      throw new Error("the shader does not run here: " + (first || gl.getProgramInfoLog(program)));
-    }
-    return program;
+  uploadTriangles(triangles) {
+    this.triangles = new Triangles(this.gl, this.facts, triangles);
   }
 
   // Hands a level of detail over, as Carried gives it; its arrays are not needed any more behind this.
@@ -117,10 +129,14 @@ class Picture {
 
   // Says what the next draw() shows. camera: {position, rotation (columns right, up, back), focal: of half the shorter
   // edge}; mode: a name of MODES; smoothly: trilinear; clip: the part of the box that is shown, 0 to 1; cut: the share of
-  // light below which a ray ends; rays: along a pixel's edge.
-  look(camera, width, height, { background, mode = "colour", smoothly = false, clip = UNCLIPPED, cut = CUT, rays = 1, aim = [0, 0] }) {
-    const { gl, facts } = this, { place, axes } = facts, { position, rotation } = camera;
+  // light below which a ray ends; rays: along a pixel's edge. For triangles: highlights and composite, names of the page's
+  // own; shadow: a light above the scene throws the field's.
+  look(camera, width, height, { background, mode = "colour", smoothly = false, clip = UNCLIPPED, cut = CUT, rays = 1, aim = [0, 0], ...more }) {
+    const { gl, facts, triangles } = this, { place, axes } = facts, { position, rotation } = camera;
     this.use(smoothly, mode === "normals");
+    const { highlights = facts.triangles?.highlights[0], composite = facts.triangles?.composites[0], shadow = false } = more;
+    if (triangles) rays = triangles.raysOf(width, height, rays);
+    this.shot = { camera, size: [width, height], rays, highlights, aim: mode === "pick" ? aim.map(Math.floor) : null };
     const eye = place.map((row) => row[0] * position[0] + row[1] * position[1] + row[2] * position[2] + row[3]);
     // WebGL's matrices stand column by column, and so do rotations here.
     const times = (rows) => [0, 1, 2].flatMap((c) => rows.map((row) => row[0] * rotation[c][0] + row[1] * rotation[c][1] + row[2] * rotation[c][2]));
@@ -132,15 +148,19 @@ class Picture {
     gl.uniform3fv(this.uniform("background"), background);
     gl.uniform1i(this.uniform("rays"), rays);
     gl.uniform1i(this.uniform("mode"), MODES[mode]);
-    gl.uniform1f(this.uniform("cut"), cut);
+    // A cutout lets nothing count that is behind the place where half of the light is lost.
+    gl.uniform1f(this.uniform("cut"), composite === "cutout" ? Math.max(cut, CUTOUT) : cut);
+    gl.uniform1i(this.uniform("ztest"), composite === "ztest" ? 1 : 0);
+    gl.uniform3fv(this.uniform("light"), rotation.map((axis) => (shadow ? dot(axis, facts.up) : 0)));
     // What is interpolated reaches half a voxel further than the voxels do.
     const [low, high] = facts.box, reach = smoothly ? 0.5 : 0, at = (part, axis) => low[axis] - reach + part * (high[axis] - low[axis] + 2 * reach);
     gl.uniform3fv(this.uniform("boxLow"), clip[0].map(at));
     gl.uniform3fv(this.uniform("boxHigh"), clip[1].map(at));
     const away = Math.hypot(...position.map((value, axis) => value - facts.centre[axis]));
-    gl.uniform2f(this.uniform("range"), Math.max(away - facts.radius, 0), away + facts.radius);
+    const farthest = away + (mode === "pick" && triangles ? triangles.reachFrom(facts) : facts.radius);
+    gl.uniform2f(this.uniform("range"), Math.max(away - facts.radius, 0), farthest);
     gl.uniform2fv(this.uniform("aim"), aim);
-    return away + facts.radius;
+    return farthest;
   }
 
   // A picture beside the canvas, of look()'s width and height: `coarse`, `fine` or `aside`; made where it is missing.
@@ -163,11 +183,28 @@ class Picture {
   // All of a picture, or its lines from .. to - 1, counted from below.
   draw(name, width, height, from = 0, to = height) {
     const { gl } = this;
-    this.bind(name, width, height);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(0, from, width, to - from);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.disable(gl.SCISSOR_TEST);
+    const step = this.triangles?.linesOf(width, this.shot.rays) ?? to - from;
+    for (let low = from; low < to; low += step) {
+      const lines = Math.min(step, to - low);
+      this.drawTriangles(width, low, lines);
+      this.bind(name, width, height);
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(0, low, width, lines);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.disable(gl.SCISSOR_TEST);
+    }
+  }
+
+  // What rays meet of triangles, of so many lines, or of the one pixel that is picked.
+  drawTriangles(width, low, lines) {
+    const { gl, triangles, shot } = this;
+    if (!triangles) return;
+    const [x, y] = shot.aim ?? [0, low];
+    triangles.draw(shot, x, y, shot.aim ? 1 : width, shot.aim ? 1 : lines);
+    gl.useProgram(this.program);
+    gl.uniform1i(this.uniform("meshColour"), COLOUR_UNIT);
+    gl.uniform1i(this.uniform("meshFar"), FAR_UNIT);
+    gl.uniform2i(this.uniform("corner"), x, y);
   }
 
   // A picture, spread over another one, or over the canvas.

@@ -14,7 +14,7 @@ vec4 cornerAt(ivec3 voxel) {
   if (row < 0) return vec4(0.0);
   ivec2 place = placeOf(row);
   vec4 first = headOf(place);
-  return mode <= FIRST ? vec4(first.a * sumOf(first.rgb, place), first.a) : vec4(vec3(0.0), first.a);
+  return mode <= FIRST && !dark ? vec4(first.a * sumOf(first.rgb, place), first.a) : vec4(vec3(0.0), first.a);
 }
 
 // How far all of the cubes from this one on are empty: 0, or the edge of the cubes and their lowest corner.
@@ -40,12 +40,12 @@ Found marchSmooth(vec3 along) {
   d /= scale;
   d = mix(d, vec3(1e-12), lessThan(abs(d), vec3(1e-12)));
   // Positions count from the first voxel's centre.
-  vec3 eye0 = eye - 0.5, inverse = 1.0 / d, one = (boxLow - eye) * inverse, other = (boxHigh - eye) * inverse;
+  vec3 inverse = 1.0 / d, one = (boxLow - origin) * inverse, other = (boxHigh - origin) * inverse;
   vec3 near = min(one, other), away = max(one, other);
-  float start = max(max(near.x, near.y), max(near.z, 0.0)), end = min(away.x, min(away.y, away.z)) - start;
+  float start = max(max(near.x, near.y), max(near.z, 0.0)), end = min(min(away.x, stop * scale), min(away.y, away.z)) - start;
   if (end <= 0.0) return found;
   face(normalize(toAxes * world));
-  vec3 o = eye0 + start * d;
+  vec3 o = origin - 0.5 + start * d;
   ivec3 low = ivec3(floor(boxLow - 0.5)), high = ivec3(ceil(boxHigh - 0.5)) - 1;
   ivec3 cube = clamp(ivec3(floor(o)), low, high);
   vec4 corners[8];
@@ -82,11 +82,11 @@ Found marchSmooth(vec3 along) {
         vec4 here = mix(a, b, f.x);
         if (here.a > 0.0) {
           float kept = exp(-here.a * 0.5 * stretch * unit), weight = through * (1.0 - kept);
-          if (mode <= FIRST) found.colour += weight * sigmoid(here.rgb / here.a);
+          if (mode <= FIRST && !dark) found.colour += weight * sigmoid(here.rgb / here.a);
 #if NORMALS
           found.colour += weight * slopeOf(corners, f);
 #endif
-          if (mode == DEPTH || mode == PICK) found.far += weight * (start + at) * unit;
+          if (mode == DEPTH || mode == PICK || ztest) found.far += weight * (start + at) * unit;
           through *= kept;
         }
       }

@@ -38,6 +38,7 @@ class Viewer {
     const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.turning = facts.turns && !calm && !location.hash;
     this.angle = 0;
+    this.choices = choicesOf(this);
     new Controls(this);
     this.panel = new Panel(this);
     this.showBackground();
@@ -62,7 +63,10 @@ class Viewer {
     try {
       const level = await this.carried.level(this.detail);
       if (ticket !== this.ticket) return;
-      picture.upload(level);
+      if (level) picture.upload(level);
+      const triangles = picture.triangles ? null : await this.carried.triangles();
+      if (ticket !== this.ticket) return;
+      if (triangles) picture.uploadTriangles(triangles);
     } catch (error) {
       if (ticket === this.ticket && !picture.gl.isContextLost()) this.fail(error);
       return;
@@ -102,7 +106,7 @@ class Viewer {
 
   // What a drawing is to look like.
   get shown() {
-    return { background: this.background, ...this.looks };
+    return { background: this.background, ...this.looks, ...this.choices };
   }
 
   showBackground() {
@@ -240,7 +244,15 @@ class Viewer {
   }
 
   show(mode) {
+    if (this.facts.modes && !this.facts.modes.includes(mode)) return;
     this.looks.mode = element("mode").value = mode;
+    this.change();
+  }
+
+  // One of the ways that a page with triangles offers: `nerfbake.choose("highlights", "mlp_constants")`.
+  choose(name, value) {
+    this.choices[name] = value;
+    markChoice(name, value);
     this.change();
   }
 

@@ -97,6 +97,7 @@ def test_exact_data_are_the_page_fields_arrays(view: Page) -> None:
 
 
 def test_compressed_data_are_the_bytes_of_a_svoq(view: Page) -> None:
+    assert view.field is not None
     octree = build_octree(sample_n3tree(resolution=16))
     importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
     quantised = quantise_octree(octree, importance, step=0.2)
@@ -106,12 +107,14 @@ def test_compressed_data_are_the_bytes_of_a_svoq(view: Page) -> None:
 
 
 def test_a_cover_is_square(view: Page) -> None:
+    assert view.field is not None
     with pytest.raises(InvalidScene, match="the cover has 24x12 pixels; allowed: a square picture"):
         replace(view, cover=render_field(view.field, view.cameras.cameras[0].resized(24, 12)))
 
 
 @pytest.mark.parametrize("data", ["exact", "compressed"])
 def test_what_a_page_carries_comes_back(view: Page, data: str) -> None:
+    assert view.field is not None
     if data == "compressed":
         importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
         octree = build_octree(sample_n3tree(resolution=16))

@@ -1,0 +1,146 @@
+"""Triangles as a page carries them, bit for bit: one zlib stream of arrays, one after the other.
+
+For each part (a cascade, or a mesh of its own): positions (v, 3) float32, faces (t, 3) uint32, where they are there uvs
+(v, 2) and colours (v, 3) float32, then its textures (H, W, 3) uint8 in the order in which the facts name them. Behind
+all of them the MLP, where there is one: a line for each hidden unit, (h, 6) and (h, 3) float32.
+
+Four-byte numbers go column by column, each as its difference from the one before it (of bits, modulo 2^32), first the
+lowest bytes of them all, then the next ones. Texels go channel by channel, each as its difference from the one before
+it. nerfbake/shaders/page/triangles.js reads all of it. What is already a picture is not carried as PNG, since a browser
+may change its colours as it decodes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.formats.atlas import document as atlas_json
+from nerfbake.formats.atlas.folder import label_texels
+from nerfbake.formats.page.parts import ball_of, part_of
+from nerfbake.formats.wire.deflate import deflate_all
+from nerfbake.scene.atlas import OctahedralAtlas
+from nerfbake.scene.camera import WORLD
+from nerfbake.scene.mesh import Mesh, vertex_box
+from nerfbake.scene.page import Page
+from nerfbake.scene.page_surface import PageSurface
+
+Parts = PageSurface | Sequence[Mesh]
+
+
+def pack_triangles(page: Page) -> bytes:
+    """The zlib stream; nothing for a page without triangles."""
+    parts = _parts(page)
+    if not parts:
+        return b""
+    return deflate_all(_texels(array) if array.dtype == np.uint8 else _words(array) for array in _arrays(parts))
+
+
+def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:
+    """What the page's script has to know of them, and the shaders that draw them; nothing for a page without triangles.
+
+    at: where the stream starts in the page's data.
+    """
+    parts = _parts(page)
+    if not parts:
+        return {}
+    surface = parts if isinstance(parts, PageSurface) else None
+    centre, reach = ball_of(vertex_box(_meshes(parts)))
+    facts = {
+        "at": at,
+        "size": sum(array.nbytes for array in _arrays(parts)),
+        "parts": [_part_facts(parts, i) for i in range(len(_meshes(parts)))],
+        "hidden": surface.fields[0].w0.shape[1] if surface and surface.fields else 0,
+        "highlights": [*(surface.highlights if surface else ()), "none"],
+        "composites": [] if surface else sorted(("stop", "ztest", "cutout"), key=lambda how: how != page.composite),
+        "centre": centre.tolist(),
+        "reach": reach,
+        "shaders": {
+            "vertex": part_of("mesh_vertex.glsl"),
+            "mesh": part_of("mesh.glsl"),
+            "atlas": part_of("atlas.glsl", "shaders"),
+        },
+    }
+    return {"triangles": facts}
+
+
+def surface_facts(surface: Any) -> dict[str, Any]:
+    """What is said of a PageSurface in place of a field: it is looked at in the world, whose third axis is up."""
+    centre, radius = ball_of(vertex_box(surface.meshes))
+    return {
+        "kind": "surface",
+        "modes": ["colour", "depth"],
+        "place": np.eye(3, 4).tolist(),
+        "axes": WORLD.tolist(),
+        "box": [[0, 0, 0], [1, 1, 1]],
+        "up": WORLD[2].tolist(),
+        "centre": centre.tolist(),
+        "radius": radius,
+    }
+
+
+def _parts(page: Page) -> Parts:
+    return page.content if isinstance(page.content, PageSurface) else page.meshes
+
+
+def _meshes(parts: Parts) -> Sequence[Mesh]:
+    return parts.meshes if isinstance(parts, PageSurface) else parts
+
+
+def _part_facts(parts: Parts, i: int) -> dict[str, Any]:
+    mesh, textures = _meshes(parts)[i], _textures(parts, i)
+    facts: dict[str, Any] = {
+        "vertices": len(mesh.positions),
+        "faces": len(mesh.faces),
+        "uvs": mesh.uvs is not None,
+        "colours": mesh.colours is not None,
+        "textures": {name: [texels.shape[1], texels.shape[0]] for name, texels in textures.items()},
+    }
+    if isinstance(parts, PageSurface) and parts.atlases:
+        facts["atlas"] = _numbers(parts.atlases[i])
+    return facts
+
+
+def _arrays(parts: Parts) -> Iterator[npt.NDArray[Any]]:
+    for i, mesh in enumerate(_meshes(parts)):
+        yield from (array for array in (mesh.positions, mesh.faces, mesh.uvs, mesh.colours) if array is not None)
+        yield from _textures(parts, i).values()
+    if isinstance(parts, PageSurface) and parts.fields:
+        yield from (parts.fields[0].w0.T, parts.fields[0].w1)
+
+
+def _textures(parts: Parts, i: int) -> dict[str, npt.NDArray[np.uint8]]:
+    """A part's, by the names that the shader has for them."""
+    texture = _meshes(parts)[i].texture
+    textures = {} if texture is None else {"diffuse": texture}
+    if isinstance(parts, PageSurface) and parts.atlases:
+        atlas = parts.atlases[i]
+        textures |= {"atlas": atlas.image}
+        if atlas.method != "grid":
+            textures |= {"labels": label_texels(atlas)}
+        if atlas.features is not None:
+            textures |= {"atlasFeatures": atlas.features}
+    if isinstance(parts, PageSurface) and parts.fields:
+        textures |= {"mlpFeatures": parts.fields[i].features}
+    return textures
+
+
+def _numbers(atlas: OctahedralAtlas) -> dict[str, float]:
+    """What atlas.glsl calls an Atlas."""
+    entry = atlas_json.entry(atlas)
+    names = {"mapSize": "map_size", "border": "border", "tilesPerRow": "tiles_per_row", "slope": "slope", "n": "n"}
+    return {name: float(entry[key]) for name, key in names.items() if key in entry}
+
+
+def _words(array: npt.NDArray[Any]) -> bytes:
+    words = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).view("<u4")
+    steps = np.diff(words, axis=0, prepend=np.zeros((1, words.shape[1]), "<u4")).T.astype("<u4", order="C")
+    return np.ascontiguousarray(steps.view(np.uint8).reshape(*steps.shape, 4).transpose(0, 2, 1)).tobytes()
+
+
+def _texels(texels: npt.NDArray[np.uint8]) -> bytes:
+    flat = texels.reshape(-1, 3)
+    return np.ascontiguousarray(np.diff(flat, axis=0, prepend=np.zeros((1, 3), np.uint8)).T).tobytes()

@@ -1,0 +1,46 @@
+// What a page with triangles offers to choose from, beside what every page has.
+
+const LABELS = {
+  kmeans: "Atlas k-means", affine: "Atlas affine", grid: "Atlas grid",
+  mlp_constants: "MLP constants", mlp_textures: "MLP textures", none: "None",
+  stop: "Stops rays", ztest: "Depth test", cutout: "Cutout",
+};
+
+// What is chosen at first, as Picture.look() takes it; the page's controls change it from then on.
+function choicesOf(viewer) {
+  const { modes, triangles } = viewer.facts, choices = {};
+  // How a field is looked up and cut means nothing to triangles alone.
+  for (const name of modes ? ["lookup", "detail", "cut"] : []) element(name).parentElement.hidden = true;
+  for (const name of modes ? ["clip", "whole"] : []) element(name).hidden = true;
+  for (const option of [...element("mode").options]) if (modes && !modes.includes(option.value)) option.remove();
+  for (const [name, values] of [["highlights", triangles?.highlights], ["composite", triangles?.composites]]) {
+    if (values?.length > 1) choices[name] = offered(viewer, name, values);
+    else element(name).parentElement.remove();
+  }
+  if (choices.composite) choices.shadow = switched(viewer, "shadow");
+  else element("shadow").remove();
+  return choices;
+}
+
+// Makes a button a switch, which is off at first.
+function switched(viewer, name) {
+  const button = element(name);
+  button.hidden = false;
+  button.addEventListener("click", () => viewer.choose(name, !viewer.choices[name]));
+  return false;
+}
+
+// Fills a select, and gives the first of its values.
+function offered(viewer, name, values) {
+  const select = element(name);
+  for (const value of values) select.add(new Option(LABELS[value], value));
+  select.parentElement.hidden = false;
+  select.addEventListener("change", () => viewer.choose(name, select.value));
+  return values[0];
+}
+
+// Lets the control of a choice show it, whoever chose.
+function markChoice(name, value) {
+  if (typeof value === "boolean") element(name).ariaPressed = String(value);
+  else element(name).value = value;
+}

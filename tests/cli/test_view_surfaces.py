@@ -1,0 +1,77 @@
+"""`nerfbake view` of folders with triangles, as a shell sees it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nerfbake import Stage1, bake_stage1, load, sample_n3tree, save
+from nerfbake.io import save_folder
+from tests.conftest import Shell
+from tests.support.atlas_scenes import stage1_folder
+from tests.support.meshes import painted
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> Path:
+    stage1 = load(stage1_folder(tmp_path / "stage1"), Stage1)
+    save_folder(tmp_path / "atlas", bake_stage1(stage1, clusters=4, map_size=8))
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folders")
+def test_folders_become_pages(shell: Shell, tmp_path: Path) -> None:
+    for arguments, highlights in (
+        (["stage1", "a.html"], '["mlp_constants", "mlp_textures", "none"]'),
+        (["atlas", "b.html"], '["kmeans", "none"]'),
+        (["atlas", "c.html", "--stage1", "stage1"], '["kmeans", "mlp_constants", "mlp_textures", "none"]'),
+    ):
+        done = shell("view", *arguments)
+        assert done.returncode == 0, done.stderr
+        assert "page of 1 triangle, " in done.stderr.decode()
+        page = (tmp_path / arguments[1]).read_text()
+        assert f'"highlights": {highlights}' in page
+        assert f"<title>{arguments[0]}</title>" in page
+    first = (tmp_path / "c.html").read_bytes()
+    assert shell("view", "atlas", "c.html", "--stage1", "stage1", "--force").returncode == 0
+    assert (tmp_path / "c.html").read_bytes() == first
+
+
+@pytest.mark.usefixtures("folders")
+def test_what_does_not_go_with_triangles(shell: Shell, tmp_path: Path) -> None:
+    for arguments, code, line in (
+        (["stage1", "--stage1", "stage1"], 2, "--stage1 goes with an atlas, which stage1 is not"),
+        (["atlas", "--max-size", "1MB"], 2, "atlas holds triangles, which have no goal"),
+        (["stage1", "--mesh", "stage1/mesh_0.obj"], 2, "stage1 holds triangles"),
+        (["atlas", "--composite", "ztest"], 2, "--composite has no effect without a mesh"),
+        (["atlas", "--max-memory", "100kB"], 1, "(--max-memory)"),
+    ):
+        done = shell("view", arguments[0], "a.html", *arguments[1:])
+        assert done.returncode == code, done.stderr
+        assert line in done.stderr.decode()
+        assert len(done.stderr.decode().strip().splitlines()) <= 3
+    (tmp_path / "stage1" / "mesh_0.obj").unlink()
+    done = shell("view", "stage1", "a.html")
+    assert (done.returncode, done.stderr.decode()) == (
+        1,
+        "error: stage1: mesh_0.obj is missing; allowed: a mesh and its diffuse texture, where there are pictures\n",
+    )
+    assert not (tmp_path / "a.html").exists()
+
+
+def test_a_mesh_beside_a_field(shell: Shell, tmp_path: Path) -> None:
+    save(tmp_path / "a.npz", sample_n3tree(resolution=8, basis="SH1"))
+    save(tmp_path / "m.glb", painted())
+    options = ("--mesh", "m.glb", "--mesh-up", "z", "--composite", "ztest", "--min-psnr", "20")
+    done = shell("view", "a.npz", "a.html", *options)
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "a.html").read_text()
+    assert '"composites": ["ztest", "stop", "cutout"]' in page
+    assert page.count('"vertices": ') == 3
+    done = shell("view", "a.npz", "b.html", "--mesh", "m.glb", "--max-memory", "400kB", "--data", "exact")
+    assert (done.returncode, done.stderr.decode().count("\n")) == (1, 1)
+    assert "(--max-memory)" in done.stderr.decode()
+    done = shell("view", "a.npz", "b.html", "--mesh", "none.glb", "--data", "exact")
+    assert (done.returncode, done.stderr.decode()) == (1, "error: none.glb: No such file or directory\n")
+    assert not (tmp_path / "b.html").exists()
