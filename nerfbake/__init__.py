@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.scene_to_cameras import orbit_cameras as orbit_cameras
     from nerfbake.stages.scene_to_cameras import sphere_cameras as sphere_cameras
     from nerfbake.stages.scene_to_field import build_field as build_field
+    from nerfbake.stages.scene_to_page import view as view
     from nerfbake.stages.scene_to_summary import summarise_scene as summarise_scene
     from nerfbake.stages.scenes_to_comparison import compare_scenes as compare_scenes
     from nerfbake.stages.shapes_to_n3tree import sample_n3tree as sample_n3tree

@@ -199,6 +199,7 @@ STAGES = {
     "render_stage1": "nerfbake.stages.stage1_to_image",
     "bake_snapped_maps": "nerfbake.stages.clusters_to_maps",
     "summarise_scene": "nerfbake.stages.scene_to_summary",
+    "view": "nerfbake.stages.scene_to_page",
     "vdb_of_bricks": "nerfbake.stages.brick_field_to_vdb",
     "weigh_directions": "nerfbake.stages.cameras_to_directions",
 }

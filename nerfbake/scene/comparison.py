@@ -13,6 +13,7 @@ from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.kernels.picture import lettering
 from nerfbake.scene.base import Scene
 from nerfbake.scene.image import GAP, Image
+from nerfbake.scene.shown import encoded, framed
 
 AMPLIFIED = 8  # times: how much stronger the pictures of differences are
 TITLES = {"truth": "TRUTH", "a": "IN", "b": "IN2"}
@@ -50,6 +51,10 @@ class Comparison(Scene):
     values: dict[str, Any]
     pictures: tuple[tuple[Image | None, Image, Image], ...]
     samples: int = 1
+
+    def _repr_html_(self) -> str:
+        """Its page, in the cell of a notebook."""
+        return framed(encoded(self), scripts=False, height=700)
 
     @property
     def means(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
+from nerfbake.scene.shown import encoded
 
 WHITE = (1.0, 1.0, 1.0)
 GAP = 4  # pixels between the pictures of a contact sheet
@@ -42,6 +43,10 @@ class Image(Scene):
         if self.colour.ndim != 3 or self.colour.shape[2] != 3 or self.alpha.shape != self.colour.shape[:2]:
             found = f"has colours of shape {self.colour.shape}, alpha of {self.alpha.shape}"
             raise InvalidScene(Problem("image", found, "(H, W, 3) and (H, W)"))
+
+    def _repr_png_(self) -> bytes:
+        """Itself, in the cell of a notebook."""
+        return encoded(self)
 
     def __str__(self) -> str:
         return f"image of {self.size[0]}x{self.size[1]}"

@@ -13,6 +13,7 @@ from nerfbake.scene.page_field import PageField
 from nerfbake.scene.page_surface import PageSurface
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.shown import encoded, framed
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,10 @@ class Page:
             raise InvalidScene(Problem("the field", found, "one of what is marched, none of triangles"))
         if self.meshes and self.field is None:
             raise InvalidScene(Problem("the meshes", "stand beside a surface", "a field, or the surface alone"))
+
+    def _repr_html_(self) -> str:
+        """Itself, in the cell of a notebook."""
+        return framed(encoded(self), scripts=True, height=500)
 
     def __str__(self) -> str:
         return f"page of {self.content}" if self.field is None else f"page of a {self.content}"

@@ -26,6 +26,7 @@ from nerfbake import (
     round_to_bytes,
     sample_n3tree,
     save,
+    view,
 )
 from nerfbake.io import load_page_content
 from tests.support.browser import Browser, Seen
@@ -210,3 +211,22 @@ def test_a_hostile_title_is_text(browser: Browser, exact: Made, tmp_path: Path) 
             "document.body.append(Object.assign(document.createElement('script'), {textContent: 'window.in = 1'}))"
         )
         assert page.ask("window.in") is None
+
+
+def test_in_a_notebook_the_page_is_shown_in_its_cell(browser: Browser, tmp_path: Path) -> None:
+    cell = view(sample_n3tree(resolution=16), title="In a cell")._repr_html_()
+    (tmp_path / "notebook.html").write_text(f"<!DOCTYPE html><p id=status>Of the notebook</p>{cell}")
+    with browser.opened(tmp_path / "notebook.html") as page:
+        frame = page.page.frames[1]
+        page.wait_for("document.querySelector('iframe') !== null")
+        end = Seen(frame)
+        end.wait_until_ready()
+        # Ids, styles and scripts are the frame's own, and keys that move the view keep no address.
+        assert page.status == "Of the notebook"
+        assert page.ask("window.nerfbake") is None
+        frame.click("#canvas")
+        pose = frame.evaluate("JSON.stringify(nerfbake.camera.pose)")
+        page.page.keyboard.press("ArrowLeft")
+        end.wait_for(f"JSON.stringify(nerfbake.camera.pose) !== {json.dumps(pose)}")
+        page.page.wait_for_timeout(400)
+        assert page.log == []

@@ -1,0 +1,31 @@
+"""PlenOctree, octree or volume -> the page that shows it."""
+
+from __future__ import annotations
+
+from nerfbake.scene.page import Page
+from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.field_to_page_field import build_page_field
+from nerfbake.stages.scene_to_cameras import orbit_cameras
+from nerfbake.stages.scene_to_field import FieldSource, build_field
+
+_COVER = 320  # pixels along an edge of the picture that is there at once
+
+
+def view(scene: FieldSource | RadianceField | QuantisedOctree, *, title: str = "A radiance field") -> Page:
+    """A page to look around in, which in a notebook shows itself in the cell that gives it.
+
+    It carries the values as float16, or the few bytes of a QuantisedOctree; save() makes an .html of it. Raises
+    InvalidScene for what cannot be shown, UsageError for what has no field.
+
+    >>> from nerfbake import sample_n3tree, view
+    >>> page = view(sample_n3tree(resolution=16), title="A sample")
+    >>> print(page)
+    page of a SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
+    """
+    shown = scene.restored() if isinstance(scene, QuantisedOctree) else scene
+    field = shown if isinstance(shown, RadianceField) else build_field(shown)
+    content = scene if isinstance(scene, QuantisedOctree) else build_page_field(field)
+    cameras = orbit_cameras(field, width=_COVER, height=_COVER)
+    return Page(content, field, cameras, render_field(field, cameras.cameras[0]), title)
