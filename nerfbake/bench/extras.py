@@ -6,7 +6,11 @@ from importlib.util import find_spec
 
 from nerfbake.errors import Problem, UsageError
 
-EXTRAS = {"matplotlib": "plot", "warp": "warp"}  # the module's name: the extra's, as pyproject.toml has it
+EXTRAS = {
+    "matplotlib": "plot",
+    "warp": "warp",
+    "playwright": "browser",
+}  # the module's name: the extra's, as pyproject.toml has it
 
 
 def command_for(module: str) -> str:
@@ -14,7 +18,7 @@ def command_for(module: str) -> str:
     return f"pip install 'nerfbake[{EXTRAS[module]}]'" if module in EXTRAS else ""
 
 
-def require_installed(module: str, option: str) -> None:
-    """Raises UsageError where an option needs a module that is not installed."""
+def require_installed(module: str, what: str) -> None:
+    """Raises UsageError where what is asked for needs a module that is not installed."""
     if find_spec(module) is None:
-        raise UsageError(Problem(option, f"needs {module}, which is not installed", command_for(module)))
+        raise UsageError(Problem(what, f"needs {module}, which is not installed", command_for(module)))

@@ -19,7 +19,7 @@ from nerfbake.jobs.views import read_cameras
 
 @click.group()
 def bench() -> None:
-    """Measure formats, atlases, reads and frames on your own scene and machine."""
+    """Measure formats, atlases, reads, frames and pages on your own scene and machine."""
 
 
 @bench.command()
@@ -182,6 +182,34 @@ def fit(
         progress=words.phase,
     )
     destination.write([found], chart_fits)
+
+
+@bench.command()
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=click.Path(allow_dash=True))
+@click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 5 views around each SCENE]")
+@reports(rounds=5, chart="time a frame against memory for the first SCENE")
+@max_memory
+@speaks
+def view(scenes: tuple[str, ...], cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
+    """Time frames of each SCENE, a PlenOctree or an octree, in a headless Chromium at 400x400: as `nerfbake view` shows
+    it, and as an octree whose shader goes down from the root. Playwright drives the browser.
+
+    \b
+      nerfbake bench view chair.npz
+      nerfbake bench view chair.npz ship.svo.pb --cameras transforms.json --plot frames.svg
+    """
+    from nerfbake.bench.view.browser import require_browser
+    from nerfbake.bench.view.comparison import chart_pages, compare_pages
+
+    require_browser()
+    views = read_cameras(words, cameras).cameras if cameras else ()
+    found = []
+    for path in scenes:
+        source = Source(path)
+        scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+        with source.blamed(words, "drawing pages"):
+            found.append(compare_pages(scene, Path(path).name, views, rounds=rounds, progress=words.phase))
+    destination.write(found, chart_pages)
 
 
 @bench.command()

@@ -101,7 +101,16 @@ FACTS: dict[str, tuple[list[str], Callable[[], Any]]] = {
     ),
 }
 # Those whose work is a stage's, io's or the benchmarks' own, a call between the words.
-NO_JOB = {"check", "bench formats", "bench atlas", "bench access", "bench compress", "bench fit", "bench render"}
+NO_JOB = {
+    "check",
+    "bench formats",
+    "bench atlas",
+    "bench access",
+    "bench compress",
+    "bench fit",
+    "bench render",
+    "bench view",
+}
 
 
 @pytest.fixture(scope="module")

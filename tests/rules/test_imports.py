@@ -51,6 +51,7 @@ OWN_LIBRARY = {
     "bench/compress/contenders": {"sklearn", "zstandard"},
     "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
+    "bench/view/browser": {"playwright"},
     "formats/atlas/folder": {"PIL"},  # its version, for atlas.json
     "formats/octree/json": {"orjson"},
     "formats/picture/depth_png": {"PIL"},

@@ -1,0 +1,1 @@
+"""Pages to look around in, timed in a browser."""
