@@ -36,6 +36,7 @@ def test_a_compressed_octree_is_carried_as_it_is() -> None:
     page = view(quantised)
     assert isinstance(page.content, QuantisedOctree)
     assert page.content is quantised
+    assert page.field is not None
     assert len(page.field.values) > 0
 
 

@@ -228,8 +228,7 @@ class Viewer {
   }
 
   keep(hash) {
-    if (location.protocol === "about:") return; // a frame without an address of its own, as in a notebook
-    history.replaceState(null, "", hash || location.href.split("#")[0]);
+    if (location.protocol !== "about:") history.replaceState(null, "", hash || location.href.split("#")[0]); // a notebook's frame has none
   }
 
   reset() {
