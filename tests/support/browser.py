@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,17 @@ _TEXT = """window.textOf = (array) => {
   for (let i = 0; i < bytes.length; i += 4096) found += String.fromCharCode(...bytes.subarray(i, i + 4096));
   return btoa(found);
 };"""
+
+
+def with_a_browser_of_its_own(test: Callable[..., None]) -> Callable[..., None]:
+    """A test whose code starts a browser: in a thread, as Playwright drives no more than one from each."""
+
+    @wraps(test)
+    def apart(*arguments: Any, **named: Any) -> None:
+        with ThreadPoolExecutor(1) as threads:
+            threads.submit(test, *arguments, **named).result()
+
+    return apart
 
 
 class Seen:

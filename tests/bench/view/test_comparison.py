@@ -31,6 +31,7 @@ from nerfbake.cli.main import run
 from nerfbake.errors import NerfbakeError
 from nerfbake.scene.page_field import grid_of
 from tests.bench.conftest import quiet
+from tests.support.browser import with_a_browser_of_its_own
 
 EDGE = 48
 
@@ -84,6 +85,7 @@ def test_the_lookup_alone_is_another_one(tmp_path: Path) -> None:
 
 @pytest.mark.tools
 @pytest.mark.slow
+@with_a_browser_of_its_own
 def test_both_lookups_are_drawn_compared_and_timed() -> None:
     tree = sample_n3tree(resolution=32, basis="SH4")
     views = orbit_cameras(build_field(tree), frames=2, width=60, height=40).cameras
@@ -104,6 +106,7 @@ def test_both_lookups_are_drawn_compared_and_timed() -> None:
 
 @pytest.mark.tools
 @pytest.mark.slow
+@with_a_browser_of_its_own
 def test_a_page_that_draws_something_else_is_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "octree_content", lambda field, arranged: arranged)
     tree = sample_n3tree(resolution=16, basis="SH1")
@@ -113,6 +116,7 @@ def test_a_page_that_draws_something_else_is_not_timed(monkeypatch: pytest.Monke
 
 @pytest.mark.tools
 @pytest.mark.slow
+@with_a_browser_of_its_own
 def test_a_browser_without_webgl_says_so(tmp_path: Path) -> None:
     scene = field()
     cameras = orbit_cameras(scene, width=8, height=8)
@@ -137,6 +141,7 @@ def test_without_what_drives_a_browser_the_remedy_is_said_before_anything_is_rea
 
 @pytest.mark.tools
 @pytest.mark.slow
+@with_a_browser_of_its_own
 def test_the_command_prints_a_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
