@@ -3,7 +3,7 @@
 const LABELS = {
   kmeans: "Atlas k-means", affine: "Atlas affine", grid: "Atlas grid",
   mlp_constants: "MLP constants", mlp_textures: "MLP textures", none: "None",
-  stop: "Stops rays", ztest: "Depth test", cutout: "Cutout",
+  stop: "Stop", ztest: "Depth test", cutout: "Cutout",
 };
 
 // What is chosen at first, as Picture.look() takes it; the page's controls change it from then on.
