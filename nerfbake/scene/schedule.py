@@ -50,6 +50,7 @@ PRESETS = {  # of R cells: stages of R / 4, R / 2, R, and R with some cells divi
     "balanced": (3, 3, 1, 4),
     "best": (3, 3, 1, 8),
 }
+_AGAIN = 4  # epochs of divided cells from which on some more are divided halfway
 
 
 class Schedule(tuple[Stage, ...]):
@@ -123,14 +124,17 @@ def _stages(epochs: tuple[int, ...], resolution: int, samples: int, views: int) 
     def times(epochs: int) -> int:
         return max(1, min(round(epochs * VIEWS / views), MAX_EPOCHS))
 
-    coarse, middle, fine, divided = map(times, epochs)
-    first, second = max(resolution // 4, RESOLUTIONS[0]), max(resolution // 2, RESOLUTIONS[0])
+    coarse, middle, fine = map(times, epochs[:3])
+    second = epochs[3] // 2 if epochs[3] >= _AGAIN else 0
+    quarter, half = max(resolution // 4, RESOLUTIONS[0]), max(resolution // 2, RESOLUTIONS[0])
     made = [
-        Stage(first, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.03),
-        Stage(second, 2, middle, (0.1, 0.03), (0.5, 0.2), prune=0.03),
+        Stage(quarter, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.03),
+        Stage(half, 2, middle, (0.1, 0.03), (0.5, 0.2), prune=0.03),
         Stage(resolution, 1, fine, (0.1, 0.04), (0.5, 0.3), prune=0.02),
-        Stage(resolution, 1, divided, (0.15, 0.02), (0.8, 0.1), 2, 0.1, 0.005),
+        Stage(resolution, 1, times(epochs[3] - second), (0.15, 0.02), (0.8, 0.1), 2, 0.1, 0.005),
     ]
+    if second:
+        made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, 0.1, 0.005))
     if samples == 1:
         made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.005))
     return Schedule(made)
