@@ -25,7 +25,7 @@ setup: $(VENV)/ready  ## a virtual environment of our own, with everything that 
 # Debian's packages; NERFBAKE_BLENDER=0 leaves the largest one out, and its test.
 READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
 READERS += g++ libnanovdb-dev zlib1g-dev
-READERS += chromium nodejs npm
+READERS += chromium $(if $(shell command -v npm),,nodejs npm)
 READERS += libegl-dev libgl-dev libgl1-mesa-dri
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
