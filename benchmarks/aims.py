@@ -54,6 +54,18 @@ COMPRESS = {
     "encoding's peak, x the octree": Aim("at most", 4),
 }
 
+# view: pages of the real chair at 256^3; frames by those of an octree that is descended from its root
+VIEW = {
+    "compressed: MB": Aim("at most", 2.9),
+    "exact: MB": Aim("at most", 36),
+    "baking, compressed: s more than `compress`": Aim("at most", 3),
+    "baking, exact: s more than `svo`": Aim("at most", 3),
+    "first picture, compressed, SwiftShader: s": Aim("below", 5),
+    "decoding in the script: x Python's": Aim("at most", 3),
+    "frames, SwiftShader: x octree": Aim("at most", 0.7),
+    "frames, llvmpipe: x octree": Aim("at most", 0.7),
+}
+
 
 def aims_table(rows: Iterable[tuple[str, Aim, float | None]]) -> Table:
     """What is aimed for and what was measured: (what, its aim, its figure or None where nothing was measured)."""

@@ -35,6 +35,7 @@ SUITE = (
     Benchmark("render", ("render.md", "render.svg")),
     Benchmark("outputs", ("outputs.md",)),
     Benchmark("atlas", ("atlas.md", "atlas.png")),
+    Benchmark("view", ("view.md",)),
     Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),
 )
 

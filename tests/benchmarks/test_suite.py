@@ -13,13 +13,17 @@ from typing import Any
 import pytest
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, outputs, svo, wires
+from benchmarks import atlas, outputs, svo, view, wires
+from benchmarks.aims import VIEW
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
 from nerfbake.bench.access.readers import READERS
 from nerfbake.bench.atlas.baking import Recipe
-from nerfbake.bench.measure import Result
+from nerfbake.bench.measure import Result, seconds_of
 from nerfbake.bench.process import measure_process
+from nerfbake.bench.view.browser import SWIFTSHADER
+from nerfbake.bench.view.comparison import CHOSEN, OCTREE
+from nerfbake.cli.main import run as nerfbake_run
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
 
@@ -151,6 +155,28 @@ def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.tools
+def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    def here(*command: Any) -> Result:
+        assert command[1:3] == ("-m", "nerfbake")
+        code, seconds = seconds_of(lambda: nerfbake_run([str(word) for word in command[3:]]))
+        assert code == 0
+        return Result(seconds)
+
+    monkeypatch.setattr(view, "measure_process", here)
+    monkeypatch.setattr(view, "EDGE", 48)
+    monkeypatch.setattr(view, "RENDERERS", {"SwiftShader": SWIFTSHADER, "llvmpipe": SWIFTSHADER})
+    files = small("view", scenes)
+    found = tables(files, "view.md")
+    assert [row[0] for row in found["Aims"]] == list(VIEW)
+    assert [row[0] for row in found["Pages"]] == ["compressed", "exact"]
+    assert [row[0] for row in found["Frames"]] == 2 * [OCTREE, CHOSEN]
+    # Of a tiny scene each of these is far within its aim, on any machine.
+    held = {row[0]: row[-1] for row in found["Aims"]}
+    assert [held[what] for what in ("compressed: MB", "exact: MB")] == ["yes", "yes"]
+
+
+@pytest.mark.slow
 def test_outputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     some = [output for output in outputs.OUTPUTS if output[0] in ("half.svo.npz", "half.svo.npz.zst")]
     monkeypatch.setattr(outputs, "OUTPUTS", some)
@@ -222,6 +248,6 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, atlas, compress"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, atlas, view, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"

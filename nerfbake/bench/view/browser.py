@@ -27,7 +27,7 @@ OWN = ("--enable-unsafe-swiftshader",)  # what the browser chooses by itself, so
 PATIENCE = 300  # seconds until a page has drawn itself, in software and on a busy machine
 _POLL = 0.05
 _FAILED = "window.nerfbake?.state === 'failed'"
-_STILL = "window.nerfbake?.finished && !nerfbake.asked && !nerfbake.busy"
+_STILL = "nerfbake.finished && !nerfbake.asked && !nerfbake.busy"
 _STATUS = "document.getElementById('status').textContent"
 _RENDERER = """() => {
   const gl = nerfbake.picture.gl, more = gl.getExtension("WEBGL_debug_renderer_info");
@@ -101,7 +101,7 @@ class Chromium:
             page = context.new_page()
             page.goto(path.resolve().as_uri(), wait_until="commit")
             tab = Tab(page)
-            tab.wait_for(f"{_FAILED} || ({until})")
+            tab.wait_for(f"{_FAILED} || (window.nerfbake && ({until}))")
             if tab.ask(_FAILED):
                 raise NerfbakeError(tab.ask(_STATUS))
             yield tab
