@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import CAPTURE, Command, Size, reads, speaks, without_effect, writes
+from nerfbake.cli.params import CAPTURE, Command, Size, reads, samples, speaks, without_effect, writes
 from nerfbake.cli.render import Background, places_mesh
 from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
@@ -17,7 +17,7 @@ from nerfbake.jobs.viewing import view_file
 
 
 def carries(function: Command) -> Command:
-    """Adds --data, --max-loss, --max-size and --truth; the command gets `data`, `goal` and `truth`."""
+    """Adds --data, --max-loss and --max-size; the command gets `data` and `goal`."""
 
     @click.option(
         "--data",
@@ -31,11 +31,6 @@ def carries(function: Command) -> Command:
         help="The most PSNR that pictures may lose against photographs, in dB.  [default: 0.1]",
     )
     @click.option("--max-size", type=Size(), help="The most bytes that OUT may have, for example 2MB.")
-    @click.option(
-        "--truth",
-        type=click.Path(),
-        help="A folder with a photograph NAME.png for each of --cameras: the loss is measured, not predicted.",
-    )
     @wraps(function)
     def command(*args: Any, data: Any, max_loss: float | None, max_size: int | None, **others: Any) -> Any:
         if data == "exact":
@@ -46,15 +41,35 @@ def carries(function: Command) -> Command:
     return command
 
 
+def measures(function: Command) -> Command:
+    """Adds --truth, --min-psnr and --samples; the command gets all three."""
+
+    @click.option(
+        "--truth",
+        type=click.Path(),
+        help="A folder with a photograph NAME.png for each of --cameras: the loss is measured, not predicted.",
+    )
+    @click.option(
+        "--min-psnr",
+        type=float,
+        help="The least PSNR in dB of what OUT shows: below it OUT becomes OUT.rejected (exit 3).",
+    )
+    @samples
+    @wraps(function)
+    def command(*args: Any, truth: str | None, min_psnr: float | None, **others: Any) -> Any:
+        if truth is None and min_psnr is None:
+            allowed = "--samples with --truth or --min-psnr"
+            without_effect("samples", here="where nothing is measured", allowed=allowed)
+        return function(*args, truth=truth, min_psnr=min_psnr, **others)
+
+    return command
+
+
 @click.command()
 @reads
 @writes("Page", required=False)
 @carries
-@click.option(
-    "--min-psnr",
-    type=float,
-    help="The least PSNR in dB of what OUT shows: below it OUT becomes OUT.rejected (exit 3).",
-)
+@measures
 @click.option("--title", help="What the page is called.  [default: the name of IN]")
 @click.option(
     "--background",

@@ -33,6 +33,7 @@ def view_file(
     cameras: str | None = None,
     truth: str | None = None,
     min_psnr: float | None = None,
+    samples: int | None = None,
     title: str | None = None,
     background: tuple[float, float, float] | None = None,
     lookup: Literal["nearest", "trilinear"] = "nearest",
@@ -55,6 +56,7 @@ def view_file(
     truth       a folder with a photograph, NAME.png, for each of the cameras, against which the compression's loss is
                 measured; None: it is predicted
     min_psnr    the least mean PSNR in dB of what the written page shows, against `source`; None: any
+    samples     rays along each edge of a pixel of these pictures; None: as the cameras have it, or 1
     title       None: the name of the source
     background  sRGB in 0..1; None: the reader's own, light or dark
     lookup      how the page opens, as render_field() has it; its reader may change it
@@ -68,7 +70,11 @@ def view_file(
     page of a SH1 page field of 1,252 rows, 2x2x2 cells of 8^3
     """
     source = as_source(source)
-    goals, photographs, budget = goal.options, Photographs(cameras, truth), Budget(min_psnr, cameras)
+    goals, photographs, budget = (
+        goal.options,
+        Photographs(cameras, truth, samples=samples),
+        Budget(min_psnr, cameras, samples),
+    )
     photographs.require()
     packed = goal != LEAST_LOSS or truth is not None
     if data == "exact" and packed:

@@ -69,6 +69,7 @@ def test_what_cannot_be_asked_for(shell: Shell, tmp_path: Path) -> None:
     for options, line in (
         (["--max-loss", "1", "--max-size", "1MB"], "--max-loss and --max-size are two goals"),
         (["--data", "exact", "--max-loss", "1"], "--max-loss has no effect on exact data"),
+        (["--samples", "2"], "--samples has no effect where nothing is measured"),
     ):
         done = shell("view", "a.npz", "a.html", *options)
         assert done.returncode == 2
