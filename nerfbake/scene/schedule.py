@@ -50,7 +50,7 @@ PRESETS = {  # of R cells: stages of R / 4, R / 2, R, and R with some cells divi
     "balanced": (3, 3, 1, 4),
     "best": (3, 3, 1, 8),
 }
-_AGAIN = 4  # epochs of divided cells from which on some more are divided halfway
+_AGAIN = 6  # epochs of divided cells from which on some more are divided halfway
 
 
 class Schedule(tuple[Stage, ...]):

@@ -107,7 +107,7 @@ def test_progress_tells_where_it_is_and_how_near(capture: Path, listener: Listen
     shares = [share for share, _ in listener.shares]
     assert shares == sorted(shares)
     assert 0 < shares[0] < shares[-1] == pytest.approx(1)
-    assert listener.shares[0][1] == "stage 1 of 5, 16^3, 7 voxels"
+    assert listener.shares[0][1] == "stage 1 of 4, 16^3, 7 voxels"
     seen = fitted.curve[-1].psnr
     assert listener.shares[-1][1].endswith(f"^3, 7 voxels, {seen:.2f} dB on 4 of 4 views kept for judging")
 
