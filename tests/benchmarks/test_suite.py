@@ -26,6 +26,7 @@ from nerfbake.bench.view.comparison import CHOSEN, OCTREE
 from nerfbake.cli.main import run as nerfbake_run
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
+from tests.support.browser import with_a_browser_of_its_own
 
 SHARED = {"__init__", "__main__", "aims", "scenes", "suite"}
 
@@ -156,6 +157,7 @@ def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.tools
+@with_a_browser_of_its_own
 def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     def here(*command: Any) -> Result:
         assert command[1:3] == ("-m", "nerfbake")
