@@ -40,6 +40,17 @@ SURFACE_READ = Aim("at most", 0.6)
 NANOVDB_BUILD_AND_WRITE = Aim("at most", 1)
 OPENVDB_WRITE = Aim("at most", 1)
 
+# fit: seconds of two cores and PSNR in dB from the written file, by the fit's preset or minutes; MB of a process
+FIT = {
+    "fast": (Aim("at most", 40), Aim("at least", 34.8)),
+    "1": (Aim("at most", 60), Aim("at least", 35.8)),
+    "balanced": (Aim("at most", 100), Aim("at least", 36.1)),
+    "best": (Aim("at most", 180), Aim("at least", 36.5)),
+}
+FIT_ONE_RAY = (Aim("at most", 100), Aim("at least", 35.0))  # "balanced" with one ray a pixel
+FIT_MEMORY = Aim("below", 2000)
+REFIT = Aim("at least", 1.0)  # dB that an octree of 128^3 gains
+
 # render: milliseconds a frame of 400x400, and seconds of a process that shows one picture
 FRAME = {"chair_sh9.npz": Aim("at most", 150), "chair_sh9_128.npz": Aim("at most", 100)}
 FIRST_PICTURE = Aim("below", 1.5)

@@ -61,6 +61,11 @@ class Scenes:
         return self.data / "nerf_synthetic" / "chair" / "transforms_test.json"
 
     @property
+    def capture(self) -> Path:
+        """A folder with the chair's photographs, 100 to fit to and 25 to judge by."""
+        return self.data / "nerf_synthetic" / "chair"
+
+    @property
     def stage1(self) -> Path:
         """nerf2mesh's real texture and MLP."""
         return self.data / "nerf2mesh" / "mesh_stage1"

@@ -34,6 +34,7 @@ SUITE = (
     Benchmark("access", ("access.md", "access.svg", "access_800.md")),
     Benchmark("render", ("render.md", "render.svg")),
     Benchmark("outputs", ("outputs.md",)),
+    Benchmark("fit", ("fit.md", "fit.svg")),
     Benchmark("atlas", ("atlas.md", "atlas.png")),
     Benchmark("view", ("view.md",)),
     Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),

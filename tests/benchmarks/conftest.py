@@ -14,6 +14,7 @@ from benchmarks.scenes import Sample, Scenes
 from nerfbake import build_field, orbit_cameras, render_field, sample_n3tree, sample_stage1, save
 from nerfbake.bench.measure import Result, Work, measure_here
 from nerfbake.io import save_folder
+from tests.support.photographs import write_scene
 
 EDGE = 16  # voxels an axis, pixels and texels
 
@@ -31,7 +32,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     field = build_field(tree)
     views = orbit_cameras(field, frames=2, width=EDGE, height=EDGE)
     save(chairs / "views" / "transforms.json", views)
-    save(cameras / "transforms_test.json", views)
+    write_scene(cameras, frames=8, edge=EDGE)  # two of them judge
     for camera in views.cameras:
         save(chairs / "views" / f"{camera.name}.png", render_field(field, camera))
     save_folder(folder / "nerf2mesh" / "mesh_stage1", sample_stage1(resolution=EDGE))
@@ -57,6 +58,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
         "access.comparison",
         "atlas.comparison",
         "compress.comparison",
+        "fit.structures",
         "formats.comparison",
         "render",
         "process",

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, outputs, svo, view, wires
-from benchmarks.aims import VIEW
+from benchmarks import atlas, fit, outputs, svo, view, wires
+from benchmarks.aims import FIT, VIEW
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
 from nerfbake.bench.access.readers import READERS
@@ -179,6 +179,24 @@ def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
+def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit, "RESOLUTION", 32)
+    monkeypatch.setattr(fit, "COARSE", 8)
+    monkeypatch.setattr(fit, "LIKE", ("--frames", "2", "--edge", "8", "--epochs", "1"))
+    monkeypatch.setattr(fit, "FIT", {name: aims for name, aims in FIT.items() if name == "balanced"})
+    monkeypatch.setattr("nerfbake.bench.fit.structures.EDGE", 8)
+    monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)
+    files = small("fit", scenes)
+    found = tables(files, "fit.md")
+    assert [row[0] for row in found["Fits, from the written file"]] == ["balanced", "balanced"]
+    (refits,) = (rows for title, rows in found.items() if "refit" in title)
+    assert [row[0] for row in refits] == 2 * ["its photographs"] + 2 * ["the PlenOctree"]
+    assert len(found["Aims"]) == 2 * 3 + 4
+    assert b"balanced" in files["fit.svg"]
+
+
+@pytest.mark.slow
 def test_outputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     some = [output for output in outputs.OUTPUTS if output[0] in ("half.svo.npz", "half.svo.npz.zst")]
     monkeypatch.setattr(outputs, "OUTPUTS", some)
@@ -250,6 +268,6 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, atlas, view, compress"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, fit, atlas, view, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
