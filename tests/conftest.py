@@ -6,13 +6,14 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import hypothesis
 import pytest
+
+from tests.support.forks import Forks
 
 REPOSITORY = Path(__file__).parents[1]
 DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -39,13 +40,19 @@ def chair(data: Path) -> Path:
     return data / "plenoctree" / "chair"
 
 
+@pytest.fixture(scope="session")
+def forks() -> Iterator[Forks]:
+    found = Forks(REPOSITORY)
+    yield found
+    found.close()
+
+
 @pytest.fixture
-def shell(tmp_path: Path) -> Shell:
+def shell(tmp_path: Path, forks: Forks) -> Shell:
     """Runs the real command line in a folder of its own: shell('svo', 'a.npz', 'b.svo.pb', stdin=b'...')."""
 
     def run(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-        command = [sys.executable, "-m", "nerfbake", *arguments]
-        return subprocess.run(command, input=stdin, capture_output=True, cwd=tmp_path, timeout=300, check=False)
+        return forks.run(arguments, tmp_path, stdin)
 
     return run
 
