@@ -49,7 +49,10 @@ def _refit_rows(scenes: Scenes) -> list[list[Any]]:
     with tempfile.TemporaryDirectory() as name:
         coarse = Path(name) / "coarse.svo.npz"
         save(coarse, build_octree(load(scenes.chair, N3Tree), resolution=COARSE))
-        models = {"its photographs": ("--views", str(scenes.capture)), "the PlenOctree": ("--like", str(scenes.chair), *LIKE)}
+        models = {
+            "its photographs": ("--views", str(scenes.capture)),
+            "the PlenOctree": ("--like", str(scenes.chair), *LIKE),
+        }
         for what, model in models.items():
             for samples in (1, 2):
                 target = str(Path(name) / f"{samples}.svo.npz")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ import pytest
 from benchmarks import scenes as suite_scenes
 from benchmarks.scenes import Sample, Scenes
 from nerfbake import build_field, orbit_cameras, render_field, sample_n3tree, sample_stage1, save
-from nerfbake.bench.measure import Result, Work, measure_here
+from nerfbake.bench.measure import Result, Work, measure_here, seconds_of
 from nerfbake.io import save_folder
+from tests.support.forks import Forks
 from tests.support.photographs import write_scene
 
 EDGE = 16  # voxels an axis, pixels and texels
@@ -66,3 +68,18 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"nerfbake.bench.{module}.measure", measure)
     for name in ("svo", "wires"):
         monkeypatch.setattr(f"benchmarks.{name}.measure", measure)
+
+
+@pytest.fixture
+def commands_as_forks(forks: Forks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands that are measured start at once, and nobody asks for their memory."""
+
+    def measured(*command: str | Path, keep: bool = False) -> Result:
+        python, *module = map(str, command[:3])
+        assert (python, module) == (sys.executable, ["-m", "nerfbake"])
+        done, seconds = seconds_of(lambda: forks.run(tuple(map(str, command[3:])), tmp_path, b""))
+        assert done.returncode == 0, done.stderr
+        return Result(seconds, peak=1, facts={"stdout": done.stdout.decode()} if keep else {})
+
+    for module in ("benchmarks.fit", "benchmarks.view", "nerfbake.bench.fit.comparison"):
+        monkeypatch.setattr(f"{module}.measure_process", measured)

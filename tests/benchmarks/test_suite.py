@@ -19,11 +19,10 @@ from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
 from nerfbake.bench.access.readers import READERS
 from nerfbake.bench.atlas.baking import Recipe
-from nerfbake.bench.measure import Result, seconds_of
+from nerfbake.bench.measure import Result
 from nerfbake.bench.process import measure_process
 from nerfbake.bench.view.browser import SWIFTSHADER
 from nerfbake.bench.view.comparison import CHOSEN, OCTREE
-from nerfbake.cli.main import run as nerfbake_run
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
@@ -157,15 +156,9 @@ def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.tools
+@pytest.mark.usefixtures("commands_as_forks")
 @with_a_browser_of_its_own
 def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
-    def here(*command: Any) -> Result:
-        assert command[1:3] == ("-m", "nerfbake")
-        code, seconds = seconds_of(lambda: nerfbake_run([str(word) for word in command[3:]]))
-        assert code == 0
-        return Result(seconds)
-
-    monkeypatch.setattr(view, "measure_process", here)
     monkeypatch.setattr(view, "EDGE", 48)
     monkeypatch.setattr(view, "RENDERERS", {"SwiftShader": SWIFTSHADER, "llvmpipe": SWIFTSHADER})
     files = small("view", scenes)
@@ -179,7 +172,7 @@ def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.usefixtures("in_this_process", "commands_as_forks")
 def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "RESOLUTION", 32)
     monkeypatch.setattr(fit, "COARSE", 8)
