@@ -21,6 +21,10 @@ DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("repeatable")
 
+# Processes that tests start find Python's modules compiled, also where the environment has none of them kept.
+os.environ["PYTHONPYCACHEPREFIX"] = str(REPOSITORY / "build" / "modules")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # Whoever starts the tests in the background (nohup, a shell's &) has them ignore Ctrl-C, and all that they start, too.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
