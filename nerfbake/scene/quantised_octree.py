@@ -23,6 +23,7 @@ from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 
 MAX_VALUE = (1 << 30) - 1  # of a coefficient, in steps
 STEPS = (1e-9, 1e9)  # what a step and a scale may be
+_CHUNK = 1 << 15  # leaves at a time
 
 
 def _zeros() -> npt.NDArray[np.float64]:
@@ -158,7 +159,9 @@ class QuantisedOctree(Scene):
         memory.require("the leaves of the octree", self.m * self.values.shape[1] * (8 + 4))
         mixing = np.ascontiguousarray((self.mixing * self.mixing_scale).T)
         values, density = restore(self.values, self.steps, merges, mixing, leaf)
-        values[:, -1] = cast(self.density_scale * expm1(np.maximum(density, 0)), np.float32)
+        for first in range(0, self.m, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            values[part, -1] = cast(self.density_scale * expm1(np.maximum(density[part], 0)), np.float32)
         return values
 
     def restored(self) -> SparseVoxelOctree:

@@ -32,13 +32,14 @@ _ROUNDING = 32767  # the largest entry of the mixing matrix
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """points (m, 3B + 1) float64 in rows as QuantisedOctree.values has them, not rounded; rows (m,) the octree's row of
-    each leaf, breadth-first; the rest is the quantised octree's."""
+    """points (m, 3B + 1) float64, not rounded, of which order (m,) makes the rows of QuantisedOctree.values; rows (m,)
+    the octree's row of each leaf, breadth-first; the rest is the quantised octree's."""
 
     octree: SparseVoxelOctree
     rows: Rows
     masks: npt.NDArray[np.uint8]
     points: Floats
+    order: npt.NDArray[np.int32]
     mixing: npt.NDArray[np.int16]
     mixing_scale: float
     density_scale: float
@@ -50,7 +51,7 @@ class Coefficients:
         memory.require("the rounded leaves", 4 * self.points.size)
         values = np.empty(self.points.shape, np.int32)
         for first in range(0, len(values), _CHUNK):
-            part = np.rint(self.points[first : first + _CHUNK] / steps)
+            part = np.rint(self.points[self.order[first : first + _CHUNK]] / steps)
             if (most := float(np.abs(part).max())) > MAX_VALUE:
                 found = f"makes {most:g} steps of what the leaves hold"
                 raise InvalidScene(Problem(f"a step of {step:g}", found, f"{MAX_VALUE:,}"))
@@ -101,7 +102,7 @@ def transform(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> Coefficien
         points[first : first + _CHUNK, :-1] = product(values[:, :-1], unmixing.T)
         points[first : first + _CHUNK, -1] = log(1 + values[:, -1] / density_scale)
     haar.forward(points, merges)
-    return Coefficients(octree, rows, masks, points[merges.rows], mixing, mixing_scale, density_scale)
+    return Coefficients(octree, rows, masks, points, merges.rows, mixing, mixing_scale, density_scale)
 
 
 def _masks(octree: SparseVoxelOctree, rows: Rows) -> npt.NDArray[np.uint8]:
