@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.compression import Compression as Compression
     from nerfbake.scene.depth import Depth as Depth
     from nerfbake.scene.image import Image as Image
+    from nerfbake.scene.lattice_field import LatticeField as LatticeField
     from nerfbake.scene.mesh import Mesh as Mesh
     from nerfbake.scene.mesh import Meshes as Meshes
     from nerfbake.scene.n3tree import N3Tree as N3Tree
@@ -61,6 +62,9 @@ if TYPE_CHECKING:
     from nerfbake.stages.field_to_page_field import round_field as round_field
     from nerfbake.stages.identifiers_to_clusters import cluster_identifiers as cluster_identifiers
     from nerfbake.stages.identifiers_to_clusters import cluster_planes as cluster_planes
+    from nerfbake.stages.lattice_to_error import measure_lattice as measure_lattice
+    from nerfbake.stages.lattice_to_image import render_lattice as render_lattice
+    from nerfbake.stages.lattice_to_octree import octree_of_lattice as octree_of_lattice
     from nerfbake.stages.meshes_to_image import render_meshes as render_meshes
     from nerfbake.stages.n3tree_to_field import field_of_n3tree as field_of_n3tree
     from nerfbake.stages.n3tree_to_octree import build_octree as build_octree

@@ -27,6 +27,7 @@ class Format(NamedTuple):
     beside: bool = False  # decode() takes the folder where the file stands, too
     packed: bool = False  # there is nothing left for .zst to pack, so that it is refused
     written: str = ""  # name of the scene type that encode() takes, where it is not the one that decode() gives
+    writable: bool = True  # False: other programs' files, which are read alone, without encode()
 
     def load_module(self) -> contract.FileFormat:
         return cast(contract.FileFormat, import_module(f"nerfbake.formats.{self.module}"))
@@ -82,6 +83,7 @@ FORMATS = (
     Format("svo.capnp", _OCTREE, ".svo.capnp", "octree.capnp", "octree, Cap'n Proto"),
     Format("svoq", _OCTREE, ".svoq", "octree.svoq", "octree, compressed", written="QuantisedOctree", packed=True),
     Format("vdb.npz", "Volume", ".vdb.npz", "volume.npz", "VDB grids, plain NumPy arrays"),
+    Format("ckpt.npz", "LatticeField", ".ckpt.npz", "field.svox2", "Plenoxels (svox2)", writable=False),
     Format("npz", "N3Tree", ".npz", "field.n3tree", "PlenOctree (svox N3Tree)", "_poses_bounds.npy"),
     Format("depth.png", "Depth", ".depth.png", "picture.depth_png", "depth, thousandths of a world unit"),
     Format("depth.npy", "Depth", ".depth.npy", "picture.depth_npy", "depth, world units"),
@@ -132,6 +134,7 @@ SCENES = {
     "Depth": "nerfbake.scene.depth",
     "Image": "nerfbake.scene.image",
     "IndexGrid": "nerfbake.scene.vdb",
+    "LatticeField": "nerfbake.scene.lattice_field",
     "Mesh": "nerfbake.scene.mesh",
     "Meshes": "nerfbake.scene.mesh",
     "N3Tree": "nerfbake.scene.n3tree",
@@ -187,15 +190,18 @@ STAGES = {
     "render_meshes": "nerfbake.stages.meshes_to_image",
     "identify_colours": "nerfbake.stages.specular_to_identifiers",
     "measure_atlas_error": "nerfbake.stages.atlas_to_error",
+    "measure_lattice": "nerfbake.stages.lattice_to_error",
     "measure_stage1_error": "nerfbake.stages.stage1_to_atlas",
     "measure_views": "nerfbake.stages.views_to_error",
     "orbit_cameras": "nerfbake.stages.scene_to_cameras",
     "render_field": "nerfbake.stages.field_to_image",
+    "octree_of_lattice": "nerfbake.stages.lattice_to_octree",
     "octree_of_volume": "nerfbake.stages.vdb_to_octree",
     "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
     "sample_stage1": "nerfbake.stages.shapes_to_stage1",
     "round_field": "nerfbake.stages.field_to_page_field",
     "round_to_bytes": "nerfbake.stages.page_field_to_field",
+    "render_lattice": "nerfbake.stages.lattice_to_image",
     "render_stage1": "nerfbake.stages.stage1_to_image",
     "bake_snapped_maps": "nerfbake.stages.clusters_to_maps",
     "summarise_scene": "nerfbake.stages.scene_to_summary",
@@ -213,6 +219,7 @@ NOUNS = {
     "Comparison": "a page of a comparison",
     "Depth": "a depth map",
     "Image": "a picture",
+    "LatticeField": "a lattice field",
     "Meshes": "a mesh",
     "N3Tree": "a PlenOctree",
     "Page": "a page to look around in",
@@ -223,6 +230,7 @@ NOUNS = {
 }
 ADVICE = {
     "Cameras": "--cameras takes them",
+    "LatticeField": "`nerfbake svo` makes an octree of it",
     "N3Tree": "`nerfbake svo` makes an octree of it",
     "SparseVoxelOctree": "`nerfbake convert` writes it in other formats",
     "Stage1": "`nerfbake atlas` bakes it",
@@ -279,7 +287,7 @@ def is_ending(path: str, scene: str) -> bool:
 
 def formats_of(scene: str) -> list[Format]:
     """The formats that write this scene type."""
-    return [form for form in FORMATS if (form.written or form.scene) == scene]
+    return [form for form in FORMATS if form.writable and (form.written or form.scene) == scene]
 
 
 def folders_of(scene: str) -> list[FolderKind]:

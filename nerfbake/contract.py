@@ -49,7 +49,8 @@ class FileFormat(Protocol):
         """
 
     def encode(self, scene: Any, /, **options: Any) -> Iterable[Piece]:
-        """The file in pieces. Raises InvalidScene for what the format cannot say."""
+        """The file in pieces. Raises InvalidScene for what the format cannot say. Formats that are read alone, as the
+        catalog's line tells, have none."""
 
     def decode(self, view: memoryview, /, **beside: Any) -> Any:
         """The scene in a whole file. Raises InvalidFile, MemoryLimit.

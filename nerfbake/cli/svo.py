@@ -18,7 +18,9 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
 @reads
 @writes_octree()
 @click.option(
-    "--resolution", type=Resolution(), help="Voxels along each axis, 1 to 4096.  [default: the tree's finest]"
+    "--resolution",
+    type=Resolution(),
+    help="Voxels along each axis, 1 to 4096.  [default: the tree's finest; twice a lattice's]",
 )
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
@@ -36,13 +38,24 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
     help="The number type of the values that OUT stores.",
 )
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
+@click.option(
+    "--basis",
+    type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
+    help="Of a lattice: the spherical harmonics that hold the colours.  [default: SH9]",
+)
+@click.option(
+    "--scale",
+    type=click.FloatRange(1e-6, 1e6),
+    help="Of a lattice: how many times larger the world is to be than that of IN.",
+)
 @judges
 @speaks
 def svo(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Resample the PlenOctree IN to a sparse voxel octree OUT.
+    """Resample the PlenOctree IN, or the lattice that another program trained, to a sparse voxel octree OUT.
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128
+      nerfbake svo ckpt.npz chair.svo.pb --basis SH16 --min-psnr 40
       nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
     """
     bake_octree(source, target, steps=words, **options)

@@ -21,7 +21,11 @@ GRIDS = "Some of density, Cd (the mean colour over all directions), sh (SH coeff
 @click.option("--grids", help=f"{GRIDS}  [default: density,Cd, but density for .nvdb]")
 @click.option("--half", is_flag=True, help="Store values as float16.")
 @codec_option
-@click.option("--resolution", type=Resolution(), help="Voxels along each axis of a PlenOctree.  [default: its finest]")
+@click.option(
+    "--resolution",
+    type=Resolution(),
+    help="Voxels along each axis of a PlenOctree.  [default: its finest; twice a lattice's]",
+)
 @click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
 @click.option(
     "--up",

@@ -115,7 +115,7 @@ def compare_files(
 
 def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     """The scene, and what a reader wants to know of it."""
-    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume
+    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField
     kinds = *fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas
     found = source.read_with_format(steps, *kinds)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}

@@ -9,6 +9,7 @@ from nerfbake import catalog
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, Choice, tell_of_halves
+from nerfbake.jobs.lattices import octree_of
 from nerfbake.jobs.steps import SILENT, Steps
 
 
@@ -24,6 +25,8 @@ def convert_file(
     steps: Steps = SILENT,
 ) -> nerfbake.SparseVoxelOctree | nerfbake.Volume:
     """Writes an octree or a volume in another format, and gives what it wrote; `nerfbake convert`.
+
+    Another program's lattice becomes an octree first.
 
     Reads `source`, writes `target`, whose format says whether an octree or a volume is wanted.
 
@@ -44,7 +47,9 @@ def convert_file(
             raise UsageError("a volume has no child slots; allowed: no --layout and no --no-child")
         return _write_volume(steps, source, target, choice, codec, half=half)
     target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
-    read = source.read(steps, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    read = source.read(steps, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField)
+    if isinstance(read, nerfbake.LatticeField):
+        read = octree_of(steps, source, read)
     if half and not isinstance(read, nerfbake.Volume):
         raise UsageError("--half is for volumes; allowed: `nerfbake svo --dtype float16`")
     octree: nerfbake.SparseVoxelOctree | nerfbake.Volume = choice.of(steps, source, read)

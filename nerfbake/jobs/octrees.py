@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import nerfbake
+from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
+from nerfbake.jobs.lattices import octree_of
 from nerfbake.jobs.steps import SILENT, Steps
 
 
@@ -15,15 +17,19 @@ def bake_octree(
     target: AnyTarget,
     *,
     no_child: int | None = None,
+    basis: str | None = None,
+    scale: float | None = None,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
     **options: Any,
 ) -> nerfbake.SparseVoxelOctree:
-    """Resamples a PlenOctree to a sparse voxel octree, and gives what it wrote; `nerfbake svo` is this.
+    """Resamples a PlenOctree, or another program's lattice, to a sparse voxel octree, and gives what it wrote;
+    `nerfbake svo` is this.
 
     Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. Options
-    go to build_octree(). no_child: how the file spells 'no child', 0 or -1; None: as is usual for the format. What is
-    wrong with the arguments alone is told before anything is read. Raises NerfbakeError.
+    go to build_octree(), or to octree_of_lattice(). no_child: how the file spells 'no child', 0 or -1; None: as is
+    usual for the format. Of a lattice alone: basis, None is SH9, and scale, how many times larger the world is to be
+    than the file's. What is wrong with the arguments alone is told before anything is read. Raises NerfbakeError.
 
     >>> octree = bake_octree("a.npz", "a.svo.pb", resolution=16, budget=Budget(min_psnr=20))
     >>> octree.size
@@ -32,11 +38,19 @@ def bake_octree(
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    tree = source.read(steps, nerfbake.N3Tree)
-    with source.blamed(steps, "building the octree"):
-        octree = nerfbake.build_octree(tree, **options)
+    scene = source.read(steps, nerfbake.N3Tree, nerfbake.LatticeField)
+    if isinstance(scene, nerfbake.LatticeField):
+        if options.pop("resample", "mean") != "mean":
+            raise UsageError("--resample is about leaves, which a lattice has none of; allowed: a PlenOctree")
+        scene = scene if scale is None else scene.scaled(scale)
+        octree = octree_of(steps, source, scene, basis=basis or "SH9", **options)
+    else:
+        if basis is not None or scale is not None:
+            raise UsageError("a PlenOctree has its own basis and world; allowed: --basis and --scale with a lattice")
+        with source.blamed(steps, "building the octree"):
+            octree = nerfbake.build_octree(scene, **options)
     target.write(steps, octree, no_child=no_child)
-    judge(target.path, tree, budget, made_from=source.name, steps=steps)
+    judge(target.path, scene, budget, made_from=source.name, steps=steps)
     return octree
 
 
@@ -70,9 +84,11 @@ def bake_lod(
 
 
 def read_octree(steps: Steps, source: Source) -> nerfbake.SparseVoxelOctree:
-    """The octree of a file, or that of a PlenOctree at its own resolution."""
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    """The octree of a file, that of a PlenOctree at its own resolution, or that of a lattice."""
+    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.LatticeField)
     if isinstance(scene, nerfbake.SparseVoxelOctree):
         return scene
+    if isinstance(scene, nerfbake.LatticeField):
+        return octree_of(steps, source, scene)
     with source.blamed(steps, "building the octree"):
         return nerfbake.build_octree(scene)

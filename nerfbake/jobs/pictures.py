@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import nerfbake
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.grids import AS_IT_IS, Choice
+from nerfbake.jobs.lattices import octree_of, tell_notes
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
+
+Field: TypeAlias = "nerfbake.RadianceField | nerfbake.LatticeField"
 
 EDGE = 800  # pixels of an orbit's pictures
 
@@ -45,7 +48,7 @@ class Shots(NamedTuple):
         if self.turntable and self.cameras:
             raise UsageError("--turntable goes around the scene; allowed: it or --cameras")
 
-    def of(self, steps: Steps, field: nerfbake.RadianceField, name: str) -> nerfbake.Cameras:
+    def of(self, steps: Steps, field: Field, name: str) -> nerfbake.Cameras:
         """The cameras; name: the scene's, for errors. Raises UsageError where there is no such frame."""
         frames = self.turntable or 1
         views = views_of(
@@ -140,11 +143,13 @@ def render_views(
     steps: Steps = SILENT,
     **options: Any,
 ) -> list[str]:
-    """Renders views of a PlenOctree, an octree or a volume, and gives the paths of the pictures; `nerfbake render`.
+    """Renders views of a PlenOctree, an octree, a volume or a lattice, and gives the paths of the pictures; `nerfbake
+    render`.
 
     Reads `source`, and the cameras and the mesh that are named; writes `pictures`, and what they want beside them.
-    lod: the level of an octree to show. choice: which grids of a volume. Options go to render_field(). All names are
-    settled before the first picture is made. Raises NerfbakeError.
+    lod: the level of an octree to show. choice: which grids of a volume. Options go to render_field(); a lattice is
+    shown as its own program shows it, by render_lattice(), whatever the lookup. All names are settled before the first
+    picture is made. Raises NerfbakeError.
 
     >>> render_views("a.npz", "views", Shots(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
@@ -155,7 +160,7 @@ def render_views(
     pictures = pictures if isinstance(pictures, Pictures) else Pictures(str(pictures))
     shots.require()
     pictures.require(several=shots.several)
-    field = _read(steps, source, lod, choice)
+    field = _read(steps, source, lod, choice, alone=mesh is None)
     views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)
     paths = [pictures.out] if together else pictures.settle(views.cameras, several=shots.several)
@@ -171,10 +176,16 @@ def render_views(
     return paths
 
 
-def _read(steps: Steps, source: Source, lod: int | None, choice: Choice) -> nerfbake.RadianceField:
-    """The field of a scene, made once for its cameras and all of its pictures."""
-    others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume)
+def _read(steps: Steps, source: Source, lod: int | None, choice: Choice, *, alone: bool) -> Field:
+    """The field of a scene, made once for its cameras and all of its pictures; of a lattice itself, if it stands alone
+    in them."""
+    others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume, nerfbake.LatticeField)
     scene = choice.of(steps, source, source.read(steps, *others, nerfbake.SparseVoxelOctree))
+    if isinstance(scene, nerfbake.LatticeField):
+        if alone:
+            tell_notes(steps, source, scene)
+            return scene
+        scene = octree_of(steps, source, scene)
     if lod is not None:
         with source.blamed(steps, f"cutting at level {lod}"):
             scene = nerfbake.cut_octree(scene, level=lod)
@@ -183,9 +194,12 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: Choice) -> nerf
 
 
 def _renderer(
-    field: nerfbake.RadianceField, mesh: PlacedMesh | None, samples: int, options: dict[str, Any]
+    field: Field, mesh: PlacedMesh | None, samples: int, options: dict[str, Any]
 ) -> Callable[..., nerfbake.Image]:
-    """What makes a picture of a camera."""
+    """What makes a picture of a camera. A lattice has a lookup of its own."""
+    if isinstance(field, nerfbake.LatticeField):
+        own = {name: value for name, value in options.items() if name != "lookup"}
+        return partial(nerfbake.render_lattice, field, samples=samples, **own)
     if mesh is None:
         return partial(nerfbake.render_field, field, samples=samples, **options)
     return partial(nerfbake.render_field_and_meshes, field, mesh.read(), how=mesh.how, samples=samples, **options)

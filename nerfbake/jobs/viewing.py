@@ -13,6 +13,7 @@ from nerfbake.jobs.budgets import Budget, judge
 from nerfbake.jobs.compressions import LEAST_LOSS, Goal, Photographs
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
 from nerfbake.jobs.grids import AS_IT_IS, Choice
+from nerfbake.jobs.lattices import octree_of
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.surfaces import Beside, Look, surface_page
@@ -43,10 +44,10 @@ def view_file(
 ) -> nerfbake.Page:
     """Writes a page that shows a scene in any browser, and gives what it shows; `nerfbake view`.
 
-    The scene is a PlenOctree, an octree, a volume, or a folder with its mesh: nerf2mesh's stage 1, or an atlas. Reads
-    `source`, and the cameras, the photographs, the mesh and the stage 1 that are named; writes `target`, or
-    `target`.rejected where min_psnr is missed. Without a target the page is a temporary one, opened in the reader's
-    browser.
+    The scene is a PlenOctree, an octree, a volume, a lattice field, or a folder with its mesh: nerf2mesh's stage 1, or
+    an atlas. Reads `source`, and the cameras, the photographs, the mesh and the stage 1 that are named; writes
+    `target`, or `target`.rejected where min_psnr is missed. Without a target the page is a temporary one, opened in the
+    reader's browser.
 
     data        compressed, as compress_file() does it; exact, float16; None: exact for a volume, else compressed
     goal        of the compression; its max_size is that of the page
@@ -128,8 +129,10 @@ def view_file(
 
 def _read(steps: Steps, source: Source, data: Data | None, choice: Choice, *, packed: bool) -> Any:
     """The scene: an octree, where it is to be compressed."""
-    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume
+    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField
     read = source.read(steps, *fields, nerfbake.Stage1, nerfbake.BakedAtlas)
+    if isinstance(read, nerfbake.LatticeField):
+        read = octree_of(steps, source, read)
     scene = choice.of(steps, source, read)
     if isinstance(scene, nerfbake.Volume):
         if data == "compressed" or packed:

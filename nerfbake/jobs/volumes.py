@@ -9,6 +9,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.grids import require_grids, tell_of_halves
+from nerfbake.jobs.lattices import octree_of
 from nerfbake.jobs.steps import SILENT, Steps
 
 
@@ -25,14 +26,14 @@ def bake_volume(
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> nerfbake.Volume:
-    """Makes VDB grids of a PlenOctree or an octree, and gives what it wrote; `nerfbake vdb`.
+    """Makes VDB grids of a PlenOctree, an octree or another program's lattice, and gives what it wrote; `nerfbake vdb`.
 
     Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed.
 
     grids       some of density, Cd, sh, with commas between them, or index; None: those that are usual for the format
     half        values are float16
     codec       of the format: none or zip; None: as is usual for it
-    resolution  of a PlenOctree, as build_octree() has it; sigma_min, for both, as it has that
+    resolution  of a PlenOctree or a lattice, as build_octree() has it; sigma_min, for both, as it has that
     up          the axis that points up in `target`; in `source` it is z
 
     Raises NerfbakeError.
@@ -45,9 +46,12 @@ def bake_volume(
     form = target.require("Volume", codec=codec)
     budget.require(target)
     wanted = require_grids(form, grids, half=half)
-    scene: nerfbake.N3Tree | nerfbake.SparseVoxelOctree
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    scene: nerfbake.N3Tree | nerfbake.SparseVoxelOctree | nerfbake.LatticeField
+    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.LatticeField)
     judged = None if budget.min_psnr is None else scene  # the tree goes as soon as nobody needs it
+    if isinstance(scene, nerfbake.LatticeField):
+        size = (resolution,) * 3 if isinstance(resolution, int) else resolution
+        scene, resolution = octree_of(steps, source, scene, resolution=size, sigma_min=sigma_min), None
     with source.blamed(steps, "building the grids"):
         if isinstance(scene, nerfbake.N3Tree):
             scene = nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min)

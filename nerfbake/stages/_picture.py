@@ -8,15 +8,17 @@ import numpy.typing as npt
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import WORLD, Camera
 from nerfbake.scene.image import Image
+from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes, vertex_box
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.scene_to_field import FieldSource, build_field
 from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 
-Visible = RadianceField | Meshes | Stage1 | BakedAtlas
+Visible = RadianceField | LatticeField | Meshes | Stage1 | BakedAtlas
 
 
 def visible(scene: Visible | FieldSource) -> Visible:
@@ -30,6 +32,8 @@ def picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
         return render_meshes(scene, camera, samples=samples)
     if isinstance(scene, Stage1 | BakedAtlas):
         return render_stage1(scene, camera, samples=samples)
+    if isinstance(scene, LatticeField):
+        return render_lattice(scene, camera, samples=samples)
     return render_field(scene, camera, samples=samples)
 
 
@@ -42,5 +46,7 @@ def frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float
         return vertex_box(scene.meshes), WORLD
     if isinstance(scene, Stage1 | BakedAtlas):
         return vertex_box(surfaces(scene)), WORLD
+    if isinstance(scene, LatticeField):
+        return scene.held_box, np.eye(3)
     field = require_field(scene)
     return field.world(field.box), field.axes

@@ -14,6 +14,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.image import Image
+from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -22,17 +23,19 @@ from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume, edges_of
 from nerfbake.stages._atlas_summary import summary_of_atlas, summary_of_stage1
 from nerfbake.stages._cameras_summary import summary_of_cameras
+from nerfbake.stages._lattice_summary import summary_of_lattice
 from nerfbake.stages._mesh_summary import summary_of_meshes
 from nerfbake.stages._picture_summary import summary_of_picture
 
-Known = N3Tree | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
+Known = N3Tree | LatticeField | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
 
 
 def summarise_scene(scene: Known) -> dict[str, Any]:
     """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
 
-    Of a volume the same by grid, and what its file said of its checksum; of a mesh its triangles, pieces and colours;
-    of cameras their pictures and lenses, and where they stand; of stage 1 and atlases textures, maps and errors.
+    Of a lattice field its colours, its densities and what was left out; of a volume the same by grid, and what its file
+    said of its checksum; of a mesh its triangles, pieces and colours; of cameras their pictures and lenses, and where
+    they stand; of stage 1 and atlases textures, maps and errors.
 
     Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
 
@@ -43,6 +46,8 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     """
     if isinstance(scene, Volume):
         return _of_volume(scene)
+    if isinstance(scene, LatticeField):
+        return summary_of_lattice(scene)
     if isinstance(scene, Meshes):
         return summary_of_meshes(scene)
     if isinstance(scene, Cameras):

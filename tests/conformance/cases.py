@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from tests.conformance import atlases, cameras, compressed, meshes, n3trees, octrees, pictures, volumes
+from tests.conformance import atlases, cameras, compressed, lattices, meshes, n3trees, octrees, pictures, volumes
 
 CASES = [
     case
-    for family in (octrees, compressed, n3trees, volumes, pictures, cameras, meshes, atlases)
+    for family in (octrees, compressed, n3trees, volumes, pictures, cameras, meshes, atlases, lattices)
     for case in family.cases()
 ]

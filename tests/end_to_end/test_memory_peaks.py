@@ -18,7 +18,7 @@ from nerfbake.scene.depth import Depth
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.support.n3trees import svox
+from tests.support.n3trees import archive, svox
 from tests.support.peaks import measured
 
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile
@@ -117,6 +117,13 @@ def volume(**options: Any) -> Maker:
     return make
 
 
+def plenoxels(path: Path) -> None:
+    n = 300_000
+    links = np.random.default_rng(0).permutation(n).astype(np.int64).reshape(60, 50, 100)
+    arrays = {"links": links, "density_data": np.ones((n, 1), np.float64), "sh_data": np.ones((n, 12), np.float64)}
+    path.write_bytes(archive(arrays))
+
+
 FILES: dict[str, Maker] = {
     "full.svo.npz": octree("svo.npz"),
     "shuffled.svo.npz": shuffled,
@@ -135,6 +142,7 @@ FILES: dict[str, Maker] = {
     "deflated.npz": lambda path: tree(path, deflated=True),
     "swapped.npz": lambda path: tree(path, child=">i4", data=">f2"),
     "quantised.npz": quantised,
+    "deflated.ckpt.npz": plenoxels,
     "grey.png": picture("L"),
     "palette.png": picture("P"),
     "colour.png": picture("RGB"),

@@ -25,6 +25,7 @@ from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
 from tests.support import captures
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
+from tests.support.lattices import svox2, svox2_file
 from tests.support.meshes import cube, square
 from tests.support.n3trees import archive, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
@@ -58,6 +59,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         "Volume": lambda: _volumes(name),
         "N3Tree": _n3trees,
         "Meshes": lambda: _meshes(name),
+        "LatticeField": lambda: _lattices(name),
     }
     if scene in makers:
         return tuple(makers[scene]())
@@ -116,6 +118,12 @@ def _n3trees() -> Iterator[bytes]:
     yield archive(svox(tree))
     yield archive(svox(n3tree(splits=[(0, (2, 1, 0))], N=3, dtype=np.float32)), deflated=False)
     yield archive(quantised(), deflated=False)
+
+
+def _lattices(name: str) -> Iterator[bytes]:
+    """As other programs write them."""
+    yield svox2_file(svox2(size=4, plain=False, empty=0.2))
+    yield svox2_file(svox2(size=1), deflated=True)
 
 
 def _volumes(name: str) -> Iterator[bytes]:

@@ -170,9 +170,10 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "words", lambda: str(scene)
     kind = type(scene).__name__
     radiance = (nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
-    if isinstance(scene, (*radiance, nerfbake.Meshes)):
+    lattice = isinstance(scene, nerfbake.LatticeField)
+    if lattice or isinstance(scene, (*radiance, nerfbake.Meshes)):
         yield "info", lambda: nerfbake.summarise_scene(scene)
-    if isinstance(scene, (*radiance, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)):
+    if lattice or isinstance(scene, (*radiance, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas)):
         yield "render", lambda: _drawn(scene)
     if isinstance(scene, radiance):
         yield "trilinear", lambda: _trilinear(scene)
@@ -184,6 +185,8 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "names", lambda: [camera.name.encode() for camera in scene.cameras]
     for form in catalog.formats_of(kind):
         yield f"write {form.name}", partial(_written, form, scene, place)
+    if lattice:
+        yield "lattice", lambda: nerfbake.octree_of_lattice(scene, resolution=(3, 4, 5), basis="SH4")
     if isinstance(scene, nerfbake.N3Tree):
         yield "svo", lambda: nerfbake.build_octree(scene, resolution=4)
         yield "vdb", lambda: nerfbake.build_vdb(nerfbake.build_octree(scene, resolution=8))

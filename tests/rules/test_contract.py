@@ -23,7 +23,7 @@ from tests.support.scenes import n3tree
 
 READ = [form for form in catalog.FORMATS if form.readable]
 WRITTEN: list[AnyFormat] = [
-    *catalog.FORMATS,
+    *(form for form in catalog.FORMATS if form.writable),
     *dict.fromkeys(catalog.folder_to_write(each.scene) for each in catalog.FOLDERS),
 ]
 every_written = pytest.mark.parametrize("form", WRITTEN, ids=lambda form: form.name)
@@ -78,6 +78,12 @@ def test_a_format_recognises_and_decodes_a_view(form: catalog.Format) -> None:
 @pytest.mark.parametrize("form", [form for form in catalog.FORMATS if not form.readable], ids=lambda form: form.name)
 def test_what_is_only_written_does_not_say_that_it_is_read(form: catalog.Format) -> None:
     assert not any(hasattr(form.load_module(), name) for name in ("decode", "recognise"))
+
+
+@pytest.mark.parametrize("form", [form for form in READ if not form.writable], ids=lambda form: form.name)
+def test_what_is_only_read_is_not_written(form: catalog.Format) -> None:
+    assert not hasattr(form.load_module(), "encode")
+    assert form not in catalog.formats_of(form.scene)
 
 
 @pytest.mark.parametrize("kind", catalog.FOLDERS, ids=lambda kind: kind.name)

@@ -97,7 +97,7 @@ class Checkpoint:
 
     @staticmethod
     def recognise(view: memoryview) -> bool:
-        return "links" in npz_keys(view)
+        return "toy" in npz_keys(view)
 
     @staticmethod
     def decode(view: memoryview) -> SparseVoxelOctree:
@@ -109,15 +109,15 @@ def test_two_kinds_of_npz_are_told_apart_by_what_they_hold(
     before: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whichever line stands first, whatever stands first in the archive, with its ending, another, or none."""
-    toy = catalog.Format("ckpt", "SparseVoxelOctree", ".npz", "toy", "a toy")
+    toy = catalog.Format("toy", "SparseVoxelOctree", ".npz", "toy", "a toy")
     lines = list(catalog.FORMATS)
     lines.insert(next(i for i, form in enumerate(lines) if form.name == "npz") + (not before), toy)
     monkeypatch.setattr(catalog, "FORMATS", tuple(lines))
     monkeypatch.setitem(sys.modules, "nerfbake.formats.toy", cast(types.ModuleType, Checkpoint))
     save(tmp_path / "tree.npz", n3tree())
-    np.savez(tmp_path / "ckpt.npz", density_data=np.zeros(1000), links=np.zeros(3))
+    np.savez(tmp_path / "made.npz", values=np.zeros(1000), toy=np.zeros(3))
     for ending in (".npz", ".bin"):
-        for name, kind in (("tree", N3Tree), ("ckpt", SparseVoxelOctree)):
+        for name, kind in (("tree", N3Tree), ("made", SparseVoxelOctree)):
             path = tmp_path / f"{name}{ending}"
             path.write_bytes((tmp_path / f"{name}.npz").read_bytes())
             assert isinstance(load(path), kind)

@@ -1,0 +1,35 @@
+"""What other programs trained, as octrees: jobs that take PlenOctrees and octrees take these fields by it, too."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import nerfbake
+from nerfbake.jobs.files import Source
+from nerfbake.jobs.steps import Steps
+
+_FRAMES, _EDGE = 4, 200  # of the pictures that tell what voxels lose
+
+
+def octree_of(
+    steps: Steps, source: Source, lattice: nerfbake.LatticeField, **options: Any
+) -> nerfbake.SparseVoxelOctree:
+    """octree_of_lattice() with these options; says what was left out, and what became of colours and pictures."""
+    tell_notes(steps, source, lattice)
+    with source.blamed(steps, "sampling the lattice"):
+        octree = nerfbake.octree_of_lattice(lattice, **options)
+    with source.blamed(steps, "measuring what voxels lose"):
+        apart = nerfbake.measure_lattice(lattice, octree)
+        views = nerfbake.orbit_cameras(lattice, frames=_FRAMES, width=_EDGE, height=_EDGE)
+        found = nerfbake.compare_scenes(lattice, octree, views, keep_pictures=False)
+    size = "x".join(map(str, octree.size))
+    seen = f"{found.means['a_b']['psnr']:.1f} dB from the lattice's own pictures"
+    steps.say(f"{source.name}: in {size} voxels, {seen}; colours are {apart:.2g}/255 (RMS) from its own")
+    return octree
+
+
+def tell_notes(steps: Steps, source: Source, scene: Any) -> None:
+    """Says what a lattice field's file holds that was left out."""
+    if isinstance(scene, nerfbake.LatticeField):
+        for note in scene.notes:
+            steps.say(f"{source.name}: {note}")

@@ -1,0 +1,1 @@
+"""Lattices of values: interpolation between nodes, samples along rays, and colours of nodes."""

@@ -1,0 +1,133 @@
+"""Between the nodes of a lattice: trilinear values, and the densities that are made of them.
+
+Places are shares of the lattice's box, 0 to 1 along each axis. Of the N nodes of an axis number i stands at
+(i + 1/2)/N, or at i/(N - 1) where the first and the last stand on the box; before the first one and behind the last one
+values go on as they are there. A link below 0 reads as zeros.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import prange
+
+from nerfbake.kernels.arrays import Bits, Floats, Singles
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.maths.elementary import exp_parts
+
+RELU, SOFTPLUS = 0, 1
+_exp_parts: Any = compiled()(exp_parts)
+
+
+class Nodes(NamedTuple):
+    """What a density is made of: links (X, Y, Z) to density (n,), of which kind, shift and scale make one per world
+    unit, as scene.lattice_field has them; what is below `least` is none. mask (X', Y', Z'): the nearest of its nodes,
+    of which the first and the last stand on the box, says whether there is anything. corners: 1 where nodes stand on
+    the box, else 0.
+    """
+
+    links: npt.NDArray[np.int32]
+    density: Singles
+    mask: Bits
+    corners: int
+    kind: int
+    shift: float
+    scale: float
+    least: float
+
+
+def densities(nodes: Nodes, places: Floats) -> Singles:
+    """(m,) densities per world unit at places (m, 3) in the box."""
+    out = np.empty(len(places), np.float32)
+    _densities(nodes, places, out)
+    return out
+
+
+def blended(links: npt.NDArray[np.int32], table: Singles, at: Floats) -> Singles:
+    """(m, C) of a table (n, C) that links lead to, at (m, 3) in nodes, the first of an axis being 0."""
+    out = np.empty((len(at), table.shape[1]), np.float32)
+    _blended(links, table, at, out)
+    return out
+
+
+def in_nodes(places: Floats, shape: tuple[int, int, int], corners: bool) -> Floats:
+    """(m, 3) in nodes for places in the box of a lattice of this shape."""
+    edges = np.array(shape, np.float64)
+    at: Floats = places * (edges - 1) if corners else places * edges - 0.5
+    return np.clip(at, 0, edges - 1)
+
+
+@compiled(parallel=True)
+def _densities(nodes: Nodes, places: Floats, out: Singles) -> None:
+    for i in prange(len(places)):
+        out[i] = density_at(nodes, places[i, 0], places[i, 1], places[i, 2])
+
+
+@compiled()
+def density_at(nodes: Nodes, u: float, v: float, w: float) -> float:
+    """Per world unit at a place in the box; 0 where the mask or `least` says so."""
+    mask = nodes.mask
+    a = int(np.floor(u * (mask.shape[0] - 1) + 0.5))
+    b = int(np.floor(v * (mask.shape[1] - 1) + 0.5))
+    c = int(np.floor(w * (mask.shape[2] - 1) + 0.5))
+    if not mask[a, b, c]:
+        return 0.0
+    X, Y, Z = nodes.links.shape
+    corners = nodes.corners
+    x, fx = _below(u * (X - 1) if corners else u * X - 0.5, X)
+    y, fy = _below(v * (Y - 1) if corners else v * Y - 0.5, Y)
+    z, fz = _below(w * (Z - 1) if corners else w * Z - 0.5, Z)
+    total, held = 0.0, False
+    for corner in range(8):
+        i, j, k = x + (corner >> 2), y + (corner >> 1 & 1), z + (corner & 1)
+        row = nodes.links[min(i, X - 1), min(j, Y - 1), min(k, Z - 1)]
+        share = (fx if corner & 4 else 1 - fx) * (fy if corner & 2 else 1 - fy) * (fz if corner & 1 else 1 - fz)
+        if row >= 0 and share > 0:
+            total, held = total + share * nodes.density[row], True
+    if not held:
+        return 0.0
+    raw = total + nodes.shift
+    found = nodes.scale * (max(raw, 0.0) if nodes.kind == RELU else softplus_of(raw))
+    return found if found > nodes.least else 0.0
+
+
+@compiled(parallel=True)
+def _blended(links: npt.NDArray[np.int32], table: Singles, at: Floats, out: Singles) -> None:
+    X, Y, Z = links.shape
+    for n in prange(len(at)):
+        own = out[n]
+        own[:] = 0
+        x, fx = _below(at[n, 0], X)
+        y, fy = _below(at[n, 1], Y)
+        z, fz = _below(at[n, 2], Z)
+        for corner in range(8):
+            i, j, k = x + (corner >> 2), y + (corner >> 1 & 1), z + (corner & 1)
+            row = links[min(i, X - 1), min(j, Y - 1), min(k, Z - 1)]
+            share = (fx if corner & 4 else 1 - fx) * (fy if corner & 2 else 1 - fy) * (fz if corner & 1 else 1 - fz)
+            if row >= 0 and share > 0:
+                weight, values = np.float32(share), table[row]
+                for column in range(len(values)):
+                    own[column] += weight * values[column]
+
+
+@compiled()
+def _below(at: float, count: int) -> tuple[int, float]:
+    """The node below a place, and how far it is from there to the next one: 0 to 1."""
+    at = min(max(at, 0.0), count - 1.0)
+    low = int(at)
+    return low, at - low
+
+
+@compiled()
+def softplus_of(x: float) -> float:
+    """ln(1 + e^x): of e = e^-|x| the series of 2 artanh(e / (2 + e)), exact in its last digits where e is small."""
+    whole, rest = _exp_parts(-abs(x))
+    small = whole + whole * rest
+    s = small / (2 + small)
+    z = s * s
+    series = 1 / 33
+    for n in range(31, 0, -2):
+        series = series * z + 1 / n
+    return float(max(x, 0.0) + 2 * s * series)

@@ -1,0 +1,115 @@
+"""Samples along rays through a lattice, a step after the other, as the programs that train such fields take them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import prange
+
+from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.lattice.nodes import Nodes, density_at
+from nerfbake.kernels.march.traversal import compiled_exp_parts
+
+_BLOCK = 64  # rays that one core does before it takes the next
+
+
+class Samples(NamedTuple):
+    """What m rays meet: those of ray i are first[i] to first[i + 1], in order.
+
+    places (k, 3) in the box, weights (k,) how much of the ray's light each of them is; lost (m, 2): what each ray has
+    lost in all, and that times its distance.
+    """
+
+    first: Ints
+    places: Floats
+    weights: Singles
+    lost: Floats
+
+
+def samples_of(nodes: Nodes, origin: Floats, directions: Floats, step: float, cut: float) -> Samples:
+    """origin (3,) and directions (m, 3) in shares of the box, a direction being one world unit long; step in world
+    units. A ray ends where it lets less than `cut` through."""
+    m = len(directions)
+    counts, lost = np.zeros(m + 1, np.int64), np.zeros((m, 2))
+    places, weights = np.zeros((0, 3)), np.zeros(0, np.float32)
+    _march(nodes, origin, directions, step, cut, False, counts, places, weights, lost)
+    first = np.cumsum(counts)
+    places, weights = np.empty((int(first[-1]), 3)), np.empty(int(first[-1]), np.float32)
+    _march(nodes, origin, directions, step, cut, True, first, places, weights, lost)
+    return Samples(first, places, weights, lost)
+
+
+def gathered(samples: Samples, colours: Singles) -> Singles:
+    """(m, 3) the colours (k, 3) of each ray's samples, by their weights."""
+    out = np.empty((len(samples.lost), 3), np.float32)
+    _gather(samples.first, samples.weights, colours, out)
+    return out
+
+
+@compiled(parallel=True)
+def _march(
+    nodes: Nodes,
+    origin: Floats,
+    directions: Floats,
+    step: float,
+    cut: float,
+    keep: bool,
+    first: Ints,
+    places: Floats,
+    weights: Singles,
+    lost: Floats,
+) -> None:
+    """keep False: counts each ray's samples into first[ray + 1]; True: writes them from first[ray] on."""
+    m = len(directions)
+    for block in prange((m + _BLOCK - 1) // _BLOCK):
+        for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, m)):
+            start, end = _span(origin, directions, ray)
+            through, far, number = 1.0, 0.0, 0
+            for i in range(int(max(np.ceil((end - start) / step), 0.0))):
+                t = start + i * step
+                u = min(max(origin[0] + t * directions[ray, 0], 0.0), 1.0)
+                v = min(max(origin[1] + t * directions[ray, 1], 0.0), 1.0)
+                w = min(max(origin[2] + t * directions[ray, 2], 0.0), 1.0)
+                density = density_at(nodes, u, v, w)
+                if density <= 0:
+                    continue
+                whole, rest = compiled_exp_parts(-density * step)
+                kept = whole + whole * rest
+                weight = through * (1 - kept)
+                if keep:
+                    at = first[ray] + number
+                    places[at, 0], places[at, 1], places[at, 2], weights[at] = u, v, w, weight
+                number += 1
+                far += weight * t
+                through *= kept
+                if through < cut:
+                    break
+            if not keep:
+                first[ray + 1] = number
+            lost[ray, 0], lost[ray, 1] = 1 - through, far
+
+
+@compiled()
+def _span(origin: Floats, directions: Floats, ray: int) -> tuple[float, float]:
+    """Where a ray enters the box and leaves it, in world units; never before its origin."""
+    start, end = 0.0, np.inf
+    for axis in range(3):
+        d, o = directions[ray, axis], origin[axis]
+        if d != 0:
+            start, end = max(start, min(-o / d, (1 - o) / d)), min(end, max(-o / d, (1 - o) / d))
+        elif o < 0 or o > 1:
+            end = -1.0
+    return start, max(start, end)
+
+
+@compiled(parallel=True)
+def _gather(first: Ints, weights: Singles, colours: Singles, out: Singles) -> None:
+    for ray in prange(len(out)):
+        red, green, blue = 0.0, 0.0, 0.0
+        for i in range(first[ray], first[ray + 1]):
+            red += weights[i] * colours[i, 0]
+            green += weights[i] * colours[i, 1]
+            blue += weights[i] * colours[i, 2]
+        out[ray, 0], out[ray, 1], out[ray, 2] = red, green, blue

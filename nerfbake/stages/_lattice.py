@@ -1,0 +1,69 @@
+"""What stages ask of a lattice field: densities and colours at places, and coefficients of a sigmoid's sums."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.arrays import Ints, Points, Singles
+from nerfbake.kernels.lattice import harmonics
+from nerfbake.kernels.lattice.nodes import RELU, SOFTPLUS, Nodes
+from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.kernels.maths.elementary import log, sigmoid
+from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.octree.halves import widened
+from nerfbake.scene.lattice_field import LatticeField, ShColour
+
+DIRECTIONS = 256  # in which colours are compared while coefficients are chosen
+_KINDS = {"relu": RELU, "softplus": SOFTPLUS}
+_Y0 = 0.28209479177387814  # the first of the spherical harmonics, a constant
+
+Seen = Callable[[Singles, Ints], Singles]
+Fit = Callable[[Singles], Singles]
+
+
+def nodes_of(lattice: LatticeField) -> Nodes:
+    """Its densities, as kernels take them."""
+    kind, shift, scale = lattice.activation
+    mask = np.ones((1, 1, 1), bool) if lattice.occupied is None else np.ascontiguousarray(lattice.occupied)
+    least = -float(log(1 - lattice.least)) / lattice.step
+    density = np.ascontiguousarray(lattice.density)
+    corners = int(lattice.at_corners)
+    return Nodes(lattice.links, density, mask, corners, _KINDS[kind], float(shift), float(scale), least)
+
+
+def table_of(lattice: LatticeField, rows: npt.NDArray[np.int32] | slice = slice(None)) -> Singles:
+    """(m, C) the features of some rows, or of all, lying together."""
+    return np.ascontiguousarray(widened(lattice.features[rows]), np.float32)
+
+
+def places_of(lattice: LatticeField, points: Points) -> Points:
+    """Points (m, 3) of the world as shares of the lattice's box."""
+    return np.asarray((points - lattice.box[0]) / (lattice.box[1] - lattice.box[0]), np.float64)
+
+
+def seen_along(lattice: LatticeField, directions: Points) -> Seen:
+    """What makes colours (k, 3) of features (k, C), each in the direction with its number (k,); 0 or more."""
+    if isinstance(lattice.colour, ShColour):
+        basis = sh_basis(directions, lattice.colour.size, np.float32)
+        return lambda features, ray: harmonics.shown(features, basis, ray)
+    return lambda features, ray: sigmoid(features).astype(np.float32)
+
+
+def fit_of(lattice: LatticeField, B: int) -> Fit:
+    """What makes the 3 B coefficients of a sigmoid's sums of features (m, C)."""
+    if isinstance(lattice.colour, ShColour):
+        directions = fibonacci(DIRECTIONS)
+        basis = sh_basis(directions, lattice.colour.size, np.float32)
+        inverse = harmonics.inverse_of(sh_basis(directions, B))
+        return lambda features: harmonics.refitted(features, basis, inverse)
+    return lambda features: _constant(features, B)
+
+
+def _constant(features: Singles, B: int) -> Singles:
+    """The same in every direction: the first coefficient of each channel alone."""
+    out = np.zeros((len(features), 3 * B), np.float32)
+    out[:, ::B] = features / np.float32(_Y0)
+    return out

@@ -1,0 +1,55 @@
+"""Lattice field and the octree made of it -> how far the octree's colours are off in other directions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.lattice.nodes import blended, in_nodes
+from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.kernels.maths.elementary import sigmoid
+from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.octree.means import opacity
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.stages._lattice import places_of, seen_along, table_of
+from nerfbake.stages.octree_to_field import field_of_octree
+
+LEAVES, DIRECTIONS = 2000, 400  # that are looked at; the directions are others than those of the fit
+
+
+def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree) -> float:
+    """The root of the mean square, in 0..255, of what the octree's leaves are off the lattice's own colours at their
+    centres: in 400 directions other than those that its coefficients were chosen by, a leaf weighed by its opacity.
+
+    Of at most 2,000 leaves, evenly chosen. Raises InvalidScene for broken scenes, and for an octree that holds nothing.
+
+    >>> import numpy as np
+    >>> from nerfbake import LatticeField, measure_lattice, octree_of_lattice
+    >>> from nerfbake.scene.lattice_field import Activation, RgbColour
+    >>> links = np.arange(27, dtype=np.int32).reshape(3, 3, 3)
+    >>> box, grey = np.array([[0.0] * 3, [1.0] * 3]), np.zeros((27, 3), np.float32)
+    >>> lattice = LatticeField(links, np.ones(27, np.float32), grey, Activation(), RgbColour(), box)
+    >>> measure_lattice(lattice, octree_of_lattice(lattice)) < 1e-3
+    True
+    """
+    lattice.require_usable()
+    field = field_of_octree(octree)
+    points = field.leaf_centres(LEAVES)
+    if not len(points):
+        raise InvalidScene(Problem("the octree", "holds nothing", "a leaf with a density above 0"))
+    values, directions = field.sample(points), fibonacci(DIRECTIONS)
+    B = field.basis.size
+    at = in_nodes(places_of(lattice, points), lattice.shape, lattice.at_corners)
+    memory.require("the lattice's colours", 4 * lattice.n * lattice.features.shape[1])
+    features = blended(lattice.links, table_of(lattice), at)
+    seen = seen_along(lattice, directions)
+    weight, basis = opacity(values[:, -1], lattice.step), sh_basis(directions, B)
+    total = 0.0
+    for j in range(DIRECTIONS):
+        truth = np.clip(seen(features, np.full(len(points), j)), 0, 1)
+        sums = np.stack([product(values[:, c * B : (c + 1) * B], basis[j : j + 1].T)[:, 0] for c in range(3)], axis=1)
+        total += float((((sigmoid(sums) - truth) ** 2).sum(axis=1) * weight).sum())
+    return 255 * float(np.sqrt(total / (3 * DIRECTIONS * weight.sum())))

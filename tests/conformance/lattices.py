@@ -1,0 +1,80 @@
+"""Lattices as other programs write them, which nerfbake reads alone: the files are made here, after their formats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import load
+from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
+from tests.conformance.case import Case, Facts, Frozen, form_named
+from tests.support.lattices import CENTRE, RADIUS, SHAPE, svox2, svox2_file
+
+DIRECTION = [2 / 7, -3 / 7, 6 / 7]
+# In shares of the box: between nodes, on one, before the first and behind the last, at a corner, outside.
+SHARES = [(0.4375, 0.3, 0.6), (0.3, 0.25, 0.5), (0.05, 0.5, 0.98), (0.98, 0.02, 0.5), (1.0, 1.0, 1.0), (0.2, 0.7, 0.9)]
+Y1 = 0.4886025119029199
+Y2 = (1.0925484305920792, 0.31539156525252005)
+
+
+def cases() -> Iterator[Case]:
+    arrays = svox2(empty=0.25, plain=False)
+    about = "A checkpoint as svox2 writes it: a lattice of links, rows in no order, halves; one row is nobody's."
+    files = {"lattice/plenoxels.ckpt.npz": Frozen(form_named("ckpt.npz"), None, data=svox2_file(arrays))}
+    yield Case("lattice/plenoxels", about, files, _plenoxels(arrays), answer, computed=1e-5)
+
+
+def _plenoxels(arrays: dict[str, Any]) -> Facts:
+    """By the definition: eight nodes around a point, those without a link zeros, and activated then."""
+    low, size = (CENTRE - RADIUS).astype(np.float64), 2 * RADIUS.astype(np.float64)
+    lookups = []
+    for share in SHARES:
+        at = np.clip(np.array(share) * SHAPE - 0.5, 0, np.array(SHAPE) - 1)
+        raw, coefficients = 0.0, np.zeros((3, 9))
+        for step in product((0, 1), repeat=3):
+            node = np.floor(at).astype(int) + step
+            weight = float(np.prod(1 - np.abs(at - node)))
+            row = arrays["links"][tuple(np.minimum(node, np.array(SHAPE) - 1))]
+            if weight > 0 and row >= 0:
+                raw += weight * float(arrays["density_data"][row, 0])
+                coefficients += weight * arrays["sh_data"][row].astype(np.float64).reshape(3, 9)
+        colour = np.maximum(0.5 + (coefficients * _harmonics(*DIRECTION)).sum(axis=1), 0)
+        point = (low + np.array(share) * size).tolist()
+        lookups.append({"point": point, "density": max(raw, 0.0), "colour": colour.tolist()})
+    return {
+        "resolution": list(SHAPE),
+        "world_box": [low.tolist(), (low + size).tolist()],
+        "direction": DIRECTION,
+        "lookups": lookups,
+    }
+
+
+def _harmonics(x: float, y: float, z: float) -> npt.NDArray[np.float64]:
+    k, zonal = Y2
+    second = [k * x * y, -k * y * z, zonal * (2 * z * z - x * x - y * y), -k * x * z, k / 2 * (x * x - y * y)]
+    return np.array([0.28209479177387814, -Y1 * y, Y1 * z, -Y1 * x, *second])
+
+
+def answer(path: Path, expected: Facts) -> Facts:
+    lattice = load(path, LatticeField)
+    places = places_of(lattice, np.array([each["point"] for each in expected["lookups"]]))
+    features = blended(lattice.links, table_of(lattice), in_nodes(places, lattice.shape, lattice.at_corners))
+    seen = seen_along(lattice, np.array([expected["direction"]]))
+    colours = seen(features, np.zeros(len(places), np.int64)).tolist()
+    sigma = densities(nodes_of(lattice), np.clip(places, 0, 1)).tolist()
+    return {
+        "resolution": list(lattice.shape),
+        "world_box": lattice.box.tolist(),
+        "direction": expected["direction"],
+        "lookups": [
+            {"point": each["point"], "density": density, "colour": colour}
+            for each, density, colour in zip(expected["lookups"], sigma, colours, strict=True)
+        ],
+    }

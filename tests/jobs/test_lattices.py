@@ -1,0 +1,96 @@
+"""Whatever takes a PlenOctree takes another program's lattice, and says what became of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerfbake import LatticeField, SparseVoxelOctree, Volume, jobs, load, octree_of_lattice
+from nerfbake.cli.main import run
+from nerfbake.errors import BudgetMissed, InvalidFile, UsageError
+from nerfbake.jobs import Budget, Pictures, PlacedMesh, Seen, Shots
+from tests.jobs.listener import Listener
+from tests.support.lattices import SHAPE, svox2, svox2_file
+from tests.support.meshes import cube
+from tests.support.scenes import assert_same_octree
+
+LAYERS = {"background_links": np.zeros((8, 4), np.int32), "background_data": np.zeros((3, 2, 4), np.float32)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from nerfbake import Meshes, save
+
+    folder = tmp_path_factory.mktemp("lattices")
+    (folder / "ckpt.npz").write_bytes(svox2_file(svox2(size=4, plain=False) | LAYERS))
+    save(folder / "cube.glb", Meshes((cube(0.1),)))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+
+
+def test_svo_says_what_it_cost() -> None:
+    steps = Listener()
+    octree = jobs.bake_octree("ckpt.npz", "a.svo.npz", basis="SH4", steps=steps)
+    assert_same_octree(load("a.svo.npz", SparseVoxelOctree), octree)
+    assert_same_octree(octree, octree_of_lattice(load("ckpt.npz", LatticeField), basis="SH4"))
+    note, cost, _ = steps.said
+    assert note.startswith("ckpt.npz: the background")
+    assert cost.startswith("ckpt.npz: in 10x12x14 voxels, ")
+    assert "dB from the lattice's own pictures; colours are" in cost
+
+
+def test_the_command_takes_a_basis_a_scale_and_a_budget() -> None:
+    line = ["svo", "ckpt.npz", "b.svo.npz", "--basis", "SH1", "--scale", "1.5", "--resolution", "6x6x6", "-q"]
+    assert run([*line, "--min-psnr", "5"]) == 0
+    octree = load("b.svo.npz", SparseVoxelOctree)
+    lattice = load("ckpt.npz", LatticeField)
+    assert_same_octree(octree, octree_of_lattice(lattice.scaled(1.5), basis="SH1", resolution=(6, 6, 6)))
+    with pytest.raises(BudgetMissed, match="dB"):
+        jobs.bake_octree("ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(min_psnr=90))
+
+
+def test_others_take_it_too() -> None:
+    octree = octree_of_lattice(load("ckpt.npz", LatticeField))
+    assert_same_octree(load_octree("d.svo.pb"), octree.with_layout("compact"))
+    volume = jobs.bake_volume("ckpt.npz", "a.vdb", resolution=8)
+    assert isinstance(volume, Volume)
+    assert volume.frame is not None
+    assert volume.frame.size == (8, 8, 8)
+    found = jobs.compare_files("ckpt.npz", "d.svo.pb", seen=Seen(size=(16, 16))).found
+    assert found.means["a_b"]["psnr"] > 15
+    assert jobs.describe_file("ckpt.npz")["resolution"] == list(SHAPE)
+    assert run(["check", "ckpt.npz"]) == 0
+
+
+def load_octree(name: str) -> SparseVoxelOctree:
+    jobs.convert_file("ckpt.npz", name, layout="compact")
+    return load(name, SparseVoxelOctree)
+
+
+def test_pictures_are_the_lattices_own_and_with_a_mesh_the_octrees() -> None:
+    shots = Shots(size=(16, 16))
+    jobs.render_views("ckpt.npz", Pictures("a.png"), shots, lookup="trilinear")
+    steps = Listener()
+    jobs.render_views("ckpt.npz", Pictures("b.png"), shots, mesh=PlacedMesh("cube.glb"), steps=steps)
+    assert any("voxels" in line for line in steps.said)
+    assert Path("a.png").read_bytes() != Path("b.png").read_bytes()
+
+
+def test_a_page_of_it_is_a_page_of_its_octree() -> None:
+    assert jobs.view_file("ckpt.npz", "a.html", data="exact").title == "ckpt.npz"
+
+
+def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--resample is about leaves"):
+        jobs.bake_octree("ckpt.npz", "e.svo.npz", resample="nearest")
+    jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=8)
+    with pytest.raises(UsageError, match="--basis and --scale with a lattice"):
+        jobs.bake_octree(tmp_path / "tree.npz", "e.svo.npz", basis="SH4")
+    with pytest.raises(InvalidFile, match=r"holds a lattice field \(`nerfbake svo` makes an octree of it\)"):
+        jobs.bake_lod("ckpt.npz", "e.svo.npz", level=1)

@@ -1,0 +1,43 @@
+"""Samples along rays: a step after the other, by the formula of emission and absorption."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from nerfbake.kernels.lattice.nodes import RELU, Nodes
+from nerfbake.kernels.lattice.rays import gathered, samples_of
+
+LINKS = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
+STEP = 0.125
+
+
+def nodes(density: float) -> Nodes:
+    return Nodes(LINKS, np.full(8, density, np.float32), np.ones((1, 1, 1), bool), 1, RELU, 0.0, 1.0, 0.0)
+
+
+def test_a_ray_through_a_fog_is_weighed_by_hand() -> None:
+    """A box of one world unit, entered a quarter before it: samples at 0.25, 0.375, ... 1.125 along the ray."""
+    origin, ways = np.array([-0.25, 0.5, 0.5]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    met = samples_of(nodes(3.0), origin, ways, STEP, 0.0)
+    assert_array_equal(met.first, [0, 8, 8])  # the second one passes the box by
+    assert_allclose(met.places[:, 0], np.arange(8) * STEP)
+    kept = np.exp(-3 * STEP)
+    weights = (1 - kept) * kept ** np.arange(8)
+    assert_allclose(met.weights, weights, rtol=1e-6)
+    assert_allclose(met.lost, [[1 - kept**8, (weights * (0.25 + np.arange(8) * STEP)).sum()], [0, 0]])
+    colours = np.repeat(np.arange(8, dtype=np.float32)[:, None], 3, axis=1)
+    assert_allclose(gathered(met, colours)[0], (weights * np.arange(8)).sum(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("cut", [0.5, 1e-4])
+def test_a_ray_ends_where_little_is_let_through(cut: float) -> None:
+    met = samples_of(nodes(16.0), np.array([-1.0, 0.5, 0.5]), np.array([[1.0, 0.0, 0.0]]), STEP, cut)
+    through = np.exp(-16 * STEP * np.arange(1, 9))
+    assert len(met.weights) == min(int((through >= cut).sum()) + 1, 8)
+
+
+def test_a_camera_inside_sees_only_what_is_before_it() -> None:
+    met = samples_of(nodes(1.0), np.array([0.5, 0.5, 0.5]), np.array([[1.0, 0.0, 0.0]]), STEP, 0.0)
+    assert_allclose(met.places[:, 0], 0.5 + np.arange(4) * STEP)
