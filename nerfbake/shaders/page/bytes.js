@@ -11,27 +11,29 @@ function* inBytes(texels, T) {
   const channels = 4 * T, rows = texels.length / channels, functions = 1 + (4 * (T - 1)) / 3;
   const bytes = new Uint8Array(texels.length), densities = new Uint16Array(rows);
   const lows = new Float64Array(3 * functions), widths = new Float64Array(functions).fill(1);
-  for (let row = 0; row < rows; row++) densities[row] = texels[row * channels + 3];
+  // Row by row, as they stand in memory: of each channel the least and the largest, then the low and the width.
+  const low = new Float64Array(channels).fill(Infinity), high = new Float64Array(channels).fill(-Infinity);
+  for (let row = 0, at = 0; row < rows; row++) {
+    for (let channel = 0; channel < channels; channel++, at++) {
+      const value = numberOf(texels[at]);
+      if (value < low[channel]) low[channel] = value;
+      if (value > high[channel]) high[channel] = value;
+    }
+    if (row % 16384 === 0) yield (0.5 * row) / rows;
+  }
+  const width = new Float64Array(channels);
   for (let k = 0; k < functions; k++) {
-    let width = 0;
-    for (let colour = 0; colour < 3; colour++) {
-      let low = Infinity, high = -Infinity;
-      for (let at = channelOf(k, colour); at < texels.length; at += channels) {
-        const value = numberOf(texels[at]);
-        if (value < low) low = value;
-        if (value > high) high = value;
-      }
-      lows[3 * k + colour] = low;
-      width = Math.max(width, high - low);
+    const places = [0, 1, 2].map((colour) => channelOf(k, colour));
+    widths[k] = Math.max(...places.map((channel) => high[channel] - low[channel]), 0) || 1;
+    places.forEach((channel, colour) => (lows[3 * k + colour] = low[channel]));
+    for (const channel of places) width[channel] = widths[k];
+  }
+  for (let row = 0, at = 0; row < rows; row++) {
+    densities[row] = texels[at + 3];
+    for (let channel = 0; channel < channels; channel++, at++) {
+      if (channel !== 3) bytes[at] = Math.floor(((numberOf(texels[at]) - low[channel]) / width[channel]) * 255 + 0.5);
     }
-    widths[k] = width || 1;
-    for (let colour = 0; colour < 3; colour++) {
-      const low = lows[3 * k + colour];
-      for (let at = channelOf(k, colour); at < texels.length; at += channels) {
-        bytes[at] = Math.floor(((numberOf(texels[at]) - low) / widths[k]) * 255 + 0.5);
-      }
-    }
-    yield k / functions;
+    if (row % 16384 === 0) yield 0.5 + (0.5 * row) / rows;
   }
   return { bytes, densities, lows, widths };
 }

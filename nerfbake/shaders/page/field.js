@@ -40,23 +40,43 @@ function* arraysOf(bytes, facts) {
   return { top, blocks, texels };
 }
 
+// A list of leaves, five numbers each: node, or row, then x, y, z of the lowest corner, and the edge.
+class Leaves {
+  constructor() {
+    this.count = 0;
+    this.held = new Int32Array(5 << 14);
+  }
+
+  add(node, x, y, z, edge) {
+    if (5 * this.count === this.held.length) {
+      const more = new Int32Array(2 * this.held.length);
+      more.set(this.held);
+      this.held = more;
+    }
+    const { held } = this, at = 5 * this.count++;
+    held[at] = node;
+    held[at + 1] = x;
+    held[at + 2] = y;
+    held[at + 3] = z;
+    held[at + 4] = edge;
+  }
+
+  get all() {
+    return this.held.subarray(0, 5 * this.count);
+  }
+}
+
 // The same of an octree, from its bytes as a .svoq.
 function* arraysOfSvoq(bytes, facts) {
   const octree = yield* scaled(readSvoq(bytes), 0, 0.8), { start, edge } = facts, C = octree.C;
   const density = (v) => Math.fround(octree.densityScale * Math.expm1(Math.max(v, 0)));
-  // The leaves that can be seen: node, corner, edge.
-  let leaves = { count: 0, held: new Int32Array(5 << 14) };
+  // Those that can be seen.
+  let leaves = new Leaves();
   const visit = (node, x, y, z, width, held, at) => {
-    if (!(density(held[at]) > 0)) return;
-    if (5 * leaves.count === leaves.held.length) {
-      const more = new Int32Array(2 * leaves.held.length);
-      more.set(leaves.held);
-      leaves.held = more;
-    }
-    leaves.held.set([node, x - start[0], y - start[1], z - start[2], width], 5 * leaves.count++);
+    if (density(held[at]) > 0) leaves.add(node, x - start[0], y - start[1], z - start[2], width);
   };
   yield* scaled(eachLeaf(octree, edge, C - 1, visit), 0.8, 0.85);
-  const { top, blocks, rows } = structureOf(leaves.held.subarray(0, 5 * leaves.count), facts);
+  const { top, blocks, rows } = structureOf(leaves.all, facts);
   leaves = null;
   const channels = 4 * facts.texels, texels = new Uint16Array(rows * channels), own = new Uint16Array(channels);
   const write = (_node, x0, y0, z0, width, held, at) => {
@@ -75,12 +95,19 @@ function* arraysOfSvoq(bytes, facts) {
 
 // A leaf's row of halves: the first coefficient of red, green, blue and the density, then all others.
 function fillRow(own, octree, held, at, sigma) {
-  const { B, C, mixing } = octree;
-  for (let i = 0; i < C - 1; i++) {
-    let sum = 0;
-    for (let k = 0, m = i * (C - 1); k < C - 1; k++) sum += held[at + k] * mixing[m + k];
-    const channel = Math.floor(i / B), k = i % B;
-    own[k ? 4 + 3 * (k - 1) + channel : channel] = halfOf(sum);
+  const { B, C, mixing } = octree, wide = C - 1;
+  for (let k = 0; k < B; k++) {
+    // Three sums that do not wait for each other.
+    let red = 0, green = 0, blue = 0;
+    for (let i = 0, r = k * wide, g = (B + k) * wide, b = (2 * B + k) * wide; i < wide; i++) {
+      const value = held[at + i];
+      red += value * mixing[r + i];
+      green += value * mixing[g + i];
+      blue += value * mixing[b + i];
+    }
+    own[channelOf(k, 0)] = halfOf(red);
+    own[channelOf(k, 1)] = halfOf(green);
+    own[channelOf(k, 2)] = halfOf(blue);
   }
   own[3] = halfOf(sigma);
 }
@@ -112,7 +139,7 @@ function structureOf(leaves, facts) {
   const whole = [];
   let count = 0;
   for (let i = 0; i < leaves.length; i += 5) {
-    const [, x, y, z, width] = leaves.subarray(i, i + 5);
+    const x = leaves[i + 1], y = leaves[i + 2], z = leaves[i + 3], width = leaves[i + 4];
     if (x >= end[0] || y >= end[1] || z >= end[2]) continue;
     if (width >= 4) whole.push(i);
     if (width < 8) top[cellOf(x, y, z)] = 0;
@@ -120,7 +147,7 @@ function structureOf(leaves, facts) {
   for (let i = 0; i < top.length; i++) if (top[i] === 0) top[i] = count++;
   const blocks = new Uint32Array(32 * count);
   for (let i = 0; i < leaves.length; i += 5) {
-    const [, x0, y0, z0, width] = leaves.subarray(i, i + 5);
+    const x0 = leaves[i + 1], y0 = leaves[i + 2], z0 = leaves[i + 3], width = leaves[i + 4];
     for (let j = 0; width < 4 && j < width ** 3; j++) {
       const x = x0 + Math.floor(j / width / width), y = y0 + (Math.floor(j / width) % width), z = z0 + (j % width);
       if (x >= end[0] || y >= end[1] || z >= end[2]) continue;

@@ -43,18 +43,13 @@ function coarserFacts(facts, steps) {
 // The arrays of that field; wide: what coarserFacts() made of facts.
 function* coarser(arrays, facts, wide, steps) {
   const s = 2 ** steps, shift = wide.start.map((low, axis) => facts.start[axis] - s * low), channels = 4 * facts.texels;
-  let leaves = { count: 0, held: new Int32Array(5 << 14) };
+  let leaves = new Leaves();
   const list = (x, y, z, edge, row) => {
-    if (5 * leaves.count === leaves.held.length) {
-      const more = new Int32Array(2 * leaves.held.length);
-      more.set(leaves.held);
-      leaves.held = more;
-    }
-    const place = [x + shift[0], y + shift[1], z + shift[2]].map((at) => Math.floor(at / s));
-    leaves.held.set([row, ...place, Math.max(edge / s, 1)], 5 * leaves.count++);
+    const [x0, y0, z0] = [x + shift[0], y + shift[1], z + shift[2]].map((at) => Math.floor(at / s));
+    leaves.add(row, x0, y0, z0, Math.max(edge / s, 1));
   };
   yield* scaled(eachRow(arrays, facts.shape, list), 0, 0.3);
-  const { top, blocks, rows } = structureOf(leaves.held.subarray(0, 5 * leaves.count), wide);
+  const { top, blocks, rows } = structureOf(leaves.all, wide);
   leaves = null;
   const sums = new Float32Array(rows * channels), weights = new Float32Array(rows), length = lengthOf(facts.place);
   const add = (x, y, z, edge, row) => {

@@ -4,15 +4,16 @@
 const EVEN = 1 << 29; // a model that knows nothing: probability in 1/2^22, then 8 bits of how often it was asked
 const ROWS_AT_ONCE = 512;
 
-const SQUASH = new Int32Array(4096);
-const STRETCH = new Int32Array(4096);
-const RATES = new Int32Array(251);
+const SQUASH = new Uint16Array(4096);
+const STRETCH = new Int16Array(4096);
+const RATES = new Uint16Array(251);
 const SIZES = bucketsOf([1, 2, 3, 5, 7, 10, 15, 23, 36, 60, 120]);
 const MATCHES = bucketsOf([1, 2, 3, 5, 8, 14, 24, 44, 90]);
 const BITS = new Uint8Array(256);
 const SHARES = [0, 12, 6, 4, 3]; // 12 / how many references there are
 const AXES = [2, 1, 1, 0, 0, 0, 0]; // of each slot
 const FIRST_SLOT = [3, 1, 0]; // of each axis
+const WIDTHS = [8, 4, 4, 2, 2, 2, 2], LOWS = [0, 0, 4, 0, 2, 4, 6]; // of each slot, in octants
 
 function fillTables() {
   const anchors = [22, 36, 60, 98, 162, 267, 439, 720, 1179, 1921, 3108, 4971, 7812, 11955, 17625, 24743, 32768];
@@ -38,6 +39,10 @@ function sizeBucket(value) {
   return SIZES[value > 120 ? 120 : value];
 }
 
+function clipped(value) {
+  return value > 255 ? 255 : value < -255 ? -255 : value;
+}
+
 function signOf(value) {
   return value > 0 ? 2 : value < 0 ? 0 : 1;
 }
@@ -53,7 +58,7 @@ class Stream {
   bit(p) {
     const state = this.state;
     let code = state[0], range = state[1], bit = 0;
-    const bound = (range >>> 16) * p + (((range & 0xffff) * p) >>> 16);
+    const bound = (Math.imul(range >>> 16, p) + (Math.imul(range & 0xffff, p) >>> 16)) >>> 0;
     if (code < bound) {
       bit = 1;
       range = bound;
@@ -76,23 +81,28 @@ class Stream {
   }
 }
 
+// error * rate >> 16 has 38 bits: its upper and its lower byte apart, all is in whole numbers of 32.
 function learnt(model, bit) {
-  const p = model >> 8, n = model & 255;
-  const moved = p + Math.floor(((bit ? 4194303 - p : -p) * RATES[n]) / 65536);
-  return (moved << 8) | (n < 250 ? n + 1 : 250);
+  const n = model & 255, rate = RATES[n], error = (bit ? 4194303 : 0) - (model >> 8);
+  const step = (Math.imul(error >> 8, rate) + (Math.imul(error & 255, rate) >> 8)) >> 8;
+  return model + (step << 8) + (n < 250 ? 1 : 0);
 }
 
-// Models of four kinds for so many values each, and so many sets of weights.
+// Models of four kinds for so many values each, one kind behind the other, and so many sets of weights.
 class Mixer {
   constructor(stream, values, sets) {
     this.stream = stream;
-    this.models = [0, 1, 2, 3].map(() => new Int32Array(values).fill(EVEN));
+    this.values = values;
+    this.models = new Int32Array(4 * values).fill(EVEN);
     this.weights = new Float64Array(4 * sets).fill(19661);
   }
 
   bit(set, a, b, c, d) {
-    const [one, two, three, four] = this.models, w = this.weights, i = 4 * set;
-    const ma = one[a], mb = two[b], mc = three[c], md = four[d];
+    const { models, values, weights: w } = this, i = 4 * set;
+    b += values;
+    c += 2 * values;
+    d += 3 * values;
+    const ma = models[a], mb = models[b], mc = models[c], md = models[d];
     const xa = STRETCH[ma >> 18], xb = STRETCH[mb >> 18], xc = STRETCH[mc >> 18], xd = STRETCH[md >> 18];
     let x = Math.floor((w[i] * xa + w[i + 1] * xb + w[i + 2] * xc + w[i + 3] * xd) / 65536);
     x = x > 2047 ? 2047 : x < -2047 ? -2047 : x;
@@ -101,10 +111,10 @@ class Mixer {
     w[i + 1] += (xb * error + 32768) >> 16;
     w[i + 2] += (xc * error + 32768) >> 16;
     w[i + 3] += (xd * error + 32768) >> 16;
-    one[a] = learnt(ma, bit);
-    two[b] = learnt(mb, bit);
-    three[c] = learnt(mc, bit);
-    four[d] = learnt(md, bit);
+    models[a] = learnt(ma, bit);
+    models[b] = learnt(mb, bit);
+    models[c] = learnt(mc, bit);
+    models[d] = learnt(md, bit);
     return bit;
   }
 }

@@ -5,6 +5,7 @@ const SIZE_BUCKETS = 12, MATCH_BUCKETS = 10;
 
 // Channels first .. last - 1 of all rows but row 0, into values (m, C).
 class Coefficients {
+  // values has a row more, of zeros, which stands for a reference that is not there.
   constructor(bytes, values, C, pairs, first, last) {
     this.stream = new Stream(bytes);
     this.values = values;
@@ -18,72 +19,74 @@ class Coefficients {
     this.signs = new Mixer(this.stream, Math.max(C * 9 * matches, C * 81, matches * 81), C);
     this.sizes = new Mixer(this.stream, Math.max(C * matches * SIZE_BUCKETS, SIZE_BUCKETS * sizes) * 16, C * 16);
     this.bits = new Int32Array(38 * C).fill(EVEN);
-    this.near = new Int32Array(4 * C); // what the references hold, within +-255
+    this.beside = new Int32Array(4); // where the four references' values start
+    this.firstGroup = GROUP_AT + GROUP_OF * Math.max(Math.ceil((first - GROUP_AT) / GROUP_OF), 0);
   }
 
   readRow(row) {
-    const { values, C, near, first, last, pairs } = this, own = row * C, slot = pairs.slots[row], axis = AXES[slot];
-    const count = this.lookAround(row);
-    let d0 = 0, d1 = 0, d2 = 0, d3 = 0, energy = 0, run = 0, v1 = 0, v2 = 0, v3 = 0, skipped = 0;
-    for (let k = 0; k < last; k++) {
+    const { values, C, beside, first, last, pairs } = this, own = row * C, slot = pairs.slots[row], axis = AXES[slot];
+    const share = this.lookAround(row), at0 = beside[0], at1 = beside[1], at2 = beside[2], at3 = beside[3];
+    let d0 = 0, d1 = 0, d2 = 0, d3 = 0, energy = 0, run = 0, v1 = 0, v2 = 0, v3 = 0;
+    for (let k = 0, group = this.firstGroup, skipped = first; k < last; k++) {
+      const n0 = clipped(values[at0 + k]), n1 = clipped(values[at1 + k]), n2 = clipped(values[at2 + k]), n3 = clipped(values[at3 + k]);
       let value = values[own + k];
-      const n0 = near[4 * k], n1 = near[4 * k + 1], n2 = near[4 * k + 2], n3 = near[4 * k + 3];
-      if (k >= first) {
+      if (k >= skipped) {
         const a1 = Math.min(Math.abs(v1), 40), a2 = Math.min(Math.abs(v2), 40), a3 = Math.min(Math.abs(v3), 40);
         const recent = sizeBucket(2 * a1 + a2 + a3), total = sizeBucket(run);
-        if (k >= GROUP_AT && k < C - 1 && (k - GROUP_AT) % GROUP_OF === 0) {
-          const stop = Math.min(k + GROUP_OF, last, C - 1);
-          if (!this.readGroup(k, stop, recent, total, count, slot)) skipped = stop;
+        if (k === group && k < C - 1) {
+          group += GROUP_OF;
+          const stop = Math.min(group, last, C - 1);
+          if (!this.readGroup(k, stop, recent, total, share, slot)) skipped = stop;
         }
         if (k >= skipped) {
           const guess = d0 * n0 + d1 * n1 + d2 * n2 + d3 * n3;
-          value = this.readValue(k, n0, n1, n2, n3, count, recent, total, guess, energy, v1, v2, axis);
+          value = this.readValue(k, n0, n1, n2, n3, share, recent, total, guess, energy, v1, v2, axis);
           values[own + k] = value;
-        } else {
-          value = 0;
         }
       }
-      const seen = value > 255 ? 255 : value < -255 ? -255 : value;
-      d0 += seen * n0;
-      d1 += seen * n1;
-      d2 += seen * n2;
-      d3 += seen * n3;
+      if (value) {
+        const seen = clipped(value);
+        d0 += seen * n0;
+        d1 += seen * n1;
+        d2 += seen * n2;
+        d3 += seen * n3;
+        run += Math.min(Math.abs(value), 20);
+      }
       energy += n0 * n0 + n1 * n1 + n2 * n2 + n3 * n3;
       v3 = v2;
       v2 = v1;
       v1 = value;
-      run += Math.min(Math.abs(value), 20);
     }
   }
 
+  // Finds the four references; 12 / how many there are.
   lookAround(row) {
-    const { values, C, near, last, pairs } = this;
+    const { values, C, beside, pairs } = this, none = values.length - C;
     let count = 0;
     for (let i = 0; i < 4; i++) {
-      const other = pairs.references[4 * row + i], at = other * C;
+      const other = pairs.references[4 * row + i];
+      beside[i] = other ? other * C : none;
       count += other ? 1 : 0;
-      for (let k = 0; k < last; k++) {
-        const value = other ? values[at + k] : 0;
-        near[4 * k + i] = value > 255 ? 255 : value < -255 ? -255 : value;
-      }
     }
-    return count;
+    return SHARES[count];
   }
 
-  readGroup(k, stop, recent, total, count, slot) {
-    const group = Math.floor((k - GROUP_AT) / GROUP_OF);
+  readGroup(k, stop, recent, total, share, slot) {
+    const { values, beside } = this, group = Math.floor((k - GROUP_AT) / GROUP_OF);
     let found = 0;
-    for (let i = 4 * k; i < 4 * stop; i++) found += Math.min(Math.abs(this.near[i]), 3);
-    const around = sizeBucket(Math.floor((found * SHARES[count]) / 6));
+    for (let i = 0; i < 4; i++) {
+      for (let at = beside[i] + k, end = beside[i] + stop; at < end; at++) found += Math.min(Math.abs(values[at]), 3);
+    }
+    const around = sizeBucket(Math.floor((found * share) / 6));
     const a = (group * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total;
     const b = (group * SIZE_BUCKETS + around) * SIZE_BUCKETS + total;
     const c = (around * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total;
     return this.groups.bit(group, a, b, c, (group * SIZE_BUCKETS + around) * 8 + slot);
   }
 
-  readValue(k, n0, n1, n2, n3, count, recent, total, guess, energy, v1, v2, axis) {
+  readValue(k, n0, n1, n2, n3, share, recent, total, guess, energy, v1, v2, axis) {
     const beside = Math.abs(n0) + Math.abs(n1) + Math.abs(n2);
-    const around = sizeBucket(Math.floor(((beside + Math.abs(n3)) * SHARES[count]) / 3));
+    const around = sizeBucket(Math.floor(((beside + Math.abs(n3)) * share) / 3));
     const match = guess ? MATCHES[Math.min(Math.floor((8 * Math.abs(guess)) / (energy + 1)), 90)] : 0;
     const a = (k * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total;
     const b = (k * SIZE_BUCKETS + sizeBucket(2 * beside)) * SIZE_BUCKETS + sizeBucket(2 * Math.abs(n3));
@@ -121,7 +124,7 @@ class Coefficients {
   }
 }
 
-// All of a .svoq that has range-coded streams: {nodes, pairs, values (m, C), mixing, colourStep, ...}.
+// All of a .svoq that has range-coded streams: {nodes, rows, values (m + 1, C), zeros behind the last leaf, ...}.
 function* readSvoq(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   if (bytes.length < 108 || view.getUint32(0, true) !== 0x514f5653 || bytes[4] !== 1 || bytes[5] !== 0) {
@@ -137,7 +140,7 @@ function* readSvoq(bytes) {
   }
   const basis = new DataView(bytes.buffer, parts[0].bytes.byteOffset, parts[0].bytes.length);
   const mixing = Float64Array.from({ length: (C - 1) ** 2 }, (_, i) => basis.getInt16(2 * i, true) * mixingScale);
-  const values = new Int32Array(m * C);
+  const values = new Int32Array((m + 1) * C);
   for (let k = 0; k < C; k++) values[k] = basis.getInt32(2 * (C - 1) ** 2 + 4 * k, true);
   const nodes = yield* scaled(readNodes(parts[1].bytes, c), 0, 0.1);
   const pairs = pairsOf(nodes, m), streams = parts.filter((part) => part.kind === 2);
@@ -161,12 +164,17 @@ function* eachLeaf(octree, edge, from, tell) {
   // Of each level the node, its corner, the octant that is next, and what its octants hold.
   const levels = Array.from({ length: 14 }, () => ({ node: 0, x: 0, y: 0, z: 0, next: 0, held: new Float64Array(8 * wide) }));
   const enter = (level, node, x, y, z) => {
-    Object.assign(levels[level], { node, x, y, z, next: 0 });
-    for (let slot = 0; slot < 7; slot++) split(levels[level].held, node, slot);
+    const here = levels[level];
+    here.node = node;
+    here.x = x;
+    here.y = y;
+    here.z = z;
+    here.next = 0;
+    for (let slot = 0; slot < 7; slot++) split(here.held, node, slot);
   };
   const split = (held, node, slot) => {
     // From here on, in one order: along z, then y, then x; a half without children leaves all to the other.
-    const width = [8, 4, 4, 2, 2, 2, 2][slot], low = [0, 0, 4, 0, 2, 4, 6][slot], high = low + width / 2;
+    const width = WIDTHS[slot], low = LOWS[slot], high = low + width / 2;
     const row = rows[7 * node + slot], lower = low * wide, upper = high * wide;
     if (!row) {
       if (!(masks[node] & (((1 << (width / 2)) - 1) << low))) held.copyWithin(upper, lower, lower + wide);
