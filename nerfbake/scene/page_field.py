@@ -69,7 +69,7 @@ class PageField:
         return f"{self.basis} page field of {len(self.texels):,} rows, {grid} cells of {CELL}^3"
 
     def rows(self, points: Points) -> npt.NDArray[np.int64]:
-        """(m,) the row at each point (m, 3) in voxels, -1 where there is none: march.glsl's lookup, line by line."""
+        """(m,) the row at each point (m, 3) in voxels, -1 where there is none: the shader's lookup, line by line."""
         found = np.full(len(points), -1, np.int64)
         at = np.flatnonzero(((points >= 0) & (points < CELL * np.array(self.top.shape))).all(axis=1))
         x, y, z = points[at].astype(np.int64).T

@@ -33,9 +33,9 @@ def test_a_page_is_written_and_kept(shell: Shell, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("scene")
 def test_a_size_is_that_of_the_page(shell: Shell, tmp_path: Path) -> None:
-    done = shell("view", "a.npz", "a.html", "--max-size", "180kB")
+    done = shell("view", "a.npz", "a.html", "--max-size", "200kB")
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "a.html").stat().st_size <= 180_000
+    assert (tmp_path / "a.html").stat().st_size <= 200_000
     assert shell("view", "a.npz", "b.html", "--max-size", "9kB").returncode == 3
     assert not (tmp_path / "b.html").exists()
 

@@ -57,7 +57,7 @@ _SCRIPTS = (
     "viewer.js",
     "main.js",
 )
-_SHADERS = ("march.glsl", "smooth.glsl")
+_SHADERS = ("field.glsl", "march.glsl", "smooth.glsl", "shown.glsl")
 _NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera
 
 

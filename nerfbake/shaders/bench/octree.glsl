@@ -1,4 +1,4 @@
-// The row at a voxel by the way down from an octree's root, a fetch a level: what the lookup of page/march.glsl is
+// The row at a voxel by the way down from an octree's root, a fetch a level: what the lookup of page/field.glsl is
 // measured against, in whose place it stands (nerfbake/bench/view/octree.py).
 //
 //   blocks  two texels a node: its children 4 x + 2 y + z; the number of a node, -1 for empty space, -2 - row for a leaf

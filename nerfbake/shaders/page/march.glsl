@@ -1,195 +1,58 @@
-#version 300 es
-// A ray for each pixel through a PageField (nerfbake/scene/page_field.py draws it): from voxel to voxel, across what is
-// empty in steps as large as the grid allows. Density and colour are constant in a voxel, so that sums along the ray are
-// exact: what `nerfbake render` calculates in float64, in float32.
-//
-// The page puts these before the first line of code:
-//   GROUPS   groups of four basis functions behind the first one: 0, 1, 2, 4 or 6
-//   BASE     the first basis function: 1 for RGBA
-//   TEXELS   texels of a row of colours, 1 + 3 GROUPS
-//   MESHES   1: there are triangles, which mesh.glsl has drawn; 0: there are none
-//   SMOOTH   1: trilinear lookup, marchSmooth() in smooth.glsl
-//   NORMALS  1: mode is SLOPE
-//   BYTES    1: coefficients are bytes, the density stands in a texture of its own; 0: all is float16
-precision highp float;
-precision highp int;
-precision highp isampler3D;
-precision highp usampler2D;
-precision highp sampler2D;
+// From voxel to voxel, across what is empty in steps as large as the grid allows. Density and colour are constant in a
+// voxel, so that sums along the ray are exact: what `nerfbake render` calculates in float64, in float32.
 
-uniform isampler3D top;     // below 0 empty, a leaf's number, or from WHOLE on a row for all of the cell
-uniform usampler2D blocks;  // eight 4^3 blocks a leaf: mask low, mask high, first row, count of low
-uniform sampler2D texels;   // red, green, blue of the first coefficient and the density; then the other coefficients
-uniform sampler2D densities;
-uniform vec3 lows[4 * GROUPS + 1];     // of each basis function: a coefficient is lows + widths * what the texel says
-uniform float widths[4 * GROUPS + 1];
-uniform int blockBits;      // a line of `blocks` has 2^blockBits texels
-uniform int rowsAcross;     // rows in a line of `texels`
-uniform float densityUnit;
+// A ray's way through the box. Places and distances are in voxels.
+struct Way {
+  vec3 d, inverse;  // its direction, of length 1, and 1 / d
+  vec3 upward;      // 1 where d is above 0, or else 0
+  vec3 from;        // where it enters; distances on the way count from here: they stay small, and exact
+  float start;      // from its origin to there
+  float end;        // from there to where it leaves the box, or is stopped
+  float unit;       // a voxel along it, in world units
+  vec3 low, high;   // the lowest and the highest cube that it can come to
+};
 
-uniform vec3 eye;           // where the camera is, in voxels
-uniform mat3 toVoxels;      // camera to voxels, and to the axes of the spherical harmonics
-uniform mat3 toAxes;
-uniform mat3 worldToVoxels; // its transpose turns gradients
-uniform vec3 boxLow;
-uniform vec3 boxHigh;
-uniform vec2 size;          // of the picture, in pixels
-uniform float focal;        // in pixels
-uniform float cut;          // a ray ends where less than this share of light is left
-uniform vec3 background;
-uniform int rays;           // along an edge of a pixel
-uniform int mode;           // what is shown: one of those below
-uniform vec2 range;         // of depth, in world units
-uniform vec2 aim;           // PICK: the pixel
-
-#if MESHES
-uniform sampler2D meshColour;      // of each ray's triangle
-uniform highp usampler2D meshFar;  // how far away it is, as a float's bits; infinite: there is none
-uniform ivec2 corner;              // the pixel that their first texel belongs to
-uniform bool ztest;                // a ray's field lies in front of the triangle as a whole, or is hidden
-uniform vec3 light;                // towards it, as the camera sees it; zero: there are no shadows
-#else
-const bool ztest = false;
-#endif
-
-out vec4 colour;
-
-const int WHOLE = 1 << 30;
-const uint ALL = 255u;
-const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4, SLOPE = 5;
-const int LIMIT = 1 << 14;  // steps
-const float SHADE = 0.4;    // of a mesh's colour, where no light from above comes through the field
-float stop = 1e30;          // where a ray ends, in world units from its origin
-vec3 origin;                // where a ray starts, in voxels
-bool dark = false;          // nobody asks for its colour
-
-struct Found { vec3 colour; float alpha; float far; int steps; };  // the normal, where colours are not asked for
-
-vec4 basis[GROUPS + 1];     // of the ray's direction, times `widths`
-vec3 base;                  // what a colour is before its coefficients are added
-
-// The basis functions behind the first one, four at a time: nerfbake/kernels/march/sh.py.
-void fillBasis(vec3 p) {
-#if GROUPS > 0
-  float x = p.x, y = p.y, z = p.z, xx = x * x, yy = y * y, zz = z * z;
-  for (int i = 0; i <= GROUPS; i++) basis[i] = vec4(0.0);
-  basis[0].xyz = 0.4886025119029199 * vec3(-y, z, -x);
-#endif
-#if GROUPS > 1
-  const float k = 1.0925484305920792;
-  basis[0].w = k * x * y;
-  basis[1] = vec4(-k * y * z, 0.31539156525252005 * (2.0 * zz - xx - yy), -k * x * z, 0.5 * k * (xx - yy));
-#endif
-#if GROUPS > 2
-  const float a0 = 0.3731763325901154, a1 = 0.4570457994644658, a2 = 1.445305721320277, a3 = 0.5900435899266435;
-  float side = 4.0 * zz - xx - yy;
-  basis[2] = vec4(-a3 * y * (3.0 * xx - yy), 2.0 * a2 * x * y * z, -a1 * y * side, a0 * z * (2.0 * zz - 3.0 * (xx + yy)));
-  basis[3].xyz = vec3(-a1 * x * side, a2 * z * (xx - yy), -a3 * x * (xx - 3.0 * yy));
-#endif
-#if GROUPS > 4
-  const float b0 = 0.10578554691520431, b1 = 0.6690465435572892, b2 = 0.47308734787878004;
-  const float b3 = 1.7701307697799304, b4 = 0.6258357354491761;
-  basis[3].w = 4.0 * b4 * x * y * (xx - yy);
-  basis[4] = vec4(-b3 * y * z * (3.0 * xx - yy), 2.0 * b2 * x * y * (7.0 * zz - 1.0), -b1 * y * z * (7.0 * zz - 3.0),
-                  b0 * (zz * (35.0 * zz - 30.0) + 3.0));
-  basis[5] = vec4(-b1 * x * z * (7.0 * zz - 3.0), b2 * (xx - yy) * (7.0 * zz - 1.0), -b3 * x * z * (xx - 3.0 * yy),
-                  b4 * (xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy)));
-#endif
+// The way of a ray towards `along`, as the camera sees it; shift: of the cubes' lower corners, from whole numbers. false:
+// it misses the box.
+bool enter(vec3 along, float shift, out Way way) {
+  vec3 world = normalize(along), d = toVoxels * world;
+  float scale = length(d);
+  d /= scale;
+  // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
+  way.d = d = mix(d, vec3(1e-12), lessThan(abs(d), vec3(1e-12)));
+  way.inverse = 1.0 / d;
+  vec3 one = (boxLow - origin) * way.inverse, other = (boxHigh - origin) * way.inverse;
+  vec3 near = min(one, other), away = max(one, other);
+  way.start = max(max(near.x, near.y), max(near.z, 0.0));
+  way.end = min(min(away.x, stop * scale), min(away.y, away.z)) - way.start;
+  way.upward = vec3(greaterThan(d, vec3(0.0)));
+  way.from = origin - shift + way.start * d;
+  way.unit = 1.0 / scale;
+  way.low = floor(boxLow - shift);
+  way.high = ceil(boxHigh - shift) - 1.0;
+  if (way.end <= 0.0) return false;
+  face(normalize(toAxes * world));
+  return true;
 }
 
-// The basis for a ray's direction in the field's own axes.
-void face(vec3 along) {
-  fillBasis(along);
-  base = BASE * lows[0];
-  for (int i = 0; i < 4 * GROUPS; i++) {
-    if (mode != FIRST) base += basis[i / 4][i % 4] * lows[i + 1];
-    basis[i / 4][i % 4] *= widths[i + 1];
-  }
+// Out of a cube, of which this is the lowest corner, into the one behind it, which is found by number and not by a small
+// step: rounding can neither hold a ray up nor skip one. t: the distance to it; axis: along which it lies behind. false:
+// there is none.
+bool leave(Way way, ivec3 corner, int edge, inout float t, inout ivec3 cube, out int axis) {
+  vec3 lower = vec3(corner), exits = (lower + way.upward * float(edge) - way.from) * way.inverse;
+  t = max(min(exits.x, min(exits.y, exits.z)), t);
+  vec3 next = clamp(clamp(floor(way.from + t * way.d), lower, lower + float(edge - 1)), way.low, way.high);
+  axis = exits.x <= exits.y && exits.x <= exits.z ? 0 : exits.y <= exits.z ? 1 : 2;
+  next = mix(next, lower - 1.0 + way.upward * float(edge + 1), equal(ivec3(axis), ivec3(0, 1, 2)));
+  cube = ivec3(next);
+  return all(greaterThanEqual(next, way.low)) && all(lessThanEqual(next, way.high)) && t < way.end;
 }
 
-// How many bits are set; GLSL ES 3.00 has no bitCount.
-uint count(uint bits) {
-  bits -= bits >> 1 & 0x55555555u;
-  bits = (bits & 0x33333333u) + (bits >> 2 & 0x33333333u);
-  return (bits + (bits >> 4) & 0x0F0F0F0Fu) * 0x01010101u >> 24;
-}
-
-ivec2 placeOf(int row) {
-  int line = row / rowsAcross;
-  return ivec2((row - line * rowsAcross) * TEXELS, line);
-}
-
-// Of a row the first coefficient's red, green and blue, and the density per world unit.
-vec4 headOf(ivec2 place) {
-  vec4 head = texelFetch(texels, place, 0);
-#if BYTES
-  head.a = texelFetch(densities, ivec2(place.x / TEXELS, place.y), 0).r;
-#endif
-  head.a *= densityUnit;
-  return head;
-}
-
-// What a row's colour in the ray's direction is the sigmoid of; first: its headOf().
-vec3 sumOf(vec3 first, ivec2 place) {
-  vec3 sum = base + BASE * widths[0] * first;
-  if (mode != FIRST) {
-    for (int i = 0; i < GROUPS; i++) {
-      vec4 a = texelFetch(texels, place + ivec2(3 * i + 1, 0), 0);
-      vec4 b = texelFetch(texels, place + ivec2(3 * i + 2, 0), 0);
-      vec4 c = texelFetch(texels, place + ivec2(3 * i + 3, 0), 0);
-      vec4 k = basis[i];
-      sum += k.x * a.rgb + k.y * vec3(a.a, b.rg) + k.z * vec3(b.ba, c.r) + k.w * c.gba;
-    }
-  }
-  return sum;
-}
-
-vec3 sigmoid(vec3 sum) {
-  return 1.0 / (1.0 + exp(-sum));
-}
-
-// The row at a voxel, or -1; the cube around it that is like it: its lowest corner and its edge.
-int look(ivec3 voxel, out ivec3 corner, out int edge) {
-  ivec3 cell = voxel >> 3;
-  int here = texelFetch(top, cell, 0).r;
-  if (here < 0) {
-    int away = -here - 1;
-    corner = (cell - away) << 3;
-    edge = 8 * (2 * away + 1);
-    return -1;
-  }
-  if (here >= WHOLE) {
-    corner = cell << 3;
-    edge = 8;
-    return here - WHOLE;
-  }
-  ivec3 part = voxel >> 2 & 1;
-  int number = 8 * here + 4 * part.x + 2 * part.y + part.z;
-  uvec4 block = texelFetch(blocks, ivec2(number & (1 << blockBits) - 1, number >> blockBits), 0);
-  corner = voxel & ~3;
-  edge = 4;
-  if ((block.x | block.y) == 0u) return -1;
-  if (block.w == ALL) return int(block.z);
-  ivec3 i = voxel & 3;
-  bool upper = i.x > 1;
-  uint mask = upper ? block.y : block.x, bit = uint((i.x & 1) << 4 | i.y << 2 | i.z);
-  corner = voxel;
-  edge = 1;
-  if ((mask >> bit & 1u) != 0u) return int(block.z + (upper ? block.w : 0u) + count(mask & (1u << bit) - 1u));
-  if ((mask & 0x00330033u << uint((i.y & 2) << 2 | i.z & 2)) == 0u) {
-    corner = voxel & ~1;
-    edge = 2;
-  }
-  return -1;
-}
-
+#if !SMOOTH
 #if NORMALS
 // The density at a voxel, in 1/world unit.
 float densityAt(ivec3 voxel) {
-  ivec3 corner;
-  int edge;
-  if (any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, textureSize(top, 0) * 8))) return 0.0;
-  int row = look(voxel, corner, edge);
+  int row = rowAt(voxel);
   return row < 0 ? 0.0 : headOf(placeOf(row)).a;
 }
 
@@ -203,118 +66,34 @@ vec3 slopeAt(ivec3 voxel) {
 
 Found march(vec3 along) {
   Found found = Found(vec3(0.0), 0.0, 0.0, 0);
-  vec3 world = normalize(along), d = toVoxels * world;
-  float scale = length(d), unit = 1.0 / scale;
-  d /= scale;
-  // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
-  d = mix(d, vec3(1e-12), lessThan(abs(d), vec3(1e-12)));
-  vec3 inverse = 1.0 / d, one = (boxLow - origin) * inverse, other = (boxHigh - origin) * inverse;
-  vec3 near = min(one, other), away = max(one, other);
-  float start = max(max(near.x, near.y), max(near.z, 0.0)), end = min(min(away.x, stop * scale), min(away.y, away.z)) - start;
-  if (end <= 0.0) return found;
-  face(normalize(toAxes * world));
-  // From where the ray enters: distances stay small, and exact, however far away the camera is.
-  vec3 o = origin + start * d;
-  ivec3 low = ivec3(floor(boxLow)), high = ivec3(ceil(boxHigh)) - 1;
-  ivec3 voxel = clamp(ivec3(floor(o)), low, high), corner;
-  int edge;
-  float t = 0.0, through = 1.0;
-  for (int step = 0; step < LIMIT && t < end; step++) {
-    found.steps++;
-    int row = look(voxel, corner, edge);
-    vec3 lower = vec3(corner), exits = (lower + mix(vec3(0.0), vec3(edge), greaterThan(d, vec3(0.0))) - o) * inverse;
-    float ahead = max(min(exits.x, min(exits.y, exits.z)), t);
+  Way way;
+  if (!enter(along, 0.0, way)) return found;
+  ivec3 next = ivec3(clamp(floor(way.from), way.low, way.high)), voxel, corner;
+  int row, edge, axis;
+  float t = 0.0, through = 1.0, near;
+  for (bool inside = true; inside && through >= cut;) {
+    // All of what is empty first: rays beside each other wait for each other, and what follows is the dearest part.
+    do {
+      found.steps++;
+      voxel = next;
+      near = t;
+      row = look(voxel, corner, edge);
+      inside = leave(way, corner, edge, t, next, axis) && found.steps < LIMIT;
+    } while (row < 0 && inside);
     if (row >= 0) {
       ivec2 place = placeOf(row);
       vec4 first = headOf(place);
-      float sigma = first.a, depth = sigma * (min(ahead, end) - t) * unit, kept = exp(-depth);
+      float sigma = first.a, depth = sigma * (min(t, way.end) - near) * way.unit, kept = exp(-depth);
       float weight = through * (1.0 - kept);
       if (mode <= FIRST && !dark) found.colour += weight * sigmoid(sumOf(first.rgb, place));
 #if NORMALS
       found.colour += weight * slopeAt(voxel);
 #endif
-      if (mode == DEPTH || mode == PICK || ztest) found.far += weight * (start + t) * unit + through * (1.0 - kept - depth * kept) / max(sigma, 1e-30);
+      if (mode == DEPTH || mode == PICK || ztest) found.far += weight * (way.start + near) * way.unit + through * (1.0 - kept - depth * kept) / max(sigma, 1e-30);
       through *= kept;
-      if (through < cut) break;
     }
-    t = ahead;
-    // The voxel behind the cube, by number and not by a small step: rounding can neither hold a ray up nor skip one.
-    ivec3 next = clamp(clamp(ivec3(floor(o + t * d)), corner, corner + edge - 1), low, high);
-    int axis = exits.x <= exits.y && exits.x <= exits.z ? 0 : exits.y <= exits.z ? 1 : 2;
-    next[axis] = d[axis] > 0.0 ? corner[axis] + edge : corner[axis] - 1;
-    if (next[axis] < low[axis] || next[axis] > high[axis]) break;
-    voxel = next;
   }
   found.alpha = 1.0 - through;
   return found;
 }
-
-vec3 heat(float part) {
-  return clamp(vec3(3.0 * part, 3.0 * part - 1.0, 3.0 * part - 2.0), 0.0, 1.0);
-}
-
-#if SMOOTH
-Found marchSmooth(vec3 along);
-#define march marchSmooth
 #endif
-
-// What a ray meets through a place of the picture: the field, and the triangle behind it where there is one.
-Found meet(vec2 place) {
-  vec3 along = vec3((place - 0.5 * size) / focal, -1.0);
-  origin = eye;
-#if MESHES
-  ivec2 texel = ivec2(place * float(rays)) - corner * rays;
-  float far = uintBitsToFloat(texelFetch(meshFar, texel, 0).r);
-  bool solid = !isinf(far);
-  if (solid && !ztest) stop = far;
-  Found found = march(along);
-  stop = 1e30;
-  if (!solid) return found;
-  if (ztest && found.far >= far * found.alpha) found = Found(vec3(0.0), 0.0, 0.0, found.steps);
-  float left = 1.0 - found.alpha, lit = 1.0;
-  if (light != vec3(0.0) && mode <= FIRST && left > cut) {
-    dark = true;
-    origin = eye + far * (toVoxels * normalize(along));
-    lit = mix(1.0, SHADE, march(light).alpha);
-    dark = false;
-  }
-  // Normals are the field's alone.
-  if (mode <= FIRST) found.colour += left * lit * texelFetch(meshColour, texel, 0).rgb;
-  found.far += left * far;
-  found.alpha = 1.0;
-  return found;
-#else
-  return march(along);
-#endif
-}
-
-vec3 shown(vec2 pixel) {
-  Found found = meet(pixel);
-  if (mode == STEPS) return heat(float(found.steps) / 160.0);
-  if (mode == SLOPE) {
-    vec3 normal = found.colour * worldToVoxels;
-    return mix(background, 0.5 + 0.5 * normal / max(length(normal), 1e-30), found.alpha);
-  }
-  if (mode == DEPTH) {
-    float depth = (found.far / max(found.alpha, 1e-6) - range.x) / (range.y - range.x);
-    return mix(background, vec3(1.0 - 0.85 * clamp(depth, 0.0, 1.0)), found.alpha);
-  }
-  return found.colour + (1.0 - found.alpha) * background;
-}
-
-void main() {
-  if (mode == PICK) {
-    // The mean distance as 24 bits of the range's end, and how opaque it is.
-    Found found = meet(aim);
-    float part = clamp(found.far / max(found.alpha, 1e-6) / range.y, 0.0, 0.9999999);
-    vec3 digits = floor(fract(part * vec3(1.0, 256.0, 65536.0)) * 256.0);
-    colour = vec4(digits / 255.0, found.alpha);
-    return;
-  }
-  vec3 sum = vec3(0.0);
-  vec2 pixel = floor(gl_FragCoord.xy);
-  for (int i = 0; i < rays * rays; i++) {
-    sum += shown(pixel + (vec2(i % rays, i / rays) + 0.5) / float(rays));
-  }
-  colour = vec4(sum / float(rays * rays), 1.0);
-}

@@ -1,0 +1,212 @@
+#version 300 es
+// A ray for each pixel through a PageField (nerfbake/scene/page_field.py draws it): what it carries, and how a voxel is
+// looked up. march.glsl and smooth.glsl go along the ray, shown.glsl says what is shown of it.
+//
+// The page puts these before the first line of code:
+//   GROUPS   groups of four basis functions behind the first one: 0, 1, 2, 4 or 6
+//   BASE     the first basis function: 1 for RGBA
+//   TEXELS   texels of a row of colours, 1 + 3 GROUPS
+//   MESHES   1: there are triangles, which mesh.glsl has drawn; 0: there are none
+//   SMOOTH   1: trilinear lookup, smooth.glsl's march(); 0: that of march.glsl
+//   NORMALS  1: mode is SLOPE
+//   BYTES    1: coefficients are bytes, the density stands in a texture of its own; 0: all is float16
+precision highp float;
+precision highp int;
+precision highp isampler3D;
+precision highp usampler2D;
+precision highp sampler2D;
+
+uniform isampler3D top;     // below 0 empty, a leaf's number, or from WHOLE on a row for all of the cell
+uniform usampler2D blocks;  // eight 4^3 blocks a leaf: mask low, mask high, first row, count of low
+uniform sampler2D texels;   // red, green, blue of the first coefficient and the density; then the other coefficients
+uniform sampler2D densities;
+uniform vec3 lows[4 * GROUPS + 1];     // of each basis function: a coefficient is lows + widths * what the texel says
+uniform float widths[4 * GROUPS + 1];
+uniform int blockBits;      // a line of `blocks` has 2^blockBits texels
+uniform int rowsAcross;     // rows in a line of `texels`
+uniform float densityUnit;
+
+uniform vec3 eye;           // where the camera is, in voxels
+uniform mat3 toVoxels;      // camera to voxels, and to the axes of the spherical harmonics
+uniform mat3 toAxes;
+uniform mat3 worldToVoxels; // its transpose turns gradients
+uniform vec3 boxLow;
+uniform vec3 boxHigh;
+uniform vec2 size;          // of the picture, in pixels
+uniform float focal;        // in pixels
+uniform float cut;          // a ray ends where less than this share of light is left
+uniform vec3 background;
+uniform int rays;           // along an edge of a pixel
+uniform int mode;           // what is shown: one of those below
+uniform vec2 range;         // of depth, in world units
+uniform vec2 aim;           // PICK: the pixel
+
+#if MESHES
+uniform sampler2D meshColour;      // of each ray's triangle
+uniform highp usampler2D meshFar;  // how far away it is, as a float's bits; infinite: there is none
+uniform ivec2 corner;              // the pixel that their first texel belongs to
+uniform bool ztest;                // a ray's field lies in front of the triangle as a whole, or is hidden
+uniform vec3 light;                // towards it, as the camera sees it; zero: there are no shadows
+#else
+const bool ztest = false;
+#endif
+
+out vec4 colour;
+
+const int WHOLE = 1 << 30;
+const uint ALL = 255u;
+const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4, SLOPE = 5;
+const int LIMIT = 1 << 14;  // steps
+const float SHADE = 0.4;    // of a mesh's colour, where no light from above comes through the field
+float stop = 1e30;          // where a ray ends, in world units from its origin
+vec3 origin;                // where a ray starts, in voxels
+bool dark = false;          // nobody asks for its colour
+
+struct Found { vec3 colour; float alpha; float far; int steps; };  // the normal, where colours are not asked for
+
+vec4 basis[GROUPS + 1];     // of the ray's direction, times `widths`
+vec3 base;                  // what a colour is before its coefficients are added
+
+// The basis functions behind the first one, four at a time: nerfbake/kernels/march/sh.py.
+void fillBasis(vec3 p) {
+#if GROUPS > 0
+  float x = p.x, y = p.y, z = p.z, xx = x * x, yy = y * y, zz = z * z;
+  for (int i = 0; i <= GROUPS; i++) basis[i] = vec4(0.0);
+  basis[0].xyz = 0.4886025119029199 * vec3(-y, z, -x);
+#endif
+#if GROUPS > 1
+  const float k = 1.0925484305920792;
+  basis[0].w = k * x * y;
+  basis[1] = vec4(-k * y * z, 0.31539156525252005 * (2.0 * zz - xx - yy), -k * x * z, 0.5 * k * (xx - yy));
+#endif
+#if GROUPS > 2
+  const float a0 = 0.3731763325901154, a1 = 0.4570457994644658, a2 = 1.445305721320277, a3 = 0.5900435899266435;
+  float side = 4.0 * zz - xx - yy;
+  basis[2] = vec4(-a3 * y * (3.0 * xx - yy), 2.0 * a2 * x * y * z, -a1 * y * side, a0 * z * (2.0 * zz - 3.0 * (xx + yy)));
+  basis[3].xyz = vec3(-a1 * x * side, a2 * z * (xx - yy), -a3 * x * (xx - 3.0 * yy));
+#endif
+#if GROUPS > 4
+  const float b0 = 0.10578554691520431, b1 = 0.6690465435572892, b2 = 0.47308734787878004;
+  const float b3 = 1.7701307697799304, b4 = 0.6258357354491761;
+  basis[3].w = 4.0 * b4 * x * y * (xx - yy);
+  basis[4] = vec4(-b3 * y * z * (3.0 * xx - yy), 2.0 * b2 * x * y * (7.0 * zz - 1.0), -b1 * y * z * (7.0 * zz - 3.0),
+                  b0 * (zz * (35.0 * zz - 30.0) + 3.0));
+  basis[5] = vec4(-b1 * x * z * (7.0 * zz - 3.0), b2 * (xx - yy) * (7.0 * zz - 1.0), -b3 * x * z * (xx - 3.0 * yy),
+                  b4 * (xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy)));
+#endif
+}
+
+// One after the other, with numbers that are known here: where software draws, a loop that counts them costs more than
+// what it does.
+#if GROUPS == 0
+#define EACH_GROUP(DO)
+#elif GROUPS == 1
+#define EACH_GROUP(DO) DO(0)
+#elif GROUPS == 2
+#define EACH_GROUP(DO) DO(0) DO(1)
+#elif GROUPS == 4
+#define EACH_GROUP(DO) DO(0) DO(1) DO(2) DO(3)
+#else
+#define EACH_GROUP(DO) DO(0) DO(1) DO(2) DO(3) DO(4) DO(5)
+#endif
+
+// Four basis functions for a ray's direction, times the widths of their coefficients; their lows go into `base`.
+vec4 weighed(vec4 four, int i) {
+  if (mode != FIRST) base += four.x * lows[i + 1] + four.y * lows[i + 2] + four.z * lows[i + 3] + four.w * lows[i + 4];
+  return four * vec4(widths[i + 1], widths[i + 2], widths[i + 3], widths[i + 4]);
+}
+
+// The basis for a ray's direction in the field's own axes.
+void face(vec3 along) {
+  fillBasis(along);
+  base = BASE * lows[0];
+#define WEIGH(i) basis[i] = weighed(basis[i], 4 * i);
+  EACH_GROUP(WEIGH)
+}
+
+// How many bits are set; GLSL ES 3.00 has no bitCount.
+uint count(uint bits) {
+  bits -= bits >> 1 & 0x55555555u;
+  bits = (bits & 0x33333333u) + (bits >> 2 & 0x33333333u);
+  return (bits + (bits >> 4) & 0x0F0F0F0Fu) * 0x01010101u >> 24;
+}
+
+ivec2 placeOf(int row) {
+  int line = row / rowsAcross;
+  return ivec2((row - line * rowsAcross) * TEXELS, line);
+}
+
+// Of a row the first coefficient's red, green and blue, and the density per world unit.
+vec4 headOf(ivec2 place) {
+  vec4 head = texelFetch(texels, place, 0);
+#if BYTES
+  head.a = texelFetch(densities, ivec2(place.x / TEXELS, place.y), 0).r;
+#endif
+  head.a *= densityUnit;
+  return head;
+}
+
+// What four coefficients of each colour, whose texels start here, add to a row's colour.
+vec3 partOf(vec4 k, ivec2 place) {
+  vec4 a = texelFetch(texels, place, 0), b = texelFetch(texels, place + ivec2(1, 0), 0);
+  vec4 c = texelFetch(texels, place + ivec2(2, 0), 0);
+  return k.x * a.rgb + k.y * vec3(a.a, b.rg) + k.z * vec3(b.ba, c.r) + k.w * c.gba;
+}
+
+// What a row's colour in the ray's direction is the sigmoid of; first: its headOf().
+vec3 sumOf(vec3 first, ivec2 place) {
+  vec3 sum = base + BASE * widths[0] * first;
+#define ADD(i) sum += partOf(basis[i], place + ivec2(3 * i + 1, 0));
+  if (mode != FIRST) { EACH_GROUP(ADD) }
+  return sum;
+}
+
+vec3 sigmoid(vec3 sum) {
+  return 1.0 / (1.0 + exp(-sum));
+}
+
+// The row at a voxel, or -1; the cube around it that is like it: its lowest corner and its edge.
+int look(ivec3 voxel, out ivec3 corner, out int edge) {
+  ivec3 cell = voxel >> 3;
+  int here = texelFetch(top, cell, 0).r;
+  if (here < 0) {
+    int away = -here - 1;
+    corner = (cell - away) << 3;
+    edge = 8 * (2 * away + 1);
+    return -1;
+  }
+  if (here >= WHOLE) {
+    corner = cell << 3;
+    edge = 8;
+    return here - WHOLE;
+  }
+  ivec3 part = voxel >> 2 & 1;
+  int number = 8 * here + 4 * part.x + 2 * part.y + part.z;
+  uvec4 block = texelFetch(blocks, ivec2(number & (1 << blockBits) - 1, number >> blockBits), 0);
+  corner = voxel & ~3;
+  edge = 4;
+  if ((block.x | block.y) == 0u) return -1;
+  if (block.w == ALL) return int(block.z);
+  ivec3 i = voxel & 3;
+  bool upper = i.x > 1;
+  uint mask = upper ? block.y : block.x, bit = uint((i.x & 1) << 4 | i.y << 2 | i.z);
+  corner = voxel;
+  edge = 1;
+  if ((mask >> bit & 1u) != 0u) return int(block.z + (upper ? block.w : 0u) + count(mask & (1u << bit) - 1u));
+  if ((mask & 0x00330033u << uint((i.y & 2) << 2 | i.z & 2)) == 0u) {
+    corner = voxel & ~1;
+    edge = 2;
+  }
+  return -1;
+}
+
+bool outside(ivec3 voxel) {
+  return any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, textureSize(top, 0) * 8));
+}
+
+// The row at any voxel, or -1.
+int rowAt(ivec3 voxel) {
+  ivec3 corner;
+  int edge;
+  return outside(voxel) ? -1 : look(voxel, corner, edge);
+}
