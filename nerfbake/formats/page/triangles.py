@@ -21,7 +21,7 @@ import numpy.typing as npt
 from nerfbake.formats.atlas import document as atlas_json
 from nerfbake.formats.atlas.folder import label_texels
 from nerfbake.formats.page.parts import ball_of, part_of
-from nerfbake.formats.wire.deflate import deflate_all
+from nerfbake.formats.wire.deflate import deflate_whole
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.camera import WORLD
 from nerfbake.scene.mesh import Mesh, vertex_box
@@ -36,7 +36,7 @@ def pack_triangles(page: Page) -> bytes:
     parts = _parts(page)
     if not parts:
         return b""
-    return deflate_all(_texels(array) if array.dtype == np.uint8 else _words(array) for array in _arrays(parts))
+    return deflate_whole(_texels(array) if array.dtype == np.uint8 else _words(array) for array in _arrays(parts))
 
 
 def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:

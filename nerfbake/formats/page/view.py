@@ -32,7 +32,7 @@ from nerfbake.formats.octree import svoq
 from nerfbake.formats.page.parts import ball_of, part_of
 from nerfbake.formats.page.triangles import pack_triangles, surface_facts, triangle_facts
 from nerfbake.formats.picture import png
-from nerfbake.formats.wire.deflate import deflate_all, inflate
+from nerfbake.formats.wire.deflate import deflate_whole, inflate
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -186,4 +186,4 @@ def _data(content: Any) -> bytes:
     halves = np.ascontiguousarray(content.texels.reshape(rows, -1).T).astype("<f2")
     planes = halves.view(np.uint8).reshape(-1, rows, 2).transpose(0, 2, 1)
     top, blocks = content.top.astype("<i4"), content.blocks.astype("<u4")
-    return deflate_all([top.tobytes(), blocks.tobytes(), *(plane.tobytes() for plane in planes)])
+    return deflate_whole([top.tobytes(), blocks.tobytes(), *(plane.tobytes() for plane in planes)])
