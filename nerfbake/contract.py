@@ -99,6 +99,9 @@ class PageFormat(PackedFormat, Protocol):
     def content_of(self, view: memoryview, /) -> Any:
         """The scene that a whole page carries. Raises InvalidFile, MemoryLimit."""
 
+    def carried(self, view: memoryview, /) -> bytes:
+        """What a page carries of a packed octree's whole file: its bytes as they are, where its script reads them."""
+
 
 class Compression(Protocol):
     """A further ending of any format."""

@@ -45,12 +45,14 @@ def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
 
 
 class Loaded(NamedTuple, Generic[Kind]):
-    """scene; form: the file's format, or the folder's; size: bytes; packing: what a packed file says of its packing."""
+    """scene; form: the file's format, or the folder's; size: bytes; of a packed file what it says of its packing, and
+    its bytes."""
 
     scene: Kind
     form: AnyFormat
     size: int
     packing: dict[str, Any]
+    data: memoryview | None = None
 
 
 def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Loaded[Kind]:
@@ -125,8 +127,9 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[An
         extra["beside"] = Folder(Path(path).parent, {})
     _require_kind(form, kinds)
     scene = form.load_module().decode(view, **extra)
-    packing = form.load_packed_module().describe_packing(view) if form.packed else {}
-    return Loaded(scene, compressed(form) if packed else form, size, packing)
+    if form.packed:
+        return Loaded(scene, form, size, form.load_packed_module().describe_packing(view), view)
+    return Loaded(scene, compressed(form) if packed else form, size, {})
 
 
 def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:

@@ -6,22 +6,22 @@ from typing import Any, Literal, NamedTuple
 
 import nerfbake
 from nerfbake import io, memory
-from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.steps import Steps
-from nerfbake.jobs.views import COVER, cover_view, views_of
+from nerfbake.jobs.views import page_views
 
 _COPIES = 4  # of triangles while a page is made of them: as they are, as bytes, packed, in base64
 Colour = tuple[float, float, float]
 
 
 class Look(NamedTuple):
-    """How a page shows a surface: title and background as Page has them, cameras: a capture to look from, or None."""
+    """How a page is looked at: cameras: a capture to look from, or None; the others as Page has them."""
 
     title: str
     cameras: str | None
     background: Colour | None
+    lookup: Literal["nearest", "trilinear"]
 
 
 class Beside(NamedTuple):
@@ -57,15 +57,13 @@ def surface_page(
     """
     mlp = None
     if stage1 is not None:
-        if not isinstance(scene, nerfbake.BakedAtlas):
-            raise UsageError(f"--stage1 goes with an atlas, which {source.name} is not; allowed: an atlas folder")
         with steps.phase(f"reading {stage1}"):
             mlp = io.load_folder(stage1, nerfbake.Stage1)
     with source.blamed(steps, "arranging the triangles"):
         surface = nerfbake.build_page_surface(scene, stage1=mlp)
-    views = views_of(steps, scene, look.cameras, name=source.name, frames=1, edge=COVER)
+    views, first = page_views(steps, scene, look.cameras, name=source.name)
     with source.blamed(steps, "rendering the cover"):
-        cover = nerfbake.render_stage1(scene, cover_view(views.cameras[0]), background=look.background)
+        cover = nerfbake.render_stage1(scene, first, background=look.background)
     return nerfbake.Page(
         surface, None, views, cover, look.title, turns=look.cameras is None, background=look.background
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import PurePath
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import nerfbake
 from nerfbake import catalog, io
@@ -17,7 +17,7 @@ from nerfbake.jobs.lattices import octree_of
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.surfaces import Beside, Look, surface_page
-from nerfbake.jobs.views import COVER, cover_view, views_of
+from nerfbake.jobs.views import page_views
 
 _FRAMES, _EDGE = 4, 200  # of the pictures that tell what float16 loses
 
@@ -50,7 +50,8 @@ def view_file(
     reader's browser.
 
     data        compressed, as compress_file() does it; exact, float16; None: exact for a volume, else compressed
-    goal        of the compression; its max_size is that of the page
+    goal        of the compression; its max_size is that of the page. What is compressed already is carried as it is,
+                where neither a goal nor truth is named
     choice      which grids of a volume
     cameras     a capture to look from, and to judge by; None: the page opens with the front of the scene, which turns
                 slowly, and 8 views around it judge
@@ -71,81 +72,121 @@ def view_file(
     page of a SH1 page field of 1,252 rows, 2x2x2 cells of 8^3
     """
     source = as_source(source)
-    goals, photographs, budget = (
-        goal.options,
-        Photographs(cameras, truth, samples=samples),
-        Budget(min_psnr, cameras, samples),
-    )
+    photographs, budget = Photographs(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)
+    wish = _Wish(data, goal.options, photographs, anew=goal != LEAST_LOSS or truth is not None)
     photographs.require()
-    packed = goal != LEAST_LOSS or truth is not None
-    if data == "exact" and packed:
+    if data == "exact" and wish.anew:
         raise UsageError("exact data have no goal; allowed: --max-loss, --max-size and --truth with --data compressed")
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        scene = _read(steps, source, data, choice, packed=packed)
-        called = title if title is not None else PurePath(source.name).name
+        read, scene = _read(steps, source, wish, choice)
+        if stage1 is not None and not isinstance(scene, nerfbake.BakedAtlas):
+            raise UsageError(f"--stage1 goes with an atlas, which {source.name} is not; allowed: an atlas folder")
+        look = Look(PurePath(source.name).name if title is None else title, cameras, background, lookup)
         if isinstance(scene, nerfbake.Stage1 | nerfbake.BakedAtlas):
-            if mesh or packed or min_psnr is not None:
+            if mesh or wish.anew or min_psnr is not None:
                 raise UsageError(
                     f"{source.name} holds triangles, which have no goal, no judge, and no mesh beside them; "
                     "allowed: these options with a field"
                 )
-            made = surface_page(steps, source, scene, stage1, Look(called, cameras, background))
+            made = surface_page(steps, source, scene, stage1, look)
             file.write(steps, made)
             return made
-        if stage1 is not None:
-            raise UsageError(f"--stage1 goes with an atlas, and {source.name} holds none; allowed: an atlas folder")
-        with source.blamed(steps, "building the field"):
-            field = nerfbake.build_field(scene)
-        views = views_of(steps, field, cameras, name=source.name, frames=1, edge=COVER)
-        with source.blamed(steps, "rendering the cover"):
-            beside = Beside.of(mesh)
-            cover = beside.render(field, cover_view(views.cameras[0]), background=background, lookup=lookup)
-
-        def page(content: Any) -> nerfbake.Page:
-            turns = cameras is None
-            return nerfbake.Page(content, field, views, cover, called, turns, background, lookup, *beside)
-
+        shown = _framed(steps, source, scene, mesh, look)
         if data == "exact" or isinstance(scene, nerfbake.Volume):
-            with source.blamed(steps, "arranging the field"):
-                made = page(nerfbake.build_page_field(field))
-            _tell_rounding(steps, source, field)
+            made = _exact(steps, source, shown)
+        elif read.data is not None and not wish.anew:
+            steps.say(f"{source.name}: it is compressed already, so that the page carries it as it is")
+            made = shown.page(form.load_page_module().carried(read.data))
         else:
-            goals |= photographs.read(steps)
-            module = (form if goal.max_size else catalog.formats_of("QuantisedOctree")[0]).load_packed_module()
-
-            def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
-                return module.coded_size(page(quantised) if goal.max_size else quantised)
-
-            with source.blamed(steps, "compressing") as tell:
-                found = nerfbake.compress_octree(scene, coded_size=coded_size, tell=tell, **goals)
+            found = _compressed(steps, source, scene, shown, wish, form)
             steps.say(f"{file.path}: {found}")
-            made = page(found.quantised)
+            made = shown.page(found.quantised)
         file.write(steps, made)
-        judge(file.path, field, budget, made_from=source.name, read=_shown, steps=steps)
+        judge(file.path, shown.field, budget, made_from=source.name, read=_field_of, steps=steps)
     return made
 
 
-def _read(steps: Steps, source: Source, data: Data | None, choice: Choice, *, packed: bool) -> Any:
-    """The scene: an octree, where it is to be compressed."""
+class _Wish(NamedTuple):
+    """What a page is to carry: goals as compress_octree() takes them; anew: somebody named one, so that what is
+    compressed already is compressed again."""
+
+    data: Data | None
+    goals: dict[str, Any]
+    photographs: Photographs
+    anew: bool
+
+
+class _Shown(NamedTuple):
+    """All that a page of a field has beside its content."""
+
+    field: nerfbake.RadianceField
+    views: nerfbake.Cameras
+    cover: nerfbake.Image
+    beside: Beside
+    look: Look
+
+    def page(self, content: Any) -> nerfbake.Page:
+        title, cameras, background, lookup = self.look
+        turns = cameras is None
+        return nerfbake.Page(
+            content, self.field, self.views, self.cover, title, turns, background, lookup, *self.beside
+        )
+
+
+def _read(steps: Steps, source: Source, wish: _Wish, choice: Choice) -> tuple[io.Loaded[Any], Any]:
+    """What was read, and the scene as it is shown: an octree, where it is to be compressed."""
     fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField
-    read = source.read(steps, *fields, nerfbake.Stage1, nerfbake.BakedAtlas)
-    if isinstance(read, nerfbake.LatticeField):
-        read = octree_of(steps, source, read)
-    scene = choice.of(steps, source, read)
+    read = source.read_with_format(steps, *fields, nerfbake.Stage1, nerfbake.BakedAtlas)
+    scene = octree_of(steps, source, read.scene) if isinstance(read.scene, nerfbake.LatticeField) else read.scene
+    scene = choice.of(steps, source, scene)
     if isinstance(scene, nerfbake.Volume):
-        if data == "compressed" or packed:
+        if wish.data == "compressed" or wish.anew:
             raise UsageError(f"{source.name} is a volume, which is not compressed; allowed: --data exact")
-        if data is None:
+        if wish.data is None:
             steps.say(f"{source.name}: a volume is not compressed, so that the page carries it as it is, in float16")
-    elif data != "exact" and isinstance(scene, nerfbake.N3Tree):
+    elif wish.data != "exact" and isinstance(scene, nerfbake.N3Tree):
         with source.blamed(steps, "building the octree"):
-            return nerfbake.build_octree(scene)
-    return scene
+            return read, nerfbake.build_octree(scene)
+    return read, scene
 
 
-def _shown(path: str) -> nerfbake.RadianceField:
+def _framed(steps: Steps, source: Source, scene: Any, mesh: PlacedMesh | None, look: Look) -> _Shown:
+    """A scene's field, from where it is looked at, and what is seen of it at once."""
+    with source.blamed(steps, "building the field"):
+        field = nerfbake.build_field(scene)
+    views, first = page_views(steps, field, look.cameras, name=source.name)
+    with source.blamed(steps, "rendering the cover"):
+        beside = Beside.of(mesh)
+        cover = beside.render(field, first, background=look.background, lookup=look.lookup)
+    return _Shown(field, views, cover, beside, look)
+
+
+def _exact(steps: Steps, source: Source, shown: _Shown) -> nerfbake.Page:
+    """The page of float16 values; says what they lose."""
+    with source.blamed(steps, "arranging the field"):
+        made = shown.page(nerfbake.build_page_field(shown.field))
+    _tell_rounding(steps, source, shown.field)
+    return made
+
+
+def _compressed(
+    steps: Steps, source: Source, octree: nerfbake.SparseVoxelOctree, shown: _Shown, wish: _Wish, form: catalog.Format
+) -> nerfbake.Compression:
+    """An octree, compressed to its goals: max_size is the page's."""
+    goals = wish.goals | wish.photographs.read(steps)
+    sized = form if "max_size" in goals else catalog.formats_of("QuantisedOctree")[0]
+    module = sized.load_packed_module()
+
+    def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
+        return module.coded_size(shown.page(quantised) if sized is form else quantised)
+
+    with source.blamed(steps, "compressing") as tell:
+        return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **goals)
+
+
+def _field_of(path: str) -> nerfbake.RadianceField:
     """What the page in a file shows: the values that its shader reads."""
     content = io.load_page_content(path)
     if isinstance(content, nerfbake.PageField):

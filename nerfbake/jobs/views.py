@@ -8,8 +8,6 @@ import nerfbake
 from nerfbake import io
 from nerfbake.jobs.steps import Steps
 
-COVER = 320  # pixels along an edge of the picture that is there at once in a page
-
 
 def read_cameras(steps: Steps, path: str) -> nerfbake.Cameras:
     """The cameras of a file or a folder; says which file of a folder it took, and what it took for granted."""
@@ -60,7 +58,12 @@ def views_of(
     return read_cameras(steps, cameras).chosen(size=size, samples=samples)
 
 
-def cover_view(camera: nerfbake.Camera) -> nerfbake.Camera:
-    """A page's first picture, of the camera's shorter edge."""
-    focal = camera.fx * COVER / min(camera.width, camera.height)
-    return nerfbake.Camera(COVER, COVER, focal, camera.pose, camera.name)
+def page_views(steps: Steps, scene: Any, cameras: str | None, *, name: str) -> tuple[nerfbake.Cameras, nerfbake.Camera]:
+    """Where a page is looked at from, as views_of() has it, and the view of its cover: what the first of the cameras
+    sees, of its shorter edge."""
+    from nerfbake.scene.page import COVER
+
+    views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER)
+    first = views.cameras[0]
+    focal = first.fx * COVER / min(first.width, first.height)
+    return views, nerfbake.Camera(COVER, COVER, focal, first.pose, first.name)

@@ -15,12 +15,15 @@ from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.shown import encoded, framed
 
+COVER = 320  # pixels along an edge of the cover, as we make it
+
 
 @dataclass(frozen=True, eq=False)
 class Page:
     """A scene to look around in.
 
-    content  what the page carries: a PageField or a PageSurface as it is, or a QuantisedOctree in the bytes of a .svoq
+    content  what the page carries: a PageField or a PageSurface as it is, a QuantisedOctree in the bytes of a .svoq, or
+             such bytes
     field    what the content was made from: its place in the world, its box and its basis are the page's; None of a
              PageSurface
     cameras  where one looks from: at first from the first of them
@@ -40,7 +43,7 @@ class Page:
     page of a SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
     """
 
-    content: PageField | QuantisedOctree | PageSurface
+    content: PageField | QuantisedOctree | PageSurface | bytes
     field: RadianceField | None
     cameras: Cameras
     cover: Image
@@ -66,4 +69,6 @@ class Page:
         return framed(encoded(self), scripts=True, height=500)
 
     def __str__(self) -> str:
+        if isinstance(self.content, bytes):
+            return f"page of a compressed octree of {len(self.content):,} bytes"
         return f"page of {self.content}" if self.field is None else f"page of a {self.content}"

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from nerfbake.scene.page import Page
+from nerfbake.scene.page import COVER, Page
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.field_to_page_field import build_page_field
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scene_to_field import FieldSource, build_field
-
-_COVER = 320  # pixels along an edge of the picture that is there at once
 
 
 def view(scene: FieldSource | RadianceField | QuantisedOctree, *, title: str = "A radiance field") -> Page:
@@ -27,5 +25,5 @@ def view(scene: FieldSource | RadianceField | QuantisedOctree, *, title: str = "
     shown = scene.restored() if isinstance(scene, QuantisedOctree) else scene
     field = shown if isinstance(shown, RadianceField) else build_field(shown)
     content = scene if isinstance(scene, QuantisedOctree) else build_page_field(field)
-    cameras = orbit_cameras(field, width=_COVER, height=_COVER)
+    cameras = orbit_cameras(field, width=COVER, height=COVER)
     return Page(content, field, cameras, render_field(field, cameras.cameras[0]), title)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import sys
 from pathlib import Path
 
@@ -38,6 +39,22 @@ def test_a_size_is_that_of_the_page(shell: Shell, tmp_path: Path) -> None:
     assert (tmp_path / "a.html").stat().st_size <= 200_000
     assert shell("view", "a.npz", "b.html", "--max-size", "9kB").returncode == 3
     assert not (tmp_path / "b.html").exists()
+
+
+@pytest.mark.usefixtures("scene")
+def test_what_is_compressed_already_is_carried_as_it_is(shell: Shell, tmp_path: Path) -> None:
+    assert shell("compress", "a.npz", "a.svoq", "--step", "0.1").returncode == 0
+    packed = base64.b64encode((tmp_path / "a.svoq").read_bytes())
+    done = shell("view", "a.svoq", "a.html", "--min-psnr", "30")
+    assert done.returncode == 0, done.stderr
+    said = "a.svoq: it is compressed already, so that the page carries it as it is\n"
+    assert said in done.stderr.decode()
+    assert b'id="data">' + packed + b"</script>" in (tmp_path / "a.html").read_bytes()
+    # Whoever names a goal has it compressed anew.
+    done = shell("view", "a.svoq", "b.html", "--max-loss", "3")
+    assert done.returncode == 0, done.stderr
+    assert said not in done.stderr.decode()
+    assert packed not in (tmp_path / "b.html").read_bytes()
 
 
 @pytest.mark.usefixtures("scene")

@@ -24,10 +24,10 @@ def test_a_path_is_enough() -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_a_source_tells_its_step_and_is_blamed(listener: Listener) -> None:
-    scene, form, size, packing = Source("a.npz").read_with_format(listener, N3Tree)
-    assert (form.name, size, packing) == ("npz", Path("a.npz").stat().st_size, {})
+    found = Source("a.npz").read_with_format(listener, N3Tree)
+    assert (found.form.name, found.size, found.packing) == ("npz", Path("a.npz").stat().st_size, {})
     assert listener.phases == ["reading a.npz"]
-    assert isinstance(scene, N3Tree)
+    assert isinstance(found.scene, N3Tree)
     with pytest.raises(InvalidScene, match=r"^a.npz: too much"), Source("a.npz").blamed(listener, "working"):
         raise InvalidScene("too much")
     with pytest.raises(InvalidFile, match="holds an octree"):

@@ -76,6 +76,13 @@ def coded_size(page: Page) -> int:
     return sum(map(len, encode(page)))
 
 
+def carried(view: memoryview) -> bytes:
+    """The bytes of a .svoq as they are, or with the same numbers in the coding that the page's script reads."""
+    if svoq.describe_packing(view)["coding"] == svoq.CODINGS[0]:
+        return bytes(view)
+    return b"".join(svoq.encode(svoq.decode_quantised(view)))
+
+
 def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
     """The field that a page carries, of the bytes that encode() gave. Raises InvalidFile, MemoryLimit."""
     found = re.search(rb'id="facts">([^<]*)</script>.*?id="data">([^<]*)</script>', view, re.DOTALL)
@@ -115,6 +122,7 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
             "form-action 'none'",
         ]
     )
+    all_of_it: object = page.field or page.content
     parts = {
         "policy": policy,
         "title": escape(one_line(page.title)),
@@ -122,7 +130,7 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
         "script": script,
         "shader": "\n".join(map(part_of, _SHADERS)) if page.field else part_of("surface.glsl"),
         "cover": base64.b64encode(b"".join(png.encode(page.cover))).decode(),
-        "about": escape(f"All of the scene is in this file: {page.field or page.content}."),
+        "about": escape(f"All of the scene is in this file: {all_of_it}."),
         "facts": json.dumps(facts).replace("<", "\\u003c"),
     }
     # One pass: what stands in a part, whatever it is, is not looked at again.
@@ -178,6 +186,8 @@ def _view(camera: Camera, centre: npt.NDArray[np.float64], radius: float) -> dic
 
 
 def _data(content: Any) -> bytes:
+    if isinstance(content, bytes):
+        return content
     if isinstance(content, PageSurface):
         return b""
     if not isinstance(content, PageField):

@@ -15,11 +15,11 @@ import pytest
 from nerfbake import (
     Page,
     PageField,
+    QuantisedOctree,
     SparseVoxelOctree,
     build_field,
     build_octree,
     build_page_field,
-    orbit_cameras,
     quantise_octree,
     render_field,
     sample_n3tree,
@@ -29,13 +29,20 @@ from nerfbake import (
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.octree import svoq
 from nerfbake.formats.page import view as view_html
+from tests.support.viewed import view_of
 
 
 @pytest.fixture(scope="module")
 def view() -> Page:
     field = build_field(build_octree(sample_n3tree(resolution=16)))
-    cameras = orbit_cameras(field, width=24, height=24)
-    return Page(build_page_field(field), field, cameras, render_field(field, cameras.cameras[0]), "A <page> & more")
+    return view_of(build_page_field(field), field, "A <page> & more")
+
+
+@pytest.fixture(scope="module")
+def quantised(view: Page) -> QuantisedOctree:
+    assert view.field is not None
+    importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
+    return quantise_octree(build_octree(sample_n3tree(resolution=16)), importance, step=0.1, prune=0.1)
 
 
 def page_of(view: Page) -> str:
@@ -96,14 +103,20 @@ def test_exact_data_are_the_page_fields_arrays(view: Page) -> None:
     np.testing.assert_array_equal(halves.reshape(texels.shape), texels)
 
 
-def test_compressed_data_are_the_bytes_of_a_svoq(view: Page) -> None:
-    assert view.field is not None
-    octree = build_octree(sample_n3tree(resolution=16))
-    importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
-    quantised = quantise_octree(octree, importance, step=0.2)
-    page = page_of(replace(view, content=quantised))
+def test_compressed_data_are_the_bytes_of_a_svoq(view: Page, quantised: QuantisedOctree) -> None:
+    page, file = page_of(replace(view, content=quantised)), b"".join(svoq.encode(quantised))
     assert facts_of(page)["kind"] == "svoq"
-    assert data_of(page) == b"".join(svoq.encode(quantised))
+    assert data_of(page) == file
+    carried = replace(view, content=file)
+    assert page_of(carried) == page
+    assert str(carried) == f"page of a compressed octree of {len(file):,} bytes"
+
+
+def test_a_file_in_a_coding_that_the_script_does_not_read_is_carried_in_the_other_one(
+    quantised: QuantisedOctree,
+) -> None:
+    ranged, deflated = (b"".join(svoq.encode(quantised, coding=coding)) for coding in svoq.CODINGS)
+    assert view_html.carried(memoryview(ranged)) == view_html.carried(memoryview(deflated)) == ranged != deflated
 
 
 def test_a_cover_is_square(view: Page) -> None:
@@ -112,17 +125,13 @@ def test_a_cover_is_square(view: Page) -> None:
         replace(view, cover=render_field(view.field, view.cameras.cameras[0].resized(24, 12)))
 
 
-@pytest.mark.parametrize("data", ["exact", "compressed"])
-def test_what_a_page_carries_comes_back(view: Page, data: str) -> None:
-    assert view.field is not None
-    if data == "compressed":
-        importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
-        octree = build_octree(sample_n3tree(resolution=16))
-        view = replace(view, content=quantise_octree(octree, importance, step=0.1, prune=0.1))
-        found = view_html.content_of(memoryview(page_of(view).encode()))
-        assert isinstance(found, SparseVoxelOctree)
-        assert (found.node_data == view.content.restored().node_data).all()  # type: ignore[union-attr]
-        return
+def test_what_a_compressed_page_carries_comes_back(view: Page, quantised: QuantisedOctree) -> None:
+    found = view_html.content_of(memoryview(page_of(replace(view, content=quantised)).encode()))
+    assert isinstance(found, SparseVoxelOctree)
+    assert (found.node_data == quantised.restored().node_data).all()
+
+
+def test_what_an_exact_page_carries_comes_back(view: Page) -> None:
     found = view_html.content_of(memoryview(page_of(view).encode()))
     assert isinstance(found, PageField)
     assert isinstance(view.content, PageField)
