@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.affine import placed, turned
+from nerfbake.kernels.maths.affine import placed
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
@@ -85,13 +84,14 @@ def _rendered(
 def _marched(
     field: RadianceField, camera: Camera, stop: npt.NDArray[np.float64], cut: float, lookup: Lookup
 ) -> npt.NDArray[np.float32]:
+    from nerfbake.kernels.march.looks import faced
+
     origin, looks = camera.rays()
-    turn = field.place[:, :3]
     place = placed(origin, field.place)
     # SH are in the field's own axes.
-    own, size = turned(looks, field.axes), field.basis.size
-    rgba = field.basis.kind == "RGBA"
-    basis = np.ones((len(looks), 1), np.float32) if rgba else sh_basis(own, size, np.float32)
+    ways, basis = faced(looks, np.ascontiguousarray(field.place[:, :3]), field.axes, field.basis.size)
+    if field.basis.kind == "RGBA":
+        basis[:] = 1
     out = np.empty((len(looks), 5), np.float32)
     if lookup == "nearest":
         from nerfbake.kernels.march.traversal import march
@@ -103,6 +103,5 @@ def _marched(
         # Positions from centre to centre; what is occupied reaches one further on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
     # A whole number would be another type, for which all of it would be compiled anew.
-    ways = turned(looks, turn)
     march(field.cells, field.values, field.densities, box, place, ways, stop, basis, float(cut), out)
     return out

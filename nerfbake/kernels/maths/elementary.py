@@ -38,7 +38,7 @@ def exp_parts(x: Any) -> Any:
     whole = np.fmax(np.rint(x * _PER_STEP), _LEAST * _PER_STEP)  # a place in the table even for NaN, which q passes on
     r = (x - whole * _STEP_HIGH) - whole * _STEP_LOW
     q = r * (1 + r * (1 / 2 + r * (1 / 6 + r * (1 / 24 + r * (1 / 120 + r * (1 / 720))))))
-    k = np.int64(whole)
+    k = np.int32(whole)  # not 64 bits: few CPUs make those of several floats at once
     return _ROOTS[k & (_STEPS - 1)] * _POWERS[(k >> 5) + _LOWEST], q
 
 
