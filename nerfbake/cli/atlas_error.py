@@ -9,13 +9,14 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.params import as_json, max_memory, speaks, without_effect
+from nerfbake.cli.paths import Reads
 from nerfbake.cli.words import Words
 from nerfbake.jobs.atlases import measure_atlas
 
 
 @click.command("atlas-error")
-@click.argument("atlas", metavar="OUT_DIR", type=click.Path())
-@click.argument("stage1", metavar="STAGE1_DIR", type=click.Path())
+@click.argument("atlas", metavar="OUT_DIR", type=Reads())
+@click.argument("stage1", metavar="STAGE1_DIR", type=Reads())
 @click.option(
     "--lookup",
     type=click.Choice(["bilinear", "nearest", "thesis"]),

@@ -10,6 +10,7 @@ import click
 import nerfbake
 from nerfbake import io
 from nerfbake.cli.params import CAPTURE, Resolution, max_memory, reads, speaks, without_effect
+from nerfbake.cli.paths import Capture, Photographs, Reads
 from nerfbake.cli.reports import Destination, Resolutions, reports
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source
@@ -23,7 +24,7 @@ def bench() -> None:
 
 
 @bench.command()
-@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=click.Path(allow_dash=True))
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=Reads(allow_dash=True))
 @click.option(
     "--resolution", type=Resolution(), help="Voxels along each axis of a PlenOctree.  [default: the tree's finest]"
 )
@@ -63,7 +64,7 @@ def formats(
 
 
 @bench.command()
-@click.argument("folder", metavar="STAGE1_DIR", type=click.Path())
+@click.argument("folder", metavar="STAGE1_DIR", type=Reads())
 @reports(rounds=1, chart="error against bytes")
 @max_memory
 @speaks
@@ -84,7 +85,9 @@ def atlas(folder: str, rounds: int, destination: Destination, words: Words) -> N
 @click.option(
     "--resolution", type=Resolutions(), help="Voxels along each axis of a PlenOctree.  [default: 128,320,512]"
 )
-@click.option("--rays", metavar="CAPTURE", help="Count the samples along the rays of these cameras, at 400x400.")
+@click.option(
+    "--rays", metavar="CAPTURE", type=Capture(), help="Count the samples along the rays of these cameras, at 400x400."
+)
 @reports(rounds=3, chart="time against memory")
 @speaks
 def access(
@@ -118,7 +121,9 @@ def access(
 
 @bench.command()
 @reads
-@click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
+@click.option(
+    "--cameras", metavar="CAPTURE", type=Capture(), help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]"
+)
 @reports(rounds=3, chart="time a frame against memory")
 @speaks
 def render(source: Source, cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
@@ -138,7 +143,7 @@ def render(source: Source, cameras: str | None, rounds: int, destination: Destin
 
 
 @bench.command()
-@click.argument("source", metavar="SOURCE", type=click.Path())
+@click.argument("source", metavar="SOURCE", type=Photographs())
 @click.option(
     "--fits",
     metavar="NAME,...",
@@ -185,8 +190,13 @@ def fit(
 
 
 @bench.command()
-@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=click.Path(allow_dash=True))
-@click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 5 views around each SCENE]")
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=Reads(allow_dash=True))
+@click.option(
+    "--cameras",
+    metavar="CAPTURE",
+    type=Capture(),
+    help=f"The cameras: {CAPTURE}.  [default: 5 views around each SCENE]",
+)
 @reports(rounds=5, chart="time a frame against memory for the first SCENE")
 @max_memory
 @speaks
@@ -214,8 +224,8 @@ def view(scenes: tuple[str, ...], cameras: str | None, rounds: int, destination:
 
 @bench.command()
 @reads
-@click.option("--cameras", metavar="CAPTURE", help=f"The cameras of --truth: {CAPTURE}.")
-@click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera: measure.")
+@click.option("--cameras", metavar="CAPTURE", type=Capture(), help=f"The cameras of --truth: {CAPTURE}.")
+@click.option("--truth", type=Reads(), help="A folder with a photograph NAME.png for each camera: measure.")
 @reports(rounds=1, chart="loss against bytes")
 @speaks
 def compress(

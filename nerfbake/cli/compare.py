@@ -10,6 +10,7 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.params import CAPTURE, Command, PixelSize, as_json, reads, samples, speaks, without_effect
+from nerfbake.cli.paths import Capture, Reads, Writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.comparisons import Compared, Limits, Pages, Seen, compare_files
 from nerfbake.jobs.files import Source
@@ -18,8 +19,10 @@ from nerfbake.jobs.files import Source
 def sees(function: Command) -> Command:
     """Adds --cameras, --truth, --size and --samples; the command gets `seen`."""
 
-    @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]")
-    @click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera.")
+    @click.option(
+        "--cameras", metavar="CAPTURE", type=Capture(), help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]"
+    )
+    @click.option("--truth", type=Reads(), help="A folder with a photograph NAME.png for each camera.")
     @click.option(
         "--size", type=PixelSize(), help="Size in pixels.  [default: the truth's or the cameras', 400x400 for an orbit]"
     )
@@ -50,10 +53,10 @@ def writes_pages(function: Command) -> Command:
 
     @click.option(
         "--sheet",
-        type=click.Path(),
+        type=Writes(),
         help="Write a PNG with the pictures of truth, IN and IN2, and their differences times 8.",
     )
-    @click.option("--html", type=click.Path(), help="Write a page with budgets, figures, sizes and pictures.")
+    @click.option("--html", type=Writes(), help="Write a page with budgets, figures, sizes and pictures.")
     @click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
     @wraps(function)
     def command(*args: Any, sheet: str | None, html: str | None, force: bool, **others: Any) -> Any:
@@ -66,7 +69,7 @@ def writes_pages(function: Command) -> Command:
 
 @click.command()
 @reads
-@click.argument("other", metavar="IN2", type=click.Path())
+@click.argument("other", metavar="IN2", type=Reads())
 @sees
 @limits
 @writes_pages

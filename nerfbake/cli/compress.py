@@ -10,6 +10,7 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.params import CAPTURE, Command, Size, as_json, reads, samples, speaks, without_effect, writes
+from nerfbake.cli.paths import Capture, Reads
 from nerfbake.cli.words import Words
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.compressions import Goal, Photographs, compress_file
@@ -36,8 +37,10 @@ def aims(function: Command) -> Command:
 def measures(function: Command) -> Command:
     """Adds --cameras, --truth, --samples, --source-psnr and --min-psnr; the command gets `photographs` and `budget`."""
 
-    @click.option("--cameras", metavar="CAPTURE", help=f"The cameras of --truth and --min-psnr: {CAPTURE}.")
-    @click.option("--truth", type=click.Path(), help="A folder with a photograph NAME.png for each camera: measure.")
+    @click.option(
+        "--cameras", metavar="CAPTURE", type=Capture(), help=f"The cameras of --truth and --min-psnr: {CAPTURE}."
+    )
+    @click.option("--truth", type=Reads(), help="A folder with a photograph NAME.png for each camera: measure.")
     @samples
     @click.option(
         "--source-psnr",

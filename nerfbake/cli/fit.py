@@ -11,6 +11,7 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.params import Command, as_json, max_memory, seed, sh_basis, speaks, without_effect, writes
+from nerfbake.cli.paths import Keeps, Photographs, Reads, Writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
 from nerfbake.cli.words import Words
@@ -57,10 +58,15 @@ def takes_album(function: Command) -> Command:
     @click.option(
         "--masks",
         metavar="DIR",
-        type=click.Path(),
+        type=Reads(),
         help="A folder with a mask NAME.png for each picture, white where the object is: for scenery behind it.",
     )
-    @click.option("--test", metavar="CAPTURE", help="Other cameras, whose pictures judge the result.")
+    @click.option(
+        "--test",
+        metavar="CAPTURE",
+        type=Photographs(readable=False),
+        help="Other cameras, whose pictures judge the result.",
+    )
     @click.option(
         "--holdout",
         metavar="N",
@@ -127,17 +133,17 @@ def takes_recipe(function: Command) -> Command:
 
 
 @click.command()
-@click.argument("source", metavar="SOURCE", type=click.Path())
+@click.argument("source", metavar="SOURCE", type=Photographs())
 @writes(*FITTED)
 @takes_recipe
 @takes_album
 @click.option(
     "--state",
     metavar="DIR",
-    type=click.Path(),
+    type=Keeps(),
     help="Keep checkpoints in this folder; the same command goes on from there after it was stopped.",
 )
-@click.option("--plot", type=click.Path(), help="Draw the PSNR over CPU seconds, as .png or .svg.")
+@click.option("--plot", type=Writes(), help="Draw the PSNR over CPU seconds, as .png or .svg.")
 @max_memory
 @as_json
 @speaks

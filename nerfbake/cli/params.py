@@ -10,6 +10,7 @@ import click
 from click.core import ParameterSource
 
 from nerfbake import catalog, memory
+from nerfbake.cli.paths import Capture, Output, Reads, Stage1AndFolder
 from nerfbake.cli.words import Words
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
@@ -93,7 +94,7 @@ max_memory = click.option(
 def reads(function: Command) -> Command:
     """Adds the argument IN and --max-memory; the command gets `source`, a Source."""
 
-    @click.argument("source", metavar="IN", type=click.Path(allow_dash=True))
+    @click.argument("source", metavar="IN", type=Reads(allow_dash=True))
     @max_memory
     @functools.wraps(function)
     def command(*args: Any, source: str, **others: Any) -> Any:
@@ -105,14 +106,12 @@ def reads(function: Command) -> Command:
 def bakes_stage1(function: Command) -> Command:
     """Adds the arguments [STAGE1_DIR] OUT_DIR, --feature, --mlp and --force; the command gets `source` and `target`."""
 
-    @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=click.Path())
+    @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=Stage1AndFolder())
     @click.option(
-        "--feature", "features", multiple=True, type=click.Path(), help="A feature texture; once for each cascade."
+        "--feature", "features", multiple=True, type=Reads(), help="A feature texture; once for each cascade."
     )
-    @click.option("--mlp", type=click.Path(), help="The mlp.json of --feature; both together replace STAGE1_DIR.")
-    @click.option(
-        "--transforms", type=click.Path(), help="A transforms.json: the training cameras in the mesh's world."
-    )
+    @click.option("--mlp", type=Reads(), help="The mlp.json of --feature; both together replace STAGE1_DIR.")
+    @click.option("--transforms", type=Reads(), help="A transforms.json: the training cameras in the mesh's world.")
     @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
     @max_memory
     @functools.wraps(function)
@@ -140,7 +139,7 @@ def writes(*scenes: str, required: bool = True) -> Callable[[Command], Command]:
 
     def add(function: Command) -> Command:
         @click.argument(
-            "target", metavar="OUT" if required else "[OUT]", required=required, type=click.Path(allow_dash=True)
+            "target", metavar="OUT" if required else "[OUT]", required=required, type=Output(allow_dash=True)
         )
         @click.option(
             "--to",
@@ -180,7 +179,12 @@ def judges(function: Command) -> Command:
     """Adds --min-psnr, --cameras and --samples; the command gets `budget`."""
 
     @click.option("--min-psnr", type=float, help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
-    @click.option("--cameras", metavar="CAPTURE", help=f"The views to judge: {CAPTURE}.  [default: 8 views around IN]")
+    @click.option(
+        "--cameras",
+        metavar="CAPTURE",
+        type=Capture(),
+        help=f"The views to judge: {CAPTURE}.  [default: 8 views around IN]",
+    )
     @samples
     @functools.wraps(function)
     def command(*args: Any, min_psnr: float | None, cameras: str | None, samples: int | None, **others: Any) -> Any:

@@ -11,6 +11,7 @@ import click
 from nerfbake import io
 from nerfbake.cli.fit import takes_album
 from nerfbake.cli.params import CAPTURE, Command, as_json, reads, seed, speaks, without_effect, writes_octree
+from nerfbake.cli.paths import Photographs, Reads
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source, Target
 from nerfbake.jobs.photographs import Album
@@ -20,7 +21,7 @@ from nerfbake.jobs.refits import Again, Model, refit_file
 def takes_model(function: Command) -> Command:
     """Adds --like with --frames and --edge, and --views with what takes_album adds; the command gets `model`."""
 
-    @click.option("--like", metavar="BIGGER", type=click.Path(), help="The finer scene that OUT is to look like.")
+    @click.option("--like", metavar="BIGGER", type=Reads(), help="The finer scene that OUT is to look like.")
     @click.option(
         "--frames",
         type=click.IntRange(2, 1000),
@@ -36,7 +37,7 @@ def takes_model(function: Command) -> Command:
         help="The pixels of those along each edge.",
     )
     @click.option(
-        "--views", metavar="SOURCE", type=click.Path(), help=f"The photographs that OUT is to look like: {CAPTURE}."
+        "--views", metavar="SOURCE", type=Photographs(), help=f"The photographs that OUT is to look like: {CAPTURE}."
     )
     @takes_album
     @wraps(function)

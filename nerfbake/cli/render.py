@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import wraps
 from typing import Any, ClassVar, Literal
 
 import click
 
 from nerfbake.cli.params import CAPTURE, Command, PixelSize, reads, samples, speaks, without_effect
+from nerfbake.cli.paths import Capture, Declared, Reads, Writes
 from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source
@@ -30,10 +32,26 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
         return tuple(int(part) / 255 for part in parts)
 
 
+class PicturesPath(Writes):
+    """A picture and what stands beside it, or a folder of pictures."""
+
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
+        pictures, single = (
+            Pictures(paths[0], options["depth"], options["alpha"]),
+            not (options["every"] or options["turntable"]),
+        )
+        return Declared(writes=(*paths, *pictures.beside(paths[0])) if single else paths)
+
+
 def takes_shots(function: Command) -> Command:
     """Adds --cameras, --frame, --all, --turntable, --size and --samples; the command gets `shots`."""
 
-    @click.option("--cameras", metavar="CAPTURE", help=f"The cameras: {CAPTURE}.  [default: an orbit around the scene]")
+    @click.option(
+        "--cameras",
+        metavar="CAPTURE",
+        type=Capture(),
+        help=f"The cameras: {CAPTURE}.  [default: an orbit around the scene]",
+    )
     @click.option(
         "--frame", type=click.IntRange(min=0), default=0, show_default=True, help="The camera to use, from 0."
     )
@@ -69,7 +87,7 @@ def writes_pictures(function: Command) -> Command:
     @click.option(
         "--out",
         required=True,
-        type=click.Path(),
+        type=PicturesPath(),
         help="A .png or '-'; for several views a .gif, a .png sheet or a folder.",
     )
     @click.option(
@@ -93,7 +111,7 @@ def writes_pictures(function: Command) -> Command:
 def places_mesh(function: Command) -> Command:
     """Adds --mesh, --mesh-up and --composite; the command gets `mesh`, a PlacedMesh or None."""
 
-    @click.option("--mesh", type=click.Path(), help="An .obj or .glb of opaque triangles in the scene's own world.")
+    @click.option("--mesh", type=Reads(), help="An .obj or .glb of opaque triangles in the scene's own world.")
     @click.option(
         "--mesh-up",
         type=click.Choice(["y", "z"]),

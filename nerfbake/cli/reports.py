@@ -13,6 +13,7 @@ import click
 from nerfbake import io
 from nerfbake.bench.extras import require_installed
 from nerfbake.cli.params import Command, without_effect
+from nerfbake.cli.paths import Writes
 from nerfbake.errors import OutputError, UsageError
 
 
@@ -79,9 +80,9 @@ def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
             help="The form of the report.",
         )
         @click.option(
-            "-o", "--output", type=click.Path(), help="The file that the report is written to.  [default: stdout]"
+            "-o", "--output", type=Writes(), help="The file that the report is written to.  [default: stdout]"
         )
-        @click.option("--plot", type=click.Path(), help=f"Draw a chart of {chart}, as .png or .svg.")
+        @click.option("--plot", type=Writes(), help=f"Draw a chart of {chart}, as .png or .svg.")
         @click.option("--force", is_flag=True, help="Replace files that exist.")
         @functools.wraps(function)
         def command(*args: Any, kind: str, output: str | None, plot: str | None, force: bool, **others: Any) -> Any:

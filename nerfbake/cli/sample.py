@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from nerfbake.cli.params import max_memory, seed, sh_basis, speaks, writes
+from nerfbake.cli.paths import Writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import FolderTarget, Target
 from nerfbake.jobs.samples import write_sample_capture, write_sample_n3tree, write_sample_stage1
@@ -40,7 +41,7 @@ def octree(target: Target, words: Words, **options: Any) -> None:
 
 
 @sample.command()
-@click.argument("target", metavar="OUT_DIR", type=click.Path())
+@click.argument("target", metavar="OUT_DIR", type=Writes())
 @click.option("--resolution", type=int, default=512, show_default=True, help="Texels along each edge of the textures.")
 @seed
 @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
@@ -56,7 +57,7 @@ def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
 
 
 @sample.command()
-@click.argument("target", metavar="OUT_DIR", type=click.Path())
+@click.argument("target", metavar="OUT_DIR", type=Writes())
 @click.option("--frames", type=click.IntRange(2, 1000), default=24, show_default=True, help="How many photographs.")
 @click.option("--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Their edge in pixels.")
 @seed

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from nerfbake.cli.params import CAPTURE, Command, Size, reads, samples, speaks, without_effect, writes
+from nerfbake.cli.paths import Capture, Reads
 from nerfbake.cli.render import Background, places_mesh
 from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
@@ -46,7 +47,7 @@ def measures(function: Command) -> Command:
 
     @click.option(
         "--truth",
-        type=click.Path(),
+        type=Reads(),
         help="A folder with a photograph NAME.png for each of --cameras: the loss is measured, not predicted.",
     )
     @click.option(
@@ -86,8 +87,13 @@ def measures(function: Command) -> Command:
     help="How OUT opens: cells as they are, or values interpolated between their centres; the page can switch.",
 )
 @places_mesh
-@click.option("--stage1", type=click.Path(), help="Of an atlas IN: the stage-1 folder it was baked from, to show both.")
-@click.option("--cameras", metavar="CAPTURE", help=f"Where to look from: {CAPTURE}.  [default: the front, turning]")
+@click.option("--stage1", type=Reads(), help="Of an atlas IN: the stage-1 folder it was baked from, to show both.")
+@click.option(
+    "--cameras",
+    metavar="CAPTURE",
+    type=Capture(),
+    help=f"Where to look from: {CAPTURE}.  [default: the front, turning]",
+)
 @chooses_grids
 @speaks
 def view(source: Source, target: Target | None, words: Words, **options: Any) -> None:

@@ -1,0 +1,78 @@
+"""Every command says what it reads and writes, so that a batch can tell clashes before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+import pytest
+
+from nerfbake.cli import main
+from nerfbake.cli.paths import Declared, Output, Place, Stage1AndFolder, Writes, declared
+
+# Words that are no paths. A new option that takes text has to be either here or a Place.
+WORDS = {"basis", "epochs", "fits", "formats", "grids", "template", "title", "to"}
+
+
+def commands(group: click.Group, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from commands(command, f"{prefix}{name} ")
+        else:
+            yield f"{prefix}{name}", command
+
+
+COMMANDS = dict(commands(main.cli))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_path_of_a_command_is_declared(name: str) -> None:
+    params = COMMANDS[name].params
+    assert any(isinstance(param.type, Place) for param in params)
+    for param in params:
+        if not isinstance(param.type, Place):
+            assert not isinstance(param.type, click.Path), param.name
+            assert not isinstance(param.type, click.types.StringParamType) or param.name in WORDS, param.name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_writes_can_be_told_to_replace(name: str) -> None:
+    params = COMMANDS[name].params
+    if name != "batch" and any(isinstance(param.type, Writes | Stage1AndFolder) for param in params):
+        assert "--force" in [option for param in params for option in param.opts]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_where_a_budget_rejects_an_output_it_is_declared(name: str) -> None:
+    told = [param.help or "" for param in COMMANDS[name].params if isinstance(param, click.Option)]
+    if any("OUT.rejected" in text for text in told):
+        assert any(isinstance(param.type, Output | Stage1AndFolder) for param in COMMANDS[name].params)
+
+
+LINES = {
+    "svo a.npz b.svo.pb": Declared(("a.npz",), (), ("b.svo.pb",)),
+    "svo a.npz b.svo.pb --min-psnr 30 --cameras c.json": Declared(
+        ("a.npz", "c.json"), (), ("b.svo.pb",), ("b.svo.pb.rejected",)
+    ),
+    "atlas in out --min-psnr 30": Declared(("in",), (), ("out",), ("out.rejected",)),
+    "atlas out --feature f0.jpg --feature f1.jpg --mlp m.json": Declared(("f0.jpg", "f1.jpg", "m.json"), (), ("out",)),
+    "compare a b --sheet s.png --html p.html --min-psnr 3": Declared(("a", "b"), (), ("s.png", "p.html")),
+    "fit photos a.npz --masks m --state s --plot c.svg": Declared(("m",), ("photos",), ("a.npz", "c.svg"), ("s",)),
+    "refit a b --views photos": Declared(("a",), ("photos",), ("b",)),
+    "render a --out p.png --depth --alpha --mesh m.glb": Declared(
+        ("a", "m.glb"), (), ("p.png", "p.depth.png", "p.alpha.png")
+    ),
+    "render a --out views --all --cameras c --depth npy": Declared(("a", "c"), (), ("views",)),
+    "sample capture out": Declared((), (), ("out",)),
+    "info a": Declared(("a",)),
+    "bench formats a b -o r.md": Declared(("a", "b"), (), ("r.md",)),
+}
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_what_a_line_reads_and_writes(line: str) -> None:
+    words, group = line.split(), main.cli.commands
+    command = group[words.pop(0)]
+    command = command.commands[words.pop(0)] if isinstance(command, click.Group) else command
+    found, wanted = declared(command, words), LINES[line]
+    assert [sorted(paths) for paths in found] == [sorted(paths) for paths in wanted]
