@@ -7,23 +7,20 @@ Every figure stands in a `data` element, rounded for people, whole in its `value
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator, Mapping
-from html import escape
 from itertools import repeat
 from pathlib import PurePath
 from typing import Any
 
-from nerfbake.errors import format_size, one_line
+from nerfbake.errors import format_size
 from nerfbake.formats.picture import png
-from nerfbake.formats.wire.page_style import STYLE
+from nerfbake.formats.wire.page_pieces import END, beginning, figure, picture, table, text
 from nerfbake.scene.camera import rays_told
 from nerfbake.scene.comparison import AMPLIFIED, Comparison, Verdict
 from nerfbake.scene.image import Image
 
 Sides = Mapping[str, Mapping[str, Any]]
 
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _PAIRS = {"a_b": "A and B", "a_truth": "A and truth", "b_truth": "B and truth"}
 _MEASURES = {"psnr": ("PSNR, dB", ".2f"), "ssim": ("SSIM", ".4f"), "max_error": ("largest error", ".4f")}
 _BUDGETS = {
@@ -58,28 +55,16 @@ def encode(
     yield _document(comparison, sides, verdicts).encode()
     for view, row in zip(comparison.views, comparison.rows(), strict=False):
         yield _row(view["name"], row, captions).encode()
-    yield f'<p class="about">{_ABOUT}</p>\n</main>\n</body>\n</html>\n'.encode()
+    yield f'<p class="about">{_ABOUT}</p>\n{END}'.encode()
 
 
 def _document(comparison: Comparison, sides: Sides, verdicts: list[Verdict]) -> str:
     a, b = (_short(facts) for facts in sides.values())
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>{b} against {a}</title>
-<style>{STYLE}</style>
-</head>
-<body>
-<main>
-<h1>{b} <span>against {a}</span></h1>
+    return f"""{beginning(f"{b} against {a}")}<h1>{b} <span>against {a}</span></h1>
 {_headline(verdicts)}
 {_tiles(comparison, sides)}
 <h2>What was compared</h2>
-<div class="facts">{_table(["", "A", "B"], _facts(sides))}</div>
+<div class="facts">{table(["", "A", "B"], _facts(sides))}</div>
 <h2>Pictures{rays_told(comparison.samples)}</h2>
 <div class="pairs">{"".join(map(_pair, repeat(comparison), comparison.means))}</div>
 <h2>Values of A and B</h2>
@@ -96,7 +81,7 @@ def _headline(verdicts: list[Verdict]) -> str:
     lines = [f'<p class="verdict {kind}">{words}</p>', "<ul>"]
     for verdict in verdicts:
         name, digits, unit, bound = _BUDGETS[verdict.option]
-        found, allowed = _figure(verdict.found, digits), _figure(verdict.allowed, "g")
+        found, allowed = figure(verdict.found, digits), figure(verdict.allowed, "g")
         end = "holds" if verdict.holds else "missed"
         lines.append(f"<li>{name} {found}{unit}, allowed {bound} {allowed}{unit}: {end}</li>")
     return "\n".join([*lines, "</ul>"])
@@ -108,7 +93,7 @@ def _tiles(comparison: Comparison, sides: Sides) -> str:
     size_a, size_b = (facts.get("bytes") for facts in sides.values())
     if size_a and size_b:
         tiles["file size, B / A"] = size_b / size_a, ".1%"
-    parts = [f"<div><dt>{name}</dt><dd>{_figure(*figure)}</dd></div>" for name, figure in tiles.items()]
+    parts = [f"<div><dt>{name}</dt><dd>{figure(*found)}</dd></div>" for name, found in tiles.items()]
     return f"<dl>{''.join(parts)}</dl>"
 
 
@@ -120,53 +105,33 @@ def _facts(sides: Sides) -> Iterator[list[str]]:
 def _fact(key: str, value: Any) -> str:
     if value is None:
         return "not known"
-    return f"{_figure(value, ',')} ({format_size(value)})" if key == "bytes" else _text(str(value))
+    return f"{figure(value, ',')} ({format_size(value)})" if key == "bytes" else text(str(value))
 
 
 def _pair(comparison: Comparison, pair: str) -> str:
     rows = [
-        [_text(view["name"]), *(_figure(view[pair][key], digits) for key, (_, digits) in _MEASURES.items())]
+        [text(view["name"]), *(figure(view[pair][key], digits) for key, (_, digits) in _MEASURES.items())]
         for view in (*comparison.views, {"name": "all views", **comparison.means})
     ]
-    return _table([_PAIRS[pair], *(name for name, _ in _MEASURES.values())], rows)
+    return table([_PAIRS[pair], *(name for name, _ in _MEASURES.values())], rows)
 
 
 def _values(comparison: Comparison) -> str:
     if not comparison.values:
         return "<p>A and B hold values of different kinds; only their pictures are compared.</p>"
     found = comparison.values.items()
-    rows = [[_VALUES[name], _figure(errors["mean"], ".4g"), _figure(errors["max"], ".4g")] for name, errors in found]
-    return _table(["", "mean error", "largest error"], rows)
+    rows = [[_VALUES[name], figure(errors["mean"], ".4g"), figure(errors["max"], ".4g")] for name, errors in found]
+    return table(["", "mean error", "largest error"], rows)
 
 
 def _row(name: str, pictures: Mapping[str, Image], captions: Mapping[str, str]) -> str:
     shown = []
     width, height = pictures["a"].size
     for key, image in pictures.items():
-        data = base64.b64encode(b"".join(png.encode(image))).decode()
-        image_tag = f'<img src="data:image/png;base64,{data}" width="{width}" height="{height}" alt="{captions[key]}">'
-        shown.append(f"<figure>{image_tag}<figcaption>{captions[key]}</figcaption></figure>\n")
-    head = f"<h3>{_text(name)}, {width}x{height} pixels</h3>"
+        shown.append(picture(b"".join(png.encode(image)), f' width="{width}" height="{height}"', captions[key]))
+    head = f"<h3>{text(name)}, {width}x{height} pixels</h3>"
     return f'<section>\n{head}\n<div class="row">\n{"".join(shown)}</div>\n</section>\n'
 
 
-def _table(head: list[str], rows: Any) -> str:
-    lines = ["<tr>" + "".join(f'<th scope="col">{cell}</th>' for cell in head) + "</tr>"]
-    for first, *cells in rows:
-        body = "".join(f"<td>{cell}</td>" for cell in cells)
-        lines.append(f'<tr><th scope="row">{first}</th>{body}</tr>')
-    body = "\n".join(lines[1:])
-    return f"<table>\n<thead>{lines[0]}</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n"
-
-
 def _short(facts: Mapping[str, Any]) -> str:
-    return _text(PurePath(facts["name"]).name)
-
-
-def _figure(value: float, digits: str) -> str:
-    return f'<data value="{value!r}">{value:{digits}}</data>'
-
-
-def _text(text: str) -> str:
-    """Anything at all as text in a page, or in an attribute of one."""
-    return escape(one_line(text))
+    return text(PurePath(facts["name"]).name)
