@@ -118,6 +118,9 @@ class Photographs(Protocol):
     def decode_photograph(self, view: memoryview, /) -> Any:
         """(H, W, 4) uint8, sRGB and straight alpha. Raises InvalidFile, MemoryLimit."""
 
+    def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
+        """The picture as a PNG of at most so many pixels along each edge. Raises InvalidFile, MemoryLimit."""
+
 
 class Checkpoints(Protocol):
     """Where a piece of work stands, for whoever goes on from there: facts, and arrays by name."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ import click
 import nerfbake
 from nerfbake.cli.atlas import atlas
 from nerfbake.cli.atlas_error import atlas_error
+from nerfbake.cli.batch import batch
 from nerfbake.cli.bench import bench
 from nerfbake.cli.check import check
 from nerfbake.cli.compare import compare
@@ -36,6 +38,7 @@ from nerfbake.cli.view import view
 from nerfbake.errors import NerfbakeError, OutputError, PipeClosed, one_line
 
 OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 class InOrder(click.Group):
@@ -81,6 +84,7 @@ for command in (
     info,
     check,
     sample,
+    batch,
     bench,
 ):
     cli.add_command(command)
@@ -95,6 +99,7 @@ def main() -> NoReturn:
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # they speak to programmers: `python -W error -m nerfbake` shows them
     signal.signal(signal.SIGTERM, _stop)
+    _end_with(os.environ.pop("NERFBAKE_BATCH", ""))
     sys.exit(run(sys.argv[1:]))
 
 
@@ -149,6 +154,14 @@ def _occupy_standard_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
+
+
+def _end_with(batch: str) -> None:
+    """On Linux: SIGTERM when the batch of this process number dies that has started us, whatever it dies of."""
+    if batch and sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if str(os.getppid()) != batch:  # it was dead before
+            sys.exit(128 + signal.SIGTERM)
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:

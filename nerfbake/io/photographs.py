@@ -22,6 +22,20 @@ def find_photograph(folder: str | Path, name: str) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
+def is_picture(path: str | Path) -> bool:
+    """True if a file's ending is that of a PNG or a JPEG."""
+    return Path(path).name.lower().endswith(PICTURES)
+
+
+def picture_in(path: str | Path) -> Path | None:
+    """The path of a picture, moving ones included, or of the first one in a folder; None where there is none."""
+    path = Path(path)
+    if path.is_dir():
+        with blame(str(path)):
+            return next((file for file in sorted(path.iterdir()) if is_picture(file)), None)
+    return path if is_picture(path) or path.suffix.lower() == ".gif" else None
+
+
 class Truth(Sequence[Any]):
     """The photographs NAME.png of these names in a folder, as Images, the type of scene that is handed in. Each is read
     whenever it is asked for: all at once may not fit into memory.
@@ -49,3 +63,9 @@ def load_photograph(path: str | Path) -> Any:
                 raise InvalidFile("is empty; allowed: a PNG or a JPEG")
             pixels = load_photographs().decode_photograph(view)
         return memory.kept(pixels)
+
+
+def load_thumbnail(path: str | Path, edge: int) -> bytes:
+    """A picture as a PNG of at most so many pixels along each edge. Raises InvalidFile, MemoryLimit."""
+    with blame(str(path)), memory.scope():
+        return load_photographs().encode_thumbnail(read_file(Path(path)), edge)

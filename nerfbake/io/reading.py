@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -182,3 +183,12 @@ def load_files(paths: Mapping[str, str | Path]) -> dict[str, memoryview]:
         with blame(str(path)):
             files[name] = read_file(Path(path))
     return files
+
+
+def load_lines(source: str | Path) -> str:
+    """The text of a file or of stdin, whose bytes that are no UTF-8 are what the system makes of them in names.
+
+    Raises InvalidFile naming the file, MemoryLimit.
+    """
+    with blame(reading_name(source)), memory.scope():
+        return os.fsdecode(bytes(read_stdin() if str(source) == STREAM else read_file(Path(source))))

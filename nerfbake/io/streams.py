@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,15 @@ def print_text(text: str = "") -> None:
     with _blamed():
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
+
+
+def print_names(text: str) -> None:
+    """Prints a line in which names stand byte for byte as the system has them. Raises OutputError, PipeClosed."""
+    if sys.stdout is None or sys.stdout.closed:
+        raise OutputError("is closed; allowed: a pipe, a file or a terminal", source="stdout")
+    with _blamed():
+        sys.stdout.buffer.write(os.fsencode(text) + b"\n")
+        sys.stdout.buffer.flush()
 
 
 def write_stdout(pieces: Iterable[bytes | memoryview]) -> int:

@@ -18,6 +18,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nerfbake.jobs.atlases import bake_atlas as bake_atlas
     from nerfbake.jobs.atlases import measure_atlas as measure_atlas
+    from nerfbake.jobs.batches import Batch as Batch
+    from nerfbake.jobs.batches import Item as Item
+    from nerfbake.jobs.batches import Run as Run
+    from nerfbake.jobs.batches import run_batch as run_batch
     from nerfbake.jobs.budgets import Budget as Budget
     from nerfbake.jobs.budgets import judge as judge
     from nerfbake.jobs.comparisons import Compared as Compared
@@ -72,6 +76,7 @@ JOBS = {
     "measure_atlas": "atlases",
     "refit_file": "refits",
     "render_views": "pictures",
+    "run_batch": "batches",
     "view_file": "viewing",
     "write_sample_capture": "samples",
     "write_sample_n3tree": "samples",
@@ -80,12 +85,14 @@ JOBS = {
 _ARGUMENTS = {
     "Again": "refits",
     "Album": "photographs",
+    "Batch": "batches",
     "Budget": "budgets",
     "Choice": "grids",
     "Compared": "comparisons",
     "Fitted": "fits",
     "FolderTarget": "files",
     "Goal": "compressions",
+    "Item": "batches",
     "Limits": "comparisons",
     "Pages": "comparisons",
     "Model": "refits",
@@ -94,6 +101,7 @@ _ARGUMENTS = {
     "PlacedMesh": "pictures",
     "Recipe": "fits",
     "Refitted": "refits",
+    "Run": "batches",
     "Seen": "comparisons",
     "Shots": "pictures",
     "Source": "files",

@@ -80,6 +80,12 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
         lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.Model(like="a.npz", frames=4, edge=24)),
     ),
+    "batch": (
+        ["svo {in} OUT.svo.pb", "a.npz", "--state", "state"],
+        lambda out: jobs.run_batch(
+            [jobs.Item(("svo", "a.npz", f"{out}.svo.pb"), ("a.npz",), (f"{out}.svo.pb",))], state="state"
+        ),
+    ),
     "sample octree": (
         ["OUT.npz", "--resolution", "8"],
         lambda out: jobs.write_sample_n3tree(f"{out}.npz", resolution=8),
