@@ -1,0 +1,144 @@
+"""Batches at length: hundreds of items broken in many ways, random kills, and ten thousand items in a small parent."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from nerfbake import sample_n3tree, save
+from nerfbake.cli.main import run
+from tests.conftest import REPOSITORY
+from tests.support.batches import stub
+
+# `nerfbake batch` with a stub in nerfbake's place, in a process of its own: what it took is its last line.
+PARENT = """
+import json, resource, sys
+from nerfbake.cli.main import run
+from nerfbake.jobs import batches
+batches.nerfbake_command = lambda: ["/bin/sh", sys.argv[1]]
+code = run(["batch", *sys.argv[2:]])
+used = resource.getrusage(resource.RUSAGE_SELF)
+print(json.dumps([used.ru_maxrss, used.ru_utime + used.ru_stime]))
+sys.exit(code)
+"""
+LINES = ("--jobs-file", "jobs.txt", "--state", "run", "-q", "--take-over")
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", PARENT, str(folder / "stub.sh"), *arguments]
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def prepared(folder: Path, words: list[str]) -> None:
+    """Inputs that say what is to become of them, and a line for each."""
+    stub(folder)
+    (folder / "in").mkdir()
+    for number, word in enumerate(words):
+        (folder / f"in/{number}").write_text(f"{word}\n{number}\n")
+    (folder / "jobs.txt").write_text("".join(f"svo in/{i} out/{i}.svo.pb\n" for i in range(len(words))))
+
+
+@pytest.mark.long
+def test_two_hundred_items_of_which_ten_are_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    save("whole.npz", sample_n3tree(resolution=8, basis="SH1"))
+    whole = Path("whole.npz").read_bytes()
+    broken = {number: _broken(whole, number // 20) for number in range(5, 200, 20)}
+    for number in range(200):
+        Path(f"in/{number}.npz").write_bytes(broken.get(number, whole))
+    paths = [f"in/{number}.npz" for number in range(200)]
+    line = ["batch", "svo {in} out/{stem}.svo.pb", *paths, "--state", "run", "-q", "--report", "report.csv"]
+    assert run(line) == 1
+    assert run(["svo", "whole.npz", "loop.svo.pb", "-q"]) == 0
+    expected = Path("loop.svo.pb").read_bytes()
+    written = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    assert written == {f"{number}.svo.pb": expected for number in range(200) if number not in broken}
+    assert Path("report.csv").read_text().count(",failed,1,") == 10
+    before = Path("run/items.0-of-1.jsonl").stat().st_size
+    assert run(line) == 1
+    added = Path("run/items.0-of-1.jsonl").read_bytes()[before:].splitlines()
+    assert [json.loads(event)["event"] for event in added].count("start") == 10
+
+
+def _broken(whole: bytes, way: int) -> bytes:
+    """Files that are broken in different ways: cut short, changed within, something else."""
+    changed = bytes([*whole[: 100 + 40 * way], whole[100 + 40 * way] ^ 0xFF, *whole[101 + 40 * way :]])
+    ways = (b"", b"\0" * 50, whole[: len(whole) // 2], whole[:-30], b"PK\x03\x04", whole[::-1])
+    return ways[way] if way < len(ways) else whole[: len(whole) - 5 * way] + changed[:1]
+
+
+@pytest.mark.long
+def test_fifty_random_kills_lose_nothing_and_do_nothing_twice(tmp_path: Path) -> None:
+    """kill -9 of children, of the parent, or of both, and lines torn: then all is done once, and nothing lies about."""
+    count, jobs, kills = 400, 3, 50
+    prepared(tmp_path, ["fine"] * count)
+    chance = random.Random(16)
+    for _ in range(kills):
+        parent = start(tmp_path, *LINES, "-j", str(jobs))
+        time.sleep(chance.uniform(0.25, 0.6))
+        victims = chance.choice(["children", "parent", "both"])
+        below = _below(parent.pid)
+        if victims != "parent":
+            for child in below:
+                _kill(child)
+        if victims != "children":
+            parent.kill()
+            if chance.random() < 0.5:
+                _tear(tmp_path / "run/items.0-of-1.jsonl", chance)
+        else:
+            parent.terminate()
+        parent.communicate()
+    last = start(tmp_path, *LINES, "-j", str(jobs))
+    last.communicate()
+    assert last.returncode == 0
+    for number in range(count):
+        assert (tmp_path / f"out/{number}.svo.pb").read_text() == f"fine\n{number}\n"
+    runs = [len((tmp_path / f"out/{i}.svo.pb.threads").read_text().splitlines()) for i in range(count)]
+    assert sum(runs) - count <= (jobs + 1) * kills  # one more for each line that was torn
+    left = [path.name for path in (tmp_path / "run").iterdir()]
+    assert sorted(left) == ["items.0-of-1.jsonl", "log", "plan.txt"]
+
+
+def _below(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for task in tasks for word in task.read_text().split()]
+
+
+def _kill(pid: int) -> None:
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+def _tear(journal: Path, chance: random.Random) -> None:
+    """What a machine leaves that dies while a line is written."""
+    if journal.exists():
+        size = journal.stat().st_size
+        last = len(journal.read_bytes().splitlines(keepends=True)[-1]) if size else 0
+        os.truncate(journal, size - chance.randint(0, last))
+
+
+@pytest.mark.long
+def test_ten_thousand_items_cost_little(tmp_path: Path) -> None:
+    """The parent stays below 100 MB, and an item takes less than 15 ms of its processor."""
+    count = 10_000
+    prepared(tmp_path, ["fine"] * count)
+    parent = start(tmp_path, *LINES, "-j", "2", "--report", "report.html")
+    printed, _ = parent.communicate()
+    assert parent.returncode == 0
+    peak, worked = json.loads(printed.splitlines()[-1])
+    peak *= 1 if sys.platform == "darwin" else 1024
+    print(f"{count:,} items: {1000 * worked / count:.1f} ms of the parent's processor each, {peak / 1e6:.0f} MB")
+    assert peak < 100e6
+    assert worked / count < 0.015
