@@ -45,14 +45,14 @@ def test_a_long_step_shows_how_much_of_it_is_done() -> None:
         from nerfbake.cli.words import Words
         with Words(quiet=False, verbose=True).progress("fitting") as tell:
             for share in (0.1, 0.42):
-                tell(share, "stage 2, 31.25 dB")
+                tell(share, "stage 2, 31.25 dB, [/red].npz")
                 time.sleep(0.3)"""
     leader, follower = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stderr=follower, check=True)
     os.close(follower)
     shown = os.read(leader, 1 << 16)
     os.close(leader)
-    for words in (b"fitting: stage 2, 31.25 dB", b"42%"):
+    for words in (b"fitting: stage 2, 31.25 dB, [/red].npz", b"42%"):
         assert words in shown
     (said,) = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stderr.splitlines()
     assert said.startswith(b"fitting: 0.6")
