@@ -22,7 +22,7 @@ from nerfbake.errors import one_line
 from nerfbake.io.logs import end_of_log, opened_log
 
 PARENT = "NERFBAKE_BATCH"  # the variable that tells a child whose it is
-_PSNR = re.compile(r"(-?\d+\.\d+) dB (?:against|on) ")
+_PSNR = re.compile(r"(-?\d+\.\d+) dB(?:, SSIM [\d.]+)? (?:against|on) ")
 
 
 class Ended(NamedTuple):

@@ -28,7 +28,7 @@ def occupied(path: str | Path, *, take_over: bool = False) -> Iterator[None]:
             with open(path, "xb") as file:
                 file.write(ours)
         except FileExistsError:
-            raise OutputError(f"{_owner(Path(path))} is at work; allowed: to wait for it, or --take-over") from None
+            raise OutputError(_owner(Path(path)), source=str(path)) from None
     try:
         yield
     finally:
@@ -38,13 +38,15 @@ def occupied(path: str | Path, *, take_over: bool = False) -> Iterator[None]:
 
 
 def _owner(path: Path) -> str:
+    """What is wrong: who is at work, or has been."""
     try:
         owner = json.loads(path.read_bytes()[:4096])
         pid, host = int(owner["pid"]), str(owner["host"])
     except (OSError, ValueError, TypeError, KeyError):
-        return "somebody"
-    gone = host == socket.gethostname() and not _lives(pid)
-    return f"process {pid} on {host}{', which is gone,' if gone else ''}"
+        return "somebody is at work; allowed: to wait, or --take-over"
+    if host == socket.gethostname() and not _lives(pid):
+        return f"was left behind by process {pid} on {host}, which is gone; allowed: --take-over"
+    return f"process {pid} on {host} is at work; allowed: to wait for it, or --take-over"
 
 
 def _lives(pid: int) -> bool:

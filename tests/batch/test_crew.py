@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import threading
 import time
@@ -129,6 +130,15 @@ def test_shards_in_any_order_and_at_once_are_one_batch(folder: Path) -> None:
     merged = run_batch(items, state="run", run=None)
     assert (statuses(merged), merged.exit_code, merged.ran) == (["done"] * 4 + ["failed"] + ["done"] * 2, 1, 0)
     assert run(items).ran == 1  # in one piece: what shards have done is done
+    shutil.rmtree("out")
+    shutil.rmtree("run")
+    assert told(run(items)) == told(merged)
+
+
+def told(batch: Batch) -> list[list[Any]]:
+    """What a batch reports but for times and memory."""
+    rows = [row.attempt for row in batch.rows]
+    return [[each.status, each.code, each.error, each.read, each.outputs, each.psnr] for each in rows if each]
 
 
 def test_a_second_batch_on_the_same_shard_is_refused_until_it_takes_over(folder: Path) -> None:
