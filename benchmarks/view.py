@@ -2,7 +2,8 @@
 
 The aims are those of a page that is mailed: bytes, seconds of the command beside those of the command that it builds
 on, seconds from opening to the first marched picture without a graphics card, the script's decoder by Python's, and
-the layout that the shader reads by an octree that is descended from its root.
+the layout that the shader reads by an octree that is descended from its root. Highlights are those of nerf2mesh's
+sample scene, whose MLP is as large as a real one: those of the MLP by those of the atlas baked from it.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ from nerfbake.bench.measure import Statistics, in_turn, seconds_of
 from nerfbake.bench.process import measure_process
 from nerfbake.bench.progress import told
 from nerfbake.bench.report import Report, Table
+from nerfbake.bench.view import surfaces
 from nerfbake.bench.view.browser import LLVMPIPE, SWIFTSHADER, chromium
 from nerfbake.bench.view.comparison import CHOSEN, COLUMNS, compare_pages
 
 ROUNDS = 3
+TEXELS = 512  # along an edge of the sample's textures
 EDGE = 400  # pixels
 # A second drawing is only begun once the first is there.
 FIRST = "nerfbake.frames > 1 || nerfbake.finished"
@@ -80,11 +83,23 @@ def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
     for name, flags in RENDERERS.items():
         found = compare_pages(tree, scenes.chair.name, views, rounds=rounds, progress=told, flags=flags, edge=EDGE)
         frames.append(found._replace(title=f"{found.title}, drawn by {name}"))
-        row = dict(zip(COLUMNS, next(row for row in found.tables[0].rows if row[0] == CHOSEN), strict=True))
-        figures[f"frames, {name}: x octree"] = row["x octree"].median if row["x octree"] else None
+        figures[f"frames, {name}: x octree"] = _ratio(found, COLUMNS.index("x octree"), CHOSEN)
+    stage1 = nerfbake.sample_stage1(resolution=TEXELS)
+    for name, flags in RENDERERS.items():
+        scene = f"sample of nerf2mesh, {TEXELS}x{TEXELS} texels"
+        found = surfaces.compare_surfaces(stage1, scene, rounds=rounds, progress=told, flags=flags, edge=EDGE)
+        frames.append(found._replace(title=f"{found.title}, drawn by {name}"))
+        ratio = _ratio(found, surfaces.COLUMNS.index("x kmeans"), "mlp_textures")
+        figures[f"frames of the MLP, {name}: x atlas"] = ratio
     aims = aims_table([(what, aim, figures[what]) for what, aim in VIEW.items()])
     head = {"scene": scenes.chair.name, "rounds": str(rounds), **environment("numpy", "numba", "playwright")}
     return {"view": [Report("Pages to look around in", head, [aims, costs], NOTES), *frames]}
+
+
+def _ratio(report: Report, column: int, page: str) -> float | None:
+    """A page's median, where there is one."""
+    found = next(row[column] for row in report.tables[0].rows if row[0] == page)
+    return found.median if found else None
 
 
 def _baked(chair: Path, folder: Path, rounds: int) -> Made:

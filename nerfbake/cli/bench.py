@@ -201,24 +201,29 @@ def fit(
 @max_memory
 @speaks
 def view(scenes: tuple[str, ...], cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
-    """Time frames of each SCENE, a PlenOctree or an octree, in a headless Chromium at 400x400: as `nerfbake view` shows
-    it, and as an octree whose shader goes down from the root. Playwright drives the browser.
+    """Time frames of each SCENE in a headless Chromium at 400x400. Playwright drives the browser.
+
+    A PlenOctree or an octree: as `nerfbake view` shows it, and as an octree whose shader goes down from the root. A
+    stage-1 folder of nerf2mesh: the MLP with its weights in textures and as constants, and an atlas of each method.
 
     \b
       nerfbake bench view chair.npz
+      nerfbake bench view mesh_stage1
       nerfbake bench view chair.npz ship.svo.pb --cameras transforms.json --plot frames.svg
     """
     from nerfbake.bench.view.browser import require_browser
     from nerfbake.bench.view.comparison import chart_pages, compare_pages
+    from nerfbake.bench.view.surfaces import compare_surfaces
 
     require_browser()
     views = read_cameras(words, cameras).cameras if cameras else ()
     found = []
     for path in scenes:
         source = Source(path)
-        scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+        scene = source.read(words, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Stage1)
+        compare = compare_surfaces if isinstance(scene, nerfbake.Stage1) else compare_pages
         with source.blamed(words, "drawing pages"):
-            found.append(compare_pages(scene, Path(path).name, views, rounds=rounds, progress=words.phase))
+            found.append(compare(scene, Path(path).name, views, rounds=rounds, progress=words.phase))
     destination.write(found, chart_pages)
 
 

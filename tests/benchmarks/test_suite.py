@@ -21,8 +21,10 @@ from nerfbake.bench.access.readers import READERS
 from nerfbake.bench.atlas.baking import Recipe
 from nerfbake.bench.measure import Result
 from nerfbake.bench.process import measure_process
+from nerfbake.bench.view import surfaces
 from nerfbake.bench.view.browser import SWIFTSHADER
 from nerfbake.bench.view.comparison import CHOSEN, OCTREE
+from nerfbake.scene.atlas import METHODS
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
@@ -160,12 +162,13 @@ def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 @with_a_browser_of_its_own
 def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "EDGE", 48)
+    monkeypatch.setattr(view, "TEXELS", EDGE)
     monkeypatch.setattr(view, "RENDERERS", {"SwiftShader": SWIFTSHADER, "llvmpipe": SWIFTSHADER})
     files = small("view", scenes)
     found = tables(files, "view.md")
     assert [row[0] for row in found["Aims"]] == list(VIEW)
     assert [row[0] for row in found["Pages"]] == ["compressed", "exact"]
-    assert [row[0] for row in found["Frames"]] == 2 * [OCTREE, CHOSEN]
+    assert [row[0] for row in found["Frames"]] == 2 * [OCTREE, CHOSEN] + 2 * [*surfaces.MLPS, *METHODS, "none"]
     # Of a tiny scene each of these is far within its aim, on any machine.
     held = {row[0]: row[-1] for row in found["Aims"]}
     assert [held[what] for what in ("compressed: MB", "exact: MB")] == ["yes", "yes"]

@@ -34,11 +34,11 @@ _RENDERER = """() => {
   return gl.getParameter(more ? more.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
 }"""
 # Draws from every camera, and tells what graphics say of it; the pictures themselves as text where they are wanted.
-_DRAW = """([views, edge, wanted]) => {
+_DRAW = """([views, edge, wanted, looks]) => {
   const { facts, camera, picture } = nerfbake;
   const found = views.map(([pose, focal]) => {
     const from = new camera.constructor({ pose, focal, distance: 1 }, facts.up, facts.radius);
-    return picture.pixels(from, edge, edge, { background: [1, 1, 1] });
+    return picture.pixels(from, edge, edge, { background: [1, 1, 1], ...looks });
   });
   const error = picture.gl.getError();
   if (error) throw new Error("WebGL error " + error);
@@ -62,13 +62,13 @@ class Tab:
         """What draws, as WebGL tells it."""
         return str(self._page.evaluate(_RENDERER))
 
-    def draw(self, cameras: Sequence[Camera], edge: int) -> None:
-        """A square picture from each camera, finished."""
-        self._page.evaluate(_DRAW, [_views(cameras), edge, False])
+    def draw(self, cameras: Sequence[Camera], edge: int, **looks: Any) -> None:
+        """A square picture from each camera, finished; looks: as the page's picture.pixels() has them."""
+        self._page.evaluate(_DRAW, [_views(cameras), edge, False, looks])
 
-    def pictures(self, cameras: Sequence[Camera], edge: int) -> list[npt.NDArray[np.uint8]]:
+    def pictures(self, cameras: Sequence[Camera], edge: int, **looks: Any) -> list[npt.NDArray[np.uint8]]:
         """The same, each (edge, edge, 3)."""
-        found = self._page.evaluate(_DRAW, [_views(cameras), edge, True])
+        found = self._page.evaluate(_DRAW, [_views(cameras), edge, True, looks])
         return [np.frombuffer(base64.b64decode(text), np.uint8).reshape(edge, edge, 4)[..., :3] for text in found]
 
     def ask(self, script: str) -> Any:
