@@ -27,6 +27,7 @@ READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libna
 READERS += g++ libnanovdb-dev zlib1g-dev
 READERS += chromium $(if $(shell command -v npm),,nodejs npm)
 READERS += libegl-dev libgl-dev libgl1-mesa-dri
+READERS += firefox-esr xvfb
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
 # TypeScript and ESLint, which read the scripts of pages: no page holds anything of them.
