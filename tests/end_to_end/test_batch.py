@@ -18,13 +18,14 @@ from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
 from tests.support.batches import stub
 
-# `nerfbake batch` with a stub in nerfbake's place, in a process of its own: what it took is its last line.
+# `nerfbake batch` with a stub in nerfbake's place, which ends with its parent, as nerfbake does; in a process of its
+# own, which tells what it took in its last line.
 PARENT = r"""
 import json, re, resource, sys
 from pathlib import Path
 from nerfbake.cli.main import run
 from nerfbake.jobs import batches
-batches.nerfbake_command = lambda: ["/bin/sh", sys.argv[1]]
+batches.nerfbake_command = lambda: ["setpriv", "--pdeathsig", "TERM", "/bin/sh", sys.argv[1]]
 code = run(["batch", *sys.argv[2:]])
 used = resource.getrusage(resource.RUSAGE_SELF)
 # Not ru_maxrss, which begins with what the process held that started this one.
