@@ -11,11 +11,12 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points, Singles
-from nerfbake.kernels.soundness import place, plural
+from nerfbake.kernels.soundness import all_finite, place, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, require_shape
 from nerfbake.scene.basis import SH_SIZES
 
 MAX_EDGE = 4096  # nodes along an axis
+MAX_UNITS, MAX_LAYERS, MAX_FREQUENCY = 1024, 16, 4096.0  # of an MLP
 STEP = 0.5  # of the least distance between nodes: how far the samples of all these programs are apart
 
 
@@ -52,7 +53,64 @@ class RgbColour(NamedTuple):
         return "RGB"
 
 
-Colour = ShColour | RgbColour
+@dataclass(frozen=True, eq=False)
+class MlpColour:
+    """The sigmoid of what an MLP makes of features and of the direction: relu between its layers, of H units each.
+
+    first    (H, F + 3 + 6 k) float32, of F features, then of d, of sin and of cos: of d_x times each of k frequencies,
+             of d_y, of d_z; and first_bias (H,)
+    middle   (l, H, H) and middle_bias (l, H): the layers between; there may be none
+    last     (3, H) and last_bias (3,)
+    frequencies  (k,)
+    direct   False: there are three more features, before the others, which are added to what the MLP makes
+    """
+
+    first: Singles
+    first_bias: Singles
+    middle: Singles
+    middle_bias: Singles
+    last: Singles
+    last_bias: Singles
+    frequencies: tuple[float, ...]
+    direct: bool = True
+
+    def __post_init__(self) -> None:
+        k, layers = len(self.frequencies), len(self.middle)
+        H, width = self.first.shape if self.first.ndim == 2 else (0, 0)
+        if width < 4 + 6 * k or not 1 <= H <= MAX_UNITS or layers > MAX_LAYERS:
+            found = f"has a first layer of {self.first.shape}, and {layers} behind it"
+            allowed = f"1 to {MAX_UNITS} units, {MAX_LAYERS} layers, a feature or more, {3 + 6 * k} inputs of direction"
+            raise InvalidScene(Problem("the MLP", found, allowed))
+        for name, array, shape in (
+            ("first", self.first, self.first.shape),
+            ("first_bias", self.first_bias, (H,)),
+            ("middle", self.middle, (layers, H, H)),
+            ("middle_bias", self.middle_bias, (layers, H)),
+            ("last", self.last, (3, H)),
+            ("last_bias", self.last_bias, (3,)),
+        ):
+            require_shape(f"the MLP's {name}", array, shape, np.float32)
+
+    def __str__(self) -> str:
+        return f"MLP of {len(self.middle) + 1}x{len(self.first)}"
+
+    @property
+    def inputs(self) -> int:
+        """Features that go through the MLP."""
+        return int(self.first.shape[1]) - 3 - 6 * len(self.frequencies)
+
+    @property
+    def features(self) -> int:
+        return self.inputs + (0 if self.direct else 3)
+
+    def problems(self) -> list[Problem]:
+        weights = (self.first, self.first_bias, self.middle, self.middle_bias, self.last, self.last_bias)
+        numbers = np.concatenate([each.reshape(-1) for each in weights])
+        frequencies = np.array(self.frequencies, np.float64)
+        return number_problems("the MLP", numbers) + number_problems("frequencies", frequencies, most=MAX_FREQUENCY)
+
+
+Colour = ShColour | RgbColour | MlpColour
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +237,12 @@ class LatticeField(Scene):
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use; only rows that a node has count."""
-        problems = number_problems("density", self.density) + number_problems("colours", self.features)
-        if not problems:
-            return []
+        weights = self.colour.problems() if isinstance(self.colour, MlpColour) else []
+        # Channels that lie together are not copied, to be looked at row by row.
+        features = self.features.T if self.features.flags.f_contiguous else self.features
+        if all_finite(self.density) and all_finite(features):
+            return weights
         used = np.zeros(self.n, bool)
         used[self.links[self.links >= 0]] = True
         found = number_problems("density", self.density, where=used)
-        return found + number_problems("colours", self.features, where=used[:, None])
+        return weights + found + number_problems("colours", self.features, where=used[:, None])

@@ -9,14 +9,16 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Ints, Points, Singles
 from nerfbake.kernels.lattice import harmonics
+from nerfbake.kernels.lattice.mlp import Layers, layers_for, logits_along, projected
 from nerfbake.kernels.lattice.nodes import RELU, SOFTPLUS, Nodes
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import log, sigmoid
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.octree.halves import widened
-from nerfbake.scene.lattice_field import LatticeField, ShColour
+from nerfbake.scene.lattice_field import LatticeField, MlpColour, ShColour
 
 DIRECTIONS = 256  # in which colours are compared while coefficients are chosen
+MLP_DIRECTIONS = 64  # the same of an MLP, whose time they are
 _KINDS = {"relu": RELU, "softplus": SOFTPLUS}
 _Y0 = 0.28209479177387814  # the first of the spherical harmonics, a constant
 
@@ -49,6 +51,14 @@ def seen_along(lattice: LatticeField, directions: Points) -> Seen:
     if isinstance(lattice.colour, ShColour):
         basis = sh_basis(directions, lattice.colour.size, np.float32)
         return lambda features, ray: harmonics.shown(features, basis, ray)
+    if isinstance(lattice.colour, MlpColour):
+        whole, layers = lattice.colour, _layers(lattice.colour, directions)
+
+        def seen(features: Singles, ray: Ints) -> Singles:
+            own, added = _split(whole, features)
+            return sigmoid(logits_along(own, layers, ray) + added).astype(np.float32)
+
+        return seen
     return lambda features, ray: sigmoid(features).astype(np.float32)
 
 
@@ -59,7 +69,28 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
         basis = sh_basis(directions, lattice.colour.size, np.float32)
         inverse = harmonics.inverse_of(sh_basis(directions, B))
         return lambda features: harmonics.refitted(features, basis, inverse)
+    if isinstance(lattice.colour, MlpColour):
+        directions, whole = fibonacci(max(MLP_DIRECTIONS, 4 * B)), lattice.colour
+        layers, inverse = _layers(whole, directions), harmonics.inverse_of(sh_basis(directions, B))
+
+        def fit(features: Singles) -> Singles:
+            own, added = _split(whole, features)
+            return projected(own, layers, inverse) + _constant(added, B)
+
+        return fit
     return lambda features: _constant(features, B)
+
+
+def _layers(mlp: MlpColour, directions: Points) -> Layers:
+    weights = mlp.first, mlp.first_bias, mlp.middle, mlp.middle_bias, mlp.last, mlp.last_bias
+    return layers_for(directions, mlp.frequencies, *weights)
+
+
+def _split(mlp: MlpColour, features: Singles) -> tuple[Singles, Singles]:
+    """What goes through the MLP, and (m, 3) what is added to its logits."""
+    if mlp.direct:
+        return features, np.zeros((len(features), 3), np.float32)
+    return np.ascontiguousarray(features[:, 3:]), features[:, :3]
 
 
 def _constant(features: Singles, B: int) -> Singles:

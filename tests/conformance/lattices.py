@@ -16,6 +16,7 @@ from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
 from tests.conformance.case import Case, Facts, Frozen, form_named
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, svox2, svox2_file
+from tests.support.torch_files import dvgo, dvgo_file
 
 DIRECTION = [2 / 7, -3 / 7, 6 / 7]
 # In shares of the box: between nodes, on one, before the first and behind the last, at a corner, outside.
@@ -29,6 +30,9 @@ def cases() -> Iterator[Case]:
     about = "A checkpoint as svox2 writes it: a lattice of links, rows in no order, halves; one row is nobody's."
     files = {"lattice/plenoxels.ckpt.npz": Frozen(form_named("ckpt.npz"), None, data=svox2_file(arrays))}
     yield Case("lattice/plenoxels", about, files, _plenoxels(arrays), answer, computed=1e-5)
+    about = "A checkpoint as DirectVoxGO writes it with torch: nodes on the box, features and an MLP."
+    files = {"lattice/voxels.tar": Frozen(form_named("tar"), None, data=dvgo_file(dvgo(mlp="random")))}
+    yield Case("lattice/voxels", about, files, _voxels(dvgo(mlp="random")), answer, computed=1e-5)
 
 
 def _plenoxels(arrays: dict[str, Any]) -> Facts:
@@ -54,6 +58,34 @@ def _plenoxels(arrays: dict[str, Any]) -> Facts:
         "direction": DIRECTION,
         "lookups": lookups,
     }
+
+
+def _voxels(checkpoint: dict[str, Any]) -> Facts:
+    """By the definition: eight nodes around a point, softplus and an MLP between them."""
+    state = checkpoint["model_state_dict"]
+    low, high = state["xyz_min"].astype(np.float64), state["xyz_max"].astype(np.float64)
+    edge = float(np.prod(high - low) / checkpoint["model_kwargs"]["num_voxels_base"]) ** (1 / 3)
+    angles = np.array(DIRECTION)[:, None] * np.array([1.0, 2.0, 4.0, 8.0])
+    code = [*DIRECTION, *np.sin(angles).reshape(-1), *np.cos(angles).reshape(-1)]
+    lookups = []
+    for share in SHARES:
+        at = np.array(share) * (np.array(SHAPE) - 1)
+        raw, features = 0.0, np.zeros(state["k0.grid"].shape[1])
+        for step in product((0, 1), repeat=3):
+            node = np.floor(at).astype(int) + step
+            weight = float(np.prod(1 - np.abs(at - node)))
+            if weight > 0:
+                raw += weight * float(state["density.grid"][(0, 0, *node)])
+                features += weight * state["k0.grid"][(0, slice(None), *node)].astype(np.float64)
+        x = np.array([*features, *code])
+        for name in ("rgbnet.0", "rgbnet.2.0"):
+            x = np.maximum(state[f"{name}.weight"] @ x + state[f"{name}.bias"], 0)
+        logits = state["rgbnet.3.weight"] @ x + state["rgbnet.3.bias"]
+        density = float(np.logaddexp(0, raw + float(state["act_shift"][0]))) / edge
+        point = (low + np.array(share) * (high - low)).tolist()
+        lookups.append({"point": point, "density": density, "colour": (1 / (1 + np.exp(-logits))).tolist()})
+    box = [low.tolist(), high.tolist()]
+    return {"resolution": list(SHAPE), "world_box": box, "direction": DIRECTION, "lookups": lookups}
 
 
 def _harmonics(x: float, y: float, z: float) -> npt.NDArray[np.float64]:

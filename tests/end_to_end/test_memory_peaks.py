@@ -20,6 +20,7 @@ from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.n3trees import archive, svox
 from tests.support.peaks import measured
+from tests.support.torch_files import dvgo, dvgo_file
 
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile
 
@@ -124,6 +125,14 @@ def plenoxels(path: Path) -> None:
     path.write_bytes(archive(arrays))
 
 
+def voxels(path: Path) -> None:
+    """Grids in halves, which are widened."""
+    checkpoint, shape = dvgo(mlp="none"), (60, 50, 100)
+    for name, channels in (("density", 1), ("k0", 3)):
+        checkpoint["model_state_dict"][f"{name}.grid"] = np.ones((1, channels, *shape), np.float16)
+    path.write_bytes(dvgo_file(checkpoint))
+
+
 FILES: dict[str, Maker] = {
     "full.svo.npz": octree("svo.npz"),
     "shuffled.svo.npz": shuffled,
@@ -143,6 +152,7 @@ FILES: dict[str, Maker] = {
     "swapped.npz": lambda path: tree(path, child=">i4", data=">f2"),
     "quantised.npz": quantised,
     "deflated.ckpt.npz": plenoxels,
+    "half.tar": voxels,
     "grey.png": picture("L"),
     "palette.png": picture("P"),
     "colour.png": picture("RGB"),

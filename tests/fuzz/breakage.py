@@ -13,6 +13,7 @@ from tests.fuzz import corpus, hostile_values
 from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_json import break_json
 from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_svoq, break_vdb
+from tests.fuzz.breaking_torch import break_torch
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
 from tests.fuzz.breaking_zip import break_npy, break_zip
 
@@ -21,6 +22,7 @@ Breaker = Callable[[Random, bytes, bytes], bytes]
 # By the ending of a file, the first that fits.
 _BREAKERS: dict[str, Breaker] = {
     "npz": break_zip,
+    "tar": break_torch,
     "svo.pb": break_protobuf,
     "json": break_json,
     "bson": break_bson,

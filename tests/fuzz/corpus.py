@@ -31,6 +31,7 @@ from tests.support.n3trees import archive, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
+from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
 
 Files = dict[str, bytes]
@@ -122,6 +123,10 @@ def _n3trees() -> Iterator[bytes]:
 
 def _lattices(name: str) -> Iterator[bytes]:
     """As other programs write them."""
+    if name == "tar":
+        yield dvgo_file(dvgo(mlp="random"))
+        yield dvgo_file(dvgo(mlp="none", dialect="early"))
+        return
     yield svox2_file(svox2(size=4, plain=False, empty=0.2))
     yield svox2_file(svox2(size=1), deflated=True)
 

@@ -64,7 +64,7 @@ OWN_LIBRARY = {
     "formats/wire/deflate": {"deflate", "zlib_ng"},
     "formats/wire/flatbuffers": {"flatbuffers"},
     "formats/wire/json": {"orjson"},
-    "formats/wire/npz_reader": {"deflate"},
+    "formats/wire/zip_reader": {"deflate"},
     "formats/wire/npz_writer": {"zlib_ng"},
     "formats/wire/photograph": {"PIL"},
     "formats/wire/picture": {"PIL"},
