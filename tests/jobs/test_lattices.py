@@ -7,10 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import LatticeField, SparseVoxelOctree, Volume, jobs, load, octree_of_lattice
+from nerfbake import (
+    LatticeField,
+    Meshes,
+    SparseVoxelOctree,
+    Volume,
+    jobs,
+    load,
+    octree_of_lattice,
+    orbit_cameras,
+    save,
+)
 from nerfbake.cli.main import run
 from nerfbake.errors import BudgetMissed, InvalidFile, UsageError
-from nerfbake.jobs import Budget, Pictures, PlacedMesh, Seen, Shots
+from nerfbake.jobs import Budget, Pictures, PlacedMesh, Seen, Shots, lattices
 from tests.jobs.listener import Listener
 from tests.support.lattices import SHAPE, svox2, svox2_file
 from tests.support.meshes import cube
@@ -21,17 +31,17 @@ LAYERS = {"background_links": np.zeros((8, 4), np.int32), "background_data": np.
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from nerfbake import Meshes, save
-
     folder = tmp_path_factory.mktemp("lattices")
     (folder / "ckpt.npz").write_bytes(svox2_file(svox2(size=4, plain=False) | LAYERS))
     save(folder / "cube.glb", Meshes((cube(0.1),)))
+    save(folder / "c.json", orbit_cameras(load(folder / "ckpt.npz", LatticeField), frames=2, width=24, height=24))
     return folder
 
 
 @pytest.fixture(autouse=True)
 def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
+    monkeypatch.setattr(lattices, "_EDGE", 24)  # pixels: what is said is looked at, not what it is worth
 
 
 def test_svo_says_what_it_cost() -> None:
@@ -47,12 +57,12 @@ def test_svo_says_what_it_cost() -> None:
 
 def test_the_command_takes_a_basis_a_scale_and_a_budget() -> None:
     line = ["svo", "ckpt.npz", "b.svo.npz", "--basis", "SH1", "--scale", "1.5", "--resolution", "6x6x6", "-q"]
-    assert run([*line, "--min-psnr", "5"]) == 0
+    assert run([*line, "--min-psnr", "5", "--cameras", "c.json"]) == 0
     octree = load("b.svo.npz", SparseVoxelOctree)
     lattice = load("ckpt.npz", LatticeField)
     assert_same_octree(octree, octree_of_lattice(lattice.scaled(1.5), basis="SH1", resolution=(6, 6, 6)))
     with pytest.raises(BudgetMissed, match="dB"):
-        jobs.bake_octree("ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(min_psnr=90))
+        jobs.bake_octree("ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(90, "c.json"))
 
 
 def test_others_take_it_too() -> None:
