@@ -28,6 +28,7 @@ READERS += g++ libnanovdb-dev zlib1g-dev
 READERS += chromium $(if $(shell command -v npm),,nodejs npm)
 READERS += libegl-dev libgl-dev libgl1-mesa-dri
 READERS += firefox-esr xvfb
+READERS += python3-torch
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
 # TypeScript and ESLint, which read the scripts of pages: no page holds anything of them.
