@@ -123,4 +123,4 @@ def test_same_scene_same_bytes(tmp_path: Path) -> None:
 def test_a_plenoctree_is_told_what_makes_an_octree_of_it(shell: Shell) -> None:
     done = shell("convert", "a.npz", "b.svo.pb")
     assert done.returncode == 1
-    assert b"(`nerfbake svo` makes an octree of it); allowed: an octree or a volume\n" in done.stderr
+    assert b"(`nerfbake svo` makes an octree of it); allowed: an octree or a volume or a lattice field\n" in done.stderr
