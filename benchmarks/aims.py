@@ -52,7 +52,7 @@ FIT_MEMORY = Aim("below", 2000)
 REFIT = Aim("at least", 1.0)  # dB that an octree of 128^3 gains
 
 # render: milliseconds a frame of 400x400, and seconds of a process that shows one picture
-FRAME = {"chair_sh9.npz": Aim("at most", 150), "chair_sh9_128.npz": Aim("at most", 100)}
+FRAME = {"chair_sh9.npz": Aim("at most", 80), "chair_sh9_128.npz": Aim("at most", 60)}
 FIRST_PICTURE = Aim("below", 1.5)
 
 # compress: the real chair at a predicted loss of 0.1 dB

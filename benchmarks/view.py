@@ -91,7 +91,7 @@ def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
         frames.append(found._replace(title=f"{found.title}, drawn by {name}"))
         ratio = _ratio(found, surfaces.COLUMNS.index("x kmeans"), "mlp_textures")
         figures[f"frames of the MLP, {name}: x atlas"] = ratio
-    aims = aims_table([(what, aim, figures[what]) for what, aim in VIEW.items()])
+    aims = aims_table([(what, aim, figures.get(what)) for what, aim in VIEW.items()])
     head = {"scene": scenes.chair.name, "rounds": str(rounds), **environment("numpy", "numba", "playwright")}
     return {"view": [Report("Pages to look around in", head, [aims, costs], NOTES), *frames]}
 

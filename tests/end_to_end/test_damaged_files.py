@@ -42,7 +42,7 @@ def test_damaged_files(command: str, suffix: str, profile: str | None, tmp_path:
     else:
         options: Any = {"profile": profile} if profile else {}
         save(source, build_octree(tree), **options)
-    arguments = [sys.executable, "-m", "tests.support.hostile", command, str(source), "2000"]
+    arguments = [sys.executable, "-m", "tests.support.hostile", command, str(source), "1000"]
     done = subprocess.run(arguments, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == []
