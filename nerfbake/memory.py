@@ -108,16 +108,28 @@ def scope() -> Iterator[None]:
 
 def kept(scene: Counted) -> Counted:
     """The same scene, from now on counted for as long as it lives, inside of memory_limit()."""
-    allowance = _current.get()
-    if allowance.keeps:
-        size = size_of(scene)
-        allowance.kept += size
-        weakref.finalize(scene, allowance.let_go, size)
+    _keep(scene, size_of(scene))
     return scene
 
 
+def grown(scene: Any, what: str, size: int) -> None:
+    """Counts so many bytes more for a scene, for as long as it lives. Raises MemoryLimit if they do not fit."""
+    require(what, size)
+    _keep(scene, size)
+
+
+def _keep(scene: Any, size: int) -> None:
+    allowance = _current.get()
+    if allowance.keeps:
+        allowance.kept += size
+        weakref.finalize(scene, allowance.let_go, size)
+
+
 def size_of(scene: Any) -> int:
-    """The bytes of all arrays and buffers in a scene, or in a tuple, list or dict of such."""
+    """The bytes of all arrays and buffers in a scene, or in a tuple, list or dict of such.
+
+    Of what makes its values when they are asked for, it is what that holds now (`held`), not what they would take.
+    """
     match scene:
         case tuple() | list():
             return sum(map(size_of, scene))
@@ -127,6 +139,6 @@ def size_of(scene: Any) -> int:
             return scene.nbytes
         case bytes():
             return len(scene)
-    if isinstance(size := getattr(scene, "nbytes", None), int):  # of an array
+    if isinstance(size := getattr(scene, "held", getattr(scene, "nbytes", None)), int):  # of an array: nbytes
         return size
     return sum(map(size_of, vars(scene).values())) if hasattr(scene, "__dataclass_fields__") else 0

@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
+
 
 class Rows(Protocol):
     """(n, D) values, or what makes them: some rows at a time, or all with np.asarray()."""
@@ -29,7 +31,10 @@ class NodeData:
     def __get__(self, octree: Any, owner: type) -> npt.NDArray[Any]:
         if octree is None:
             raise AttributeError("node_data")  # so that the field has no default
-        data = np.asarray(octree.node_rows)
+        rows = octree.node_rows
+        if not isinstance(rows, np.ndarray):
+            memory.grown(octree, "node_data, made at once,", rows.nbytes)
+        data = np.asarray(rows)
         self.__set__(octree, data)
         return data
 

@@ -26,12 +26,17 @@ class LeafValues:
     from n C + n      a voxel that covers several leaves: the mean of its parts
     """
 
-    def __init__(self, tree: N3Tree, source: Source, length: float, dtype: np.dtype[Any]) -> None:
-        self._tree, self._source, self._length, self.dtype = tree, source, length, dtype
+    def __init__(self, tree: N3Tree, density: npt.NDArray[np.float32], length: float, dtype: np.dtype[Any]) -> None:
+        self._tree, self._density, self._length, self.dtype = tree, density, length, dtype
         self._cells = tree.data.reshape(-1, tree.data_dim)
         self.data_dim = tree.data_dim
         self._means = np.empty((0, tree.data_dim), np.float32)
         self._mean_opacity = np.empty(0)
+
+    @property
+    def held(self) -> int:
+        """Bytes beside the tree's own."""
+        return self._density.nbytes + self._means.nbytes + self._mean_opacity.nbytes
 
     def values(self, leaf: Indices) -> npt.NDArray[Any]:
         """(m, D) in the octree's dtype. Raises InvalidScene where that dtype cannot hold a value."""
@@ -42,11 +47,11 @@ class LeafValues:
         return self._sigma(leaf) > 0
 
     def _sigma(self, leaf: Indices) -> npt.NDArray[Any]:
-        return self._rounded(self._pick(leaf, self._source.density, self._means[:, -1]))
+        return self._rounded(self._pick(leaf, self._density, self._means[:, -1]))
 
     def opacity(self, leaf: Indices) -> npt.NDArray[np.float64]:
         """What each weighs in a mean."""
-        own = opacity(self._pick(leaf, self._source.density, self._means[:, -1]), self._length)
+        own = opacity(self._pick(leaf, self._density, self._means[:, -1]), self._length)
         mean = np.flatnonzero(leaf >= len(self._cells))
         own[mean] = self._mean_opacity[leaf[mean] - len(self._cells)]
         return own
@@ -60,7 +65,7 @@ class LeafValues:
             same[part] = (values == values[:, :1]).all(axis=(1, 2))
         return same
 
-    def add_means(self, voxels: OctreeCubes, size: tuple[int, int, int]) -> None:
+    def add_means(self, source: Source, voxels: OctreeCubes, size: tuple[int, int, int]) -> None:
         """Works out the means of the tree's nodes, from the deepest up, and of voxels made of several parts."""
         tree, C = self._tree, self._tree.N**3
         self._means = np.zeros((tree.n + len(voxels.row), self.data_dim), np.float32)
@@ -70,14 +75,14 @@ class LeafValues:
                 break  # nodes larger than a voxel are no part of any
             for part in _chunks(tree.levels[depth]):
                 cells = (part[:, None] * C + np.arange(C)).reshape(-1)
-                held = (self._source.density[cells] > 0) | (self._source.link[cells] > 0)
-                link = self._source.link[cells[held]]
+                held = (source.density[cells] > 0) | (source.link[cells] > 0)
+                link = source.link[cells[held]]
                 parts = np.where(link > 0, len(self._cells) + link, cells[held])
                 counts = held.reshape(-1, C).sum(axis=1)
                 self._set_means(part, parts, np.broadcast_to(1 / C, len(parts)), counts)
         for start in range(0, len(voxels.row), _CHUNK):
             chunk = OctreeCubes(*(array[start : start + _CHUNK] for array in voxels))
-            covered = parts_of(self._source, chunk, size)
+            covered = parts_of(source, chunk, size)
             counts = np.bincount(covered.voxel, minlength=len(chunk.row))
             filled = np.flatnonzero(counts)  # the rest of what lies across cells covers only empty ones
             self._set_means(tree.n + start + filled, covered.part, covered.volume, counts[filled])
@@ -93,11 +98,11 @@ class LeafValues:
     def _exact(self, leaf: Indices) -> npt.NDArray[Any]:
         mean = leaf >= len(self._cells)
         if not mean.any():
-            return self._cells.take(leaf, axis=0)
+            return _rows(self._cells, leaf)
         if mean.all():
             return self._means.take(leaf - len(self._cells), axis=0)
         values = np.empty((len(leaf), self.data_dim), np.float32)
-        values[~mean] = self._cells.take(leaf[~mean], axis=0)
+        values[~mean] = _rows(self._cells, leaf[~mean])
         values[mean] = self._means.take(leaf[mean] - len(self._cells), axis=0)
         return values
 
@@ -111,6 +116,11 @@ class LeafValues:
         if self.dtype == np.float32:
             return widened(values)
         return rounded(values, self.dtype, what="the tree", asked="float16")
+
+
+def _rows(values: npt.NDArray[Any], rows: Indices) -> npt.NDArray[Any]:
+    """Some rows; of an array that is not aligned, as a file's may be, take() would first copy the whole."""
+    return values.take(rows, axis=0) if values.flags.aligned else values[rows]
 
 
 def _chunks(array: Indices) -> list[Indices]:

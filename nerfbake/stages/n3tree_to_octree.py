@@ -8,7 +8,7 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.octree.lockstep import Source, refine
+from nerfbake.kernels.octree.lockstep import Room, Source, refine
 from nerfbake.kernels.octree.means import mean_edge
 from nerfbake.kernels.octree.node_values import NodeRows
 from nerfbake.kernels.octree.pyramid import children_table, drop_empty, merge_equal
@@ -16,6 +16,7 @@ from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.stages._leaf_values import LeafValues
 
+_PER_CELL = 8  # bytes of a cell's density and link
 Resample = Literal["mean", "nearest"]
 
 
@@ -53,12 +54,14 @@ def build_octree(
     if sigma_min is not None and not sigma_min >= 0:
         raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
     _require_usable(tree, sigma_min)
+    memory.require("the tree's densities and links", _PER_CELL * tree.n * tree.N**3)
     source = _source(tree, sigma_min or 0.0)
-    node_bytes = tree.data_dim * np.dtype(dtype).itemsize + 8 * 4 + 16
-    levels, mixed = refine(source, size, centres=resample == "nearest", node_bytes=node_bytes)
-    leaves = LeafValues(tree, source, _finest_width(tree), np.dtype(dtype))
+    room = _room(tree.data_dim, layout, dtype)
+    levels, mixed = refine(source, size, centres=resample == "nearest", room=room)
+    leaves = LeafValues(tree, source.density, _finest_width(tree), np.dtype(dtype))
     if (levels[-1].leaf >= source.link.size).any():
-        leaves.add_means(mixed, size)
+        leaves.add_means(source, mixed, size)
+    del source  # its links are not needed any more, and take room
     levels = merge_equal(drop_empty(levels, leaves.hold), leaves.same)
     values = NodeRows(levels, leaves)
     octree = SparseVoxelOctree(
@@ -72,6 +75,16 @@ def build_octree(
         extra_data=tree.extra_data,
     )
     return memory.kept(octree)
+
+
+def _room(data_dim: int, layout: Layout, dtype: str) -> Room:
+    """What nodes take: 16 bytes while they are made, their child slots, and the values that are kept.
+
+    Of float32 those are the means alone, since leaves stay in the tree; float16 keeps a row of every node.
+    """
+    mean, slots = 4 * data_dim + 8, 8 * 4
+    node = 16 + (slots if layout == "full" else 0) + (0 if dtype == "float32" else 2 * data_dim)
+    return Room(node=node, inner=mean + (0 if layout == "full" else slots))
 
 
 # -- what may be read ------------------------------------------------------------------------------------------

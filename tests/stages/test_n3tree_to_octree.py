@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from typing import Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout
+from nerfbake.stages._leaf_values import LeafValues
 from nerfbake.stages.n3tree_to_octree import Resample
 from tests.support import oracle
 from tests.support.scenes import assert_same_octree, n3tree, n3trees, sizes, world_centres
@@ -231,3 +233,17 @@ def test_world_transform_of_an_anisotropic_box() -> None:
     assert_allclose(octree.origin, [-1, 0, -0.125])
     assert_allclose(octree.origin + octree.voxel_size * octree.size, [1, 4, 0.375])
     assert_array_equal(octree.sample([0.5, 3, 0.1]), tree.sample([0.5, 3, 0.1]))
+
+
+def test_values_of_a_file_that_is_not_aligned_are_not_copied_as_a_whole() -> None:
+    # NumPy's take() would copy all of them, again for each few thousand rows.
+    raw = np.zeros(1 + 2 * 8 * 5000 * 4, np.uint8)
+    data = raw[1:].view(np.float16).reshape(5000, 2, 2, 2, 4)
+    tree = N3Tree(np.zeros((5000, 2, 2, 2), np.int32), data, np.zeros(3), np.ones(3), "RGBA")
+    leaves = LeafValues(tree, np.zeros(8 * 5000, np.float32), 1.0, np.dtype(np.float32))
+    tracemalloc.start()
+    try:
+        assert leaves.values(np.arange(2)).shape == (2, 4)
+        assert tracemalloc.get_traced_memory()[1] < data.nbytes / 2
+    finally:
+        tracemalloc.stop()

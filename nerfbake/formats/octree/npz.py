@@ -20,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.octree.fields import NoChild, assemble, children_with
+from nerfbake.formats.octree.fields import NoChild, assemble, children_with, value_pieces
 from nerfbake.formats.wire.npz_names import npz_keys
 from nerfbake.formats.wire.npz_reader import NpzReader
-from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.formats.wire.npz_writer import Pieces, write_npz
 from nerfbake.scene.octree import SparseVoxelOctree
 
 VERSION = 1
@@ -35,11 +35,12 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(octree: SparseVoxelOctree, *, no_child: NoChild = 0) -> Iterator[bytes | memoryview]:
-    arrays: dict[str, npt.ArrayLike] = {
+    rows = octree.node_rows
+    arrays: dict[str, npt.ArrayLike | Pieces] = {
         "svo_version": np.int64(VERSION),
         "size": np.array(octree.size, np.int32),
         "node_children": children_with(octree.node_children, no_child),
-        "node_data": octree.node_data,
+        "node_data": Pieces(rows.shape, rows.dtype, lambda: value_pieces(octree)),
         "level_sizes": np.array(octree.level_sizes, np.int32),
         "data_format": np.array(octree.data_format),
         "origin": octree.origin,

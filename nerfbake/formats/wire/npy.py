@@ -58,6 +58,12 @@ def read_header(key: str, stream: _Stream) -> tuple[tuple[int, ...], bool, np.dt
 def npy_pieces(array: npt.NDArray[Any]) -> tuple[bytes, memoryview]:
     """An array as .npy: its header and its little-endian bytes."""
     array = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
+    return npy_head(array.shape, array.dtype), array.reshape(-1).view(np.uint8).data
+
+
+def npy_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
+    """The header of an array whose little-endian bytes follow in C order."""
+    descr = np.lib.format.dtype_to_descr(dtype.newbyteorder("<"))
     head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(array))
-    return head.getvalue(), array.reshape(-1).view(np.uint8).data
+    np.lib.format.write_array_header_1_0(head, {"descr": descr, "fortran_order": False, "shape": shape})
+    return head.getvalue()

@@ -11,13 +11,15 @@ Sizes and CRCs stand in the local headers, not behind the data: cnpy, which volr
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from math import prod
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from zlib_ng import zlib_ng
 
-from nerfbake.formats.wire.npy import npy_pieces
+from nerfbake.formats.wire.npy import npy_head, npy_pieces
 
 ALIGN = 64
 _ZIP64_FROM = 0xFFFFFFFF  # numbers from here on do not fit the old fields, which then hold just this
@@ -25,14 +27,23 @@ _DATE_1980 = 0x0021  # 1 January 1980 in DOS's bits
 _UNIX, _MODE = 3 << 8, 0o100644 << 16
 
 
-def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryview]:
+class Pieces(NamedTuple):
+    """An array that need not be in memory as a whole."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    make: Callable[[], Iterable[memoryview]]  # its little-endian bytes in C order; called twice: the CRC stands first
+
+
+def write_npz(arrays: Mapping[str, npt.ArrayLike | Pieces]) -> Iterator[bytes | memoryview]:
     """The archive in pieces; the arrays are handed over as they are, not copied."""
     directory, at = [], 0
     for key, value in arrays.items():
         name = f"{key}.npy".encode()
-        head, body = npy_pieces(np.asarray(value))
-        size = len(head) + len(body)
-        crc = zlib_ng.crc32(body, zlib_ng.crc32(head))
+        head, size, pieces = _member(value)
+        crc = zlib_ng.crc32(head)
+        for piece in pieces():
+            crc = zlib_ng.crc32(piece, crc)
         zip64 = struct.pack("<HHQQ", 1, 16, size, size) if size >= _ZIP64_FROM else b""
         version = 45 if zip64 else 20
         unpadded = at + 30 + len(name) + len(zip64) + 4
@@ -41,11 +52,20 @@ def write_npz(arrays: Mapping[str, npt.ArrayLike]) -> Iterator[bytes | memoryvie
         common = (0, 0, 0, _DATE_1980, crc, _u32(size), _u32(size), len(name))
         yield struct.pack("<4s5H3I2H", b"PK\3\4", version, *common, len(extra)) + name + extra
         yield head
-        yield body
+        yield from pieces()
         directory.append(_central(name, version, common, size, at))
         at += 30 + len(name) + len(extra) + size
     entries = b"".join(directory)
     yield entries + _end(len(directory), len(entries), at)
+
+
+def _member(value: npt.ArrayLike | Pieces) -> tuple[bytes, int, Callable[[], Iterable[memoryview]]]:
+    """An array's header, its size with that, and what gives the rest."""
+    if isinstance(value, Pieces):
+        head = npy_head(value.shape, value.dtype)
+        return head, len(head) + prod(value.shape) * value.dtype.itemsize, value.make
+    head, body = npy_pieces(np.asarray(value))
+    return head, len(head) + len(body), lambda: (body,)
 
 
 def _central(name: bytes, version: int, common: tuple[int, ...], size: int, at: int) -> bytes:

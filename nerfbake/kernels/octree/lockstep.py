@@ -95,25 +95,34 @@ def descend_source(
     return leaf, cubes._replace(row=row, depth=depth)
 
 
-def refine(
-    source: Source, size: tuple[int, int, int], *, centres: bool, node_bytes: int
-) -> tuple[list[Level], OctreeCubes]:
+class Room(NamedTuple):
+    """The bytes that the octree's nodes will take."""
+
+    node: int  # each of them
+    inner: int  # more for each that is not within one leaf of the source, whose mean is kept
+
+    def require(self, nodes: int, inner: int, size: tuple[int, int, int]) -> None:
+        """Raises MemoryLimit where so many do not fit."""
+        memory.require(f"an octree of {'x'.join(map(str, size))} voxels", nodes * self.node + inner * self.inner)
+
+
+def refine(source: Source, size: tuple[int, int, int], *, centres: bool, room: Room) -> tuple[list[Level], OctreeCubes]:
     """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
 
     -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
     the voxels made of several parts, of which the k-th has the number n C + n + k; all of these may be empty, which
     only a voxel's parts can tell. With `centres` a voxel covers what its centre hits. Raises MemoryLimit as soon as
-    the nodes, at node_bytes each, take too much.
+    the nodes take too much.
     """
     if _halves_alike(source, size, centres=centres):
-        return _follow(source, size, node_bytes), OctreeCubes(*(np.zeros(0, np.int64) for _ in range(5)))
+        return _follow(source, size, room), OctreeCubes(*(np.zeros(0, np.int64) for _ in range(5)))
     shift = max(edge - 1 for edge in size).bit_length()
     root = OctreeCubes(*(np.zeros(1, np.int64) for _ in range(5)))
     level, inner = _keep(source, root, root.row, np.zeros(1, np.uint8), shift, size, centres=centres)
     if not len(level.leaf):
         # Nothing anywhere: the root stays, an inner node without children.
         return [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32))], inner
-    levels, nodes = [level], 1
+    levels, nodes, split = [level], 1, 1
     while len(inner.row) and shift:
         shift -= 1
         found = []
@@ -123,8 +132,8 @@ def refine(
             cubes = octants_of(OctreeCubes(*(array[some] for array in inner)))
             parent, octant = np.repeat(at[some], 8), np.tile(np.arange(8, dtype=np.uint8), len(at[some]))
             found.append(_keep(source, cubes, parent, octant, shift, size, centres=centres))
-            nodes += len(found[-1][0].leaf)
-            _require_room(nodes, size, node_bytes)
+            nodes, split = nodes + len(found[-1][0].leaf), split + len(found[-1][1].row)
+            room.require(nodes, split, size)
         level = Level(*(np.concatenate(arrays) for arrays in zip(*(piece for piece, _ in found), strict=True)))
         inner = OctreeCubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
         levels.append(level)
@@ -145,17 +154,18 @@ def _halves_alike(source: Source, size: tuple[int, int, int], *, centres: bool) 
     return aligned and (not centres or size[0] >= source.cells[-1])  # a larger voxel's centre is in one of its cells
 
 
-def _follow(source: Source, size: tuple[int, int, int], node_bytes: int) -> list[Level]:
+def _follow(source: Source, size: tuple[int, int, int], room: Room) -> list[Level]:
     """What refine() finds where _halves_alike(), in a fifth of its time: the source's own nodes, level by level."""
     octant = np.arange(8)
     cell_of_octant = (octant & 1) << 2 | octant & 2 | octant >> 2  # x + 2y + 4z of an octree is 4x + 2y + z of a node
     level, row = Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32)), np.zeros(1, np.int32)
-    levels, nodes = [level], 1
+    levels, nodes, split = [level], 1, 1
     while len(levels) < size[0].bit_length() and len(row):
         cell = (row.astype(np.int64)[:, None] * 8 + cell_of_octant).reshape(-1)
         link = source.link.take(cell)
         held = np.flatnonzero((link > 0) | (source.density.take(cell) > 0))
-        _require_room(nodes := nodes + len(held), size, node_bytes)
+        nodes, split = nodes + len(held), split + int(np.count_nonzero(link > 0))
+        room.require(nodes, split, size)
         link, parent = link.take(held), np.flatnonzero(level.leaf == INNER).astype(np.int32).take(held >> 3)
         leaf = np.where(link > 0, np.int32(INNER), cell.take(held).astype(np.int32))
         level = Level(parent, (held & 7).astype(np.uint8), leaf)
@@ -170,10 +180,6 @@ def _number(level: Level, number: Ints, source: Source) -> None:
     if max(source.link.size, number.max(initial=0)) > _MAX_NUMBER:
         raise InvalidScene(Problem("the tree", f"has {source.link.size:,} cells", f"{_MAX_NUMBER:,} with their voxels"))
     level.leaf[level.leaf == INNER] = number
-
-
-def _require_room(nodes: int, size: tuple[int, int, int], node_bytes: int) -> None:
-    memory.require(f"an octree of {'x'.join(map(str, size))} voxels", nodes * node_bytes)
 
 
 def _keep(

@@ -21,6 +21,10 @@ class Leaves(Protocol):
     data_dim: int
     dtype: np.dtype[Any]
 
+    @property
+    def held(self) -> int:
+        """Bytes that they hold themselves."""
+
     def values(self, leaf: Indices) -> npt.NDArray[Any]:
         """(m, D) in dtype."""
 
@@ -50,6 +54,11 @@ class NodeRows:
     def nbytes(self) -> int:
         """What they all take."""
         return self.shape[0] * self.shape[1] * self.dtype.itemsize
+
+    @property
+    def held(self) -> int:
+        """What is in memory before any of them is asked for: the means, and what says which leaf each row is."""
+        return self._means.nbytes + self._leaf.nbytes + self._inner.nbytes + self._leaves.held
 
     def __getitem__(self, rows: slice) -> npt.NDArray[Any]:
         begin, end, _ = rows.indices(len(self._leaf))
@@ -99,6 +108,10 @@ class LeafRows:
     def __init__(self, data: npt.NDArray[Any], width: float) -> None:
         self._data, self._width = data, width
         self.data_dim, self.dtype = int(data.shape[1]), data.dtype
+
+    @property
+    def held(self) -> int:
+        return int(self._data.nbytes)
 
     def values(self, leaf: Indices) -> npt.NDArray[Any]:
         return self._data[leaf]

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from nerfbake.kernels.arrays import Ints
 
 INNER = -1  # in place of a leaf's number: the node has children
+_CHUNK = 1 << 16  # nodes at a time: temporaries stay in the cache, and memory bounded
 
 
 class Level(NamedTuple):
@@ -85,7 +86,10 @@ def children_table(levels: list[Level], *, all_slots: bool) -> npt.NDArray[np.in
     start = 0
     for above, level in pairwise(levels):
         first = start + len(above.leaf)
-        table[start + level.parent, level.octant] = np.arange(first, first + len(level.leaf), dtype=np.int32)
+        for begin in range(0, len(level.leaf), _CHUNK):
+            parent, octant = level.parent[begin : begin + _CHUNK], level.octant[begin : begin + _CHUNK]
+            row = first + begin
+            table[start + parent, octant] = np.arange(row, row + len(parent), dtype=np.int32)
         start = first
     return table
 
