@@ -60,6 +60,7 @@ class FolderKind(NamedTuple):
     title: str
     key: str  # the file by which it is known
     members: tuple[str, ...] = ()  # files that stand for the folder, as they mean nothing without the others
+    writable: bool = True  # False: other programs' folders, which are read alone, without encode()
 
     def load_module(self) -> contract.FolderFormat:
         return cast(contract.FolderFormat, import_module(f"nerfbake.formats.{self.module}"))
@@ -99,7 +100,7 @@ FORMATS = (
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
 )
 
-# Folders: encode() gives names with their bytes, decode() takes them. The first of a scene type is the one to write.
+# Folders: encode() gives names with their bytes, decode() takes them. The first writable one of a type is written.
 # A folder that is of several kinds is read as the first of them that holds what is wanted: of a capture its
 # transforms.json, then COLMAP's model, from which LLFF's poses were made.
 _COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
@@ -107,11 +108,12 @@ _LLFF, _NSVF = ("poses_bounds.npy",), ("intrinsics.txt",)
 FOLDERS = (
     FolderKind("stage1", "Stage1", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
     FolderKind("atlas", "BakedAtlas", "atlas.folder", "octahedral atlas", key="atlas.json"),
-    FolderKind("thesis", "BakedAtlas", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png"),
+    FolderKind("thesis", "BakedAtlas", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png", writable=False),
     FolderKind("transforms", "Cameras", "camera.transforms_folder", "capture's cameras", key="transforms.json"),
-    FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", key="sparse/0/images.bin", members=_COLMAP),
-    FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", key="poses_bounds.npy", members=_LLFF),
-    FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", key="intrinsics.txt", members=_NSVF),
+    FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", "sparse/0/images.bin", _COLMAP, writable=False),
+    FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", "poses_bounds.npy", _LLFF, writable=False),
+    FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
+    FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", "finedensity.vdb", writable=False),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
@@ -292,15 +294,17 @@ def formats_of(scene: str) -> list[Format]:
 
 
 def folders_of(scene: str) -> list[FolderKind]:
-    """The kinds of folders that hold this scene type, the one to write first."""
+    """The kinds of folders that hold this scene type, one that is written before others."""
     return [form for form in FOLDERS if form.scene == scene]
 
 
 def folder_to_write(scene: str) -> FolderKind:
     """The kind of folder that this scene type is written as. Raises UsageError."""
-    for kind in folders_of(scene):
-        return kind
-    known = ", ".join(dict.fromkeys(kind.scene for kind in FOLDERS))
+    written = [kind for kind in FOLDERS if kind.writable]
+    for kind in written:
+        if kind.scene == scene:
+            return kind
+    known = ", ".join(dict.fromkeys(kind.scene for kind in written))
     raise UsageError(f"a {scene} is not written as a folder; allowed: {known}")
 
 

@@ -23,19 +23,19 @@ Facts = dict[str, Any]
 class Frozen:
     """A file, or a folder, and how it is written: a format of the catalog, and what its encode() takes.
 
-    data: the file itself, of a format that is read alone.
+    data: the file itself, or a folder's files by their names, of a format that is read alone.
     """
 
     form: AnyFormat
     scene: Any
     options: Facts = field(default_factory=dict)
     compressed: bool = False
-    data: bytes | None = None
+    data: bytes | Mapping[str, bytes] | None = None
 
     def pieces(self) -> Any:
         """What is written: pieces of bytes, or of a folder names with such pieces."""
         if self.data is not None:
-            return [self.data]
+            return [self.data] if isinstance(self.data, bytes) else [(name, [data]) for name, data in self.data.items()]
         pieces: Any = self.form.load_module().encode(self.scene, **self.options)
         return catalog.load_compression().compress(pieces) if self.compressed else pieces
 

@@ -16,11 +16,21 @@ from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
 from tests.conformance.case import Case, Facts, Frozen, form_named
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, svox2, svox2_file
+from tests.support.plenvdb import merged, merged_folder, plenvdb, plenvdb_folder
 from tests.support.torch_files import dvgo, dvgo_file
 
 DIRECTION = [2 / 7, -3 / 7, 6 / 7]
 # In shares of the box: between nodes, on one, before the first and behind the last, at a corner, outside.
 SHARES = [(0.4375, 0.3, 0.6), (0.3, 0.25, 0.5), (0.05, 0.5, 0.98), (0.98, 0.02, 0.5), (1.0, 1.0, 1.0), (0.2, 0.7, 0.9)]
+# The same, none of them half-way between two nodes: there the last bit says which of a mask's is the nearest.
+CLEAR = [
+    (0.4375, 0.32, 0.6),
+    (0.3, 0.25, 0.5),
+    (0.05, 0.45, 0.98),
+    (0.98, 0.02, 0.5),
+    (1.0, 1.0, 1.0),
+    (0.2, 0.72, 0.9),
+]
 Y1 = 0.4886025119029199
 Y2 = (1.0925484305920792, 0.31539156525252005)
 
@@ -32,7 +42,14 @@ def cases() -> Iterator[Case]:
     yield Case("lattice/plenoxels", about, files, _plenoxels(arrays), answer, computed=1e-5)
     about = "A checkpoint as DirectVoxGO writes it with torch: nodes on the box, features and an MLP."
     files = {"lattice/voxels.tar": Frozen(form_named("tar"), None, data=dvgo_file(dvgo(mlp="random")))}
-    yield Case("lattice/voxels", about, files, _voxels(dvgo(mlp="random")), answer, computed=1e-5)
+    yield Case("lattice/voxels", about, files, _voxels(dvgo(mlp="random"), SHARES), answer, computed=1e-5)
+    checkpoint, folder = plenvdb(), form_named("plenvdb")
+    about = "A folder as PlenVDB writes it: the grids of such a checkpoint as .vdb files, unnamed but for a number."
+    files = {"lattice/plenvdb": Frozen(folder, None, data=plenvdb_folder(checkpoint))}
+    yield Case("lattice/plenvdb", about, files, _voxels(checkpoint, CLEAR), answer, computed=1e-5)
+    about = "The same merged: rows in halves, only for nodes where the mask is true; all others are zeros, and empty."
+    files = {"lattice/plenvdb_merged": Frozen(folder, None, data=merged_folder(checkpoint))}
+    yield Case("lattice/plenvdb_merged", about, files, _voxels(merged(checkpoint), CLEAR), answer, computed=1e-5)
 
 
 def _plenoxels(arrays: dict[str, Any]) -> Facts:
@@ -60,15 +77,16 @@ def _plenoxels(arrays: dict[str, Any]) -> Facts:
     }
 
 
-def _voxels(checkpoint: dict[str, Any]) -> Facts:
-    """By the definition: eight nodes around a point, softplus and an MLP between them."""
+def _voxels(checkpoint: dict[str, Any], shares: list[tuple[float, float, float]]) -> Facts:
+    """By the definition: eight nodes around a point, softplus and an MLP between them; nothing where the mask's
+    nearest is false."""
     state = checkpoint["model_state_dict"]
     low, high = state["xyz_min"].astype(np.float64), state["xyz_max"].astype(np.float64)
     edge = float(np.prod(high - low) / checkpoint["model_kwargs"]["num_voxels_base"]) ** (1 / 3)
     angles = np.array(DIRECTION)[:, None] * np.array([1.0, 2.0, 4.0, 8.0])
     code = [*DIRECTION, *np.sin(angles).reshape(-1), *np.cos(angles).reshape(-1)]
     lookups = []
-    for share in SHARES:
+    for share in shares:
         at = np.array(share) * (np.array(SHAPE) - 1)
         raw, features = 0.0, np.zeros(state["k0.grid"].shape[1])
         for step in product((0, 1), repeat=3):
@@ -82,6 +100,9 @@ def _voxels(checkpoint: dict[str, Any]) -> Facts:
             x = np.maximum(state[f"{name}.weight"] @ x + state[f"{name}.bias"], 0)
         logits = state["rgbnet.3.weight"] @ x + state["rgbnet.3.bias"]
         density = float(np.logaddexp(0, raw + float(state["act_shift"][0]))) / edge
+        mask = state["mask_cache.mask"]
+        if not mask[tuple(np.floor(np.array(share) * (np.array(mask.shape) - 1) + 0.5).astype(int))]:
+            density = 0.0
         point = (low + np.array(share) * (high - low)).tolist()
         lookups.append({"point": point, "density": density, "colour": (1 / (1 + np.exp(-logits))).tolist()})
     box = [low.tolist(), high.tolist()]

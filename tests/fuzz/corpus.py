@@ -29,6 +29,7 @@ from tests.support.lattices import svox2, svox2_file
 from tests.support.meshes import cube, square
 from tests.support.n3trees import archive, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
+from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
 from tests.support.torch_files import dvgo, dvgo_file
@@ -70,7 +71,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
 @cache
 def folders_of(name: str) -> tuple[Files, ...]:
     """Folders of a kind, by their files' names."""
-    makers = {"stage1": _stage1s, "atlas": _atlases, "thesis": _theses}
+    makers = {"stage1": _stage1s, "atlas": _atlases, "thesis": _theses, "plenvdb": _plenvdbs}
     return tuple(makers[name]() if name in makers else _captures(name))
 
 
@@ -222,6 +223,12 @@ def _atlases() -> Iterator[Files]:
         mesh = replace(square(half=1.0), texture=texture(20, 30)) if method == "affine" else None
         baked = BakedAtlas((random_atlas(method),), (mesh,), {}, {})
         yield {name: b"".join(pieces) for name, pieces in module.encode(baked)}
+
+
+def _plenvdbs() -> Iterator[Files]:
+    """Grids of a whole lattice, and merged ones."""
+    yield plenvdb_folder(plenvdb(shape=(3, 4, 9)))
+    yield merged_folder(plenvdb(shape=(4, 3, 5)))
 
 
 def _theses() -> Iterator[Files]:

@@ -24,7 +24,7 @@ from tests.support.scenes import n3tree
 READ = [form for form in catalog.FORMATS if form.readable]
 WRITTEN: list[AnyFormat] = [
     *(form for form in catalog.FORMATS if form.writable),
-    *dict.fromkeys(catalog.folder_to_write(each.scene) for each in catalog.FOLDERS),
+    *dict.fromkeys(catalog.folder_to_write(each.scene) for each in catalog.FOLDERS if each.writable),
 ]
 every_written = pytest.mark.parametrize("form", WRITTEN, ids=lambda form: form.name)
 
@@ -94,6 +94,13 @@ def test_a_folder_recognises_and_decodes_files(kind: catalog.FolderKind) -> None
     assert given == ["files"]
     assert ("member" in member) >= bool(kind.members)
     assert get_type_hints(module.decode)["return"].__name__ == kind.scene
+
+
+def test_only_folders_that_are_written_have_encode() -> None:
+    for kind in catalog.FOLDERS:
+        assert hasattr(kind.load_module(), "encode") == kind.writable, kind.name
+    with pytest.raises(UsageError, match="a LatticeField is not written as a folder; allowed: Stage1, BakedAtlas, Cam"):
+        catalog.folder_to_write("LatticeField")
 
 
 @pytest.mark.parametrize("form", catalog.formats_of("Volume"), ids=lambda form: form.name)

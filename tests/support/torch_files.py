@@ -144,15 +144,22 @@ ACT_SHIFT = -9.0
 BASE = 1000.0  # voxels
 
 
-def dvgo(*, mlp: str = "affine", dialect: str = "grid", direct: bool = True) -> dict[str, Any]:
-    """A checkpoint of SHAPE. mlp: affine, of which no relu ever cuts anything; random; none (three channels of colour).
+def dvgo(
+    *,
+    mlp: str = "affine",
+    dialect: str = "grid",
+    direct: bool = True,
+    features: int = FEATURES,
+    shape: tuple[int, int, int] = SHAPE,
+) -> dict[str, Any]:
+    """A checkpoint. mlp: affine, of which no relu ever cuts anything; random; none (three channels of colour).
     dialect: grid; early (before April 2022, without act_shift)."""
     random = np.random.default_rng(4)
     low, high = (CENTRE - RADIUS).astype(np.float32), (CENTRE + RADIUS).astype(np.float32)
-    axes = [np.linspace(a, b, edge) for a, b, edge in zip(low, high, SHAPE, strict=True)]
+    axes = [np.linspace(a, b, edge) for a, b, edge in zip(low, high, shape, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    C = 3 if mlp == "none" else FEATURES + 3 * (not direct)
-    k0 = random.normal(0, 0.5, (1, C, *SHAPE)).astype(np.float32)
+    C = 3 if mlp == "none" else features + 3 * (not direct)
+    k0 = random.normal(0, 0.5, (1, C, *shape)).astype(np.float32)
     dot = "" if dialect == "early" else ".grid"
     state: dict[str, Any] = {
         "xyz_min": low,
@@ -164,7 +171,7 @@ def dvgo(*, mlp: str = "affine", dialect: str = "grid", direct: bool = True) -> 
     if dialect != "early":
         state["act_shift"] = np.array([ACT_SHIFT], np.float32)
     if mlp != "none":
-        state |= weights(mlp)
+        state |= weights(mlp, features)
     settings = {
         "xyz_min": numpy_array(low),
         "xyz_max": numpy_array(high),
@@ -186,14 +193,14 @@ def dvgo(*, mlp: str = "affine", dialect: str = "grid", direct: bool = True) -> 
     }
 
 
-def weights(mlp: str) -> dict[str, Any]:
+def weights(mlp: str, features: int = FEATURES) -> dict[str, Any]:
     """rgbnet of two hidden layers. affine: only features and d itself have weights in the first layer, and biases keep
     every unit on."""
     random = np.random.default_rng(5)
-    layers = [random.normal(0, 0.3, shape) for shape in ((WIDTH, FEATURES + 27), (WIDTH, WIDTH), (3, WIDTH))]
+    layers = [random.normal(0, 0.3, shape) for shape in ((WIDTH, features + 27), (WIDTH, WIDTH), (3, WIDTH))]
     biases = [random.normal(0, 0.3, len(layer)) for layer in layers]
     if mlp == "affine":
-        layers[0][:, FEATURES + 3 :] = 0
+        layers[0][:, features + 3 :] = 0
         biases[0] += 20
         biases[1] += 200
         biases[2] -= layers[2] @ (layers[1] @ biases[0] + biases[1])
