@@ -162,8 +162,13 @@ class State:
             self._journal.close()
 
     def begin(self, item: Item, identity: Identity, at: float) -> list[str]:
-        """Records that the item starts, and gives the outputs that it claims: those that were not there."""
-        claims = [_placed(path) for path in item.writes if not os.path.lexists(path)]
+        """Records that the item starts, and gives the outputs that it claims: those that were not there.
+
+        What an attempt before has claimed stays that one's: its process may have outlived a batch that was killed, and
+        may write it yet.
+        """
+        absent = [_placed(path) for path in item.writes if not os.path.lexists(path)]
+        claims = [path for path in absent if path not in self._ours]
         self._add({"event": "start", "id": identity.id, "at": at, "claims": claims})
         return claims
 

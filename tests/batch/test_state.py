@@ -105,6 +105,16 @@ def test_photographs_beside_a_capture_count_and_other_files_there_do_not(state: 
     assert state.identify(item).id != before
 
 
+def test_what_outlives_a_killed_batch_may_be_replaced_whenever_it_is_written(state: State) -> None:
+    state.begin(ITEM, state.identify(ITEM), 2.0)  # and then the batch was killed
+    again = State("run")
+    with again.opened("0-of-2", MACHINE, 3.0):
+        do(again, at=4.0, status=FAILED)
+        Path("b").write_text("output")  # by the process that nobody waits for
+        assert again.may_replace(ITEM)
+    assert State("run").may_replace(ITEM)
+
+
 def test_only_outputs_that_the_state_has_recorded_may_be_replaced(state: State) -> None:
     assert not state.may_replace(ITEM)  # there is nothing to replace
     do(state)

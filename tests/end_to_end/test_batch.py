@@ -102,6 +102,7 @@ def test_fifty_random_kills_lose_nothing_and_do_nothing_twice(tmp_path: Path) ->
         else:
             parent.terminate()
         parent.communicate()
+    time.sleep(1)  # a copy that has outlived its shell is done by then
     last = start(tmp_path, *LINES, "-j", str(jobs))
     last.communicate()
     assert last.returncode == 0
