@@ -24,7 +24,7 @@ DAMAGED += [("convert", "svo.pb.zst", "report"), ("convert", "svo.npz.zst", None
 DAMAGED += [("convert", suffix, None) for suffix in ("vdb", "nvdb", "zip.nvdb", "vdb.npz", "blosc.vdb", "blosc.nvdb")]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("command", "suffix", "profile"), DAMAGED)
 def test_damaged_files(command: str, suffix: str, profile: str | None, tmp_path: Path) -> None:
     """Cut at every 1 %, and 2,000 bit flips: exit 0 or 1, one line, under 5 s, under 3 GiB, nothing left behind."""

@@ -169,7 +169,7 @@ FILES: dict[str, Maker] = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", FILES)
 def test_no_load_takes_more_than_it_may(name: str, tmp_path: Path) -> None:
     FILES[name](tmp_path / name)

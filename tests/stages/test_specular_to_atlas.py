@@ -156,7 +156,12 @@ def test_another_seed_is_another_start() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "K", "mae", "mse"),
-    [("kmeans", 64, 1.536, 12.85), ("kmeans", 256, 0.990, 5.56), ("affine", 64, 0.46, 1.1), ("grid", 1, 0.44, 2.05)],
+    [
+        ("kmeans", 64, 1.536, 12.85),
+        pytest.param("kmeans", 256, 0.990, 5.56, marks=pytest.mark.long),
+        pytest.param("affine", 64, 0.46, 1.1, marks=pytest.mark.long),
+        ("grid", 1, 0.44, 2.05),
+    ],
 )
 def test_the_real_texture(data: Path, method: Method, K: int, mae: float, mse: float) -> None:
     scene = load_folder(data / "nerf2mesh" / "mesh_stage1", nerfbake.Stage1).fields[0]

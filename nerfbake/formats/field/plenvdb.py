@@ -9,7 +9,7 @@
 | mergeddata.npz | merged: den (n + 1,) and col (n + 1, C), float16 or float32; row 0 zeros, all other nodes' |
 
 Where both are there, the grids that were not merged are read: they have all digits. Source: PlenVDB (Yan et al., 2023)
-and the files that its program writes; docs/formats/checkpoints.md, "PlenVDB".
+and the files that its program writes; docs/formats/checkpoints.md.
 """
 
 from __future__ import annotations

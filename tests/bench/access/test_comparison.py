@@ -89,7 +89,7 @@ def test_a_scene_without_a_voxel_is_refused() -> None:
         compare_access(empty, "s", resolutions=None, rounds=1, progress=quiet)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     monkeypatch.setattr(readers, "kinds_of_points", lambda size, topology, _: kinds_of_points(size, topology, POINTS))

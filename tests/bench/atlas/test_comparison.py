@@ -15,7 +15,7 @@ from nerfbake.bench.report import markdown
 from nerfbake.kernels.maths.sphere import fibonacci
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = nerfbake.sample_stage1(resolution=64)
     io.save_folder(tmp_path / "s", scene)

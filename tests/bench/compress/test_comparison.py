@@ -20,7 +20,7 @@ def here(function: Any, **arguments: Any) -> Any:
     return measure_here(function.__module__, function.__name__, json.loads(json.dumps(arguments)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_report_has_the_curve_and_every_contender(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "measure", here)
     monkeypatch.setattr(comparison, "LOSSES", (0.2, 2.0))

@@ -15,7 +15,7 @@ from tests.bench.conftest import quiet
 from tests.support.photographs import write_scene
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_report_has_every_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(structures, "EDGE", 8)
     monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)
