@@ -1,5 +1,7 @@
 // What the page carries, unpacked as often as it is asked for: none of it is kept but the packed bytes.
 
+const SLICE = 100; // ms of work between two breaths, each of which costs about five
+
 class Carried {
   // tell: takes how much is done, 0 to 1, and lets the page breathe.
   constructor(facts, text, tell) {
@@ -52,7 +54,7 @@ class Carried {
     for (let since = performance.now(); ; ) {
       const { value, done } = work.next();
       if (done) return value;
-      if (performance.now() - since > 50) {
+      if (performance.now() - since > SLICE) {
         await this.tell(from + (to - from) * value);
         since = performance.now();
       }

@@ -7,8 +7,8 @@ const UNCLIPPED = [[0, 0, 0], [1, 1, 1]];
 
 const CORNERS = "#version 300 es\nvoid main() {\n  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1);\n}";
 
-// A program of two shaders; attributes: names, in the order of their places.
-function linked(gl, vertex, fragment, attributes = []) {
+// A program of two shaders, which the graphics begin to compile; attributes: names, in the order of their places.
+function begun(gl, vertex, fragment, attributes = []) {
   const program = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
     const part = gl.createShader(kind);
@@ -18,6 +18,11 @@ function linked(gl, vertex, fragment, attributes = []) {
   }
   attributes.forEach((name, place) => gl.bindAttribLocation(program, place, name));
   gl.linkProgram(program);
+  return program;
+}
+
+// Such a program once it can be used: whoever asks waits for the graphics.
+function linked(gl, program) {
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const [first] = gl.getAttachedShaders(program).map((part) => gl.getShaderInfoLog(part)).filter(Boolean);
     throw new Error("the shader does not run here: " + (first || gl.getProgramInfoLog(program)));
@@ -40,20 +45,27 @@ class Picture {
     this.textures = [];
     this.programs = {};
     this.constants = {};
-    this.use(facts.lookup === "trilinear", false);
+    this.begin(facts.lookup === "trilinear", false);
   }
 
-  // The program for a lookup, with or without normals: built when it is first asked for, as that may take a while.
-  use(smoothly, normals) {
+  // The program for a lookup, with or without normals: begun when it is first asked for, as compiling takes a while.
+  begin(smoothly, normals) {
     const { gl, facts, shader, programs } = this, name = `${smoothly} ${normals}`;
     if (!programs[name]) {
       const groups = (facts.texels - 1) / 3, base = facts.basis === "RGBA" ? "1.0" : "0.28209479177387814";
       const switches = { BYTES: facts.kind === "svoq", SMOOTH: smoothly, NORMALS: normals, MESHES: !!facts.triangles };
       const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, ...switches };
       const lines = Object.entries(defines).map(([key, value]) => `#define ${key} ${typeof value === "boolean" ? Number(value) : value}\n`).join("");
-      programs[name] = { built: linked(gl, CORNERS, shader.replace("#version 300 es\n", "#version 300 es\n" + lines)), names: {}, constants: null };
+      const fragment = shader.replace("#version 300 es\n", "#version 300 es\n" + lines);
+      programs[name] = { built: begun(gl, CORNERS, fragment), linked: false, names: {}, constants: null };
     }
-    const program = programs[name], { names, built } = program;
+    return programs[name];
+  }
+
+  use(smoothly, normals) {
+    const { gl } = this, program = this.begin(smoothly, normals), { names, built } = program;
+    if (!program.linked) linked(gl, built);
+    program.linked = true;
     gl.useProgram(built);
     this.program = built;
     this.uniform = (key) => (names[key] ??= gl.getUniformLocation(built, key));

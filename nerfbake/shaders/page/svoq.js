@@ -104,13 +104,13 @@ class Mixer {
     d += 3 * values;
     const ma = models[a], mb = models[b], mc = models[c], md = models[d];
     const xa = STRETCH[ma >> 18], xb = STRETCH[mb >> 18], xc = STRETCH[mc >> 18], xd = STRETCH[md >> 18];
-    let x = Math.floor((w[i] * xa + w[i + 1] * xb + w[i + 2] * xc + w[i + 3] * xd) / 65536);
+    let x = Math.floor((w[i] * xa + w[i + 1] * xb + w[i + 2] * xc + w[i + 3] * xd) / 65536) | 0;
     x = x > 2047 ? 2047 : x < -2047 ? -2047 : x;
     const p = SQUASH[x + 2048], bit = this.stream.bit(p), error = 3 * ((bit ? 65535 : 0) - p);
-    w[i] += (xa * error + 32768) >> 16;
-    w[i + 1] += (xb * error + 32768) >> 16;
-    w[i + 2] += (xc * error + 32768) >> 16;
-    w[i + 3] += (xd * error + 32768) >> 16;
+    w[i] += (Math.imul(xa, error) + 32768) >> 16;
+    w[i + 1] += (Math.imul(xb, error) + 32768) >> 16;
+    w[i + 2] += (Math.imul(xc, error) + 32768) >> 16;
+    w[i + 3] += (Math.imul(xd, error) + 32768) >> 16;
     models[a] = learnt(ma, bit);
     models[b] = learnt(mb, bit);
     models[c] = learnt(mc, bit);

@@ -123,7 +123,7 @@ class Triangles {
     const { gl } = this, { shaders } = this.facts.triangles;
     const own = highlights === "mlp_constants" ? unrolled(this.weights) : "";
     const text = `#version 300 es\n${PRECISIONS}#define ${highlights.toUpperCase()}\n${shaders.atlas}${own}${shaders.mesh}`;
-    const program = linked(gl, shaders.vertex, text, ["position", "uv", "tint"]), names = {};
+    const program = linked(gl, begun(gl, shaders.vertex, text, ["position", "uv", "tint"])), names = {};
     const uniform = (name) => (names[name] ??= gl.getUniformLocation(program, name));
     gl.useProgram(program);
     for (const [name, unit] of Object.entries(UNITS)) gl.uniform1i(uniform(name), unit);

@@ -67,6 +67,7 @@ class Viewer {
       const triangles = picture.triangles ? null : await this.carried.triangles();
       if (ticket !== this.ticket) return;
       if (triangles) picture.uploadTriangles(triangles);
+      picture.use(this.looks.smoothly, this.looks.mode === "normals"); // compiled while the script unpacked
     } catch (error) {
       if (ticket === this.ticket && !picture.gl.isContextLost()) this.fail(error);
       return;
@@ -205,10 +206,8 @@ class Viewer {
 
   turn(now) {
     // Where a turning scene would be a blur, one that stands still is the better picture.
-    if (this.angle >= 2 * Math.PI || this.scale < 0.3) {
-      this.turning = false;
-      return;
-    }
+    this.turning = this.angle < 2 * Math.PI && this.scale >= 0.3;
+    if (!this.turning) return;
     const step = this.last ? (Math.min(now - this.last, 100) * 2 * Math.PI) / TURN : 0;
     this.last = now;
     this.angle += step;
