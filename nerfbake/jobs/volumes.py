@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import nerfbake
+from nerfbake import memory
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
@@ -53,12 +55,21 @@ def bake_volume(
         size = (resolution,) * 3 if isinstance(resolution, int) else resolution
         scene, resolution = octree_of(steps, source, scene, resolution=size, sigma_min=sigma_min), None
     with source.blamed(steps, "building the grids"):
+        own = not isinstance(scene, nerfbake.N3Tree)
         if isinstance(scene, nerfbake.N3Tree):
-            scene = nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min)
+            # Leaves need no child slots here: a third of the memory where values are made as they are written.
+            scene = nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
         elif resolution:
             raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
         volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, sigma_min=sigma_min)
+        volume = volume if own else _as_of_a_full_octree(volume)
     tell_of_halves(steps, form, volume)
     target.write(steps, volume, codec=codec)
     judge(target.path, judged, budget, made_from=source.name, up=up, steps=steps)
     return volume
+
+
+def _as_of_a_full_octree(volume: nerfbake.Volume) -> nerfbake.Volume:
+    """The same volume, to come back as the octree that `nerfbake svo` makes of the tree."""
+    assert volume.frame is not None
+    return memory.kept(replace(volume, frame=replace(volume.frame, layout="full")))

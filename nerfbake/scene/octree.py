@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,12 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.octree.lookup import as_points, in_chunks, octree_values
 from nerfbake.kernels.octree.walk import Walk, walk
-from nerfbake.kernels.soundness import count_problem, plural
+from nerfbake.kernels.soundness import all_finite, count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
-from nerfbake.scene.node_rows import NodeData, Rows
+from nerfbake.scene.rows import MadeOnce, NodeRows
 
-_PROVEN = 1 << 15  # rows of node_children at a time: temporaries stay in the cache, and memory bounded
+_PROVEN = 1 << 15  # rows at a time: temporaries stay in the cache, and memory bounded
 MAX_SIZE = 4096  # voxels along an axis
 Layout = Literal["full", "compact"]
 Lookup = Literal["nearest", "trilinear"]
@@ -31,6 +31,16 @@ def _zeros() -> npt.NDArray[np.float64]:
 
 def _ones() -> npt.NDArray[np.float64]:
     return np.ones(3)
+
+
+class _Order(NamedTuple):
+    """Of nodes in breadth-first order (n,) which have no children, and where each level ends.
+
+    There is one level more than the grid has at most, which tells that there are too many.
+    """
+
+    childless: npt.NDArray[np.bool_]
+    ends: list[int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +70,7 @@ class SparseVoxelOctree(Scene):
 
     size: tuple[int, int, int]
     node_children: npt.NDArray[np.int32]
-    node_data: NodeData = NodeData()  # noqa: RUF009 - a descriptor, no default
+    node_data: MadeOnce = MadeOnce("node_data", "node_rows")  # noqa: RUF009 - a descriptor, no default
     data_format: str = ""
     origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
     voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
@@ -94,9 +104,9 @@ class SparseVoxelOctree(Scene):
 
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
-    def node_rows(self) -> Rows:
+    def node_rows(self) -> NodeRows:
         """node_data, not made yet perhaps."""
-        rows: Rows = self.__dict__["node_rows"]
+        rows: NodeRows = self.__dict__["node_rows"]
         return rows
 
     @property
@@ -123,54 +133,53 @@ class SparseVoxelOctree(Scene):
 
     @property
     def sigma(self) -> npt.NDArray[Any]:
-        """(n,) density in 1/world unit; a view."""
-        return self.node_data[:, -1]
+        """(n,) density in 1/world unit; a view where the rows are an array."""
+        rows = self.node_rows
+        if isinstance(rows, np.ndarray):
+            return rows[:, -1]
+        sigma = np.empty(self.n, rows.dtype)
+        for start in range(0, self.n, _PROVEN):
+            sigma[start : start + _PROVEN] = rows[start : start + _PROVEN][:, -1]
+        return sigma
 
     @property
     def level_sizes(self) -> list[int]:
         """Nodes in each level, the root's first. Raises InvalidScene if the structure is not sound."""
         self.require_sound()
-        return [int(size) for size in np.diff(self._level_ends, prepend=0)]
+        assert self._order is not None
+        return [int(size) for size in np.diff(self._order.ends, prepend=0)]
 
     @cached_property
     def childless(self) -> npt.NDArray[np.bool_]:
         """(n,) bool: the leaves."""
+        if self._order is not None:  # known from the proof of soundness: a tenth of the time
+            return self._order.childless
         childless = np.ones(self.n, bool)
-        if self._parents is not None:  # known from the proof of soundness: a tenth of the time
-            childless[self._parents] = False
-        else:
-            childless[: self.c] = ~self.node_children.any(axis=1)
+        childless[: self.c] = ~self.node_children.any(axis=1)
         return childless
 
     # -- soundness ---------------------------------------------------------------------------------------------
     @cached_property
-    def _parents(self) -> npt.NDArray[np.int32] | None:
-        """The parents of nodes 1, 2, 3, ... if the nodes stand in breadth-first order, else None.
+    def _order(self) -> _Order | None:
+        """What one pass over the table proves of nodes in breadth-first order; None where they are not in that.
 
-        In that order the children read 1, 2, ..., n - 1, row by row, each behind its parent: one pass proves a
-        table sound.
+        There the children read 1, 2, ..., n - 1, row by row, each behind its parent: the table is sound.
         """
-        memory.require("node_children's order", 4 * self.n)
-        parents, met = np.empty(self.n - 1, np.int32), 0
+        memory.require("node_children's order", self.n)
+        childless, ends, met = np.ones(self.n, bool), [1], 0
         for start in range(0, self.c, _PROVEN):
-            flat = self.node_children[start : start + _PROVEN].reshape(-1)
+            rows = self.node_children[start : start + _PROVEN]
+            flat = rows.reshape(-1)
             slots = np.flatnonzero(flat != 0)  # ten times as fast as flatnonzero(flat)
-            own, children, first = start + (slots >> 3), flat[slots], met + 1
+            own, children, before = start + (slots >> 3), flat[slots], met
             met += len(slots)
-            if met >= self.n or (children != np.arange(first, met + 1)).any() or (children <= own).any():
+            if met >= self.n or (children != np.arange(before + 1, met + 1)).any() or (children <= own).any():
                 return None
-            parents[first - 1 : met] = own
-        return parents if met == self.n - 1 else None
-
-    @cached_property
-    def _level_ends(self) -> list[int]:
-        """Where each level ends in a table in breadth-first order; at most one level more than the grid has."""
-        assert self._parents is not None
-        ends = [1]
-        while ends[-1] < self.n and len(ends) < self.grid_level + 2:
-            # Children are numbered as they are met: a level ends behind the last child of the level above.
-            ends.append(1 + int(np.searchsorted(self._parents, np.int32(ends[-1]))))
-        return ends
+            childless[own] = False
+            while ends[-1] < self.n and ends[-1] <= start + len(rows) and len(ends) < self.grid_level + 2:
+                # Children are numbered as they are met: a level ends behind the last child of the level above.
+                ends.append(1 + before + int(np.searchsorted(own, ends[-1])))
+        return _Order(childless, ends) if met == self.n - 1 else None
 
     @cached_property
     def _walk(self) -> Walk:
@@ -189,8 +198,8 @@ class SparseVoxelOctree(Scene):
         return world + self._table_problems()
 
     def _table_problems(self) -> list[Problem]:
-        if self._parents is not None:
-            levels = len(self._level_ends) - 1
+        if self._order is not None:
+            levels = len(self._order.ends) - 1
             size = "x".join(map(str, self.size))
             allowed = f"{self.grid_level} for {size} voxels"
             found = f"has {levels} or more levels below the root"
@@ -206,7 +215,7 @@ class SparseVoxelOctree(Scene):
     def breadth_first(self) -> SparseVoxelOctree:
         """The same octree in breadth-first order; itself where it is so already, or where its order is not all
         that is wrong with it."""
-        if self._parents is not None or self._walk.problems:
+        if self._order is not None or self._walk.problems:
             return self
         order = np.concatenate(self._walk.levels)
         if len(order) < self.n:
@@ -221,11 +230,23 @@ class SparseVoxelOctree(Scene):
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""
-        problems = number_problems("node_data", self.node_data)
-        problems += count_problem("sigma", self.sigma < 0, self.sigma, "a density of 0 or more")
+        problems = [] if self._usable_rows() else self._row_problems()
         if self.extra_data is not None:
             problems += number_problems("extra_data", self.extra_data)
         return problems
+
+    def _usable_rows(self) -> bool:
+        """Whether no value is out of order, a part of them at a time."""
+        rows = self.node_rows
+        for start in range(0, self.n, _PROVEN):
+            some = rows[start : start + _PROVEN]
+            if not all_finite(some) or (some[:, -1] < 0).any():
+                return False
+        return True
+
+    def _row_problems(self) -> list[Problem]:
+        problems = number_problems("node_data", self.node_data)
+        return problems + count_problem("sigma", self.sigma < 0, self.sigma, "a density of 0 or more")
 
     # -- layouts -----------------------------------------------------------------------------------------------
     def with_layout(self, layout: Layout) -> SparseVoxelOctree:

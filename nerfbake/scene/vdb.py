@@ -16,6 +16,7 @@ from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.slots import FAR
 from nerfbake.scene.base import number_problems
 from nerfbake.scene.octree import Lookup
+from nerfbake.scene.rows import MadeOnce, Rows
 from nerfbake.scene.vdb_topology import VdbTopology
 
 MOST_DENSE = 16  # a leaf's voxels for each active one, up to which all of them are kept to be read
@@ -82,6 +83,11 @@ class VdbTree:
                 raise InvalidScene(Problem(f"grid {self.name!r}", found, f"{len(self.values):,}, one a value"))
             object.__setattr__(self, "active", None)
 
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the values."""
+        return self.values.dtype
+
     @cached_property
     def active_topology(self) -> VdbTopology:
         """The active voxels and tiles alone; its nodes are the topology's."""
@@ -137,7 +143,8 @@ class VdbTree:
 class IndexGrid:
     """One topology for any number of channels: voxel i of the order of VdbTopology has row i + 1 of the table.
 
-    table (m + 1, C) float32 or float16; row 0 is the background.  Source: PlenVDB, 4.2 (its M_vdb).
+    table (m + 1, C) float32 or float16; row 0 is the background.  Source: PlenVDB, 4.2 (its M_vdb). Given as Rows it is
+    made when it is first read; who writes a file takes table_rows, a part at a time.
 
     >>> from nerfbake import build_octree, build_vdb, sample_n3tree
     >>> (grid,) = build_vdb(build_octree(sample_n3tree(resolution=8)), grids=("index",)).grids
@@ -149,12 +156,24 @@ class IndexGrid:
 
     name: str
     topology: VdbTopology
-    table: npt.NDArray[Any]
+    table: MadeOnce = MadeOnce("table", "table_rows")  # noqa: RUF009 - a descriptor, no default
 
     def __post_init__(self) -> None:
-        if self.table.ndim != 2 or not self.table.size or self.table.dtype not in (np.float16, np.float32):
-            found = f"has shape {self.table.shape}, dtype {self.table.dtype}"
+        shape, dtype = self.table_rows.shape, self.table_rows.dtype
+        if len(shape) != 2 or 0 in shape or dtype not in (np.float16, np.float32):
+            found = f"has shape {shape}, dtype {dtype}"
             raise InvalidScene(Problem(f"table of {self.name!r}", found, "(m + 1, C) float16 or float32"))
+
+    @property
+    def table_rows(self) -> Rows:
+        """The table, not made yet perhaps."""
+        rows: Rows = self.__dict__["table_rows"]
+        return rows
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the values."""
+        return self.table_rows.dtype
 
     @property
     def values(self) -> npt.NDArray[Any]:
@@ -164,13 +183,15 @@ class IndexGrid:
     @property
     def background(self) -> npt.NDArray[np.float32]:
         """(C,) what is read everywhere else."""
-        background: npt.NDArray[np.float32] = self.table[0].astype(np.float32)
+        background: npt.NDArray[np.float32] = self.table_rows[:1][0].astype(np.float32)
         return background
 
     def structure_problems(self) -> list[Problem]:
         if self.topology.tiles is not None:
             return [Problem(f"grid {self.name!r}", "is an index with tiles", "an index of voxels")]
-        return self.topology.structure_problems() or _count_problems(self.name, self.topology.m, len(self.values))
+        return self.topology.structure_problems() or _count_problems(
+            self.name, self.topology.m, self.table_rows.shape[0] - 1
+        )
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use."""

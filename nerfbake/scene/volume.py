@@ -71,7 +71,7 @@ class Volume(Scene):
         kind = "index grid" if isinstance(first, IndexGrid) else plural(len(self.grids), "grid").removeprefix("1 ")
         tiles = sum(first.topology.tile_counts)
         held = plural(first.topology.m, "voxel") + (f" and {plural(tiles, 'tile')}" if tiles else "")
-        return f"VDB {kind} ({', '.join(self.labels)}), {held}, {first.values.dtype}"
+        return f"VDB {kind} ({', '.join(self.labels)}), {held}, {first.dtype}"
 
     # -- grids by name -----------------------------------------------------------------------------------------
     @property

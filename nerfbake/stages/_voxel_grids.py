@@ -15,8 +15,9 @@ from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import popcount
 from nerfbake.kernels.vdb.bricks import Bricks, NodeNumbers
-from nerfbake.kernels.vdb.runs import rows_of_runs
+from nerfbake.kernels.vdb.runs import in_order_of
 from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.rows import NodeRows
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of_leaves
@@ -41,31 +42,71 @@ def require_grids(grids: tuple[str, ...], up: str, data_format: str, data_dim: i
         raise InvalidScene(Problem("grid 'sh'", f"of {data_dim} values a node", "3 B + 1 values"))
 
 
+def made_later(data: NodeRows, dtype: np.dtype[Any]) -> bool:
+    """Whether the table of an index is left to be made as it is written: where data are, and nothing is rounded."""
+    return not isinstance(data, np.ndarray) and data.dtype == dtype
+
+
 def volume_of_voxels(
     bricks: Bricks,
-    data: npt.NDArray[Any],
-    sigma: npt.NDArray[Any],
+    data: NodeRows,
+    sigma: npt.NDArray[Any] | None,
     frame: OctreeFrame,
     *,
     grids: tuple[str, ...],
-    half: bool,
+    dtype: np.dtype[Any],
     up: Up,
 ) -> Volume:
-    """The grids of these voxels; bricks.node says which row of data (n, D) and sigma (n,) each of them holds."""
+    """The grids of these voxels; bricks.node says which row of data (n, D), and of sigma (n,), each of them holds.
+
+    The table of an index whose data are still to be made is still to be made, too.
+    """
     topology, order = topology_of_leaves(bricks.low, bricks.mask)
-    node = bricks.node[rows_of_runs(popcount(bricks.mask), order)]
+    node = in_order_of(bricks.node, popcount(bricks.mask), order)
     rows = _Rows(data, sigma, frame.data_format, node)
-    made = _grids(rows, grids, topology, np.dtype(np.float16 if half else np.float32))
+    made = _grids(rows, grids, topology, dtype)
     return Volume(tuple(made), _transform(frame, up), frame)
 
 
 class _Rows(NamedTuple):
-    """data (n, D) and sigma (n,), in this data_format, and (m,) the row that each voxel holds."""
+    """data (n, D), in this data_format, sigma (n,) where density is asked for, (m,) the row that each voxel holds."""
 
-    data: npt.NDArray[Any]
-    sigma: npt.NDArray[Any]
+    data: NodeRows
+    sigma: npt.NDArray[Any] | None
     data_format: str
     node: NodeNumbers
+
+
+class _TableRows:
+    """(m + 1, D) zeros, and each voxel's node: rows that are made when they are asked for."""
+
+    def __init__(self, data: NodeRows, node: NodeNumbers) -> None:
+        self._data, self._node = data, node
+        self.shape, self.dtype = (len(node) + 1, data.shape[1]), data.dtype
+
+    @property
+    def nbytes(self) -> int:
+        """What they all take."""
+        return self.shape[0] * self.shape[1] * self.dtype.itemsize
+
+    @property
+    def held(self) -> int:
+        """What is in memory before any of them is asked for, beside the octree's own rows."""
+        return self._node.nbytes
+
+    def __getitem__(self, rows: slice) -> npt.NDArray[Any]:
+        begin, end, _ = rows.indices(self.shape[0])
+        own = self._data.take(self._node[max(begin - 1, 0) : max(end - 1, 0)], axis=0)
+        return own if begin else np.concatenate([np.zeros((min(end, 1), self.shape[1]), self.dtype), own])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        out = np.empty(self.shape, self.dtype)
+
+        def make(begin: int, end: int) -> None:
+            out[begin:end] = self[begin:end]
+
+        over_chunks(make, len(out), _CHUNK)
+        return out if dtype is None else out.astype(dtype, copy=False)
 
 
 def _grids(
@@ -78,8 +119,11 @@ def _grids(
 
     for grid in grids:
         if grid == "index":
-            yield IndexGrid("index", topology, _rounded(grid, _table(data, node), dtype))
+            table = _TableRows(data, node)
+            whole = table if made_later(data, dtype) else _rounded(grid, np.asarray(table), dtype)
+            yield IndexGrid("index", topology, whole)
         elif grid == "density":
+            assert rows.sigma is not None
             yield tree("density", _picked(rows.sigma[:, None], node, [0]))
         elif grid == "Cd":
             yield tree("Cd", _colour(rows))
@@ -102,9 +146,9 @@ def _colour(rows: _Rows) -> npt.NDArray[np.float32]:
     return colour
 
 
-def _picked(data: npt.NDArray[Any], node: NodeNumbers, columns: list[int]) -> npt.NDArray[Any]:
+def _picked(data: NodeRows, node: NodeNumbers, columns: list[int]) -> npt.NDArray[Any]:
     """(m, len(columns)) of each voxel's node these values."""
-    flat, width = data.reshape(-1), np.int64(data.shape[1])
+    flat, width = np.asarray(data).reshape(-1), np.int64(data.shape[1])
     picked = np.empty((len(node), len(columns)), data.dtype)
 
     def work(begin: int, end: int) -> None:
@@ -113,17 +157,6 @@ def _picked(data: npt.NDArray[Any], node: NodeNumbers, columns: list[int]) -> np
 
     over_chunks(work, len(node), _CHUNK)
     return picked
-
-
-def _table(data: npt.NDArray[Any], node: NodeNumbers) -> npt.NDArray[Any]:
-    """(m + 1, D) zeros, and each voxel's node."""
-    table = np.zeros((len(node) + 1, data.shape[1]), data.dtype)
-
-    def work(begin: int, end: int) -> None:
-        np.take(data, node[begin:end], axis=0, out=table[1 + begin : 1 + end], mode="clip")  # raise would copy twice
-
-    over_chunks(work, len(node), _CHUNK)
-    return table
 
 
 def _rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:

@@ -43,13 +43,14 @@ def vdb_of_bricks(
     require_grids(grids, up, str(field.basis), field.basis.data_dim)
     sigma = np.ascontiguousarray(field.values[:, -1])
     values: npt.NDArray[Any] = field.values
+    dtype = np.dtype(np.float16 if half else np.float32)
     if half and "index" in grids:  # rounded before wide cells become eight voxels: a third of the memory
-        values = rounded(values, np.dtype(np.float16), what="the field", asked="float16")
+        values = rounded(values, dtype, what="the field", asked="float16")
     bricks = _bricks(field, sigma > 0)
     memory.require("the field as voxels", len(bricks.node) * (values.itemsize * field.basis.data_dim + WORK_BYTES))
     edge = field.resolution
     frame = OctreeFrame((edge, edge, edge), str(field.basis), "full", field.box[0].copy(), field.cell_size)
-    return memory.kept(volume_of_voxels(bricks, values, sigma, frame, grids=grids, half=half, up=up))
+    return memory.kept(volume_of_voxels(bricks, values, sigma, frame, grids=grids, dtype=dtype, up=up))
 
 
 def _bricks(field: BrickField, filled: Bits) -> Bricks:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import prod
-from operator import mul
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,10 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.vdb.bricks import bricks_of
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
-from nerfbake.stages._voxel_grids import WORK_BYTES, require_grids, volume_of_voxels
+from nerfbake.stages._voxel_grids import WORK_BYTES, made_later, require_grids, volume_of_voxels
+
+_VOXEL = 24  # bytes of its leaf's number and place, while bricks are made and sorted
+_BRICK = 512  # bytes of 8^3 voxels' place and mask, of the leaf that they become, and of that in a file
 
 
 def build_vdb(
@@ -53,19 +55,29 @@ def build_vdb(
         raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
     sigma = np.ascontiguousarray(octree.sigma)  # a copy that lies together: a third of the time of each later read
     occupied = octree.childless & (sigma > 0) & (sigma >= (sigma_min or 0.0))
-    _require_room(octree, occupied)
+    densities = sigma if "density" in grids else None
+    del sigma  # a large octree's index has no room for it
+    # The table of an index is made from the rows of an octree's tree as it is written; other grids pick columns.
+    rows = octree.node_rows if grids == ("index",) else octree.node_data
+    dtype = np.dtype(np.float16 if half else np.float32)
+    _require_room(octree, occupied, later=made_later(rows, dtype))
     bricks = bricks_of(octree.node_children, octree.level_sizes, occupied, octree.size)
     frame = OctreeFrame(
         octree.size, octree.data_format, octree.layout, octree.origin, octree.voxel_size, octree.extra_data
     )
-    return memory.kept(volume_of_voxels(bricks, octree.node_data, sigma, frame, grids=grids, half=half, up=up))
+    return memory.kept(volume_of_voxels(bricks, rows, densities, frame, grids=grids, dtype=dtype, up=up))
 
 
-def _require_room(octree: SparseVoxelOctree, occupied: npt.NDArray[np.bool_]) -> None:
-    """Raises MemoryLimit. Leaves that reach beyond the grid are counted whole, up to as many voxels as it has."""
-    starts = np.cumsum([0, *octree.level_sizes[:-1]])
-    leaves = np.add.reduceat(occupied, starts, dtype=np.int64)
-    volumes = [8 ** (octree.grid_level - level) for level in range(len(starts))]  # Python's integers do not overflow
-    voxels = min(sum(map(mul, leaves.tolist(), volumes)), prod(octree.size))
-    need = voxels * (octree.data_dim * octree.node_data.itemsize + WORK_BYTES)
-    memory.require("the octree as voxels", need)
+def _require_room(octree: SparseVoxelOctree, occupied: npt.NDArray[np.bool_], *, later: bool) -> None:
+    """Raises MemoryLimit. Leaves that reach beyond the grid are counted whole, up to as many voxels as it has.
+
+    later: their values are made as they are written; then bricks are counted, too, as nothing else takes more.
+    """
+    sizes, level = octree.level_sizes, octree.grid_level
+    leaves = np.add.reduceat(occupied, np.cumsum([0, *sizes[:-1]]), dtype=np.int64).tolist()
+    # Python's integers do not overflow.
+    voxels = min(sum(count * 8 ** (level - depth) for depth, count in enumerate(leaves)), prod(octree.size))
+    bricks = sum(count * 8 ** (level - 3 - depth) for depth, count in enumerate(leaves[: max(level - 3, 0)]))
+    bricks = min(bricks + (sizes[level - 3] if 3 <= level < len(sizes) + 3 else 1), voxels)
+    row = octree.data_dim * octree.node_rows.dtype.itemsize + WORK_BYTES
+    memory.require("the octree as voxels", voxels * _VOXEL + bricks * _BRICK if later else voxels * row)

@@ -13,17 +13,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numpy.testing import assert_array_equal
 
-from nerfbake import save
+from nerfbake import IndexGrid, Volume, load, save
 from nerfbake.errors import MemoryLimit
 from nerfbake.jobs.octrees import bake_octree
+from nerfbake.jobs.volumes import bake_volume
 from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
 from tests.conftest import REPOSITORY
 
 SLACK = 16 << 20  # as of test_memory_peaks: what the interpreter itself may take meanwhile
 
-SVO = """
+PEAK = """
 import sys
 from nerfbake.cli.main import main
 try:
@@ -34,8 +36,11 @@ finally:
 """
 
 
-def surface(splits: list[int]) -> N3Tree:
-    """A tree of SH9 without two equal leaves: every node of depth d splits splits[d] of its cells, as surfaces do."""
+def surface(splits: list[int], *, hollow: bool = False) -> N3Tree:
+    """A tree of SH9 without two equal leaves: every node of depth d splits splits[d] of its cells, as surfaces do.
+
+    hollow: only the finest leaves hold anything.
+    """
     rng = np.random.default_rng(0)
     counts = np.cumprod([1, *splits])
     n = int(counts.sum())
@@ -43,10 +48,12 @@ def surface(splits: list[int]) -> N3Tree:
     for split, count in zip(splits, counts, strict=False):
         rows = np.arange(first, first + count)
         for k in range(split):
-            child[rows, (rows + 2 * k) % 8] = first + count + np.arange(count) * split + k - rows
+            child[rows, (rows + (k if split > 4 else 2 * k)) % 8] = first + count + np.arange(count) * split + k - rows
         first += count
     bits = rng.integers(0x2C00, 0x3C00, (8 * n, 28), np.uint16)  # of float16 from 1/16 to 1
     bits[:, -1] += 0x1800  # densities from 4 to 64
+    if hollow:
+        bits[: -8 * int(counts[-1]), -1] = 0
     cells = bits.view(np.float16).reshape(n, 2, 2, 2, 28)
     return N3Tree(child.reshape(n, 2, 2, 2), cells, np.full(3, 0.5), np.full(3, 0.5), "SH9")
 
@@ -80,6 +87,37 @@ def assert_leaves_are_those_of(tree: N3Tree, path: Path, *, tries: int) -> None:
         assert arrays["node_data"][node].tolist() == tree.data[row, x, y, z].tolist()
 
 
+def assert_voxels_are_those_of(tree: N3Tree, grid: IndexGrid, *, tries: int) -> None:
+    """Random ways down a hollow tree to its finest leaves: the grid reads the same there."""
+    rng, points, rows = np.random.default_rng(1), [], []
+    for _ in range(tries):
+        row, place = 0, np.zeros(3, np.int64)
+        while len(split := np.argwhere(tree.child[row])):
+            cell = rng.choice(split)
+            row, place = row + int(tree.child[row, *cell]), 2 * place + cell
+        cell = rng.integers(0, 2, 3)
+        points.append(2 * place + cell)
+        rows.append(tree.data[row, *cell])
+    assert_array_equal(grid.sample(np.array(points)), np.array(rows, np.float32))
+
+
+@pytest.mark.parametrize("suffix", [".nvdb", ".vdb.npz"])
+def test_an_index_larger_than_the_memory_is_written_and_the_same_to_the_byte(suffix: str, tmp_path: Path) -> None:
+    tree = surface([4] * 5, hollow=True)  # 64^3
+    save(tmp_path / "tree.npz", tree)
+    whole, part = tmp_path / f"whole{suffix}", tmp_path / f"part{suffix}"
+    # An octree of a file has its rows as an array, and so has the table that is made of them.
+    octree = bake_octree(tmp_path / "tree.npz", tmp_path / "tree.svo.npz", layout="full")
+    (grid,) = bake_volume(tmp_path / "tree.svo.npz", whole, grids="index").grids
+    assert isinstance(grid, IndexGrid)
+    with memory_limit(octree.node_rows.nbytes * 5 // 4):
+        bake_volume(tmp_path / "tree.npz", part, grids="index")
+        with pytest.raises(MemoryLimit, match=r"node_data, made at once, needs"):
+            bake_volume(tmp_path / "tree.npz", tmp_path / "part.vdb", grids="density,sh")
+    assert part.read_bytes() == whole.read_bytes()
+    assert_voxels_are_those_of(tree, grid, tries=100)
+
+
 def test_an_octree_larger_than_the_memory_is_written_and_the_same_to_the_byte(tmp_path: Path) -> None:
     tree = surface([4] * 5)  # 64^3
     save(tmp_path / "tree.npz", tree)
@@ -100,8 +138,9 @@ def test_an_octree_of_2048_beyond_a_gigabyte_is_written_within_one(tmp_path: Pat
     tree = surface([4] * 9 + [3])
     save(tmp_path / "tree.npz", tree)
     save(tmp_path / "small.npz", surface([4]))
-    interpreter = peak_of_svo(tmp_path / "small.npz", tmp_path / "small.svo.npz")
-    peak = peak_of_svo(tmp_path / "tree.npz", tmp_path / "tree.svo.npz")
+    options = ["--layout", "compact"]
+    interpreter = peak_of("svo", tmp_path / "small.npz", tmp_path / "small.svo.npz", *options)
+    peak = peak_of("svo", tmp_path / "tree.npz", tmp_path / "tree.svo.npz", *options)
     arrays = members(tmp_path / "tree.svo.npz")
     assert sum(array.nbytes for array in arrays.values()) > 1 << 30
     assert peak - interpreter < (1 << 30) + SLACK
@@ -110,10 +149,24 @@ def test_an_octree_of_2048_beyond_a_gigabyte_is_written_within_one(tmp_path: Pat
     assert_leaves_are_those_of(tree, tmp_path / "tree.svo.npz", tries=1000)
 
 
-def peak_of_svo(source: Path, target: Path) -> int:
-    """Bytes that the process of `nerfbake svo` held at most, its interpreter and all libraries included."""
-    options = ["--resolution", "2048", "--layout", "compact", "--max-memory", "1GiB", "--quiet"]
-    command = [sys.executable, "-c", SVO, "svo", str(source), str(target), *options]
+@pytest.mark.long
+def test_an_index_of_2048_whose_octree_is_beyond_a_gigabyte_is_written_within_one(tmp_path: Path) -> None:
+    tree = surface([2, 2, *[4] * 6, 8, 8], hollow=True)
+    save(tmp_path / "tree.npz", tree)
+    save(tmp_path / "small.npz", surface([4], hollow=True))
+    interpreter = peak_of("vdb", tmp_path / "small.npz", tmp_path / "small.nvdb", "--grids", "index")
+    peak = peak_of("vdb", tmp_path / "tree.npz", tmp_path / "tree.nvdb", "--grids", "index")
+    assert peak - interpreter < (1 << 30) + SLACK
+    (grid,) = load(tmp_path / "tree.nvdb", Volume).grids
+    assert isinstance(grid, IndexGrid)
+    inner = tree.n  # nodes of the octree above its leaves, and child slots for all of those
+    assert (grid.topology.m + inner) * grid.table.itemsize * 28 + inner * 8 * 4 > 1 << 30
+    assert_voxels_are_those_of(tree, grid, tries=1000)
+
+
+def peak_of(command: str, source: Path, target: Path, *options: str) -> int:
+    """Bytes that the command's process held at most, its interpreter and all libraries included."""
+    line = [sys.executable, "-c", PEAK, command, str(source), str(target), *options, "--max-memory", "1GiB", "--quiet"]
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, check=True)
     return int(done.stdout) << 10

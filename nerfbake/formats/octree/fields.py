@@ -12,7 +12,7 @@ In the `report` profile node_children and node_data are plain lists of numbers; 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -20,9 +20,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.wire.blob import Blob, blob_of
+from nerfbake.formats.wire.blob import Blob
 from nerfbake.kernels.maths.casting import cast
-from nerfbake.kernels.parallel import ahead
 from nerfbake.kernels.soundness import all_finite
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -36,17 +35,6 @@ TYPE_URLS = {
 }
 MAX_2GIB = 2**31 - 1
 SMALL_SIZE = 1 << 20  # more than all small fields and a format's own bytes can take
-_ROWS = 1 << 13  # made at a time: a megabyte or so
-
-
-def value_pieces(octree: SparseVoxelOctree) -> Iterator[memoryview]:
-    """node_data's bytes in order; what is not made yet is made while the part before it is written."""
-    rows = octree.node_rows
-    if isinstance(rows, np.ndarray):
-        yield blob_of(rows).data
-        return
-    starts = range(0, octree.n, _ROWS)
-    yield from ahead(blob_of(rows[start : start + _ROWS]).data for start in starts)
 
 
 def children_with(children: npt.NDArray[np.int32], no_child: int) -> npt.NDArray[np.int32]:

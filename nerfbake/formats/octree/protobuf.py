@@ -22,9 +22,8 @@ from nerfbake.formats.octree.fields import (
     children_with,
     octree_of,
     require_size,
-    value_pieces,
 )
-from nerfbake.formats.wire.blob import Blob, blob_of
+from nerfbake.formats.wire.blob import Blob, blob_of, row_pieces
 from nerfbake.formats.wire.protobuf import Message, bytes_field, bytes_head, floats_in, number_field
 from nerfbake.kernels.coding.varint import encode_varints, varint_sizes
 from nerfbake.kernels.parallel import ahead
@@ -59,7 +58,7 @@ def encode(
         yield bytes_head(5, children_size)
         yield from ahead(encode_varints(children_with(chunk, no_child)) for chunk in chunks)
     yield bytes_head(6, octree.node_rows.nbytes)
-    yield from value_pieces(octree)
+    yield from row_pieces(octree.node_rows)
     if octree.data_format:
         yield bytes_field(7, octree.data_format.encode())
     yield number_field(8, octree.data_dim)

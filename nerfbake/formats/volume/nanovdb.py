@@ -17,12 +17,14 @@ from typing import Literal
 
 import numpy as np
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.formats.volume.nanovdb_reader import read_file
-from nerfbake.formats.volume.nanovdb_writer import write_grid
+from nerfbake.formats.volume.nanovdb_writer import Later, size_of, write_grid
 from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.formats.wire.blob import row_pieces
 from nerfbake.formats.wire.deflate import deflate_all
-from nerfbake.scene.vdb import VdbTree
+from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
 
 Codec = Literal["none", "zip"]
@@ -49,24 +51,35 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
         raise InvalidScene(
             Problem("a .nvdb", f"would hold {len(volume.grids)} grids", f"one of {', '.join(volume.labels)}")
         )
-    pieces, grid, box = write_grid(volume)
-    size = sum(map(len, pieces))
+    first = volume.grids[0]
+    if codec == "zip" and isinstance(first, IndexGrid):
+        memory.require("the table, packed,", first.table_rows.nbytes)
+    grid_pieces, grid, box = write_grid(volume)
+    size = stored = sum(map(size_of, grid_pieces))
+    pieces = _made(grid_pieces)
     if codec == "zip":
         packed = deflate_all(pieces)
-        pieces = [len(packed).to_bytes(8, "little"), packed]
-    first = volume.grids[0]
+        pieces, stored = iter([len(packed).to_bytes(8, "little"), packed]), 8 + len(packed)
     name = first.name.encode() + b"\0"
     file, meta = np.zeros(1, nano.FILE), np.zeros(1, nano.META)
     file["magic"], file["version"], file["grids"], file["codec"] = nano.MAGIC, grid["version"], 1, nano.CODECS[codec]
     for field in ("type", "grid_class", "world", "voxel", "version", "blind"):
         meta[field] = grid[field]
-    meta["grid_size"], meta["file_size"], meta["box"] = size, sum(map(len, pieces)), box
+    meta["grid_size"], meta["file_size"], meta["box"] = size, stored, box
     meta["name_key"], meta["name_size"], meta["codec"] = _name_key(name[:-1]), len(name), nano.CODECS[codec]
     active = first.active_topology if isinstance(first, VdbTree) else first.topology
     meta["nodes"], meta["voxels"] = (*first.topology.node_counts[::-1], 1), active.voxel_count
     meta["tiles"] = active.tile_counts
     yield file.tobytes() + meta.tobytes() + name
     yield from pieces
+
+
+def _made(pieces: list[bytes | memoryview | Later]) -> Iterator[bytes | memoryview]:
+    for piece in pieces:
+        if isinstance(piece, Later):
+            yield from row_pieces(piece.rows)
+        else:
+            yield piece
 
 
 def decode(view: memoryview) -> Volume:

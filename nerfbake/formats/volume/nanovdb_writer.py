@@ -6,6 +6,7 @@ GridData 672 | TreeData 64 | root, tiles 32 each | upper nodes | lower nodes | l
 from __future__ import annotations
 
 import zlib
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from nerfbake.kernels.arrays import Ints, Words
 from nerfbake.kernels.maths.affine import inverse, placed
 from nerfbake.kernels.vdb.bitmask import exclusive_sum, prefix_counts, slots_of
 from nerfbake.kernels.vdb.slots import root_keys
+from nerfbake.scene.rows import Rows
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume, edges_of
@@ -26,12 +28,23 @@ from nerfbake.scene.volume import Volume, edges_of
 Nodes = npt.NDArray[Any]
 
 
+class Later(NamedTuple):
+    """Bytes that are made as they are written: an index's table."""
+
+    rows: Rows
+    size: int
+
+
 class GridBytes(NamedTuple):
     """A grid's buffers, its GridData, and the box of its active voxels."""
 
-    pieces: list[bytes | memoryview]
+    pieces: list[bytes | memoryview | Later]
     head: Any
     box: npt.NDArray[np.int32]
+
+
+def size_of(piece: bytes | memoryview | Later) -> int:
+    return piece.size if isinstance(piece, Later) else len(piece)
 
 
 def write_grid(volume: Volume) -> GridBytes:
@@ -95,13 +108,13 @@ class _Starts(NamedTuple):
     end: int
 
 
-def _starts(layout: nano.Layout, topology: VdbTopology, blind: list[bytes | memoryview]) -> _Starts:
+def _starts(layout: nano.Layout, topology: VdbTopology, blind: list[bytes | memoryview | Later]) -> _Starts:
     root = nano.GRID.itemsize + nano.TREE.itemsize
     upper = root + layout.root.itemsize + _root_entries(topology) * layout.tile.itemsize
     lower = upper + len(topology.upper_mask) * layout.upper.itemsize
     leaf = lower + len(topology.lower_mask) * layout.lower.itemsize
     end = leaf + len(topology.leaf_mask) * layout.leaf.itemsize
-    return _Starts(root, upper, lower, leaf, end, end + sum(map(len, blind)))
+    return _Starts(root, upper, lower, leaf, end, end + sum(map(size_of, blind)))
 
 
 def _head(volume: Volume, layout: nano.Layout, starts: _Starts, box: npt.NDArray[np.int32], blind: bool) -> Nodes:
@@ -123,7 +136,7 @@ def _head(volume: Volume, layout: nano.Layout, starts: _Starts, box: npt.NDArray
     head["world"], head["voxel"] = _world_box(transform, box, empty), edges_of(transform)
     head["type"] = layout.number
     if isinstance(grid, IndexGrid):
-        head["grid_class"], head["values"] = nano.INDEX_CLASS, len(grid.table)
+        head["grid_class"], head["values"] = nano.INDEX_CLASS, grid.table_rows.shape[0]
     else:
         head["grid_class"] = nano.CLASSES[grid.grid_class or "unknown"]
     if blind:
@@ -233,26 +246,28 @@ def _quantise(grid: VdbTree, leaf: Nodes, place: Ints) -> None:
 
 
 # -- blind data ------------------------------------------------------------------------------------------------
-def _blind(volume: Volume) -> list[bytes | memoryview]:
+def _blind(volume: Volume) -> list[bytes | memoryview | Later]:
     """An index grid's table, and the octree's frame behind it."""
     grid = volume.grids[0]
     if not isinstance(grid, IndexGrid):
         return []
-    table = np.ascontiguousarray(grid.table, grid.table.dtype.newbyteorder("<"))
-    number = nano.TABLE_TYPES[grid.table.dtype.name]
-    parts = [("M_vdb", table.size, table.itemsize, nano.CHANNEL_BLIND, number, _view(table))]
+    rows = grid.table_rows
+    count, itemsize = prod(rows.shape), rows.dtype.itemsize
+    parts: list[tuple[str, int, int, int, int, bytes | Later]] = []
+    number = nano.TABLE_TYPES[rows.dtype.name]
+    parts.append(("M_vdb", count, itemsize, nano.CHANNEL_BLIND, number, Later(rows, count * itemsize)))
     if volume.frame is not None:
         text = frame_text(volume.frame).encode()
-        parts.append((NAME, len(text), 1, 0, 0, memoryview(text)))
+        parts.append((NAME, len(text), 1, 0, 0, text))
     structs = np.zeros(len(parts), nano.BLIND)
-    sizes = [-(-len(data) // 32) * 32 for *_, data in parts]
+    sizes = [-(-size_of(data) // 32) * 32 for *_, data in parts]
     structs["offset"] = (np.arange(len(parts), 0, -1) * nano.BLIND.itemsize) + exclusive_sum(np.array(sizes))
     for struct, (name, count, size, blind_class, number, _) in zip(structs, parts, strict=True):
         struct["name"], struct["count"], struct["value_size"] = name.encode(), count, size
         struct["blind_class"], struct["type"] = blind_class, number
-    pieces: list[bytes | memoryview] = [structs.tobytes()]
+    pieces: list[bytes | memoryview | Later] = [structs.tobytes()]
     for size, (*_, data) in zip(sizes, parts, strict=True):
-        pieces += [data, bytes(size - len(data))]
+        pieces += [data, bytes(size - size_of(data))]
     return pieces
 
 

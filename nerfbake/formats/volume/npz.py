@@ -19,9 +19,10 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, InvalidScene, Problem, one_line
 from nerfbake.formats.volume.frame import NAME, frame_text, parse_frame
+from nerfbake.formats.wire.blob import row_pieces
 from nerfbake.formats.wire.npz_names import npz_keys
 from nerfbake.formats.wire.npz_reader import NpzReader
-from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.formats.wire.npz_writer import Pieces, write_npz
 from nerfbake.kernels.arrays import Words
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.soundness import place
@@ -59,7 +60,7 @@ def encode(volume: Volume) -> Iterator[bytes | memoryview]:
         raise InvalidScene(Problem("a grid's name", f"is {longest:,} characters long", f"{MAX_NAME:,} in a .vdb.npz"))
     trees: list[VdbTopology] = []
     numbers = [_number_of(grid.topology, trees) for grid in volume.grids]
-    arrays: dict[str, npt.ArrayLike] = {
+    arrays: dict[str, npt.ArrayLike | Pieces] = {
         "vdb_version": np.int64(FOREIGN if any(map(_is_foreign, volume.grids)) else VERSION),
         "transform": volume.transform,
         "grid_name": np.array(names),
@@ -75,7 +76,7 @@ def encode(volume: Volume) -> Iterator[bytes | memoryview]:
             arrays[f"tree_{k}_{level}_mask"], arrays[f"tree_{k}_{level}_rank"] = words, _ranks(words, first)
         arrays |= _tile_arrays(tree, k)
     for k, grid in enumerate(volume.grids):
-        arrays[f"grid_{k}_table"] = grid.table if isinstance(grid, IndexGrid) else _table(grid)
+        arrays[f"grid_{k}_table"] = _index_table(grid) if isinstance(grid, IndexGrid) else _table(grid)
         if isinstance(grid, VdbTree) and grid.active is not None:
             arrays[f"grid_{k}_active"] = grid.active.astype(np.uint8)
         if isinstance(grid, VdbTree) and grid.place is not None:
@@ -132,6 +133,11 @@ def _is_foreign(grid: VdbTree | IndexGrid) -> bool:
     return not plain or grid.grid_class in ("level set", "staggered")
 
 
+def _index_table(grid: IndexGrid) -> Pieces:
+    rows = grid.table_rows
+    return Pieces(rows.shape, rows.dtype, lambda: row_pieces(rows))
+
+
 def _table(grid: VdbTree) -> npt.NDArray[Any]:
     """(m + 1, c) the background, rounded as the values are, and the active voxels."""
     return np.concatenate([grid.background[None].astype(grid.values.dtype), grid.values])
@@ -167,7 +173,7 @@ def _read_tiles(npz: NpzReader, k: int, upper: Words, lower: Words, leaf: Words)
     return VdbTiles(masks[0], masks[1], npz.shaped(f"tree_{k}_root_tile", "i", (None, 3)))
 
 
-def _tile_arrays(tree: VdbTopology, k: int) -> dict[str, npt.ArrayLike]:
+def _tile_arrays(tree: VdbTopology, k: int) -> dict[str, npt.ArrayLike | Pieces]:
     if tree.tiles is None:
         return {}
     lower, upper = _words32(tree.tiles.lower_mask), _words32(tree.tiles.upper_mask)

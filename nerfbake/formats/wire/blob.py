@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from nerfbake.kernels.parallel import ahead
+
+_ROWS = 1 << 13  # made at a time: a megabyte or so
 
 
 class Blob(NamedTuple):
@@ -20,6 +25,24 @@ def blob_of(values: npt.NDArray[Any]) -> Blob:
     """The array's own memory where it is little-endian and contiguous already, else a copy."""
     little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return Blob(little.dtype.newbyteorder("<").str, values.shape, little.reshape(-1).view(np.uint8).data)
+
+
+class Rows(Protocol):
+    """An array, or what makes it, some rows at a time."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def __getitem__(self, rows: slice, /) -> npt.NDArray[Any]: ...
+
+
+def row_pieces(rows: Rows) -> Iterator[memoryview]:
+    """The rows' little-endian bytes in order; what is not made yet is made while the part before it is written."""
+    if isinstance(rows, np.ndarray):
+        yield blob_of(rows).data
+        return
+    starts = range(0, rows.shape[0], _ROWS)
+    yield from ahead(blob_of(rows[start : start + _ROWS]).data for start in starts)
 
 
 class Record(Protocol):

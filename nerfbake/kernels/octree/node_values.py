@@ -72,6 +72,10 @@ class NodeRows:
         out[own] = self._leaves.values(leaf[own])
         return out
 
+    def take(self, rows: Indices, axis: int) -> npt.NDArray[Any]:
+        """(m, D) of these nodes, leaves all of them."""
+        return self._leaves.values(self._leaf[rows])
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
         out = np.empty(self.shape, self.dtype)
 

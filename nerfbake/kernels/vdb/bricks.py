@@ -10,7 +10,7 @@ So nothing is sorted here, and whoever needs voxels sorted has to sort bricks on
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,8 @@ from nerfbake.kernels.parallel import over_chunks
 
 _CHUNK = 512  # bricks at a time: their slots stay in the second-level cache
 _NOBODY = -1
+_ROWS = 1 << 15  # nodes at a time
+_FEW = 1 << 22  # bricks that 32 bits can number, with 9 bits of slots
 NodeNumbers = npt.NDArray[np.int32]
 
 
@@ -36,7 +38,7 @@ class _Part(NamedTuple):
     """Filled leaves of one level: their numbers, where they start (brick << 9 | slot, rising), their edge."""
 
     node: NodeNumbers
-    cell: Ints
+    cell: npt.NDArray[Any]  # int32 or int64
     edge: int
 
 
@@ -60,8 +62,9 @@ def bricks_of(
     def work(begin: int, end: int) -> None:
         node = np.full((end - begin, 512), _NOBODY, np.int32)
         for part in parts:
-            own = slice(*np.searchsorted(part.cell, [begin << 9, end << 9]))
-            cell = part.cell[own] - (begin << 9)
+            reach = np.minimum([begin << 9, end << 9], np.iinfo(part.cell.dtype).max).astype(part.cell.dtype)
+            own = slice(*np.searchsorted(part.cell, reach))
+            cell = part.cell[own].astype(np.int64) - (begin << 9)
             node.reshape(-1)[cell[:, None] + _cube(part.edge)] = part.node[own, None]
         if end > first_solid:
             node[max(first_solid - begin, 0) :] = solid[max(begin - first_solid, 0) : end - first_solid, None]
@@ -72,6 +75,7 @@ def bricks_of(
         nodes[begin // _CHUNK] = node[held]
 
     over_chunks(work, len(low), _CHUNK)
+    parts.clear()  # of a large octree they take as much as what was made of them
     return Bricks(low, mask, np.concatenate(nodes))
 
 
@@ -79,33 +83,61 @@ def _tree(
     children: npt.NDArray[np.int32], level_sizes: list[int], filled: npt.NDArray[np.bool_], size: Ints
 ) -> tuple[Ints, NodeNumbers, list[_Part]]:
     """(p, 3) bricks, those at the end (s,) filled by one larger leaf each, and the leaves of the others."""
-    inner = len(filled) - level_sizes[-1]
-    slots = np.flatnonzero(children[:inner].reshape(-1) != 0)  # of nodes 1, 2, 3, ...
     edge = 1 << max(int(side) - 1 for side in size).bit_length()
-    corner, cell = np.zeros((1, 3), np.int64), np.zeros(1, np.int64)
+    corner, cell = np.zeros((1, 3), np.int64), np.zeros(1, np.int32)
     low, solid, parts = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)], []
-    step = (np.arange(8) & 1) << 6 | (np.arange(8) >> 1 & 1) << 3 | np.arange(8) >> 2  # to each octant's slot
     start = above = 0
     for nodes in level_sizes:
         if start:
-            own = slots[start - 1 : start - 1 + nodes]
-            parent, octant = (own >> 3) - (start - above), own & 7
             edge //= 2
-            if edge >= 8:
-                corner, cell = corner[parent] + (octant[:, None] >> np.arange(3) & 1) * edge, np.arange(nodes) << 9
-            else:
-                cell = cell[parent] + (step * edge)[octant]
-        own = np.flatnonzero(filled[start : start + nodes])
-        number = (start + own).astype(np.int32)
+            corner, cell = _below(children[above:start], corner, cell, nodes, edge)
+        own = filled[start : start + nodes]
         if edge > 8:
             pieces, of = _pieces(corner[own], edge, size)
             low.append(pieces)
-            solid.append(number[of])
+            solid.append((start + np.flatnonzero(own)).astype(np.int32)[of])
         else:
-            parts.append(_Part(number, cell[own], edge))
-        start, above = start + nodes, nodes
+            parts.append(_Part(_numbers(own, start), cell[own], edge))
+        start, above = start + nodes, start
     bricks = corner if edge <= 8 else corner[:0]
     return np.concatenate([bricks, *low]), np.concatenate(solid), parts
+
+
+def _below(
+    table: npt.NDArray[np.int32], corner: Ints, cell: npt.NDArray[Any], nodes: int, edge: int
+) -> tuple[Ints, npt.NDArray[Any]]:
+    """The corners, or the cells, of the next level from those of the level with these child slots.
+
+    A part at a time: a large octree's last level alone is most of what an allowance may hold.
+    """
+    large = edge >= 8
+    made = np.empty((nodes, 3), np.int64) if large else np.empty(nodes, cell.dtype)
+    step = edge * ((np.arange(8) & 1) << 6 | (np.arange(8) >> 1 & 1) << 3 | np.arange(8) >> 2)  # to an octant's slot
+    done = 0
+    for begin in range(0, len(table), _ROWS):
+        slots = np.flatnonzero(table[begin : begin + _ROWS].reshape(-1) != 0)
+        parent, octant = begin + (slots >> 3), slots & 7
+        some = slice(done, done + len(slots))
+        if large:
+            made[some] = corner[parent] + (octant[:, None] >> np.arange(3) & 1) * edge
+        else:
+            made[some] = cell[parent] + step[octant]
+        done += len(slots)
+    if large:
+        # Numbers of bricks and slots together, in 32 bits wherever they fit.
+        numbers: npt.NDArray[Any] = np.arange(nodes, dtype=np.int32 if nodes < _FEW else np.int64)
+        return made, numbers << 9
+    return corner, made
+
+
+def _numbers(own: npt.NDArray[np.bool_], start: int) -> NodeNumbers:
+    """Where True stands, counted from `start`; a part at a time."""
+    numbers, done = np.empty(int(np.count_nonzero(own)), np.int32), 0
+    for begin in range(0, len(own), _ROWS):
+        found = np.flatnonzero(own[begin : begin + _ROWS])
+        numbers[done : done + len(found)] = start + begin + found
+        done += len(found)
+    return numbers
 
 
 def _pieces(corner: Ints, edge: int, size: Ints) -> tuple[Ints, Ints]:

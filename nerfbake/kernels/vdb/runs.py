@@ -10,6 +10,8 @@ import numpy.typing as npt
 from nerfbake.kernels.arrays import Floats, Ints
 from nerfbake.kernels.vdb.bitmask import exclusive_sum
 
+_RUNS = 1 << 10  # at a time
+
 
 def reduce_runs(ufunc: np.ufunc, rows: npt.NDArray[Any], counts: Ints, empty: float) -> npt.NDArray[Any]:
     """(p, ...) the ufunc over each run; `empty` where a run has no rows. The first run is counts[0] rows, and so on."""
@@ -24,6 +26,18 @@ def rows_of_runs(counts: Ints, order: Ints) -> Ints:
     """The rows of all runs, the runs taken in another order: counts [2, 1], order [1, 0] -> [2, 0, 1]."""
     lengths = counts[order]
     return np.arange(int(lengths.sum())) + np.repeat(exclusive_sum(counts)[order] - exclusive_sum(lengths), lengths)
+
+
+def in_order_of(runs: npt.NDArray[Any], counts: Ints, order: Ints) -> npt.NDArray[Any]:
+    """The values of all runs, the runs taken in another order; a part at a time, as their rows take more than they."""
+    starts, out, done = exclusive_sum(counts), np.empty(int(counts[order].sum()), runs.dtype), 0
+    for begin in range(0, len(order), _RUNS):
+        some = order[begin : begin + _RUNS]
+        lengths = counts[some]
+        rows = np.arange(int(lengths.sum())) + np.repeat(starts[some] - exclusive_sum(lengths), lengths)
+        out[done : done + len(rows)] = runs[rows]
+        done += len(rows)
+    return out
 
 
 class RunSpread(NamedTuple):

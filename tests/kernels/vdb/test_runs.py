@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake.kernels.vdb.runs import reduce_runs, rows_of_runs, spread_of, spread_over
+from nerfbake.kernels.vdb import runs
+from nerfbake.kernels.vdb.runs import in_order_of, reduce_runs, rows_of_runs, spread_of, spread_over
 
 
 def test_empty_runs_say_so() -> None:
@@ -14,6 +16,13 @@ def test_empty_runs_say_so() -> None:
 
 def test_runs_in_another_order() -> None:
     assert_array_equal(rows_of_runs(np.array([2, 1, 0, 3]), np.array([3, 1, 2, 0])), [3, 4, 5, 2, 0, 1])
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 1024])
+def test_values_of_runs_in_another_order(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "_RUNS", at_once)
+    counts, order = np.array([2, 1, 0, 3]), np.array([3, 2, 0])
+    assert_array_equal(in_order_of(np.arange(10, 16), counts, order), [13, 14, 15, 10, 11])
 
 
 def test_the_spread_of_spreads_is_the_spread_of_all() -> None:
