@@ -33,6 +33,19 @@ peak = 1024 * int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_te
 print(json.dumps([peak, used.ru_utime + used.ru_stime]))
 sys.exit(code)
 """
+# Holds three times what its input takes, for a while, and says when, and how much its process had at most.
+HOLDER = r"""
+import os, re, sys, time
+from pathlib import Path
+source, target = map(Path, sys.argv[2:4])
+begin = time.monotonic()
+held = b"1" * (3 * source.stat().st_size)
+time.sleep(0.4)
+peak = 1024 * int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
+with open("log", "a") as log:
+    log.write(f"{begin} {time.monotonic()} {peak}\n")
+target.write_text("done")
+"""
 LINES = ("--jobs-file", "jobs.txt", "--state", "run", "-q", "--take-over")
 
 
@@ -146,3 +159,30 @@ def test_ten_thousand_items_cost_little(tmp_path: Path) -> None:
     print(f"{count:,} items: {1000 * worked / count:.1f} ms of the parent's processor each, {peak / 1e6:.0f} MB")
     assert peak < 100e6
     assert worked / count < 0.015
+
+
+@pytest.mark.long
+def test_what_runs_at_once_stays_within_the_memory_and_what_needs_more_runs_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Peaks of real processes, first by what their inputs make likely, then by what they took the last time."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("nerfbake.jobs.batches.nerfbake_command", lambda: [sys.executable, "holder.py"])
+    Path("holder.py").write_text(HOLDER)
+    Path("in").mkdir()
+    for number, size in enumerate([4, 20, 344, 30, 4, 8, 25, 10]):  # MiB; 344 take three times the memory
+        with open(f"in/{number}", "wb") as file:
+            file.truncate(size << 20)
+    Path("jobs.txt").write_text("".join(f"svo in/{i} out/{i}.svo.pb\n" for i in range(8)))
+    for _ in range(2):
+        assert run(["batch", *LINES, "-j", "3", "--memory", "512MiB"]) == 0
+        times = [tuple(map(float, line.split())) for line in Path("log").read_text().splitlines()]
+        assert len(times) == 8
+        at_once = [[peak for begin, end, peak in times if begin <= start < end] for start, _, _ in times]
+        (large,) = (peaks for peaks in at_once if max(peaks) > 512 << 20)
+        assert len(large) == 1
+        assert max(map(len, at_once)) > 1
+        assert all(sum(peaks) <= 512 << 20 for peaks in at_once if peaks is not large)
+        Path("log").unlink()
+        for output in Path("out").iterdir():
+            output.unlink()
