@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import BrickField, Views, carve_hull, fit_field, memory_limit
+from nerfbake import BrickField, Views, carve_hull, field_of_bricks, fit_field, memory_limit, render_field
 from nerfbake.errors import InvalidScene, MemoryLimit
+from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import Cameras
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages.views_to_field import FitState
 from tests.support.views import sample_views
@@ -33,15 +35,27 @@ def same(a: BrickField, b: BrickField) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
-def test_a_fit_looks_like_its_pictures() -> None:
+@pytest.mark.parametrize("lens", [None, Lens("polynomial", (-0.3, 0.05)), Lens("fisheye", (0.1,))])
+def test_a_fit_looks_like_its_pictures_whatever_their_lens(lens: Lens | None) -> None:
     schedule = parse_schedule(
         "cells=16,epochs=6,density=0.3..0.05,colour=0.5..0.2,prune=0.03/cells=32,epochs=12,density=0.1..0.03,prune=0.01"
     )
-    state = last(sample_views(), schedule)
+    state = last(sample_views(lens=lens), schedule)
     field = state.field()
     field.require_usable()
     assert field.resolution == 32
     assert state.train_psnr > 25
+    # What a pinhole shows of it, which a fit through a lens has never seen, would tell a field that is bent itself.
+    shown = field_of_bricks(field)
+    views = sample_views(frames=4)
+    for camera, picture in zip(views.cameras.cameras, views.pictures, strict=True):
+        found = psnr(over_white(render_field(shown, camera, background=None).pixels), over_white(picture))
+        assert found > 26
+
+
+def over_white(picture: Any) -> Any:
+    colour, alpha = picture[..., :3] / 255, picture[..., 3:] / 255
+    return colour * alpha + 1 - alpha
 
 
 def test_a_split_leaves_wide_cells_and_narrow_ones() -> None:

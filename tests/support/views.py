@@ -6,10 +6,13 @@ from functools import cache
 
 from nerfbake import Cameras, Views, build_field, orbit_cameras, render_field, sample_n3tree
 from nerfbake.scene.camera import Camera, look_at
+from nerfbake.scene.lens import Lens
 
 
 @cache
-def sample_views(frames: int = 12, width: int = 64, height: int = 64, *, resolution: int = 32) -> Views:
+def sample_views(
+    frames: int = 12, width: int = 64, height: int = 64, *, resolution: int = 32, lens: Lens | None = None
+) -> Views:
     """From all around and from two heights, with alpha, over white."""
     scene = build_field(sample_n3tree(resolution=resolution))
     own = orbit_cameras(scene, width=width, height=height).cameras[0]
@@ -18,6 +21,6 @@ def sample_views(frames: int = 12, width: int = 64, height: int = 64, *, resolut
     cameras = []
     for i in range(frames):
         pose = look_at(centre, 6.2831853 * i / frames, (0.3, 0.9)[i % 2], away)
-        cameras.append(Camera(width, height, own.focal, pose, f"{i:02d}"))
+        cameras.append(Camera(width, height, own.focal, pose, f"{i:02d}", lens=lens))
     pictures = tuple(render_field(scene, camera, background=None).pixels for camera in cameras)
     return Views(Cameras(tuple(cameras)), pictures, (1.0, 1.0, 1.0), True)
