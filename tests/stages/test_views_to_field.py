@@ -35,7 +35,7 @@ def same(a: BrickField, b: BrickField) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
-@pytest.mark.parametrize("lens", [None, Lens("polynomial", (-0.3, 0.05)), Lens("fisheye", (0.1,))])
+@pytest.mark.parametrize("lens", [None, Lens("polynomial", (0.8,)), Lens("fisheye", (0.8,))])
 def test_a_fit_looks_like_its_pictures_whatever_their_lens(lens: Lens | None) -> None:
     schedule = parse_schedule(
         "cells=16,epochs=6,density=0.3..0.05,colour=0.5..0.2,prune=0.03/cells=32,epochs=12,density=0.1..0.03,prune=0.01"
@@ -44,7 +44,7 @@ def test_a_fit_looks_like_its_pictures_whatever_their_lens(lens: Lens | None) ->
     field = state.field()
     field.require_usable()
     assert field.resolution == 32
-    assert state.train_psnr > 25
+    assert state.train_psnr > 23
     # What a pinhole shows of it, which a fit through a lens has never seen, would tell a field that is bent itself.
     shown = field_of_bricks(field)
     views = sample_views(frames=4)
