@@ -133,7 +133,7 @@ def run_shader(atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions
     except Exception as error:
         pytest.skip(f"no OpenGL here: {error}")
     H, W = atlas.labels.shape
-    shader = (files("nerfbake") / "shaders" / "atlas.glsl").read_text()
+    shader = (files("nerfbake") / "shaders" / "glsl" / "atlas.glsl").read_text()
     main = f"""
         uniform sampler2D atlas, labels, features, directions; uniform Atlas a; out vec4 result;
         void main() {{

@@ -61,7 +61,7 @@ def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:
         "shaders": {
             "vertex": part_of("mesh_vertex.glsl"),
             "mesh": part_of("mesh.glsl"),
-            "atlas": part_of("atlas.glsl", "shaders"),
+            "atlas": part_of("atlas.glsl", "shaders/glsl"),
         },
     }
     return {"triangles": facts}
