@@ -1,8 +1,9 @@
-"""atlas.glsl: its twin in NumPy, line by line, and the shader itself where there is an OpenGL, against the lookups."""
+"""The atlas in each language, and atlas.glsl line by line in NumPy, against the program's own lookups; the MLP, too."""
 
 from __future__ import annotations
 
-from importlib.resources import files
+import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,62 @@ from nerfbake.formats.atlas import document as atlas_json
 from nerfbake.formats.atlas import folder as atlas_folder
 from nerfbake.formats.wire.texture import decode_texture
 from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.surface.mlp import evaluate_each
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method, OctahedralAtlas
-from tests.support.atlas_scenes import looked_up, random_atlas
+from tests.support.atlas_scenes import field, looked_up, random_atlas
+from tests.support.shaders import Picture, Runner
 
 Floats = npt.NDArray[np.float64]
+COUNT = 102_000
+# Of a direction and the number of a texel what the atlas shows. GLSL is handed the textures, the others have them.
 CALLS = {
-    "kmeans": "specularKmeans(atlas, labels, a, uv, d)",
-    "affine": "specularAffine(atlas, labels, features, a, uv, d)",
-    "grid": "specularGrid(atlas, features, a, uv, d)",
+    "kmeans": ("specularKmeans(atlas, labels, a, uv, p.xyz)", "specularKmeans(a, uv, p.xyz)"),
+    "affine": ("specularAffine(atlas, labels, features, a, uv, p.xyz)", "specularAffine(a, uv, p.xyz)"),
+    "grid": ("specularGrid(atlas, features, a, uv, p.xyz)", "specularGrid(a, uv, p.xyz)"),
+}
+CODES = {
+    "glsl": """
+        uniform sampler2D atlas;
+        uniform sampler2D labels;
+        uniform sampler2D features;
+        vec4 answer(vec4 p) {
+            Atlas a = Atlas(SIZE, BORDER, ROW, SLOPE, N);
+            vec2 uv = (vec2(mod(p.w, WIDTH), floor(p.w / WIDTH)) + 0.5) / vec2(WIDTH, HEIGHT);
+            return vec4(METHOD, 1);
+        }""",
+    "hlsl": """
+        float4 answer(float4 p) {
+            Atlas a = {SIZE, BORDER, ROW, SLOPE, N};
+            float2 uv = (float2(fmod(p.w, WIDTH), floor(p.w / WIDTH)) + 0.5) / float2(WIDTH, HEIGHT);
+            return float4(METHOD, 1);
+        }""",
+    "wgsl": """
+        fn answer(p: vec4f) -> vec4f {
+            let a = Atlas(SIZE, BORDER, ROW, SLOPE, N);
+            let uv = (vec2f(p.w % WIDTH, floor(p.w / WIDTH)) + 0.5) / vec2f(WIDTH, HEIGHT);
+            return vec4f(METHOD, 1);
+        }""",
+}
+MLP = {
+    "glsl": """
+        uniform sampler2D given;
+        float at(int i) { return fetchFloat(given, i); }
+        vec4 answer(vec4 p) {
+            int i = 3 * int(p.w);
+            return vec4(specularMlp(HIDDEN, p.xyz, vec3(at(i), at(i + 1), at(i + 2))), 1);
+        }""",
+    "hlsl": """
+        StructuredBuffer<float> given;
+        float4 answer(float4 p) {
+            int i = 3 * int(p.w);
+            return float4(specularMlp(HIDDEN, p.xyz, float3(given[i], given[i + 1], given[i + 2])), 1);
+        }""",
+    "wgsl": """
+        @group(0) @binding(2) var<storage, read> given: array<f32>;
+        fn answer(p: vec4f) -> vec4f {
+            let i = 3 * i32(p.w);
+            return vec4f(specularMlp(HIDDEN, p.xyz, vec3f(given[i], given[i + 1], given[i + 2])), 1);
+        }""",
 }
 
 
@@ -117,50 +166,67 @@ def test_the_twin_shows_what_the_atlas_holds(method: Method, border: int) -> Non
     np.testing.assert_allclose(shown, looked_up(atlas, texels, directions), atol=2e-5)
 
 
+@pytest.fixture(scope="module")
+def looks() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+    """Texels of random_atlas(), all of them many times, and as many directions."""
+    texels = np.arange(COUNT) % 600
+    return texels, np.random.default_rng(2).permutation(fibonacci(COUNT)).astype(np.float32)
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_the_shader_shows_what_the_atlas_holds(method: Method) -> None:
+def test_the_shader_shows_what_the_atlas_holds(method: Method, runner: Runner, looks: Any) -> None:
     atlas = random_atlas(method)
-    texels, directions = every_texel(atlas)
-    shown = run_shader(atlas, texels, directions)
-    np.testing.assert_allclose(shown, looked_up(atlas, texels, directions), atol=1e-4)
+    assert_shown(runner, atlas, *looks, atol=1e-4)  # of a texel's place in the whole atlas, float32 has no more
 
 
-def run_shader(atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions: Floats) -> Floats:
-    """atlas.glsl on an OpenGL without a window, a pixel for each texel."""
-    moderngl = pytest.importorskip("moderngl")
-    try:
-        context = moderngl.create_standalone_context(backend="egl", require=330)
-    except Exception as error:
-        pytest.skip(f"no OpenGL here: {error}")
-    H, W = atlas.labels.shape
-    shader = (files("nerfbake") / "shaders" / "glsl" / "atlas.glsl").read_text()
-    main = f"""
-        uniform sampler2D atlas, labels, features, directions; uniform Atlas a; out vec4 result;
-        void main() {{
-            vec2 uv = gl_FragCoord.xy / vec2({W}, {H});
-            vec3 d = texelFetch(directions, ivec2(gl_FragCoord.xy), 0).xyz;
-            result = vec4({CALLS[atlas.method]}, 1);
-        }}"""
-    vertex = "#version 330\nin vec2 p; void main() { gl_Position = vec4(p, 0, 1); }"
-    program = context.program(vertex_shader=vertex, fragment_shader="#version 330\n" + shader + main)
-    numbers = atlas_json.entry(atlas)
-    uniforms = {"mapSize": "map_size", "border": "border", "tilesPerRow": "tiles_per_row", "slope": "slope", "n": "n"}
-    for name, key in uniforms.items():
-        if f"a.{name}" in program:
-            program[f"a.{name}"].value = float(numbers.get(key, 0))
+@pytest.mark.parametrize("method", METHODS)
+def test_the_shader_never_takes_another_map(method: Method, runner: Runner, looks: Any) -> None:
+    """Each map has one colour, so that it does not matter where in it a direction is."""
+    atlas = random_atlas(method)
+    flat = replace(atlas, tiles=np.broadcast_to(atlas.tiles[:, :1, :1], atlas.tiles.shape).copy())
+    assert_shown(runner, flat, *looks, atol=1e-5)
+
+
+def assert_shown(
+    runner: Runner,
+    atlas: OctahedralAtlas,
+    texels: npt.NDArray[np.int64],
+    directions: npt.NDArray[np.float32],
+    *,
+    atol: float,
+) -> None:
     # Floats, because some filters round 8-bit texels to 8 bits between them.
-    images: dict[str, Any] = {role: np.float32(pixels / 255) for role, pixels in textures(atlas).items()}
-    images["directions"] = directions.reshape(H, W, 3).astype(np.float32)
-    for unit, (name, image) in enumerate(images.items()):
-        if name in program:
-            texture = context.texture(image.shape[1::-1], 3, image.tobytes(), dtype="f4")
-            texture.filter = (moderngl.LINEAR,) * 2 if name == "atlas" else (moderngl.NEAREST,) * 2
-            texture.repeat_x = texture.repeat_y = False
-            texture.use(unit)
-            program[name].value = unit
-    target = context.framebuffer([context.renderbuffer((W, H), 4, dtype="f4")])
-    target.use()
-    corners = context.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32).tobytes())
-    context.vertex_array(program, [(corners, "2f", "p")]).render()
-    pixels = np.frombuffer(target.read(components=4, dtype="f4"), np.float32).reshape(-1, 4)
-    return np.asarray(pixels[texels, :3], np.float64)
+    pictures: dict[str, Any] = {}
+    for role, pixels in {"features": np.zeros((1, 1, 3)), **textures(atlas)}.items():
+        texels4 = np.ones((*pixels.shape[:2], 4), np.float32)
+        texels4[..., :3] = pixels / 255
+        pictures[role] = Picture(texels4, smooth=role == "atlas")
+    numbers = {"slope": 0, "n": 0, **atlas_json.entry(atlas)}
+    H, W = atlas.labels.shape
+    code = CODES[runner.language].replace("METHOD", CALLS[atlas.method][runner.language != "glsl"])
+    for name, key in {
+        "SIZE": "map_size",
+        "BORDER": "border",
+        "ROW": "tiles_per_row",
+        "SLOPE": "slope",
+        "N": "n",
+    }.items():
+        code = re.sub(rf"\b{name}\b", f"{float(numbers[key])}", code)
+    code = code.replace("WIDTH", f"{W}.0").replace("HEIGHT", f"{H}.0")
+    points = np.column_stack([directions, texels]).astype(np.float32)
+    found = runner.run(("common", "atlas"), code, points, pictures)[:, :3]
+    features = None if atlas.features is None else atlas.features.reshape(-1, 3)[texels]
+    wanted = atlas.specular(atlas.labels.reshape(-1)[texels], features, directions.astype(np.float64))
+    np.testing.assert_allclose(found, wanted, atol=atol)
+
+
+def test_the_mlp_is_the_programs_own(runner: Runner, looks: Any) -> None:
+    texels, directions = looks
+    scene = field()
+    features = scene.features.reshape(-1, 3)[texels] / np.float32(255)
+    code = MLP[runner.language].replace("HIDDEN", str(scene.w0.shape[1]))
+    bound = {"weights0": scene.w0.T.ravel(), "weights1": scene.w1.ravel(), "given": features.ravel()}
+    points = np.column_stack([directions, np.arange(COUNT)]).astype(np.float32)
+    found = runner.run(("common", "mlp"), code, points, bound)[:, :3]
+    wanted = evaluate_each(features, directions, scene.w0, scene.w1)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)

@@ -15,7 +15,7 @@ COUNT = 120_000
 # Of each point the node, number k of its values, and the same between the centres of voxels, for k = w.
 CODES = {
     "glsl": """
-        uniform highp isampler2D sizes;
+        uniform isampler2D sizes;
         int size(int i) { return fetchInt(sizes, i); }
         vec4 answer(vec4 p) {
             SparseVoxelOctree octree = SparseVoxelOctree(size(0), size(1), size(2), size(3), size(4));

@@ -17,7 +17,7 @@ COUNT, CHANNELS = 120_000, 7
 # Of each point the row, number k of it, and the same between the centres of voxels, for k = w.
 CODES = {
     "glsl": """
-        uniform highp isampler2D sizes;
+        uniform isampler2D sizes;
         vec4 answer(vec4 p) {
             VdbIndex index = VdbIndex(fetchInt(sizes, 0), fetchInt(sizes, 1));
             int k = int(p.w), row = vdbNearest(index, p.xyz);

@@ -6,28 +6,31 @@
 // float32 R32F, of four float16 RGBA16F; its filter is NEAREST.
 precision highp float;
 precision highp int;
+precision highp sampler2D;
+precision highp isampler2D;
+precision highp usampler2D;
 
 ivec2 placeOf(int i, int width) {
     return ivec2(i % width, i / width);
 }
 
-int fetchInt(highp isampler2D words, int i) {
+int fetchInt(isampler2D words, int i) {
     return texelFetch(words, placeOf(i, textureSize(words, 0).x), 0).r;
 }
 
-uvec2 fetchUint2(highp usampler2D words, int i) {
+uvec2 fetchUint2(usampler2D words, int i) {
     return texelFetch(words, placeOf(i, textureSize(words, 0).x), 0).rg;
 }
 
-uvec4 fetchUint4(highp usampler2D words, int i) {
+uvec4 fetchUint4(usampler2D words, int i) {
     return texelFetch(words, placeOf(i, textureSize(words, 0).x), 0);
 }
 
-float fetchFloat(highp sampler2D words, int i) {
+float fetchFloat(sampler2D words, int i) {
     return texelFetch(words, placeOf(i, textureSize(words, 0).x), 0).r;
 }
 
-vec4 fetchFloat4(highp sampler2D words, int i) {
+vec4 fetchFloat4(sampler2D words, int i) {
     return texelFetch(words, placeOf(i, textureSize(words, 0).x), 0);
 }
 

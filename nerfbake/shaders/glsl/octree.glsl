@@ -6,8 +6,8 @@
 //   nodeData      dataDim float32 a node: all coefficients of red, of green, of blue, then the density, 1/world unit
 //
 // Points are in voxels: voxel (0, 0, 0) reaches from 0 to 1 along each axis. world.glsl leads there.
-uniform highp isampler2D nodeChildren;
-uniform highp sampler2D nodeData;
+uniform isampler2D nodeChildren;
+uniform sampler2D nodeData;
 
 struct SparseVoxelOctree {
     int width;     // voxels along x

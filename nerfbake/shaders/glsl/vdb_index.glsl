@@ -9,11 +9,11 @@
 //
 // Points are in voxels whose CENTRES are whole numbers, as NanoVDB's are. Tiles, which no grid of nerfbake's own has,
 // are not read.
-uniform highp isampler2D rootOrigin;
-uniform highp usampler2D upper;
-uniform highp usampler2D lower;
-uniform highp usampler2D leaf;
-uniform highp sampler2D table;
+uniform isampler2D rootOrigin;
+uniform usampler2D upper;
+uniform usampler2D lower;
+uniform usampler2D leaf;
+uniform sampler2D table;
 
 struct VdbIndex {
     int uppers;    // upper nodes

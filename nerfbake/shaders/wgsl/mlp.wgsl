@@ -1,0 +1,24 @@
+// The specular MLP of nerf2mesh's stage 1, which an atlas stands for: to compare them. Behind common.wgsl.
+//
+//   weights0  6 float32 a hidden unit: of the direction's x, y, z, then of the feature's red, green, blue; column i of
+//             net.0.weight of mlp.json
+//   weights1  3 float32 a hidden unit: row i of net.1.weight
+//
+// Constants in unrolled code are several times as fast as fetches: docs/formats/realtime.md has measured both.
+@group(1) @binding(15) var<storage, read> weights0: array<f32>;
+@group(1) @binding(16) var<storage, read> weights1: array<f32>;
+
+// direction: unit, from the camera to the surface point, in the mesh's own coordinates; feature: 0 to 1.
+fn specularMlp(units: i32, direction: vec3f, feature: vec3f) -> vec3f {
+    var sum = vec3f(0.0);
+    for (var unit = 0; unit < units; unit++) {
+        var hidden = 0.0;
+        for (var i = 0; i < 3; i++) {
+            hidden += direction[i] * weights0[6 * unit + i];
+            hidden += feature[i] * weights0[6 * unit + 3 + i];
+        }
+        hidden = max(hidden, 0.0);
+        for (var i = 0; i < 3; i++) { sum[i] += hidden * weights1[3 * unit + i]; }
+    }
+    return 1.0 / (1.0 + exp(-sum));
+}
