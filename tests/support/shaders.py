@@ -191,6 +191,7 @@ class Hlsl:
         if shutil.which("glslangValidator") is None:
             pytest.skip(f"no glslangValidator ({_DEBIAN})")
         self.folder, self.wgpu = folder, Wgsl()
+        self.made: dict[str, tuple[bytes, dict[str, tuple[int, int]]]] = {}  # of a code: SPIR-V, and where names are
 
     def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound, *includes: str | Path) -> Points:
         source = f"""{text_of("hlsl", parts)}
@@ -200,10 +201,27 @@ class Hlsl:
             [numthreads({_GROUP}, 1, 1)] void main(uint3 id : SV_DispatchThreadID) {{
                 if (id.x < {len(points)}u) result[id.x] = answer(points[id.x]);
             }}"""
+        if source not in self.made:
+            self.made[source] = self._compiled(source, [f"-I{path}" for path in includes])
+        return self.wgpu.dispatch(*self.made[source], points, bound)
+
+    def _compiled(self, source: str, includes: list[str]) -> tuple[bytes, dict[str, tuple[int, int]]]:
         (self.folder / "code.hlsl").write_text(source)
-        command = ["glslangValidator", "-D", "-V", "-e", "main", "-S", "comp", "--amb", "-q", "-o", "code.spv"]
-        command += [f"-I{path}" for path in includes]
+        command = [
+            "glslangValidator",
+            "-D",
+            "-V",
+            "-e",
+            "main",
+            "-S",
+            "comp",
+            "--amb",
+            "-q",
+            "-o",
+            "code.spv",
+            *includes,
+        ]
         done = subprocess.run([*command, "code.hlsl"], cwd=self.folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout
         places = {name: (0, int(at)) for name, at in re.findall(r"^(\w+): .* binding (\d+)", done.stdout, re.MULTILINE)}
-        return self.wgpu.dispatch((self.folder / "code.spv").read_bytes(), places, points, bound)
+        return (self.folder / "code.spv").read_bytes(), places
