@@ -22,7 +22,8 @@ from tests.conftest import REPOSITORY
 from tests.support.pages import broken_links
 
 README = REPOSITORY / "README.md"
-PAGES = [README, *sorted((REPOSITORY / "docs").rglob("*.md")), *sorted((REPOSITORY / "schemas").rglob("*.md"))]
+SHADERS = REPOSITORY / "nerfbake" / "shaders" / "README.md"
+PAGES = [README, SHADERS, *(page for name in ("docs", "schemas") for page in sorted((REPOSITORY / name).rglob("*.md")))]
 LINKED = [*PAGES, REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "CHANGELOG.md"]
 BLOCK = re.compile(r"^```(sh|python|make)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 

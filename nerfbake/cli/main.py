@@ -32,6 +32,7 @@ from nerfbake.cli.lod import lod
 from nerfbake.cli.refit import refit
 from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
+from nerfbake.cli.shaders import shaders
 from nerfbake.cli.svo import svo
 from nerfbake.cli.vdb import vdb
 from nerfbake.cli.view import view
@@ -83,6 +84,7 @@ for command in (
     compare,
     info,
     check,
+    shaders,
     sample,
     batch,
     bench,

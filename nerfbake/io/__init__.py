@@ -37,4 +37,5 @@ from nerfbake.io.targets import require_no_folder as require_no_folder
 from nerfbake.io.targets import require_room as require_room
 from nerfbake.io.writing import format_for as format_for
 from nerfbake.io.writing import save as save
+from nerfbake.io.writing import save_files as save_files
 from nerfbake.io.writing import save_folder as save_folder

@@ -67,9 +67,17 @@ def save_folder(target: str | Path, scene: object, *, force: bool = False, **opt
     """
     kind = folder_to_write(type(scene).__name__)
     kind.require_options(options)
+    return save_files(target, kind.load_module().encode(scene, **options), force=force)
+
+
+def save_files(
+    target: str | Path, files: Iterable[tuple[str, Iterable[bytes | memoryview]]], *, force: bool = False
+) -> dict[str, int]:
+    """Writes files, of which a name may lead into folders, as a folder, as save_folder() does; gives their sizes."""
     sizes = {}
     with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
-        for name, pieces in kind.load_module().encode(scene, **options):
+        for name, pieces in files:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             with open(folder / name, "xb") as file:
                 sizes[name] = _write_all(file, pieces)
     return sizes

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.samples import write_sample_capture as write_sample_capture
     from nerfbake.jobs.samples import write_sample_n3tree as write_sample_n3tree
     from nerfbake.jobs.samples import write_sample_stage1 as write_sample_stage1
+    from nerfbake.jobs.shaders import write_shaders as write_shaders
     from nerfbake.jobs.steps import Steps as Steps
     from nerfbake.jobs.viewing import view_file as view_file
     from nerfbake.jobs.volumes import bake_volume as bake_volume
@@ -81,6 +82,7 @@ JOBS = {
     "write_sample_capture": "samples",
     "write_sample_n3tree": "samples",
     "write_sample_stage1": "samples",
+    "write_shaders": "shaders",
 }
 _ARGUMENTS = {
     "Again": "refits",

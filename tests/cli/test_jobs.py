@@ -86,6 +86,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
             [jobs.Item(("svo", "a.npz", f"{out}.svo.pb"), ("a.npz",), (f"{out}.svo.pb",))], state="state"
         ),
     ),
+    "shaders": (
+        ["OUT", "--language", "wgsl", "--what", "octree", "--what", "world"],
+        lambda out: jobs.write_shaders(out, languages=("wgsl",), what=("octree", "world")),
+    ),
     "sample octree": (
         ["OUT.npz", "--resolution", "8"],
         lambda out: jobs.write_sample_n3tree(f"{out}.npz", resolution=8),

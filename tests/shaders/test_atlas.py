@@ -197,11 +197,12 @@ def assert_shown(
 ) -> None:
     # Floats, because some filters round 8-bit texels to 8 bits between them.
     pictures: dict[str, Any] = {}
-    for role, pixels in {"features": np.zeros((1, 1, 3)), **textures(atlas)}.items():
+    given: dict[str, npt.NDArray[Any]] = {"features": np.zeros((1, 1, 3)), **textures(atlas)}
+    for role, pixels in given.items():
         texels4 = np.ones((*pixels.shape[:2], 4), np.float32)
         texels4[..., :3] = pixels / 255
         pictures[role] = Picture(texels4, smooth=role == "atlas")
-    numbers = {"slope": 0, "n": 0, **atlas_json.entry(atlas)}
+    numbers: dict[str, Any] = {"slope": 0, "n": 0, **atlas_json.entry(atlas)}
     H, W = atlas.labels.shape
     code = CODES[runner.language].replace("METHOD", CALLS[atlas.method][runner.language != "glsl"])
     for name, key in {

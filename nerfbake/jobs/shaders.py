@@ -1,0 +1,65 @@
+"""The shader twins as files, for an engine or a page of one's own."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from nerfbake import io
+from nerfbake.errors import UsageError
+from nerfbake.jobs.files import FolderTarget
+from nerfbake.jobs.steps import SILENT, Steps
+
+LANGUAGES = ("glsl", "hlsl", "wgsl")
+NEEDS = {  # what there is, and what has to stand before it
+    "octree": ("common",),
+    "vdb_index": ("common",),
+    "march": ("common", "harmonics"),
+    "harmonics": (),
+    "atlas": (),
+    "mlp": ("common",),
+    "world": (),
+}
+PAGE = "README.md"
+
+
+def write_shaders(
+    target: FolderTarget | str | Path,
+    *,
+    languages: Sequence[str] = (),
+    what: Sequence[str] = (),
+    steps: Steps = SILENT,
+) -> dict[str, int]:
+    """Writes lookups, marcher, harmonics and transforms as shaders, gives the files' sizes; `nerfbake shaders`.
+
+    Reads nothing, writes the folder `target`: a page that says how to feed them, and a folder for each language.
+    languages, what: of LANGUAGES and NEEDS; none are all. What another file needs is written with it.
+    Raises NerfbakeError.
+
+    >>> sorted(write_shaders("shaders", languages=["hlsl"], what=["octree"]))
+    ['README.md', 'hlsl/common.hlsl', 'hlsl/octree.hlsl']
+    """
+    _require_known("language", languages, LANGUAGES)
+    _require_known("what", what, tuple(NEEDS))
+    target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
+    target.require()
+    wanted = {name: None for chosen in what or NEEDS for name in (*NEEDS[chosen], chosen)}
+    names = [f"{language}/{name}.{language}" for language in languages or LANGUAGES for name in wanted]
+    files = [(name, [_text(name)]) for name in (PAGE, *dict.fromkeys(names))]
+    with steps.phase(f"writing {target.path}"):
+        sizes = io.save_files(target.path, files, force=target.force)
+    steps.say(f"{target.path}: {len(sizes)} files, {sum(sizes.values()):,} bytes; {PAGE} says how to feed them")
+    return sizes
+
+
+def _require_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
+    for value in given:
+        if value not in known:
+            raise UsageError(f"{option} is {value!r:.40}; allowed: {', '.join(known)}")
+
+
+def _text(name: str) -> bytes:
+    data = pkgutil.get_data("nerfbake", f"shaders/{name}")
+    assert data is not None
+    return data
