@@ -24,7 +24,7 @@ def shaders(target: str, languages: tuple[str, ...], what: tuple[str, ...], forc
     """Write shaders that read our files into OUT_DIR (shaders, unless told otherwise), with a page on how to feed them.
 
     Octrees, VDB indices, a marcher, spherical harmonics, atlases and world transforms, in GLSL (ES 3.00 and 3.30), HLSL
-    and WGSL, with the same names in each.
+    and WGSL, with the same names in each; and .nvdb by NVIDIA's own PNanoVDB.h, in HLSL and C.
 
     \b
       nerfbake shaders Assets/Shaders --language hlsl --what octree --what world

@@ -11,7 +11,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.files import FolderTarget
 from nerfbake.jobs.steps import SILENT, Steps
 
-LANGUAGES = ("glsl", "hlsl", "wgsl")
+LANGUAGES = ("glsl", "hlsl", "wgsl", "c")
 NEEDS = {  # what there is, and what has to stand before it
     "octree": ("common",),
     "vdb_index": ("common",),
@@ -20,6 +20,7 @@ NEEDS = {  # what there is, and what has to stand before it
     "atlas": (),
     "mlp": ("common",),
     "world": (),
+    "nanovdb": (),
 }
 PAGE = "README.md"
 
@@ -34,7 +35,8 @@ def write_shaders(
     """Writes lookups, marcher, harmonics and transforms as shaders, gives the files' sizes; `nerfbake shaders`.
 
     Reads nothing, writes the folder `target`: a page that says how to feed them, and a folder for each language.
-    languages, what: of LANGUAGES and NEEDS; none are all. What another file needs is written with it.
+    languages, what: of LANGUAGES and NEEDS; none are all. What another file needs is written with it; of C there is
+    nanovdb alone, which is HLSL, too.
     Raises NerfbakeError.
 
     >>> sorted(write_shaders("shaders", languages=["hlsl"], what=["octree"]))
@@ -42,11 +44,14 @@ def write_shaders(
     """
     _require_known("language", languages, LANGUAGES)
     _require_known("what", what, tuple(NEEDS))
+    wanted = {name: None for chosen in what or NEEDS for name in (*NEEDS[chosen], chosen)}
+    paths = {path: None for language in languages or LANGUAGES for name in wanted if (path := _path(language, name))}
+    if not paths:
+        allowed = "nanovdb in hlsl and c, all else in glsl, hlsl and wgsl"
+        raise UsageError(f"{', '.join(what)} is not there in {', '.join(languages)}; allowed: {allowed}")
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
-    wanted = {name: None for chosen in what or NEEDS for name in (*NEEDS[chosen], chosen)}
-    names = [f"{language}/{name}.{language}" for language in languages or LANGUAGES for name in wanted]
-    files = [(name, [_text(name)]) for name in (PAGE, *dict.fromkeys(names))]
+    files = [(path, [_text(path)]) for path in (PAGE, *paths)]
     with steps.phase(f"writing {target.path}"):
         sizes = io.save_files(target.path, files, force=target.force)
     steps.say(f"{target.path}: {len(sizes)} files, {sum(sizes.values()):,} bytes; {PAGE} says how to feed them")
@@ -57,6 +62,13 @@ def _require_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
     for value in given:
         if value not in known:
             raise UsageError(f"{option} is {value!r:.40}; allowed: {', '.join(known)}")
+
+
+def _path(language: str, name: str) -> str:
+    """Where a file stands, both here and there; '' where the language has none. What is C and HLSL at once is one."""
+    if name == "nanovdb":
+        return "pnanovdb/nanovdb.h" if language in ("hlsl", "c") else ""
+    return "" if language == "c" else f"{language}/{name}.{language}"
 
 
 def _text(name: str) -> bytes:

@@ -10,13 +10,14 @@ import pytest
 from nerfbake import jobs
 from nerfbake.cli import main
 from nerfbake.errors import UsageError
-from nerfbake.jobs.shaders import LANGUAGES, NEEDS
+from nerfbake.jobs.shaders import NEEDS
 from tests.conftest import REPOSITORY
 
 
 def test_every_file_of_every_language_is_written(tmp_path: Path) -> None:
     home = REPOSITORY / "nerfbake" / "shaders"
-    own = {path.relative_to(home): path.read_bytes() for name in LANGUAGES for path in (home / name).iterdir()}
+    folders = "glsl", "hlsl", "wgsl", "pnanovdb"
+    own = {path.relative_to(home): path.read_bytes() for name in folders for path in (home / name).iterdir()}
     jobs.write_shaders(tmp_path / "out")
     found = {path.relative_to(tmp_path / "out"): path.read_bytes() for path in (tmp_path / "out").glob("*/*")}
     assert found == own
@@ -28,7 +29,9 @@ def test_what_a_file_needs_stands_before_it_and_is_written_once(tmp_path: Path) 
     assert list(sizes) == ["README.md", *(f"wgsl/{name}.wgsl" for name in ("common", "harmonics", "march", "octree"))]
 
 
-@pytest.mark.parametrize("wrong", [{"languages": ["metal"]}, {"what": ["noise"]}])
+@pytest.mark.parametrize(
+    "wrong", [{"languages": ["metal"]}, {"what": ["noise"]}, {"languages": ["wgsl"], "what": ["nanovdb"]}]
+)
 def test_what_there_is_not_is_refused_before_anything_is_written(wrong: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="allowed: "):
         jobs.write_shaders(tmp_path / "out", **wrong)
@@ -44,4 +47,4 @@ def test_a_folder_is_replaced_only_when_told_so(
     assert main.run(["shaders", "--what", "world"]) == 4
     assert capsys.readouterr().err.count("\n") == 1
     assert main.run(["shaders", "--what", "world", "--force", "-q"]) == 0
-    assert sorted(path.name for path in (tmp_path / "shaders").iterdir()) == ["README.md", *LANGUAGES]
+    assert sorted(path.name for path in (tmp_path / "shaders").iterdir()) == ["README.md", "glsl", "hlsl", "wgsl"]

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from nerfbake import SparseVoxelOctree, build_octree, sample_n3tree
-from tests.support.shaders import Runner
+from tests.support.places import COUNT, in_grid
+from tests.support.shaders import Points, Runner
 
-COUNT = 120_000
 # Of each point the node, number k of its values, and the same between the centres of voxels, for k = w.
 CODES = {
     "glsl": """
@@ -45,7 +45,7 @@ CODES = {
 
 class Scene(NamedTuple):
     octree: SparseVoxelOctree
-    points: npt.NDArray[np.float32]
+    points: Points
     nearest: npt.NDArray[np.float32]
     trilinear: npt.NDArray[np.float32]
 
@@ -56,35 +56,13 @@ def scene() -> Scene:
     octree = build_octree(sample_n3tree(resolution=32), resolution=(24, 32, 17)).with_layout("compact")
     values = np.random.default_rng(0).random(octree.node_data.shape, np.float32)
     octree = SparseVoxelOctree(octree.size, octree.node_children, values, octree.data_format)
-    points = places(octree.size)
-    k = np.arange(COUNT) % octree.data_dim
+    points = in_grid(octree.size, octree.data_dim)
     at = points[:, :3].astype(np.float64)
-    found = [octree.sample(at, lookup=lookup)[np.arange(COUNT), k] for lookup in ("nearest", "trilinear")]
-    points[:, 3] = k
-    return Scene(octree, points, found[0], found[1])
-
-
-def places(size: tuple[int, ...]) -> npt.NDArray[np.float32]:
-    """Anywhere in and around the grid, on the borders of voxels, a hair beside them, and very far away."""
-    random = np.random.default_rng(1)
-    points = np.zeros((COUNT, 4), np.float32)
-    points[:, :3] = random.uniform(-3, np.array(size) + 3, (COUNT, 3))
-    whole = points[: COUNT // 3, :3]
-    whole[:] = np.floor(2 * whole) / 2
-    whole[::3] = np.nextafter(whole[::3], np.float32(np.inf))
-    whole[1::3] = np.nextafter(whole[1::3], np.float32(-np.inf))
-    whole[abs(whole) < 1e-30] *= 1e30  # processors may take the smallest numbers of all for 0
-    points[:8, :3] = [
-        [1e30, 0, 0],
-        [-1e30, 1, 1],
-        [0, 3e9, 0],
-        [0, -5e9, 0],
-        [0, 0, np.inf],
-        [-np.inf, 0, 0],
-        [-0.0] * 3,
-        size,
+    found = [
+        octree.sample(at, lookup=lookup)[np.arange(COUNT), points[:, 3].astype(int)]
+        for lookup in ("nearest", "trilinear")
     ]
-    return points
+    return Scene(octree, points, found[0], found[1])
 
 
 def test_every_voxel_is_what_the_program_finds(runner: Runner, scene: Scene) -> None:

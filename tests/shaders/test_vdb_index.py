@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from nerfbake import IndexGrid, Volume, save
 from nerfbake.scene.vdb_voxels import topology_of
-from tests.support.shaders import Runner
+from tests.support.places import COUNT, around, clouds
+from tests.support.shaders import Points, Runner
 
-COUNT, CHANNELS = 120_000, 7
+CHANNELS = 7
 # Of each point the row, number k of it, and the same between the centres of voxels, for k = w.
 CODES = {
     "glsl": """
@@ -43,21 +43,19 @@ CODES = {
 
 class Scene(NamedTuple):
     grid: IndexGrid
-    points: npt.NDArray[np.float32]
+    points: Points
     bound: dict[str, Any]
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Voxels in clouds about corners of root tiles, of signs of all kinds; every value another."""
-    random = np.random.default_rng(0)
-    middles = np.array([[0, 0, 0], [4096, -4096, 0], [-8192, 4100, 130], [9000, 9000, -9000]])
-    cloud = np.concatenate([middle + random.normal(0, 6, (1500, 3)) for middle in middles])
-    topology, _ = topology_of(np.unique(np.floor(cloud).astype(np.int64), axis=0))
-    grid = IndexGrid("index", topology, random.random((topology.m + 1, CHANNELS), np.float32))
+    """Every value another."""
+    topology, _ = topology_of(clouds())
+    table = np.random.default_rng(0).random((topology.m + 1, CHANNELS), np.float32)
+    grid = IndexGrid("index", topology, table)
     path = tmp_path_factory.mktemp("vdb") / "index.vdb.npz"
     save(path, Volume((grid,), np.eye(4)[:3]))
-    return Scene(grid, places(topology.coords), bound_of(path))
+    return Scene(grid, around(topology.coords, CHANNELS), bound_of(path))
 
 
 def bound_of(path: Path) -> dict[str, Any]:
@@ -67,23 +65,6 @@ def bound_of(path: Path) -> dict[str, Any]:
     pairs = {name: np.stack(each, axis=-1).reshape(-1, 2) for name, each in levels.items()}
     sizes = np.array([len(origin), table.shape[1]], np.int32)
     return {"sizes": sizes, "rootOrigin": origin.ravel(), **pairs, "table": table.ravel()}
-
-
-def places(coords: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """(COUNT, 4) about the voxels, on the borders between them and a hair beside, in tiles that are not there, and
-    very far away."""
-    random = np.random.default_rng(1)
-    points = np.zeros((COUNT, 4), np.float32)
-    points[:, :3] = random.choice(coords, COUNT) + random.uniform(-2, 2, (COUNT, 3))
-    points[COUNT // 2 : COUNT * 2 // 3, :3] *= 3
-    halves = points[: COUNT // 3, :3]
-    halves[:] = np.round(2 * halves) / 2
-    halves[::3] = np.nextafter(halves[::3], np.float32(np.inf))
-    halves[1::3] = np.nextafter(halves[1::3], np.float32(-np.inf))
-    halves[abs(halves) < 1e-30] *= 1e30  # processors may take the smallest numbers of all for 0
-    points[:4, :3] = [[1e30, 0, 0], [0, -3e9, 0], [0, 0, np.inf], [-0.0, -0.5, 0.5]]
-    points[:, 3] = np.arange(COUNT) % CHANNELS
-    return points
 
 
 def test_every_voxel_is_what_the_program_finds(runner: Runner, scene: Scene) -> None:

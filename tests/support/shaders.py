@@ -193,35 +193,29 @@ class Hlsl:
         self.folder, self.wgpu = folder, Wgsl()
         self.made: dict[str, tuple[bytes, dict[str, tuple[int, int]]]] = {}  # of a code: SPIR-V, and where names are
 
-    def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound, *includes: str | Path) -> Points:
-        source = f"""{text_of("hlsl", parts)}
+    def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound) -> Points:
+        code = f"""{text_of("hlsl", parts)}
             {code}
             StructuredBuffer<float4> points;
             RWStructuredBuffer<float4> result;
-            [numthreads({_GROUP}, 1, 1)] void main(uint3 id : SV_DispatchThreadID) {{
-                if (id.x < {len(points)}u) result[id.x] = answer(points[id.x]);
-            }}"""
-        if source not in self.made:
-            self.made[source] = self._compiled(source, [f"-I{path}" for path in includes])
-        return self.wgpu.dispatch(*self.made[source], points, bound)
+            {self.main(len(points))}"""
+        return self.wgpu.dispatch(*self.compiled(code), points, bound)
 
-    def _compiled(self, source: str, includes: list[str]) -> tuple[bytes, dict[str, tuple[int, int]]]:
-        (self.folder / "code.hlsl").write_text(source)
-        command = [
-            "glslangValidator",
-            "-D",
-            "-V",
-            "-e",
-            "main",
-            "-S",
-            "comp",
-            "--amb",
-            "-q",
-            "-o",
-            "code.spv",
-            *includes,
-        ]
-        done = subprocess.run([*command, "code.hlsl"], cwd=self.folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout
-        places = {name: (0, int(at)) for name, at in re.findall(r"^(\w+): .* binding (\d+)", done.stdout, re.MULTILINE)}
-        return (self.folder / "code.spv").read_bytes(), places
+    @staticmethod
+    def main(count: int) -> str:
+        return f"""[numthreads({_GROUP}, 1, 1)] void main(uint3 id : SV_DispatchThreadID) {{
+                if (id.x < {count}u) result[id.x] = answer(points[id.x]);
+            }}"""
+
+    def compiled(self, code: str) -> tuple[bytes, dict[str, tuple[int, int]]]:
+        """SPIR-V of a code with a main, and the group and the binding of each name; once of each code."""
+        if code not in self.made:
+            (self.folder / "code.hlsl").write_text(code)
+            command = ["glslangValidator", "-D", "-V", "-e", "main", "-S", "comp", "--amb", "-q", "-o", "code.spv"]
+            done = subprocess.run([*command, "code.hlsl"], cwd=self.folder, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stdout
+            names = re.findall(r"^(\w+): .* binding (\d+)", done.stdout, re.MULTILINE)
+            names += re.findall(r"(\w+) ?: ?register\([tu](\d+)\)", code)
+            places = {name: (0, int(at)) for name, at in names}
+            self.made[code] = (self.folder / "code.spv").read_bytes(), places
+        return self.made[code]
