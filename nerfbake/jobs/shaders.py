@@ -17,7 +17,7 @@ NEEDS = {  # what there is, and what has to stand before it
     "vdb_index": ("common",),
     "march": ("common", "harmonics"),
     "harmonics": (),
-    "atlas": (),
+    "atlas": ("common",),  # GLSL ES asks how precise a sampler is
     "mlp": ("common",),
     "world": (),
     "nanovdb": (),

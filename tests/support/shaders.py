@@ -20,6 +20,7 @@ import pytest
 
 HOME = files("nerfbake") / "shaders"
 LANGUAGES = ("glsl", "hlsl", "wgsl")
+VERSIONS = ("300 es", "330")  # of GLSL
 Points = npt.NDArray[np.float32]  # (n, 4)
 _WIDTH = 512  # texels in a line of a GLSL buffer
 _GROUP = 64  # points in a group of a compute shader
@@ -37,9 +38,12 @@ Bound = Mapping[str, npt.NDArray[Any] | Picture]
 
 
 class Runner(Protocol):
-    """What runs a language. run(): (n, 4) float32, what answer() makes of points (n, 4); parts are the files' names."""
+    """What runs a language. run(): (n, 4) float32, what answer() makes of points (n, 4); parts are the files' names.
+    compile() does no more than that, and raises where the files are wrong."""
 
     language: str
+
+    def compile(self, parts: Sequence[str]) -> None: ...
 
     def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound) -> Points: ...
 
@@ -66,19 +70,23 @@ class Glsl:
         self.context.gc_mode = "auto"
         self.filters = moderngl.NEAREST, moderngl.LINEAR
 
+    def compile(self, parts: Sequence[str]) -> None:
+        for version in VERSIONS:
+            main = "layout(location = 0) out highp vec4 result; void main() { result = vec4(1); }"
+            self._program(version, f"{text_of('glsl', parts)}\n{main}")
+
     def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound) -> Points:
         source = f"""{text_of("glsl", parts)}
             {code}
             uniform highp sampler2D points;
             layout(location = 0) out highp vec4 result;
             void main() {{ result = answer(texelFetch(points, ivec2(gl_FragCoord.xy), 0)); }}"""
-        found = [self._run(version, source, {"points": points, **bound}) for version in ("300 es", "330")]
+        found = [self._run(version, source, {"points": points, **bound}) for version in VERSIONS]
         np.testing.assert_array_equal(found[0], found[1])
         return found[0][: len(points)]
 
     def _run(self, version: str, source: str, bound: Bound) -> Points:
-        vertex = f"#version {version}\nin vec2 p; void main() {{ gl_Position = vec4(p, 0, 1); }}"
-        program = self.context.program(vertex_shader=vertex, fragment_shader=f"#version {version}\n{source}")
+        program = self._program(version, source)
         textures = [self._texture(array) for array in bound.values()]
         for unit, (name, texture) in enumerate(zip(bound, textures, strict=True)):
             if name in program:
@@ -90,6 +98,10 @@ class Glsl:
         corners = self.context.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32).tobytes())
         self.context.vertex_array(program, [(corners, "2f", "p")]).render()
         return np.frombuffer(target.read(components=4, dtype="f4"), np.float32).reshape(-1, 4)
+
+    def _program(self, version: str, source: str) -> Any:
+        vertex = f"#version {version}\nin vec2 p; void main() {{ gl_Position = vec4(p, 0, 1); }}"
+        return self.context.program(vertex_shader=vertex, fragment_shader=f"#version {version}\n{source}")
 
     def _texture(self, array: npt.NDArray[Any] | Picture) -> Any:
         texels = array.texels if isinstance(array, Picture) else in_lines(array)
@@ -119,6 +131,9 @@ class Wgsl:
         if not adapters:
             pytest.skip(f"no Vulkan here ({_DEBIAN})")
         self.device = adapters[0].request_device_sync(required_features=["float32-filterable"])
+
+    def compile(self, parts: Sequence[str]) -> None:
+        self.device.create_shader_module(code=text_of("wgsl", parts))
 
     def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound) -> Points:
         source = f"""{text_of("wgsl", parts)}
@@ -200,6 +215,9 @@ class Hlsl:
             RWStructuredBuffer<float4> result;
             {self.main(len(points))}"""
         return self.wgpu.dispatch(*self.compiled(code), points, bound)
+
+    def compile(self, parts: Sequence[str]) -> None:
+        self.compiled(text_of("hlsl", parts) + "\n[numthreads(1, 1, 1)] void main() {}")
 
     @staticmethod
     def main(count: int) -> str:
