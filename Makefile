@@ -26,7 +26,7 @@ setup: $(VENV)/ready  ## a virtual environment of our own, with everything that 
 READERS := flatbuffers-compiler capnproto python3-openvdb libopenvdb-tools libnanovdb-tools
 READERS += g++ libnanovdb-dev zlib1g-dev
 READERS += chromium $(if $(shell command -v npm),,nodejs npm)
-READERS += libegl-dev libgl-dev libgl1-mesa-dri
+READERS += libegl-dev libgl-dev libgl1-mesa-dri mesa-vulkan-drivers glslang-tools
 READERS += firefox-esr xvfb
 READERS += python3-torch
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
