@@ -214,7 +214,8 @@ as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON to st
 
 
 def writes_octree(*others: str) -> Callable[[Command], Command]:
-    """Adds what `writes` adds, for other scenes, too, and how an octree is spelled: --profile and --no-child."""
+    """Adds what `writes` adds, for other scenes, too, and how an octree is spelled: --profile, --voxel-type and
+    --no-child."""
 
     def add(function: Command) -> Command:
         @writes("SparseVoxelOctree", *others)
@@ -225,6 +226,12 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
             "  [default: bulk, but report for svo.pb]",
         )
         @click.option(
+            "--voxel-type",
+            type=click.Choice(["number", "struct"]),
+            help="What OUT calls the type of its values: number: float32 or float16; struct: the type of a whole voxel,"
+            " SH9Voxel and its like, in which each coefficient has a name.  [default: number]",
+        )
+        @click.option(
             "--no-child",
             type=click.Choice(["0", "-1"]),
             default="0",
@@ -233,8 +240,8 @@ def writes_octree(*others: str) -> Callable[[Command], Command]:
             help="The number that stands for 'no child' in OUT.",
         )
         @functools.wraps(function)
-        def command(*args: Any, target: Target, profile: str | None, **others: Any) -> Any:
-            return function(*args, target=target._replace(profile=profile), **others)
+        def command(*args: Any, target: Target, profile: str | None, voxel_type: str | None, **others: Any) -> Any:
+            return function(*args, target=target._replace(profile=profile, voxel_type=voxel_type), **others)
 
         return command
 

@@ -85,12 +85,14 @@ class Target(NamedTuple):
     to       the format; None: the one that the path's ending names
     force    replace a file that exists
     profile  of an octree's format: how it spells arrays; None: as is usual for the format
+    voxel_type  of an octree's format: whether it names the type of a number or that of a voxel; None: a number's
     """
 
     path: str
     to: str | None = None
     force: bool = False
     profile: str | None = None
+    voxel_type: str | None = None
 
     def require(self, scene: str, **options: Any) -> catalog.Format:
         """The format to write; an option of it that is None was not given.
@@ -109,7 +111,8 @@ class Target(NamedTuple):
         steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
 
     def _given(self, options: dict[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in {"profile": self.profile, **options}.items() if value is not None}
+        own = {"profile": self.profile, "voxel_type": self.voxel_type}
+        return {name: value for name, value in {**own, **options}.items() if value is not None}
 
 
 class FolderTarget(NamedTuple):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 
@@ -55,3 +57,22 @@ def guess_data_format(data_dim: int) -> str:
         return "RGBA"
     size, rest = divmod(data_dim - 1, 3)
     return f"SH{size}" if rest == 0 and size in SH_SIZES else ""
+
+
+def coefficient_names(basis: Basis) -> list[str]:
+    """What the B coefficients of a colour are called, in their order: f1_n1 stands for f1^-1, as a name cannot hold it.
+
+    >>> coefficient_names(parse_basis("SH4"))
+    ['f0_0', 'f1_n1', 'f1_0', 'f1_1']
+    """
+    if basis.kind != "SH":
+        return [f"lobe{i}" for i in range(basis.size)]
+    degrees = range(SH_SIZES.index(basis.size) + 1)
+    return [f"f{degree}_{'n' if m < 0 else ''}{abs(m)}" for degree in degrees for m in range(-degree, degree + 1)]
+
+
+def voxel_dtype(basis: Basis, number: np.dtype[Any]) -> np.dtype[Any]:
+    """A node's values by name, in the order in which they stand: red, green and blue, each with its coefficients, then
+    sigma. A colour of RGBA is one number."""
+    colour = number if basis.kind == "RGBA" else np.dtype([(name, number) for name in coefficient_names(basis)])
+    return np.dtype([("red", colour), ("green", colour), ("blue", colour), ("sigma", number)])

@@ -16,7 +16,7 @@ from nerfbake.kernels.octree.lookup import as_points, in_chunks, octree_values
 from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.soundness import all_finite, count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
-from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.basis import parse_basis, voxel_dtype
 from nerfbake.scene.rows import MadeOnce, NodeRows
 
 _PROVEN = 1 << 15  # rows at a time: temporaries stay in the cache, and memory bounded
@@ -141,6 +141,18 @@ class SparseVoxelOctree(Scene):
         for start in range(0, self.n, _PROVEN):
             sigma[start : start + _PROVEN] = rows[start : start + _PROVEN][:, -1]
         return sigma
+
+    @property
+    def voxels(self) -> npt.NDArray[Any]:
+        """(n,) node_data by name, a view: `voxels["red"]["f1_n1"]` is red's coefficient f1^-1, `voxels["sigma"]` the
+        density; the colours of RGBA are plain numbers. Raises InvalidScene where nobody knows what the values are.
+        Source: TR-24-01 (docs/sources.md), 5.1."""
+        if not self.data_format:
+            raise InvalidScene(
+                Problem("data_format", "is not known", "SHk, SGk, ASGk or RGBA, whose values have names")
+            )
+        rows = np.ascontiguousarray(self.node_data)
+        return rows.view(voxel_dtype(parse_basis(self.data_format), rows.dtype)).reshape(self.n)
 
     @property
     def level_sizes(self) -> list[int]:

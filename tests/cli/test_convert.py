@@ -64,6 +64,17 @@ def test_profiles_are_options_of_what_writes_octrees(command: str, tmp_path: Pat
         assert isinstance(json.loads(target.read_text())["node_data"], kind)
 
 
+@pytest.mark.parametrize("command", ["svo", "convert"])
+def test_the_type_of_voxels_is_written_on_request(command: str, tmp_path: Path) -> None:
+    save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
+    save(tmp_path / "a.svo.pb", small_octree())
+    source = str(tmp_path / ("a.npz" if command == "svo" else "a.svo.pb"))
+    for voxel_type, name in (("number", "google.protobuf.FloatValue"), ("struct", "svo.protobuf.SH4Voxel")):
+        target = tmp_path / f"{voxel_type}.svo.json"
+        assert run([command, source, str(target), "--voxel-type", voxel_type, "-q"]) == 0
+        assert json.loads(target.read_text())["type_url"] == f"type.googleapis.com/{name}"
+
+
 def test_the_default_of_svo_pb_is_listing_3_and_bulk_elsewhere(tmp_path: Path) -> None:
     save(tmp_path / "a.svo.npz", small_octree())
     for name, form in FORMATS.items():

@@ -61,8 +61,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         lambda out: jobs.compress_file("a.npz", f"{out}.svoq", goal=jobs.Goal(step=0.1), coding="deflate"),
     ),
     "convert": (
-        ["a.svo.pb", "OUT.svo.capnp", "--layout", "compact", "--no-child=-1"],
-        lambda out: jobs.convert_file("a.svo.pb", f"{out}.svo.capnp", layout="compact", no_child=-1),
+        ["a.svo.pb", "OUT.svo.capnp", "--layout", "compact", "--no-child=-1", "--voxel-type", "struct"],
+        lambda out: jobs.convert_file(
+            "a.svo.pb", jobs.Target(f"{out}.svo.capnp", voxel_type="struct"), layout="compact", no_child=-1
+        ),
     ),
     "compare": (
         ["a.npz", "a.svo.pb", "--size", "9x9", "--html", "OUT.html", "--min-psnr", "20"],

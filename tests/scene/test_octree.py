@@ -130,3 +130,23 @@ def test_a_world_that_nobody_can_calculate_with_keeps_an_octree_from_being_read(
     octree.origin[2] = value if abs(value) > 1 else -1e16
     (problem,) = octree.structure_problems()
     assert str(problem).startswith("origin[2] is ")
+
+
+def test_voxels_name_what_node_data_holds() -> None:
+    # SH4: red f0^0, f1^-1, f1^0, f1^1, then green, then blue, then sigma.
+    data = np.arange(26, dtype=np.float32).reshape(2, 13)
+    children = np.zeros((2, 8), np.int32)
+    children[0, 3] = 1
+    voxels = SparseVoxelOctree((2, 2, 2), children, data, "SH4").voxels
+    assert voxels["red"].dtype.names == ("f0_0", "f1_n1", "f1_0", "f1_1")
+    assert voxels["red"]["f1_n1"].tolist() == [1, 14]
+    assert voxels[1]["green"].tolist() == (17, 18, 19, 20)
+    assert voxels["blue"]["f1_1"].tolist() == [11, 24]
+    assert voxels["sigma"].tolist() == [12, 25]
+    assert np.shares_memory(voxels, data)
+    lobes = SparseVoxelOctree((1, 1, 1), children[:1] * 0, data[:1, :7].astype(np.float16), "SG2").voxels
+    assert (lobes.dtype.itemsize, lobes["blue"]["lobe1"].tolist()) == (14, [5])
+    plain = SparseVoxelOctree((1, 1, 1), children[:1] * 0, data[:1, :4], "RGBA").voxels
+    assert plain.tolist() == [(0, 1, 2, 3)]
+    with pytest.raises(InvalidScene, match="data_format is not known; allowed: SHk"):
+        SparseVoxelOctree((1, 1, 1), children[:1] * 0, data[:1, :5]).voxels.sum()

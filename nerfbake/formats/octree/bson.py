@@ -21,6 +21,7 @@ from nerfbake.formats.octree.fields import (
     require_size,
     small_fields,
 )
+from nerfbake.formats.octree.type_urls import VoxelType
 from nerfbake.formats.wire.bson import (
     ARRAY,
     DOCUMENT,
@@ -43,12 +44,16 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(
-    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+    octree: SparseVoxelOctree,
+    *,
+    no_child: NoChild = 0,
+    profile: Profile = "bulk",
+    voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
     """The document in pieces. Raises InvalidScene above BSON's 2 GiB."""
     children = Large.of("node_children", octree.node_children, INT32, blob=profile == "bulk")
     data = Large.of("node_data", octree.node_data, DOUBLE, blob=profile == "bulk")
-    size, head = document_head(small_fields(octree), children, data)
+    size, head = document_head(small_fields(octree, voxel_type), children, data)
     require_size("svo.bson", size, MAX_2GIB, "BSON's limit")
     yield head
     yield from children.pieces(children_with(octree.node_children, no_child))

@@ -16,6 +16,7 @@ import numpy as np
 
 from nerfbake.contract import HEAD
 from nerfbake.formats.octree.fields import NoChild, Profile, children_with, octree_of, small_fields
+from nerfbake.formats.octree.type_urls import VoxelType
 from nerfbake.formats.wire.blob import array_fields, blob_in
 from nerfbake.formats.wire.capnp import Field, Message, write_struct
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -35,10 +36,14 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(
-    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+    octree: SparseVoxelOctree,
+    *,
+    no_child: NoChild = 0,
+    profile: Profile = "bulk",
+    voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
     """The message in pieces. Raises InvalidScene for an array that a Cap'n Proto list cannot count."""
-    small = small_fields(octree)
+    small = small_fields(octree, voxel_type)
     children, data = children_with(octree.node_children, no_child), octree.node_data
     report = profile == "report"
     fields: list[Field] = [

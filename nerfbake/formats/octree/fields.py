@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.octree.type_urls import VoxelType, named_format, stored_dtype, type_url_of
 from nerfbake.formats.wire.blob import Blob
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.soundness import all_finite
@@ -29,10 +30,6 @@ from nerfbake.scene.octree import SparseVoxelOctree
 Profile = Literal["report", "bulk"]
 NoChild = Literal[0, -1]
 
-TYPE_URLS = {
-    "float32": "type.googleapis.com/google.protobuf.FloatValue",
-    "float16": "type.googleapis.com/svo.protobuf.Float16Value",
-}
 MAX_2GIB = 2**31 - 1
 SMALL_SIZE = 1 << 20  # more than all small fields and a format's own bytes can take
 
@@ -42,10 +39,10 @@ def children_with(children: npt.NDArray[np.int32], no_child: int) -> npt.NDArray
     return children if no_child == 0 else np.where(children == 0, np.int32(no_child), children)
 
 
-def small_fields(octree: SparseVoxelOctree) -> dict[str, Any]:
+def small_fields(octree: SparseVoxelOctree, voxel_type: VoxelType = "number") -> dict[str, Any]:
     """Every field but the two large arrays, as Python's own types."""
     fields = {
-        "type_url": TYPE_URLS[octree.node_rows.dtype.name],
+        "type_url": type_url_of(octree, voxel_type),
         **dict(zip(("width", "height", "depth"), octree.size, strict=True)),
         "data_format": octree.data_format,
         "data_dim": octree.data_dim,
@@ -79,10 +76,8 @@ def octree_of(fields: Mapping[str, Any]) -> SparseVoxelOctree:
     node_children and node_data are a Blob, a list of numbers or a flat array; text is str, small arrays are lists or
     arrays. Raises InvalidFile for what cannot be; a wrong topology is left for the scene to report.
     """
-    type_url = _text(fields, "type_url") or TYPE_URLS["float32"]
-    if type_url not in TYPE_URLS.values():
-        raise InvalidFile(Problem("type_url", f"is {type_url[:80]!r}", " or ".join(TYPE_URLS.values())))
-    dtype = np.dtype("<f4" if type_url == TYPE_URLS["float32"] else "<f2")
+    type_url = _text(fields, "type_url")
+    dtype = stored_dtype(type_url)
     children = _large(fields, "node_children", np.dtype("<i4"))
     if children.size % 8:
         raise InvalidFile(Problem("node_children", f"has {children.size:,} numbers", "a multiple of 8"))
@@ -97,7 +92,7 @@ def octree_of(fields: Mapping[str, Any]) -> SparseVoxelOctree:
         raise InvalidFile(Problem("node_data", found, f"a multiple of {n:,}, not 0"))
     if (declared := _whole(fields, "data_dim")) not in (0, data_dim):
         raise InvalidFile(Problem("data_dim", f"is {declared}", f"{data_dim}, as many values as a node has"))
-    data_format = _text(fields, "data_format")
+    data_format = named_format(type_url, _text(fields, "data_format"))
     octree = assemble(
         size=(_whole(fields, "width"), _whole(fields, "height"), _whole(fields, "depth")),
         children=children.reshape(-1, 8),

@@ -22,6 +22,7 @@ from nerfbake.formats.octree.fields import (
     require_size,
     small_fields,
 )
+from nerfbake.formats.octree.type_urls import VoxelType
 from nerfbake.formats.wire.blob import array_fields, blob_in
 from nerfbake.formats.wire.flatbuffers import Field, Table, write_table
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -35,13 +36,17 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(
-    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+    octree: SparseVoxelOctree,
+    *,
+    no_child: NoChild = 0,
+    profile: Profile = "bulk",
+    voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
     """The file in pieces. Raises InvalidScene above FlatBuffers' 2 GiB."""
     widened = 4 if profile == "report" else octree.node_data.itemsize
     size = octree.node_children.nbytes + octree.node_data.size * widened + SMALL_SIZE
     require_size("svo.fb", size, MAX_2GIB, "FlatBuffers' limit")
-    small = small_fields(octree)
+    small = small_fields(octree, voxel_type)
     children, data = children_with(octree.node_children, no_child), octree.node_data
     report = profile == "report"
     fields: list[Field] = [

@@ -21,6 +21,7 @@ from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import NoChild, Profile, children_with, octree_of, require_finite, small_fields
+from nerfbake.formats.octree.type_urls import VoxelType
 from nerfbake.formats.wire.blob import Blob, blob_of
 from nerfbake.formats.wire.json import parse_object
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -40,12 +41,16 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(
-    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "bulk"
+    octree: SparseVoxelOctree,
+    *,
+    no_child: NoChild = 0,
+    profile: Profile = "bulk",
+    voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
     """The object in pieces. Raises InvalidScene for a NaN or an infinity that JSON cannot say."""
     require_finite(octree, "svo.json", node_data=profile == "report")
     pieces = _list if profile == "report" else _blob
-    yield orjson.dumps(small_fields(octree))[:-1]
+    yield orjson.dumps(small_fields(octree, voxel_type))[:-1]
     yield b',"node_children":'
     yield from pieces(children_with(octree.node_children, no_child))
     yield b',"node_data":'

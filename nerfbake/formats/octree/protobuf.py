@@ -16,13 +16,13 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import (
     MAX_2GIB,
     SMALL_SIZE,
-    TYPE_URLS,
     NoChild,
     Profile,
     children_with,
     octree_of,
     require_size,
 )
+from nerfbake.formats.octree.type_urls import VoxelType, stored_dtype, type_url_of
 from nerfbake.formats.wire.blob import Blob, blob_of, row_pieces
 from nerfbake.formats.wire.protobuf import Message, bytes_field, bytes_head, floats_in, number_field
 from nerfbake.kernels.coding.varint import encode_varints, varint_sizes
@@ -39,7 +39,11 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(
-    octree: SparseVoxelOctree, *, no_child: NoChild = 0, profile: Profile = "report"
+    octree: SparseVoxelOctree,
+    *,
+    no_child: NoChild = 0,
+    profile: Profile = "report",
+    voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
     """The message in pieces, fields in the order of their numbers. Raises InvalidScene above protobuf's 2 GiB.
 
@@ -51,7 +55,7 @@ def encode(
     sizes = (varint_sizes(children_with(chunk, no_child)) for chunk in chunks)
     children_size = sum(sizes) if profile == "report" else flat.nbytes
     require_size("svo.pb", children_size + octree.node_rows.nbytes + SMALL_SIZE, MAX_2GIB, "protobuf's limit")
-    yield bytes_field(1, TYPE_URLS[octree.node_rows.dtype.name].encode())
+    yield bytes_field(1, type_url_of(octree, voxel_type).encode())
     for number, edge in enumerate(octree.size, start=2):
         yield number_field(number, edge)
     if children_size and profile == "report":
@@ -80,7 +84,6 @@ def decode(view: memoryview) -> SparseVoxelOctree:
         if len(children):
             raise InvalidFile(Problem("message", "has fields 5 and 13", "the children once"))
         children = Blob("<i4", (len(bulk) // 32, 8), bulk)
-    dtype = "<f2" if message.text(1) == TYPE_URLS["float16"] else "<f4"
     return octree_of(
         {
             "type_url": message.text(1),
@@ -88,7 +91,7 @@ def decode(view: memoryview) -> SparseVoxelOctree:
             "height": message.number(3),
             "depth": message.number(4),
             "node_children": children,
-            "node_data": floats_in(message.last(6), "node_data", dtype),
+            "node_data": floats_in(message.last(6), "node_data", stored_dtype(message.text(1)).str),
             "data_format": message.text(7),
             "data_dim": message.number(8),
             "level_sizes": message.whole_numbers(9, "level_sizes"),

@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.octree import capnp as octree_capnp
-from nerfbake.formats.octree.fields import TYPE_URLS
+from nerfbake.formats.octree.type_urls import TYPE_URLS
 from nerfbake.formats.wire import capnp as wire_capnp
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.octrees import read, small_octree, written

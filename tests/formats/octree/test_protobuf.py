@@ -17,7 +17,7 @@ from numpy.testing import assert_array_equal
 from nerfbake import build_octree
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.octree import protobuf as octree_protobuf
-from nerfbake.formats.octree.fields import TYPE_URLS
+from nerfbake.formats.octree.type_urls import TYPE_URLS
 from nerfbake.kernels.coding.varint import encode_varints
 from nerfbake.memory import memory_limit
 from nerfbake.scene.octree import SparseVoxelOctree
