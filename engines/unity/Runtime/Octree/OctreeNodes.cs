@@ -1,0 +1,167 @@
+using System;
+
+namespace Nerfbake
+{
+    /// <summary>
+    /// The nodes of a sparse voxel octree, and the way down to one, as TR-24-01 has them: listing 1, and what
+    /// docs/formats/octree.md says beyond it. Right-handed; octant = x + 2y + 4z, 1 being the upper half. A node without
+    /// any child is a leaf and fills its cube; in a node that has children, an octant without one is empty.
+    /// </summary>
+    public class OctreeNodes
+    {
+        public const int MaxSize = 4096;
+
+        public int Width { get; private set; }
+        public int Height { get; private set; }
+        public int Depth { get; private set; }
+
+        /// <summary>Eight a node, 0 where there is no child. Nodes of the last level may have none (`compact`).</summary>
+        public int[] NodeChildren { get; private set; }
+
+        /// <summary>How many nodes there are; every one of them has values.</summary>
+        public int Count { get; private set; }
+
+        /// <summary>How many nodes each level has, the root's first.</summary>
+        public int[] LevelSizes { get; private set; }
+
+        /// <summary>The level whose nodes are single voxels: the root's cube has 2^GridLevel voxels an edge.</summary>
+        public int GridLevel { get; private set; }
+
+        /// <summary>world = origin + voxel * voxelSize; voxel (0, 0, 0) starts at origin.</summary>
+        public double[] Origin { get; private set; }
+
+        public double[] VoxelSize { get; private set; }
+
+        /// <summary>Proves the table sound: every node but the root is one node's child, once, and lies on a level that
+        /// the grid has. Throws OctreeException.</summary>
+        protected OctreeNodes(int[] size, int[] children, int count, double[] origin, double[] voxelSize)
+        {
+            for (int axis = 0; axis < 3; axis++)
+                if (size[axis] < 1 || size[axis] > MaxSize)
+                    throw new OctreeException("size", "is " + string.Join("x", size), "1 to 4096 voxels an axis");
+            Width = size[0];
+            Height = size[1];
+            Depth = size[2];
+            while (1 << GridLevel < Math.Max(Width, Math.Max(Height, Depth)))
+                GridLevel++;
+            if (children.Length % 8 != 0 || children.Length / 8 > count)
+                throw new OctreeException("node_children", "has " + children.Length + " numbers", "8 for each of " + count + " nodes at most");
+            NodeChildren = children;
+            Count = count;
+            Origin = origin;
+            VoxelSize = voxelSize;
+            LevelSizes = Levels();
+        }
+
+        protected OctreeNodes(OctreeNodes other)
+        {
+            Width = other.Width;
+            Height = other.Height;
+            Depth = other.Depth;
+            GridLevel = other.GridLevel;
+            NodeChildren = other.NodeChildren;
+            Count = other.Count;
+            Origin = other.Origin;
+            VoxelSize = other.VoxelSize;
+            LevelSizes = other.LevelSizes;
+        }
+
+        private int[] Levels()
+        {
+            int[] sizes = new int[GridLevel + 1], met = new int[Count];
+            bool[] seen = new bool[Count];
+            int begin = 0, end = 1, level = 0;
+            seen[0] = true;
+            for (; begin < end; level++)
+            {
+                if (level > GridLevel)
+                    throw new OctreeException("node_children", "has more than " + GridLevel + " levels below the root", "as many as the size has");
+                sizes[level] = end - begin;
+                int last = end;
+                for (; begin < last; begin++)
+                    end = MeetChildren(met[begin], met, end, seen);
+            }
+            if (end < Count)
+                throw new OctreeException("node_children", "leads to " + end + " of " + Count + " nodes", "a way from the root to every node");
+            Array.Resize(ref sizes, level);
+            return sizes;
+        }
+
+        private int MeetChildren(int node, int[] met, int end, bool[] seen)
+        {
+            for (int slot = 8 * node; slot < 8 * node + 8 && slot < NodeChildren.Length; slot++)
+            {
+                int child = NodeChildren[slot];
+                if (child == 0)
+                    continue;
+                if (child < 0 || child >= Count)
+                    throw new OctreeException("node_children[" + node + "]", "points to node " + child, "0 to " + (Count - 1) + ", or -1");
+                if (seen[child])
+                    throw new OctreeException("node_children[" + node + "]", "points to node " + child + ", which has a parent already", "one parent each");
+                seen[child] = true;
+                met[end++] = child;
+            }
+            return end;
+        }
+
+        /// <summary>The node that fills the cube around a voxel; -1 for empty space and outside the grid.</summary>
+        public int NodeAt(int x, int y, int z)
+        {
+            if (x < 0 || y < 0 || z < 0 || x >= Width || y >= Height || z >= Depth)
+                return -1;
+            int node = 0;
+            for (int shift = GridLevel - 1; shift >= 0; shift--)
+            {
+                int first = 8 * node;
+                if (first >= NodeChildren.Length)
+                    return node;
+                int child = NodeChildren[first + (x >> shift & 1) + 2 * (y >> shift & 1) + 4 * (z >> shift & 1)];
+                if (child == 0)
+                    return HasChildren(first) ? -1 : node;
+                node = child;
+            }
+            return node;
+        }
+
+        private bool HasChildren(int first)
+        {
+            for (int slot = first; slot < first + 8; slot++)
+                if (NodeChildren[slot] != 0)
+                    return true;
+            return false;
+        }
+
+        /// <summary>The node around a point in voxels; -1 for empty space, outside the grid, and NaN.</summary>
+        public int NearestNode(float x, float y, float z)
+        {
+            if (!(x >= 0 && y >= 0 && z >= 0 && x < Width && y < Height && z < Depth))
+                return -1;
+            return NodeAt((int)x, (int)y, (int)z);
+        }
+
+        /// <summary>
+        /// Of the eight voxels whose centres surround a point in voxels, those that are not empty: their nodes and their
+        /// weights, into arrays of eight; how many there are. All weights, those of empty ones too, add up to 1.
+        /// </summary>
+        public int Neighbours(float x, float y, float z, int[] nodes, float[] weights)
+        {
+            float sx = x - 0.5f, sy = y - 0.5f, sz = z - 0.5f;
+            if (!(sx > -1 && sy > -1 && sz > -1 && sx < Width && sy < Height && sz < Depth))
+                return 0;
+            int lowX = (int)Math.Floor(sx), lowY = (int)Math.Floor(sy), lowZ = (int)Math.Floor(sz);
+            float farX = sx - lowX, farY = sy - lowY, farZ = sz - lowZ;
+            int count = 0;
+            for (int corner = 0; corner < 8; corner++)
+            {
+                int dx = corner & 1, dy = corner >> 1 & 1, dz = corner >> 2;
+                float weight = (dx == 1 ? farX : 1 - farX) * (dy == 1 ? farY : 1 - farY) * (dz == 1 ? farZ : 1 - farZ);
+                int node = weight > 0 ? NodeAt(lowX + dx, lowY + dy, lowZ + dz) : -1;
+                if (node < 0)
+                    continue;
+                nodes[count] = node;
+                weights[count++] = weight;
+            }
+            return count;
+        }
+    }
+}

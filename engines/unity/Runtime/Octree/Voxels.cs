@@ -1,0 +1,92 @@
+using System.Runtime.InteropServices;
+
+// A node's floats with names: the messages of schemas/voxels.proto. F1_n1 is the coefficient f1^-1: degree 1, order -1.
+namespace Nerfbake
+{
+    /// <summary>Coefficients of one colour: 1 spherical harmonic.</summary>
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH1
+    {
+        public float F0_0;
+    }
+
+    /// <summary>Coefficients of one colour: 4 spherical harmonics.</summary>
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH4
+    {
+        public float F0_0;
+        public float F1_n1, F1_0, F1_1;
+    }
+
+    /// <summary>Coefficients of one colour: 9 spherical harmonics.</summary>
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH9
+    {
+        public float F0_0;
+        public float F1_n1, F1_0, F1_1;
+        public float F2_n2, F2_n1, F2_0, F2_1, F2_2;
+    }
+
+    /// <summary>Coefficients of one colour: 16 spherical harmonics.</summary>
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH16
+    {
+        public float F0_0;
+        public float F1_n1, F1_0, F1_1;
+        public float F2_n2, F2_n1, F2_0, F2_1, F2_2;
+        public float F3_n3, F3_n2, F3_n1, F3_0, F3_1, F3_2, F3_3;
+    }
+
+    /// <summary>Coefficients of one colour: 25 spherical harmonics.</summary>
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH25
+    {
+        public float F0_0;
+        public float F1_n1, F1_0, F1_1;
+        public float F2_n2, F2_n1, F2_0, F2_1, F2_2;
+        public float F3_n3, F3_n2, F3_n1, F3_0, F3_1, F3_2, F3_3;
+        public float F4_n4, F4_n3, F4_n2, F4_n1, F4_0, F4_1, F4_2, F4_3, F4_4;
+    }
+
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH1Voxel
+    {
+        public SH1 Red, Green, Blue;
+        public float Sigma;
+    }
+
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH4Voxel
+    {
+        public SH4 Red, Green, Blue;
+        public float Sigma;
+    }
+
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH9Voxel
+    {
+        public SH9 Red, Green, Blue;
+        public float Sigma;
+    }
+
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH16Voxel
+    {
+        public SH16 Red, Green, Blue;
+        public float Sigma;
+    }
+
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct SH25Voxel
+    {
+        public SH25 Red, Green, Blue;
+        public float Sigma;
+    }
+
+    /// <summary>Colours that look the same from everywhere.</summary>
+    [StructLayout(LayoutKind.Sequential, Pack = 4)]
+    public struct RGBAVoxel
+    {
+        public float Red, Green, Blue, Sigma;
+    }
+}
