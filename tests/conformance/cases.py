@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
-from tests.conformance import atlases, cameras, compressed, lattices, meshes, n3trees, octrees, pictures, volumes
+from tests.conformance import (
+    atlases,
+    cameras,
+    compressed,
+    lattices,
+    meshes,
+    n3trees,
+    octrees,
+    pictures,
+    volumes,
+    voxels,
+)
 
 CASES = [
     case
-    for family in (octrees, compressed, n3trees, volumes, pictures, cameras, meshes, atlases, lattices)
+    for family in (octrees, voxels, compressed, n3trees, volumes, pictures, cameras, meshes, atlases, lattices)
     for case in family.cases()
 ]

@@ -95,27 +95,27 @@ def cases() -> Iterator[Case]:
         if name == "full_float32":
             frozen[f"octree/{name}.svo.pb.zst"] = Frozen(form_named("svo.pb"), octree, compressed=True)
         about = f"A sparse voxel octree, {octree.node_data.dtype}, {octree.layout} layout."
-        yield Case(f"octree/{name}", about, frozen, facts_of(name, octree), answer)
+        yield Case(f"octree/{name}", about, frozen, facts_of(octree, LEVEL_SIZES.get(name, [1, 2, 3])), answer)
 
 
 def path_of(name: str, profile: str | None, scene: str) -> str:
     return f"octree/{scene}{f'_{profile}' if profile else ''}.{name}"
 
 
-def facts_of(name: str, octree: SparseVoxelOctree) -> Facts:
+def facts_of(octree: SparseVoxelOctree, level_sizes: list[int]) -> Facts:
     return {
         "size": list(octree.size),
         "layout": "compact" if len(octree.node_children) < len(octree.node_data) else "full",
         "data_format": octree.data_format,
         "data_dim": octree.node_data.shape[1],
         "dtype": str(octree.node_data.dtype),
-        "level_sizes": LEVEL_SIZES.get(name, [1, 2, 3]),
+        "level_sizes": level_sizes,
         "origin": floats(octree.origin),
         "voxel_size": floats(octree.voxel_size),
         "node_children": floats(octree.node_children),
         "node_data": floats(octree.node_data),
         "extra_data": floats(octree.extra_data),
-        "lookups": [_lookup(octree, place) for place in PLACES],
+        "lookups": [lookup_of(octree, place) for place in PLACES],
     }
 
 
@@ -143,7 +143,7 @@ def answer(path: Path, expected: Facts) -> Facts:
 
 
 # -- lookups, one voxel after the other ------------------------------------------------------------------------
-def _lookup(octree: SparseVoxelOctree, place: tuple[float, ...]) -> Facts:
+def lookup_of(octree: SparseVoxelOctree, place: tuple[float, ...]) -> Facts:
     point = [float(o) + p * float(v) for o, p, v in zip(octree.origin, place, octree.voxel_size, strict=True)]
     trilinear = [0.0] * octree.node_data.shape[1]
     low = [math.floor(p - 0.5) for p in place]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
+import textwrap
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +21,7 @@ from tests.conformance.cases import CASES
 from tests.conformance.octrees import path_of
 from tests.conformance.packing import packed_by, unpacked
 from tests.conformance.volumes import scenes as volume_scenes
+from tests.conformance.voxels import harmonics
 from tests.support.octrees import SPELLINGS
 
 FILES = [(case, name) for case in CASES for name in case.files]
@@ -83,7 +86,7 @@ def test_every_folder_that_is_written_has_a_frozen_one(scene: str) -> None:
 def test_the_frozen_files_are_small() -> None:
     sizes = [path.stat().st_size for path in HOME.rglob("*") if path.is_file()]
     assert max(sizes) < 40_000
-    assert sum(sizes) < 800_000
+    assert sum(sizes) < 900_000
 
 
 def test_every_spelling_of_every_octree_is_frozen() -> None:
@@ -140,6 +143,31 @@ def test_an_atlas_is_looked_up_by_hand() -> None:
     assert first["nearest"] == [byte / 255 for byte in bytes_]
     # The published metric takes texel int(uv (R - 1)): the first one.
     assert first["thesis"] == [37 * (36 + channel) % 251 / 255 for channel in range(3)]
+
+
+def test_harmonics_by_hand() -> None:
+    # Straight up only those of order 0 are left: half of sqrt(1 / pi), sqrt(3 / pi), sqrt(5 / pi).
+    up = harmonics(9, [0.0, 0.0, 1.0])
+    expected = {0: 0.28209479, 2: 0.48860251, 6: 0.63078313}
+    assert up == pytest.approx([expected.get(i, 0) for i in range(9)])
+    # svox keeps the phase: along x the fourth is below 0, along y the second.
+    assert harmonics(4, [1.0, 0.0, 0.0])[3] == pytest.approx(-0.48860251)
+    assert harmonics(4, [0.0, 1.0, 0.0])[1] == pytest.approx(-0.48860251)
+
+
+def test_the_page_for_authors_of_readers_has_a_test_that_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(HOME)
+    blocks = re.findall(r"(?:^    .*\n|^\n)+", (HOME.parent / "readers.md").read_text(), re.MULTILINE)
+    block = max(blocks, key=len)
+    exec(textwrap.dedent(block), {})
+    checked = int(capsys.readouterr().out.split()[0])
+    assert checked == sum(len(case.facts["lookups"]) * npz_files(case) for case in CASES if "node_data" in case.facts)
+
+
+def npz_files(case: Case) -> int:
+    return sum(frozen.form.name == "svo.npz" for frozen in case.files.values())
 
 
 # -- what the comparisons above are worth ----------------------------------------------------------------------

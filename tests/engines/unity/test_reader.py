@@ -62,10 +62,9 @@ def looked_up(reader: Reader, path: Path, expected: dict[str, Any]) -> list[dict
     if "direction" in lookups[0]:
         directions = np.array([each["direction"] for each in lookups])
         asked = np.concatenate([points, directions], axis=1).astype(np.float32)
-        for answer, told, colour in zip(
-            answers, lookups, reader.asked("colours", path, asked).reshape(-1, 3).tolist(), strict=True
-        ):
-            answer |= {"direction": told["direction"], "colour": colour}
+        colours = reader.asked("colours", path, asked).reshape(-1, 3).tolist()
+        for answer, told, colour in zip(answers, lookups, colours, strict=True):
+            answer |= {"direction": told["direction"], "colour": colour if any(answer["nearest"]) else None}
     return answers
 
 
