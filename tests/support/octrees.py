@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from nerfbake import build_octree, catalog
@@ -38,3 +39,16 @@ def small_octree(dtype: Any = np.float32) -> SparseVoxelOctree:
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=dtype, invradius=np.array([0.5, 0.25, 0.125]))
     octree = build_octree(tree, dtype=np.dtype(dtype).name)
     return replace(octree, node_data=np.round(octree.node_data * 8) / 8)
+
+
+def points_around(octree: SparseVoxelOctree, count: int) -> npt.NDArray[np.float32]:
+    """In voxels: so many anywhere, and three quarters of that on faces and a hair beside them, outside, negative, and
+    what is no number."""
+    random, size = np.random.default_rng(0), np.array(octree.size)
+    anywhere = random.uniform(-1.5, size + 1.5, (count, 3)).astype(np.float32)
+    faces = random.integers(-1, size + 2, (count // 4, 3)).astype(np.float32)
+    beside = np.nextafter(faces, random.choice(np.array([-np.inf, np.inf], np.float32), faces.shape))
+    odd = np.array(np.meshgrid(*[[-0.0, 1e-45, -1e-45, 3e9, -3e9, np.inf, -np.inf, np.nan, 1.5]] * 3), np.float32)
+    # Only one coordinate of these lies on a face.
+    mixed = np.where(random.integers(0, 3, (len(faces), 1)) == np.arange(3), faces, anywhere[: len(faces)])
+    return np.concatenate([anywhere, faces, beside, mixed, odd.reshape(3, -1).T])

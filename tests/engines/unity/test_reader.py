@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from nerfbake import build_octree, load, save
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conformance.case import HOME, require_like
 from tests.support.csharp import Reader, csharp_reader
+from tests.support.octrees import points_around
 from tests.support.scenes import n3tree
 
 pytestmark = pytest.mark.tools
@@ -69,18 +69,6 @@ def looked_up(reader: Reader, path: Path, expected: dict[str, Any]) -> list[dict
 
 
 # -- many points -----------------------------------------------------------------------------------------------
-def points_around(octree: SparseVoxelOctree) -> npt.NDArray[np.float32]:
-    """In voxels: anywhere, on faces, a hair beside them, outside, negative, and what is no number."""
-    random, size = np.random.default_rng(0), np.array(octree.size)
-    anywhere = random.uniform(-1.5, size + 1.5, (POINTS, 3)).astype(np.float32)
-    faces = random.integers(-1, size + 2, (POINTS // 4, 3)).astype(np.float32)
-    beside = np.nextafter(faces, random.choice(np.array([-np.inf, np.inf], np.float32), faces.shape))
-    odd = np.array(np.meshgrid(*[[-0.0, 1e-45, -1e-45, 3e9, -3e9, np.inf, -np.inf, np.nan, 1.5]] * 3), np.float32)
-    # Only one coordinate of these lies on a face.
-    mixed = np.where(random.integers(0, 3, (len(faces), 1)) == np.arange(3), faces, anywhere[: len(faces)])
-    return np.concatenate([anywhere, faces, beside, mixed, odd.reshape(3, -1).T])
-
-
 @pytest.fixture(scope="module")
 def kinds() -> dict[str, SparseVoxelOctree]:
     """A box of voxels of three sizes, one compact octree of halves, and one of a single voxel."""
@@ -100,7 +88,7 @@ def test_a_hundred_thousand_points_give_the_same_voxels(
 ) -> None:
     octree = kinds[kind]
     save(tmp_path / "a.svo.pb", octree, no_child=-1 if kind == "box" else 0)
-    points = points_around(octree)
+    points = points_around(octree, POINTS)
     assert len(points) > 100_000
     found = reader.asked("look up", tmp_path / "a.svo.pb", points).reshape(2, len(points), octree.data_dim)
     nearest = octree.sample(points.astype(np.float64))
