@@ -10,6 +10,7 @@ import numpy as np
 from nerfbake.errors import InvalidScene, Problem
 
 SH_SIZES = (1, 4, 9, 16, 25)
+_SIGNS = {-1: "m", 0: "", 1: "p"}  # as the shaders call coefficients, too
 
 
 class Basis(NamedTuple):
@@ -60,15 +61,15 @@ def guess_data_format(data_dim: int) -> str:
 
 
 def coefficient_names(basis: Basis) -> list[str]:
-    """What the B coefficients of a colour are called, in their order: f1_n1 stands for f1^-1, as a name cannot hold it.
+    """What the B coefficients of a colour are called, in their order: f1_m1 stands for f1^-1, as a name cannot hold it.
 
     >>> coefficient_names(parse_basis("SH4"))
-    ['f0_0', 'f1_n1', 'f1_0', 'f1_1']
+    ['f0_0', 'f1_m1', 'f1_0', 'f1_p1']
     """
     if basis.kind != "SH":
         return [f"lobe{i}" for i in range(basis.size)]
     degrees = range(SH_SIZES.index(basis.size) + 1)
-    return [f"f{degree}_{'n' if m < 0 else ''}{abs(m)}" for degree in degrees for m in range(-degree, degree + 1)]
+    return [f"f{degree}_{_SIGNS[(m > 0) - (m < 0)]}{abs(m)}" for degree in degrees for m in range(-degree, degree + 1)]
 
 
 def voxel_dtype(basis: Basis, number: np.dtype[Any]) -> np.dtype[Any]:

@@ -144,7 +144,7 @@ class SparseVoxelOctree(Scene):
 
     @property
     def voxels(self) -> npt.NDArray[Any]:
-        """(n,) node_data by name, a view: `voxels["red"]["f1_n1"]` is red's coefficient f1^-1, `voxels["sigma"]` the
+        """(n,) node_data by name, a view: `voxels["red"]["f1_m1"]` is red's coefficient f1^-1, `voxels["sigma"]` the
         density; the colours of RGBA are plain numbers. Raises InvalidScene where nobody knows what the values are.
         Source: TR-24-01 (docs/sources.md), 5.1."""
         if not self.data_format:

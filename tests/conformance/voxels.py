@@ -126,7 +126,7 @@ def harmonics(count: int, direction: list[float]) -> list[float]:
 
 def legendre(degree: int, m: int, z: float) -> float:
     """Legendre's associated function, by the usual recurrence in the degree."""
-    below, here = 0.0, (-1) ** m * math.prod(range(1, 2 * m, 2)) * (1 - z * z) ** (m / 2)
+    below, here = 0.0, float((-1) ** m * math.prod(range(1, 2 * m, 2)) * (1 - z * z) ** (m / 2))
     for k in range(m + 1, degree + 1):
         below, here = here, ((2 * k - 1) * z * here - (k + m - 1) * below) / (k - m)
     return here

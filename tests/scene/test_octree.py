@@ -138,10 +138,10 @@ def test_voxels_name_what_node_data_holds() -> None:
     children = np.zeros((2, 8), np.int32)
     children[0, 3] = 1
     voxels = SparseVoxelOctree((2, 2, 2), children, data, "SH4").voxels
-    assert voxels["red"].dtype.names == ("f0_0", "f1_n1", "f1_0", "f1_1")
-    assert voxels["red"]["f1_n1"].tolist() == [1, 14]
+    assert voxels["red"].dtype.names == ("f0_0", "f1_m1", "f1_0", "f1_p1")
+    assert voxels["red"]["f1_m1"].tolist() == [1, 14]
     assert voxels[1]["green"].tolist() == (17, 18, 19, 20)
-    assert voxels["blue"]["f1_1"].tolist() == [11, 24]
+    assert voxels["blue"]["f1_p1"].tolist() == [11, 24]
     assert voxels["sigma"].tolist() == [12, 25]
     assert np.shares_memory(voxels, data)
     lobes = SparseVoxelOctree((1, 1, 1), children[:1] * 0, data[:1, :7].astype(np.float16), "SG2").voxels

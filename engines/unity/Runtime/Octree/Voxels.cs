@@ -1,6 +1,6 @@
 using System.Runtime.InteropServices;
 
-// A node's floats with names: the messages of schemas/voxels.proto. F1_n1 is the coefficient f1^-1: degree 1, order -1.
+// A node's floats with names: the messages of schemas/voxels.proto. F1_m1 is the coefficient f1^-1: degree 1, order -1.
 namespace Nerfbake
 {
     /// <summary>Coefficients of one colour: 1 spherical harmonic.</summary>
@@ -15,7 +15,7 @@ namespace Nerfbake
     public struct SH4
     {
         public float F0_0;
-        public float F1_n1, F1_0, F1_1;
+        public float F1_m1, F1_0, F1_p1;
     }
 
     /// <summary>Coefficients of one colour: 9 spherical harmonics.</summary>
@@ -23,8 +23,8 @@ namespace Nerfbake
     public struct SH9
     {
         public float F0_0;
-        public float F1_n1, F1_0, F1_1;
-        public float F2_n2, F2_n1, F2_0, F2_1, F2_2;
+        public float F1_m1, F1_0, F1_p1;
+        public float F2_m2, F2_m1, F2_0, F2_p1, F2_p2;
     }
 
     /// <summary>Coefficients of one colour: 16 spherical harmonics.</summary>
@@ -32,9 +32,9 @@ namespace Nerfbake
     public struct SH16
     {
         public float F0_0;
-        public float F1_n1, F1_0, F1_1;
-        public float F2_n2, F2_n1, F2_0, F2_1, F2_2;
-        public float F3_n3, F3_n2, F3_n1, F3_0, F3_1, F3_2, F3_3;
+        public float F1_m1, F1_0, F1_p1;
+        public float F2_m2, F2_m1, F2_0, F2_p1, F2_p2;
+        public float F3_m3, F3_m2, F3_m1, F3_0, F3_p1, F3_p2, F3_p3;
     }
 
     /// <summary>Coefficients of one colour: 25 spherical harmonics.</summary>
@@ -42,10 +42,10 @@ namespace Nerfbake
     public struct SH25
     {
         public float F0_0;
-        public float F1_n1, F1_0, F1_1;
-        public float F2_n2, F2_n1, F2_0, F2_1, F2_2;
-        public float F3_n3, F3_n2, F3_n1, F3_0, F3_1, F3_2, F3_3;
-        public float F4_n4, F4_n3, F4_n2, F4_n1, F4_0, F4_1, F4_2, F4_3, F4_4;
+        public float F1_m1, F1_0, F1_p1;
+        public float F2_m2, F2_m1, F2_0, F2_p1, F2_p2;
+        public float F3_m3, F3_m2, F3_m1, F3_0, F3_p1, F3_p2, F3_p3;
+        public float F4_m4, F4_m3, F4_m2, F4_m1, F4_0, F4_p1, F4_p2, F4_p3, F4_p4;
     }
 
     [StructLayout(LayoutKind.Sequential, Pack = 4)]
