@@ -104,6 +104,14 @@ namespace Nerfbake
             return end;
         }
 
+        /// <summary>Eight children for every node, as the shaders want them: zeros behind those of a compact octree.</summary>
+        public int[] ChildrenOfAll()
+        {
+            int[] all = new int[8 * Count];
+            NodeChildren.CopyTo(all, 0);
+            return all;
+        }
+
         /// <summary>The node that fills the cube around a voxel; -1 for empty space and outside the grid.</summary>
         public int NodeAt(int x, int y, int z)
         {

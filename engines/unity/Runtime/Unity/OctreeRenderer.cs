@@ -1,0 +1,78 @@
+using UnityEngine;
+
+namespace Nerfbake
+{
+    /// <summary>
+    /// Draws an octree: a hull, in whose fragments the shader marches. The material decides how: Nerfbake/Octree blends with
+    /// what stands behind it, Nerfbake/Octree Cutout writes depth like an opaque mesh; both cast shadows.
+    /// </summary>
+    [ExecuteAlways]
+    [RequireComponent(typeof(MeshFilter), typeof(MeshRenderer))]
+    public sealed class OctreeRenderer : MonoBehaviour
+    {
+        [SerializeField] private OctreeAsset octree;
+
+        [Tooltip("The .obj that `nerfbake hull` wrote, as Unity imports it. None: the octree's box.")]
+        [SerializeField] private Mesh hull;
+
+        private OctreeBuffers buffers;
+        private Mesh mesh;
+
+        /// <summary>What is drawn; null: nothing.</summary>
+        public OctreeAsset Octree
+        {
+            get { return octree; }
+            set
+            {
+                octree = value;
+                Refresh();
+            }
+        }
+
+        private void OnEnable()
+        {
+            Refresh();
+        }
+
+        private void OnDisable()
+        {
+            Release();
+        }
+
+        private void OnValidate()
+        {
+            if (isActiveAndEnabled)
+                Refresh();
+        }
+
+        // Rays end at what the camera sees of opaque meshes: it has to draw their depth.
+        private void OnWillRenderObject()
+        {
+            Camera.current.depthTextureMode |= DepthTextureMode.Depth;
+        }
+
+        private void Refresh()
+        {
+            Release();
+            if (octree == null)
+                return;
+            OctreeFile file = octree.Read();
+            buffers = new OctreeBuffers(file);
+            mesh = hull == null ? Hull.Box(file) : Hull.FromObj(hull);
+            GetComponent<MeshFilter>().sharedMesh = mesh;
+            MaterialPropertyBlock block = new MaterialPropertyBlock();
+            buffers.Bind(block);
+            GetComponent<MeshRenderer>().SetPropertyBlock(block);
+        }
+
+        private void Release()
+        {
+            if (buffers != null)
+                buffers.Dispose();
+            buffers = null;
+            if (mesh != null)
+                DestroyImmediate(mesh);
+            mesh = null;
+        }
+    }
+}
