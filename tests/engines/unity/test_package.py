@@ -13,6 +13,7 @@ from nerfbake import load
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conformance.case import HOME
 from tests.support.csharp import PACKAGE, READER, compile_csharp, require_mono
+from tests.support.pages import broken_links
 
 pytestmark = pytest.mark.tools
 HERE = Path(__file__).parent
@@ -81,3 +82,7 @@ def test_the_folder_is_a_package() -> None:
         assert "Samples~" in script.parts or homes & set(script.parents), script
     for definition in PACKAGE.rglob("*.asmdef"):
         assert json.loads(definition.read_text())["name"].startswith("Nerfbake")
+
+
+def test_links_of_its_page_lead_somewhere() -> None:
+    assert broken_links(PACKAGE / "README.md") == []

@@ -17,6 +17,7 @@ namespace Nerfbake
 
         private OctreeBuffers buffers;
         private Mesh mesh;
+        private bool stale;
 
         /// <summary>What is drawn; null: nothing.</summary>
         public OctreeAsset Octree
@@ -39,9 +40,15 @@ namespace Nerfbake
             Release();
         }
 
+        // Unity allows no other mesh here: it is made with the next frame.
         private void OnValidate()
         {
-            if (isActiveAndEnabled)
+            stale = true;
+        }
+
+        private void Update()
+        {
+            if (stale)
                 Refresh();
         }
 
@@ -54,6 +61,7 @@ namespace Nerfbake
         private void Refresh()
         {
             Release();
+            stale = false;
             if (octree == null)
                 return;
             OctreeFile file = octree.Read();
