@@ -28,7 +28,7 @@ READERS += g++ libnanovdb-dev zlib1g-dev
 READERS += chromium $(if $(shell command -v npm),,nodejs npm)
 READERS += libegl-dev libgl-dev libgl1-mesa-dri mesa-vulkan-drivers glslang-tools
 READERS += firefox-esr xvfb
-READERS += python3-torch
+READERS += python3-torch mono-mcs mono-runtime
 READERS += $(if $(filter 0,$(NERFBAKE_BLENDER)),,blender)
 
 # TypeScript and ESLint, which read the scripts of pages: no page holds anything of them.
@@ -111,7 +111,7 @@ fuzz: setup  ## hostile files of every format for MINUTES=30, each a case that c
 
 schemas: setup tools  ## each schema through its own compiler; we generate no code
 	mkdir -p build/schemas
-	$(BIN)/python -m grpc_tools.protoc -Ischemas --python_out=build/schemas svo.proto
+	$(BIN)/python -m grpc_tools.protoc -Ischemas --python_out=build/schemas svo.proto voxels.proto
 	flatc --python -o build/schemas schemas/svo.fbs
 	capnp compile -ocapnp schemas/svo.capnp > build/schemas/svo.capnp.txt
 
