@@ -14,9 +14,9 @@ from tests.support.pages import headings
 
 FILES = [
     path
-    for folder in ("nerfbake", "benchmarks", "schemas", "tests")
+    for folder in ("nerfbake", "benchmarks", "schemas", "engines", "tests")
     for path in sorted((REPOSITORY / folder).rglob("*"))
-    if re.fullmatch(r"[^.]+\.(py|glsl|proto|fbs|capnp)", path.name) and path != Path(__file__)
+    if re.fullmatch(r"[^.]+\.(py|glsl|hlsl|wgsl|cs|proto|fbs|capnp)", path.name) and path != Path(__file__)
 ]
 CITED = re.compile(
     r'\b((?:docs|schemas|tests|benchmarks|nerfbake)/[\w/.-]+\.(?:md|proto|fbs|capnp|py|glsl))(?:,\s"([^"]+)")?'

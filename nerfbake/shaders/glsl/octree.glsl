@@ -1,5 +1,6 @@
 // The sparse voxel octree of a .svo.* file: the way down to a voxel, and its values, nearest or trilinear.
-// Behind common.glsl. The struct is that of TR-24-01, listing 2, but for its two buffers, which stand beside it.
+// Behind common.glsl. The struct is that of TR-24-01 (docs/sources.md), listing 2, but for its two buffers, which stand
+// beside it.
 //
 //   nodeChildren  8 int32 a node, the numbers of its children, 0 or -1 where there is none; child x + 2 y + 4 z, where
 //                 1 is the upper half. For EVERY node: of a file in the compact layout with zeros behind its own

@@ -1,7 +1,7 @@
 // The colour of what a ray meets of the triangles, and how far away it is: what `nerfbake render` shows of a mesh, of
 // nerf2mesh's stage 1 (the MLP) and of the atlas baked from it.
 //
-// The page puts before this: the version, the precisions, nerfbake/shaders/atlas.glsl, and one of these, or none of
+// The page puts before this: the version, the precisions, nerfbake/shaders/glsl/atlas.glsl, and one of these, or none of
 // them, where the diffuse colour is all there is:
 //   KMEANS, AFFINE, GRID    the atlas, by its method
 //   MLP_TEXTURES            the MLP, with a texture fetch for each of its weights, as nerf2mesh's viewer has it

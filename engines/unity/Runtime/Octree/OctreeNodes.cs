@@ -3,7 +3,7 @@ using System;
 namespace Nerfbake
 {
     /// <summary>
-    /// The nodes of a sparse voxel octree, and the way down to one, as TR-24-01 has them: listing 1, and what
+    /// The nodes of a sparse voxel octree, and the way down to one, as TR-24-01 (docs/sources.md) has them: listing 1, and what
     /// docs/formats/octree.md says beyond it. Right-handed; octant = x + 2y + 4z, 1 being the upper half. A node without
     /// any child is a leaf and fills its cube; in a node that has children, an octant without one is empty.
     /// </summary>

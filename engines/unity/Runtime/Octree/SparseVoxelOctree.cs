@@ -3,8 +3,8 @@ using System;
 namespace Nerfbake
 {
     /// <summary>
-    /// Listing 1 of TR-24-01: an octree whose nodes hold values of type T. T is float, and then a node has DataDim of
-    /// them; or a struct of a node's floats with names, SH9Voxel and its like or one of your own, and then it has one.
+    /// Listing 1 of TR-24-01 (docs/sources.md): an octree whose nodes hold values of type T. T is float, and then
+    /// a node has DataDim of them; or a struct of a node's floats with names, SH9Voxel and its like or one of your own, and then it has one.
     /// </summary>
     public sealed class SparseVoxelOctree<T> : OctreeNodes where T : struct
     {
