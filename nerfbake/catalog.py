@@ -96,6 +96,7 @@ FORMATS = (
     Format("vdb", "Volume", ".vdb", "volume.openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "volume.nanovdb", "NanoVDB grid"),
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
+    Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh"),
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
 )

@@ -45,6 +45,15 @@ def chair(data: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def torch() -> str:
+    """A Python that has torch: Debian's, by its package python3-torch."""
+    python = "/usr/bin/python3"
+    if not Path(python).exists() or subprocess.run([python, "-c", "import torch"], capture_output=True).returncode:
+        pytest.skip("no torch here: Debian's python3-torch has it")
+    return python
+
+
+@pytest.fixture(scope="session")
 def forks() -> Iterator[Forks]:
     found = Forks(REPOSITORY)
     yield found

@@ -14,9 +14,12 @@ from nerfbake.kernels.arrays import Bits, Points, Singles
 from nerfbake.kernels.soundness import all_finite, place, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, require_shape
 from nerfbake.scene.basis import SH_SIZES
+from nerfbake.scene.lattice_colour import Colour as Colour
+from nerfbake.scene.lattice_colour import MlpColour as MlpColour
+from nerfbake.scene.lattice_colour import RgbColour as RgbColour
+from nerfbake.scene.lattice_colour import ShColour as ShColour
 
 MAX_EDGE = 4096  # nodes along an axis
-MAX_UNITS, MAX_LAYERS, MAX_FREQUENCY = 1024, 16, 4096.0  # of an MLP
 STEP = 0.5  # of the least distance between nodes: how far the samples of all these programs are apart
 
 
@@ -29,88 +32,6 @@ class Activation(NamedTuple):
     kind: Literal["relu", "softplus"] = "relu"
     shift: float = 0.0
     scale: float = 1.0
-
-
-class ShColour(NamedTuple):
-    """Each channel is max(0, 1/2 + sum Y_b(d) c_b), with size coefficients of red, then of green, then of blue."""
-
-    size: int
-
-    @property
-    def features(self) -> int:
-        return 3 * self.size
-
-    def __str__(self) -> str:
-        return f"SH{self.size}, cut at 0"
-
-
-class RgbColour(NamedTuple):
-    """Each channel is the sigmoid of its value, the same in every direction."""
-
-    features: int = 3
-
-    def __str__(self) -> str:
-        return "RGB"
-
-
-@dataclass(frozen=True, eq=False)
-class MlpColour:
-    """The sigmoid of what an MLP makes of features and of the direction: relu between its layers, of H units each.
-
-    first    (H, F + 3 + 6 k) float32, of F features, then of d, of sin and of cos: of d_x times each of k frequencies,
-             of d_y, of d_z; and first_bias (H,)
-    middle   (l, H, H) and middle_bias (l, H): the layers between; there may be none
-    last     (3, H) and last_bias (3,)
-    frequencies  (k,)
-    direct   False: there are three more features, before the others, which are added to what the MLP makes
-    """
-
-    first: Singles
-    first_bias: Singles
-    middle: Singles
-    middle_bias: Singles
-    last: Singles
-    last_bias: Singles
-    frequencies: tuple[float, ...]
-    direct: bool = True
-
-    def __post_init__(self) -> None:
-        k, layers = len(self.frequencies), len(self.middle)
-        H, width = self.first.shape if self.first.ndim == 2 else (0, 0)
-        if width < 4 + 6 * k or not 1 <= H <= MAX_UNITS or layers > MAX_LAYERS:
-            found = f"has a first layer of {self.first.shape}, and {layers} behind it"
-            allowed = f"1 to {MAX_UNITS} units, {MAX_LAYERS} layers, a feature or more, {3 + 6 * k} inputs of direction"
-            raise InvalidScene(Problem("the MLP", found, allowed))
-        for name, array, shape in (
-            ("first", self.first, self.first.shape),
-            ("first_bias", self.first_bias, (H,)),
-            ("middle", self.middle, (layers, H, H)),
-            ("middle_bias", self.middle_bias, (layers, H)),
-            ("last", self.last, (3, H)),
-            ("last_bias", self.last_bias, (3,)),
-        ):
-            require_shape(f"the MLP's {name}", array, shape, np.float32)
-
-    def __str__(self) -> str:
-        return f"MLP of {len(self.middle) + 1}x{len(self.first)}"
-
-    @property
-    def inputs(self) -> int:
-        """Features that go through the MLP."""
-        return int(self.first.shape[1]) - 3 - 6 * len(self.frequencies)
-
-    @property
-    def features(self) -> int:
-        return self.inputs + (0 if self.direct else 3)
-
-    def problems(self) -> list[Problem]:
-        weights = (self.first, self.first_bias, self.middle, self.middle_bias, self.last, self.last_bias)
-        numbers = np.concatenate([each.reshape(-1) for each in weights])
-        frequencies = np.array(self.frequencies, np.float64)
-        return number_problems("the MLP", numbers) + number_problems("frequencies", frequencies, most=MAX_FREQUENCY)
-
-
-Colour = ShColour | RgbColour | MlpColour
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +47,7 @@ class LatticeField(Scene):
                 of X x Y x Z cells, and half a cell before the box's end the last one goes on
     occupied    (X', Y', Z') bool, its first and last nodes on the box: a sample counts where the nearest one is True;
                 None: everywhere
+    mask_box    (2, 3) float64: where `occupied` is of as many cells of this box instead; outside nothing counts
     least       the least opacity of a sample that counts, over one step
     dialect     which program's file it was
     notes       what was left out or taken for granted, a line each
@@ -148,6 +70,7 @@ class LatticeField(Scene):
     box: Points
     at_corners: bool = False
     occupied: Bits | None = None
+    mask_box: Points | None = None
     least: float = 0.0
     dialect: str = ""
     notes: tuple[str, ...] = ()
@@ -168,6 +91,10 @@ class LatticeField(Scene):
         if self.occupied is not None and (self.occupied.ndim != 3 or 0 in self.occupied.shape):
             found = f"has shape {self.occupied.shape}"
             raise InvalidScene(Problem("the mask", found, "three axes with a node or more each"))
+        if self.mask_box is not None:
+            if self.occupied is None:
+                raise InvalidScene(Problem("the mask", "is missing", "one, as it has a box"))
+            require_shape("the mask's box", self.mask_box, (2, 3), np.float64)
 
     def __str__(self) -> str:
         size = "x".join(map(str, self.links.shape))
@@ -205,7 +132,8 @@ class LatticeField(Scene):
     def held_box(self) -> Points:
         """(2, 3) in the world: around all that may hold something."""
         held = self.links >= 0 if self.occupied is None else self.occupied
-        corners = self.at_corners or self.occupied is not None
+        box = self.box if self.mask_box is None else self.mask_box
+        corners = self.mask_box is None and (self.at_corners or self.occupied is not None)
         ends = []
         for axis in range(3):
             there = np.flatnonzero(held.any(axis=tuple({0, 1, 2} - {axis})))
@@ -213,18 +141,23 @@ class LatticeField(Scene):
             count = max(held.shape[axis] - corners, 1)
             ends.append((max(first - corners, 0) / count, min(last + 1, count) / count))
         share = np.array(ends).T
-        return np.asarray(self.box[0] + share * (self.box[1] - self.box[0]), np.float64)
+        around = np.asarray(box[0] + share * (box[1] - box[0]), np.float64)
+        return around if self.mask_box is None else np.clip(around, *self.box)
 
     # -- other fields ------------------------------------------------------------------------------------------
     def scaled(self, scale: float) -> LatticeField:
         """The same field in a world that is so many times larger: densities per world unit fall with it."""
         activation = self.activation._replace(scale=self.activation.scale / scale)
-        return replace(self, box=self.box * scale, activation=activation)
+        mask_box = None if self.mask_box is None else self.mask_box * scale
+        return replace(self, box=self.box * scale, mask_box=mask_box, activation=activation)
 
     # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
         world = place_problems("the lattice's box", self.box)
         world += [] if world else edge_problems("the lattice's edges", self.box[1] - self.box[0])
+        if self.mask_box is not None:
+            own = place_problems("the mask's box", self.mask_box)
+            world += own or edge_problems("the mask's edges", self.mask_box[1] - self.mask_box[0])
         world += place_problems("activation", np.array(self.activation[1:]))
         beyond = int(self.links.max()) >= self.n
         return world + (self._beyond() if beyond else [])
@@ -237,12 +170,16 @@ class LatticeField(Scene):
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use; only rows that a node has count."""
-        weights = self.colour.problems() if isinstance(self.colour, MlpColour) else []
+        mlp = self.colour if isinstance(self.colour, MlpColour) else None
+        weights, most = (mlp.problems(), mlp.most) if mlp else ([], np.inf)
         # Channels that lie together are not copied, to be looked at row by row.
         features = self.features.T if self.features.flags.f_contiguous else self.features
-        if all_finite(self.density) and all_finite(features):
+        if all_finite(self.density) and all_finite(features) and most == np.inf:
             return weights
         used = np.zeros(self.n, bool)
         used[self.links[self.links >= 0]] = True
         found = number_problems("density", self.density, where=used)
-        return weights + found + number_problems("colours", self.features, where=used[:, None])
+        found += number_problems("colours", self.features, where=used[:, None])
+        if mlp and not found and most < np.inf:
+            found = number_problems("colours", self.features[:, -mlp.encoded :], where=used[:, None], most=most)
+        return weights + found

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Ints, Points, Singles
 from nerfbake.kernels.lattice import harmonics
-from nerfbake.kernels.lattice.mlp import Layers, layers_for, logits_along, projected
-from nerfbake.kernels.lattice.nodes import RELU, SOFTPLUS, Nodes
+from nerfbake.kernels.lattice.mlp import Layers, encoded, layers_for, logits_along, projected
+from nerfbake.kernels.lattice.nodes import RELU, SOFTPLUS, Nodes, cells_in, nearest_in
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import log, sigmoid
 from nerfbake.kernels.maths.sphere import fibonacci
@@ -33,7 +33,9 @@ def nodes_of(lattice: LatticeField) -> Nodes:
     least = -float(log(1 - lattice.least)) / lattice.step
     density = np.ascontiguousarray(lattice.density)
     corners = int(lattice.at_corners)
-    return Nodes(lattice.links, density, mask, corners, _KINDS[kind], float(shift), float(scale), least)
+    own = lattice.mask_box
+    times, plus = nearest_in(mask) if own is None else cells_in(mask, lattice.box, own)
+    return Nodes(lattice.links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least)
 
 
 def table_of(lattice: LatticeField, rows: npt.NDArray[np.int32] | slice = slice(None)) -> Singles:
@@ -88,9 +90,13 @@ def _layers(mlp: MlpColour, directions: Points) -> Layers:
 
 def _split(mlp: MlpColour, features: Singles) -> tuple[Singles, Singles]:
     """What goes through the MLP, and (m, 3) what is added to its logits."""
-    if mlp.direct:
-        return features, np.zeros((len(features), 3), np.float32)
-    return np.ascontiguousarray(features[:, 3:]), features[:, :3]
+    own, added = features, np.zeros((len(features), 3), np.float32)
+    if not mlp.direct:
+        own, added = np.ascontiguousarray(features[:, 3:]), features[:, :3]
+    if mlp.feature_frequencies and mlp.encoded:
+        sines = encoded(own[:, -mlp.encoded :].astype(np.float64), mlp.feature_frequencies)[:, mlp.encoded :]
+        own = np.concatenate([own, sines.astype(np.float32)], axis=1)
+    return own, added
 
 
 def _constant(features: Singles, B: int) -> Singles:

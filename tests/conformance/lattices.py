@@ -17,6 +17,7 @@ from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
 from tests.conformance.case import Case, Facts, Frozen, form_named
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, svox2, svox2_file
 from tests.support.plenvdb import merged, merged_folder, plenvdb, plenvdb_folder
+from tests.support.tensorf import colour_at, density_at, tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 
 DIRECTION = [2 / 7, -3 / 7, 6 / 7]
@@ -50,6 +51,25 @@ def cases() -> Iterator[Case]:
     about = "The same merged: rows in halves, only for nodes where the mask is true; all others are zeros, and empty."
     files = {"lattice/plenvdb_merged": Frozen(folder, None, data=merged_folder(checkpoint))}
     yield Case("lattice/plenvdb_merged", about, files, _voxels(merged(checkpoint), CLEAR), answer, computed=1e-5)
+    decomposed = tensorf()
+    about = "A checkpoint as TensoRF writes it with torch: planes and lines, a mask in a box of its own, an MLP."
+    files = {"lattice/planes.th": Frozen(form_named("th"), None, data=tensorf_file(decomposed))}
+    yield Case("lattice/planes", about, files, _planes(decomposed), answer, computed=1e-5)
+
+
+def _planes(checkpoint: dict[str, Any]) -> Facts:
+    """By the definition, worked out in tests.support: planes and lines interpolated, multiplied, and activated."""
+    low, high = checkpoint["kwargs"]["aabb"].astype(np.float64)
+    points = low + np.array([*CLEAR, (0.45, 0.3, 0.4), (0.7, 0.6, 0.8)]) * (high - low)
+    density = density_at(checkpoint, points)
+    points, density = points[density > 0], density[density > 0]  # elsewhere nodes have no colours
+    colours = colour_at(checkpoint, points, DIRECTION)
+    lookups = [
+        {"point": point, "density": sigma, "colour": colour}
+        for point, sigma, colour in zip(points.tolist(), density.tolist(), colours.tolist(), strict=True)
+    ]
+    box = [low.tolist(), high.tolist()]
+    return {"resolution": list(SHAPE), "world_box": box, "direction": DIRECTION, "lookups": lookups}
 
 
 def _plenoxels(arrays: dict[str, Any]) -> Facts:

@@ -18,8 +18,10 @@ from nerfbake.scene.depth import Depth
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from tests.support.lattices import SHAPE
 from tests.support.n3trees import archive, svox
 from tests.support.peaks import measured
+from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 
 SLACK = 16 << 20  # what the interpreter itself may take meanwhile
@@ -133,6 +135,17 @@ def voxels(path: Path) -> None:
     path.write_bytes(dvgo_file(checkpoint))
 
 
+def planes(path: Path) -> None:
+    """Planes and lines, whose products take a thousand times more than they do."""
+    checkpoint, shape = tensorf(mode="SH", masked=False), (60, 50, 100)
+    edges = dict(zip(SHAPE, shape, strict=True))
+    for key, array in list(checkpoint["state_dict"].items()):
+        if "_plane" in key or "_line" in key:
+            size = (*array.shape[:2], *(edges.get(edge, 1) for edge in array.shape[2:]))
+            checkpoint["state_dict"][key] = np.ones(size, np.float32)
+    path.write_bytes(tensorf_file(checkpoint))
+
+
 FILES: dict[str, Maker] = {
     "full.svo.npz": octree("svo.npz"),
     "shuffled.svo.npz": shuffled,
@@ -153,6 +166,7 @@ FILES: dict[str, Maker] = {
     "quantised.npz": quantised,
     "deflated.ckpt.npz": plenoxels,
     "half.tar": voxels,
+    "planes.th": planes,
     "grey.png": picture("L"),
     "palette.png": picture("P"),
     "colour.png": picture("RGB"),

@@ -23,6 +23,7 @@ Breaker = Callable[[Random, bytes, bytes], bytes]
 _BREAKERS: dict[str, Breaker] = {
     "npz": break_zip,
     "tar": break_torch,
+    "th": break_torch,
     "svo.pb": break_protobuf,
     "json": break_json,
     "bson": break_bson,

@@ -32,6 +32,7 @@ from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
+from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
 
@@ -127,6 +128,10 @@ def _lattices(name: str) -> Iterator[bytes]:
     if name == "tar":
         yield dvgo_file(dvgo(mlp="random"))
         yield dvgo_file(dvgo(mlp="none", dialect="early"))
+        return
+    if name == "th":
+        yield tensorf_file(tensorf())
+        yield tensorf_file(tensorf(mode="SH", masked=False))
         return
     yield svox2_file(svox2(size=4, plain=False, empty=0.2))
     yield svox2_file(svox2(size=1), deflated=True)

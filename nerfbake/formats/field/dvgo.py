@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.field.dvgo_model import Model, colour_of, every_node
+from nerfbake.formats.field.dvgo_model import Model, colour_of
+from nerfbake.formats.field.torch_model import every_node
 from nerfbake.formats.wire.torch_zip import is_torch
 from nerfbake.scene.lattice_field import LatticeField
 

@@ -5,17 +5,14 @@ Keys: docs/formats/checkpoints.md. The grids of the optimiser's state, two more 
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire.torch_zip import TorchReader
+from nerfbake.formats.field.torch_model import TorchModel, layers_of
 from nerfbake.kernels.arrays import Bits, Singles
-from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.maths.elementary import log, power
 from nerfbake.scene.lattice_field import Activation, Colour, LatticeField, MlpColour, RgbColour
 
@@ -28,12 +25,11 @@ _REFUSED = {
 }
 
 
-class Model:
+class Model(TorchModel):
     """A checkpoint: its settings, and the arrays of the model's state by their keys."""
 
     def __init__(self, view: memoryview) -> None:
-        self._file = TorchReader(view)
-        self.settings, self.state = (_table(self._file.root, key) for key in ("model_kwargs", "model_state_dict"))
+        super().__init__(view, "model_kwargs", "model_state_dict", "DirectVoxGO")
         for key, what in _REFUSED.items():
             if key in self.settings or (key == "posbase_pe" and "posfreq" in self.state):
                 raise InvalidFile(Problem("model_kwargs", f"has {key}: {what}", "a bounded scene of DirectVoxGO"))
@@ -54,31 +50,8 @@ class Model:
             occupied=self.mask(),
             least=_threshold(self.settings),
             dialect=dialect,
-            notes=tuple(self._file.notes),
+            notes=tuple(self.file.notes),
         )
-
-    def any(self, key: str) -> npt.NDArray[Any]:
-        if key not in self.state:
-            there = ", ".join(str(each) for each in self.state if isinstance(each, str))
-            raise InvalidFile(
-                Problem("model_state_dict", f"has no {key}", f"a model of DirectVoxGO (has {there:.100})")
-            )
-        return self._file.array(self.state[key], key)
-
-    def single(self, key: str) -> npt.NDArray[np.float32]:
-        """Floats of any width as float32."""
-        array = self.any(key)
-        if array.dtype.kind != "f":
-            raise InvalidFile(Problem(key, f"has dtype {array.dtype}", "floats"))
-        if array.dtype != np.float32 or not array.flags.c_contiguous:
-            memory.hold(key, 4 * array.size)
-        return np.ascontiguousarray(cast(array, np.float32)).reshape(array.shape)
-
-    def floats(self, key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-        array = self.single(key)
-        if array.shape != shape:
-            raise InvalidFile(Problem(key, f"has shape {array.shape}", f"{shape}"))
-        return cast(array, np.float64)
 
     def mask(self) -> Bits | None:
         """Where a sample counts that is nearest to it; None where the model says nothing of it."""
@@ -101,7 +74,7 @@ class Model:
 
     def _voxel_size(self, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> float:
         """The edge of the voxel that opacities are reckoned with, in world units."""
-        base = self._file.array(self.settings.get("num_voxels_base"), "num_voxels_base")
+        base = self.file.array(self.settings.get("num_voxels_base"), "num_voxels_base")
         if base.size != 1:
             raise InvalidFile(Problem("num_voxels_base", f"has shape {base.shape}", "one number"))
         count = float(base.reshape(-1)[0])
@@ -113,22 +86,6 @@ class Model:
             found = f"is {count:g}, over a volume of {volume:g}"
             raise InvalidFile(Problem("num_voxels_base", found, "1 or more, over a box with a volume"))
         return float(power(volume / count, 1 / 3))
-
-
-def every_node(shape: tuple[int, ...]) -> npt.NDArray[np.int32]:
-    """Links of a lattice that has a row for each node, x-major. Raises InvalidFile, MemoryLimit."""
-    n = math.prod(shape)
-    if n >= 1 << 31:
-        raise InvalidFile(Problem("density", f"has {n:,} nodes", f"fewer than {1 << 31:,}"))
-    memory.hold("links", 4 * n)
-    return np.arange(n, dtype=np.int32).reshape(shape)
-
-
-def _table(value: Any, key: str) -> dict[Any, Any]:
-    found = value.get(key) if isinstance(value, dict) else None
-    if not isinstance(found, dict):
-        raise InvalidFile(Problem("data.pkl", f"has no {key}", "a checkpoint of DirectVoxGO"))
-    return found
 
 
 def _threshold(settings: dict[Any, Any]) -> float:
@@ -148,26 +105,14 @@ def colour_of(model: Model) -> Colour:
         return RgbColour()
     if model.settings.get("rgbnet_full_implicit") is True:
         raise InvalidFile(Problem("model_kwargs", "has rgbnet_full_implicit: colours without a grid", "one with k0"))
-    weights, biases = [], []
+    stems = []
     for number in layers:
-        stem = next(each for each in (f"rgbnet.{number}", f"rgbnet.{number}.0") if f"{each}.weight" in model.state)
-        weights.append(model.single(f"{stem}.weight"))
-        biases.append(model.single(f"{stem}.bias"))
-    if len(layers) < 2 or weights[0].ndim != 2:
-        found = f"has {len(layers)} layers, the first of {weights[0].shape}"
-        raise InvalidFile(Problem("rgbnet", found, "two layers or more, of a matrix each"))
-    H = len(weights[0])
-    for number, weight, bias in list(zip(layers, weights, biases, strict=True))[1:-1]:
-        if weight.shape != (H, H) or bias.shape != (H,):
-            raise InvalidFile(Problem(f"rgbnet.{number}", f"has weights of {weight.shape}", f"({H}, {H}), as before"))
+        names = f"rgbnet.{number}", f"rgbnet.{number}.0"
+        stems.append(next(each for each in names if f"{each}.weight" in model.state))
+    weights, biases = model.layers(stems, [f"rgbnet.{number}" for number in layers])
     frequencies = model.floats("viewfreq", (model.any("viewfreq").size,))
     return MlpColour(
-        first=weights[0],
-        first_bias=biases[0],
-        middle=np.array(weights[1:-1], np.float32).reshape(len(layers) - 2, H, H),
-        middle_bias=np.array(biases[1:-1], np.float32).reshape(len(layers) - 2, H),
-        last=weights[-1],
-        last_bias=biases[-1],
+        *layers_of(weights, biases),
         frequencies=tuple(frequencies.tolist()),
         direct=model.settings.get("rgbnet_direct", False) is True,
     )

@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.field.dvgo_model import Model, colour_of, every_node
+from nerfbake.formats.field.dvgo_model import Model, colour_of
+from nerfbake.formats.field.torch_model import every_node
 from nerfbake.formats.volume import openvdb
 from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.kernels.arrays import Bits, Singles

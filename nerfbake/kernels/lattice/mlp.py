@@ -56,11 +56,12 @@ def layers_for(
     )
 
 
-def encoded(directions: Floats, frequencies: tuple[float, ...]) -> Floats:
-    """(n, 3 + 6 k): d, the sines of d_x times each frequency, of d_y, of d_z, and the cosines."""
-    angles = (directions[:, :, None] * np.array(frequencies)).reshape(len(directions), -1)
+def encoded(x: Floats, frequencies: tuple[float, ...]) -> Floats:
+    """(n, w + 2 w k) of directions or features (n, w): x, the sines of the first of them times each frequency, of the
+    second, ..., and the cosines."""
+    angles = (x[:, :, None] * np.array(frequencies)).reshape(len(x), -1)
     sine, cosine = sine_cosine(angles)
-    return np.concatenate([directions, sine, cosine], axis=1)
+    return np.concatenate([x, sine, cosine], axis=1)
 
 
 def logits_along(features: Singles, layers: Layers, ray: Ints) -> Singles:

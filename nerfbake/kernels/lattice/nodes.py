@@ -23,19 +23,32 @@ _exp_parts: Any = compiled()(exp_parts)
 
 class Nodes(NamedTuple):
     """What a density is made of: links (X, Y, Z) to density (n,), of which kind, shift and scale make one per world
-    unit, as scene.lattice_field has them; what is below `least` is none. mask (X', Y', Z'): the nearest of its nodes,
-    of which the first and the last stand on the box, says whether there is anything. corners: 1 where nodes stand on
-    the box, else 0.
+    unit, as scene.lattice_field has them; what is below `least` is none. mask (X', Y', Z'): number int(u times + plus)
+    along each axis says whether there is anything at a place u; beyond the mask is nothing. corners: 1 where nodes
+    stand on the box, else 0.
     """
 
     links: npt.NDArray[np.int32]
     density: Singles
     mask: Bits
+    times: Floats
+    plus: Floats
     corners: int
     kind: int
     shift: float
     scale: float
     least: float
+
+
+def nearest_in(mask: Bits) -> tuple[Floats, Floats]:
+    """times and plus of Nodes for a mask whose first and last nodes stand on the box: the nearest one counts."""
+    return np.array(mask.shape, np.float64) - 1, np.full(3, 0.5)
+
+
+def cells_in(mask: Bits, box: Floats, own: Floats) -> tuple[Floats, Floats]:
+    """The same for a mask of as many cells of a box of its own (2, 3), beside the lattice's box."""
+    edges = (own[1] - own[0]) / np.array(mask.shape)
+    return (box[1] - box[0]) / edges, (box[0] - own[0]) / edges
 
 
 def densities(nodes: Nodes, places: Floats) -> Singles:
@@ -69,10 +82,13 @@ def _densities(nodes: Nodes, places: Floats, out: Singles) -> None:
 def density_at(nodes: Nodes, u: float, v: float, w: float) -> float:
     """Per world unit at a place in the box; 0 where the mask or `least` says so."""
     mask = nodes.mask
-    a = int(np.floor(u * (mask.shape[0] - 1) + 0.5))
-    b = int(np.floor(v * (mask.shape[1] - 1) + 0.5))
-    c = int(np.floor(w * (mask.shape[2] - 1) + 0.5))
-    if not mask[a, b, c]:
+    a = u * nodes.times[0] + nodes.plus[0]
+    b = v * nodes.times[1] + nodes.plus[1]
+    c = w * nodes.times[2] + nodes.plus[2]
+    A, B, C = mask.shape
+    if not (0 <= a <= A and 0 <= b <= B and 0 <= c <= C):
+        return 0.0
+    if not mask[min(int(a), A - 1), min(int(b), B - 1), min(int(c), C - 1)]:
         return 0.0
     X, Y, Z = nodes.links.shape
     corners = nodes.corners

@@ -224,15 +224,6 @@ print(json.dumps({name: value.float().tolist() for name, value in {**values, **s
 """
 
 
-@pytest.fixture(scope="module")
-def torch() -> str:
-    """A Python that has torch: Debian's, by its package python3-torch."""
-    python = "/usr/bin/python3"
-    if not Path(python).exists() or subprocess.run([python, "-c", "import torch"], capture_output=True).returncode:
-        pytest.skip("no torch here: Debian's python3-torch has it")
-    return python
-
-
 @pytest.mark.tools
 @pytest.mark.slow
 def test_what_torch_saves_is_read(torch: str, tmp_path: Path) -> None:

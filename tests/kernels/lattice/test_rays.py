@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake.kernels.lattice.nodes import RELU, Nodes
+from nerfbake.kernels.lattice.nodes import RELU, Nodes, nearest_in
 from nerfbake.kernels.lattice.rays import gathered, samples_of
 
 LINKS = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
@@ -14,7 +14,8 @@ STEP = 0.125
 
 
 def nodes(density: float) -> Nodes:
-    return Nodes(LINKS, np.full(8, density, np.float32), np.ones((1, 1, 1), bool), 1, RELU, 0.0, 1.0, 0.0)
+    mask = np.ones((1, 1, 1), bool)
+    return Nodes(LINKS, np.full(8, density, np.float32), mask, *nearest_in(mask), 1, RELU, 0.0, 1.0, 0.0)
 
 
 def test_a_ray_through_a_fog_is_weighed_by_hand() -> None:

@@ -1,0 +1,200 @@
+"""TensoRF's checkpoint (.th), a file of torch's: planes and lines whose products are a lattice's values.
+
+Only nodes that the mask lets matter get a row, so that a lattice whose planes are small stays small. Keys:
+docs/formats/checkpoints.md. Source: TensoRF (Chen et al., 2022), 4, and the files that its program writes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats.field.factors import Shape, factors_of, rows_of, shape_of
+from nerfbake.formats.field.torch_model import TorchModel, as_singles, every_node, layers_of
+from nerfbake.formats.wire.torch_zip import is_torch
+from nerfbake.kernels.arrays import Bits, Points, Singles
+from nerfbake.kernels.lattice.masks import nodes_around, touched_cells
+from nerfbake.kernels.lattice.planes import Factors
+from nerfbake.kernels.maths.casting import cast
+from nerfbake.scene.lattice_field import MAX_EDGE, Activation, Colour, LatticeField, MlpColour, ShColour
+
+_HEAD = 1 << 20  # bytes that the pickle begins in, which stands first
+_LAYERS = ("renderModule.mlp.0", "renderModule.mlp.2", "renderModule.mlp.4")
+_SH_FEATURES = 27
+_MOST_FREQUENCIES = 16
+_NODE_BYTES = 6  # while nodes that matter are looked for
+# What other models than planes with lines are told by.
+_REFUSED = {"plane_coef": "its oldest model (TensorVM)", "density_line.0": "of lines alone (TensorCP)"}
+_COLOURS = "MLP_Fea, MLP or SH"
+
+
+class _Mask(NamedTuple):
+    cells: Bits
+    box: Points
+
+
+def recognise(view: memoryview) -> bool:
+    """True for a file of torch's with the lines that this program keeps."""
+    head = bytes(view[:_HEAD])
+    return is_torch(view) and b"density_line" in head and b"basis_mat" in head
+
+
+def decode(view: memoryview) -> LatticeField:
+    """The lattice of a checkpoint. Raises InvalidFile, MemoryLimit."""
+    model = TorchModel(view, "kwargs", "state_dict", "TensoRF")
+    box = _box(model.settings.get("aabb"), model, "aabb")
+    _require_world(model.settings, box)
+    density = _factors(model, "density", None)
+    basis = model.single("basis_mat.weight")
+    if basis.ndim != 2:
+        raise InvalidFile(Problem("basis_mat.weight", f"has shape {basis.shape}", "(features, parts)"))
+    looks = _factors(model, "app", np.ascontiguousarray(basis.T))
+    shape = shape_of(density)
+    if shape_of(looks) != shape:
+        raise InvalidFile(Problem("app_plane.0", f"has {shape_of(looks)} nodes", f"{shape}, as density_plane.0 has"))
+    colour = _colour(model, len(basis))
+    mask = _mask(model)
+    links, n = _links(mask, box, shape)
+    return LatticeField(
+        links=links,
+        density=rows_of(links, n, density, "density").reshape(-1),
+        features=rows_of(links, n, looks, "colours"),
+        activation=_activation(model),
+        colour=colour,
+        box=box,
+        at_corners=True,
+        occupied=mask.cells if mask else None,
+        mask_box=mask.box if mask else None,
+        dialect="TensoRF",
+        notes=tuple(model.file.notes),
+    )
+
+
+def _require_world(settings: dict[Any, Any], box: Points) -> None:
+    """Raises InvalidFile for a forward-facing scene: its rays go from 0 to 1, and its box from -1 to 1 along z."""
+    reach = settings.get("near_far")
+    if reach in ([0.0, 1.0], (0.0, 1.0)) or (reach is None and (box[:, 2] == (-1, 1)).all()):
+        found = "is of rays from 0 to 1: a forward-facing scene (NDC), whose lattice is no box of the world"
+        raise InvalidFile(Problem("near_far", found, "a bounded scene of TensoRF"))
+
+
+def _box(value: Any, model: TorchModel, name: str) -> Points:
+    """(2, 3) lowest and highest corner."""
+    box = as_singles(model.file.array(value, name), name)
+    if box.shape != (2, 3):
+        raise InvalidFile(Problem(name, f"has shape {box.shape}", "(2, 3)"))
+    return cast(box, np.float64)
+
+
+def _factors(model: TorchModel, what: str, matrix: Singles | None) -> Factors:
+    """density_plane, density_line or app_plane, app_line; the density is the sum of all parts."""
+    for key, kind in _REFUSED.items():
+        if key in model.state and "density_plane.0" not in model.state:
+            raise InvalidFile(Problem("state_dict", f"has {key}: {kind}", "planes and lines (TensorVMSplit)"))
+    planes, lines = {}, {}
+    for i in range(3):
+        plane, line = (model.single(f"{what}_{each}.{i}") for each in ("plane", "line"))
+        for name, array, rank in ((f"{what}_plane.{i}", plane, 4), (f"{what}_line.{i}", line, 4)):
+            if array.ndim != rank or array.shape[0] != 1 or 0 in array.shape:
+                raise InvalidFile(Problem(name, f"has shape {array.shape}", "(1, parts, nodes, nodes)"))
+        if line.shape[3] != 1:
+            raise InvalidFile(Problem(f"{what}_line.{i}", f"has shape {line.shape}", "(1, parts, nodes, 1)"))
+        planes[f"{what}_plane.{i}"] = plane[0].transpose(2, 1, 0)
+        lines[f"{what}_line.{i}"] = line[0, :, :, 0].T
+    if matrix is None:
+        matrix = np.ones((sum(each.shape[2] for each in planes.values()), 1), np.float32)
+    return factors_of(planes, lines, matrix, "basis_mat.weight")
+
+
+def _activation(model: TorchModel) -> Activation:
+    kind = model.settings.get("fea2denseAct", "softplus")
+    shift, scale = (_number(model, key) for key in ("density_shift", "distance_scale"))
+    if kind == "softplus":
+        return Activation("softplus", shift, scale)
+    if kind == "relu":  # which leaves the shift out
+        return Activation("relu", 0.0, scale)
+    raise InvalidFile(Problem("fea2denseAct", f"is {str(kind)!r:.40}", "softplus or relu"))
+
+
+def _number(model: TorchModel, key: str) -> float:
+    found = model.file.array(model.settings.get(key), key)
+    if found.size != 1 or found.dtype.kind not in "fiu":
+        raise InvalidFile(Problem(key, f"has dtype {found.dtype}, shape {found.shape}", "one number"))
+    return float(found.reshape(-1)[0])
+
+
+def _colour(model: TorchModel, features: int) -> Colour:
+    """Of so many features."""
+    mode = model.settings.get("shadingMode")
+    if mode == "SH":
+        if features != _SH_FEATURES:
+            raise InvalidFile(Problem("basis_mat.weight", f"makes {features} features", f"{_SH_FEATURES}, for SH"))
+        return ShColour(_SH_FEATURES // 3)
+    if mode not in ("MLP_Fea", "MLP"):
+        kind = {"MLP_PE": ", whose MLP asks for positions", "RGB": ", colours without a bound"}.get(str(mode), "")
+        raise InvalidFile(Problem("shadingMode", f"is {str(mode)!r:.40}{kind}", _COLOURS))
+    views = _frequencies(model, "view_pe")
+    sines = _frequencies(model, "fea_pe") if mode == "MLP_Fea" else ()
+    layers = layers_of(*model.layers(list(_LAYERS), list(_LAYERS)))
+    first, own = layers.first, 2 * features * len(sines)
+    if first.shape[1] != features + 3 + own + 6 * len(views):
+        found = f"takes {first.shape[1]} inputs"
+        raise InvalidFile(Problem(_LAYERS[0], found, f"{features + 3 + own + 6 * len(views)}, of {features} features"))
+    # There: features, d, sines of features, sines of d. Here: features with their sines, d with its sines.
+    parts = np.split(first, [features, features + 3, features + 3 + own], axis=1)
+    layers = layers._replace(first=np.concatenate([parts[0], parts[2], parts[1], parts[3]], axis=1))
+    return MlpColour(*layers, frequencies=views, encoded=features if sines else 0, feature_frequencies=sines)
+
+
+def _frequencies(model: TorchModel, key: str) -> tuple[float, ...]:
+    """1, 2, 4, ..., as many as the setting says."""
+    count = model.settings.get(key)
+    if type(count) is not int or not 0 <= count <= _MOST_FREQUENCIES:
+        raise InvalidFile(Problem(key, f"is {count!s:.40}", f"0 to {_MOST_FREQUENCIES}"))
+    return tuple(float(1 << i) for i in range(count))
+
+
+def _mask(model: TorchModel) -> _Mask | None:
+    """Where a sample counts: in each cell that has a True node at a corner, even beside the outermost nodes."""
+    root = model.file.root
+    if "alphaMask.aabb" not in root:
+        return None
+    shape = root.get("alphaMask.shape")
+    sizes = shape if isinstance(shape, tuple) and all(type(edge) is int for edge in shape) else ()
+    if (
+        not 3 <= len(sizes) <= 5
+        or any(edge != 1 for edge in sizes[:-3])
+        or not all(2 <= e <= MAX_EDGE for e in sizes[-3:])
+    ):
+        raise InvalidFile(Problem("alphaMask.shape", f"is {shape!s:.60}", f"(Z, Y, X), 2 to {MAX_EDGE} each"))
+    Z, Y, X = sizes[-3:]
+    packed = model.file.array(root.get("alphaMask.mask"), "alphaMask.mask")
+    if packed.dtype != np.uint8 or packed.shape != ((X * Y * Z + 7) // 8,):
+        found = f"has dtype {packed.dtype}, shape {packed.shape}"
+        raise InvalidFile(Problem("alphaMask.mask", found, f"uint8 ({(X * Y * Z + 7) // 8},), bits of {sizes[-3:]}"))
+    memory.hold("alphaMask.mask", 4 * (X + 2) * (Y + 2) * (Z + 2))
+    nodes = np.unpackbits(packed, count=X * Y * Z).reshape(Z, Y, X).transpose(2, 1, 0).view(bool)
+    box = _box(root.get("alphaMask.aabb"), model, "alphaMask.aabb")
+    apart = (box[1] - box[0]) / (X - 1, Y - 1, Z - 1)
+    return _Mask(touched_cells(nodes), np.stack([box[0] - apart, box[1] + apart]))
+
+
+def _links(mask: _Mask | None, box: Points, shape: Shape) -> tuple[npt.NDArray[np.int32], int]:
+    """(X, Y, Z) to a row for each node that matters, x-major, and their count."""
+    edges = [box[1] - box[0]] + ([mask.box[1] - mask.box[0]] if mask else [])
+    if not all(np.isfinite(each).all() and (each > 0).all() for each in edges):
+        raise InvalidFile(Problem("aabb", "is no box", "the lowest corner, then the highest, of finite numbers"))
+    if mask is None:
+        return every_node(shape), shape[0] * shape[1] * shape[2]
+    size = max(shape[0] * shape[1] * shape[2], mask.cells.size)
+    memory.require("the mask's nodes", _NODE_BYTES * size)
+    held = nodes_around(mask.cells, box, mask.box, shape, at_corners=True)
+    n = int(np.count_nonzero(held))
+    memory.hold("links", 4 * held.size)
+    links = np.full(shape, -1, np.int32)
+    links[held] = np.arange(n, dtype=np.int32)
+    return links, n
