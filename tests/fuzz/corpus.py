@@ -128,6 +128,8 @@ def _lattices(name: str) -> Iterator[bytes]:
     if name == "tar":
         yield dvgo_file(dvgo(mlp="random"))
         yield dvgo_file(dvgo(mlp="none", dialect="early"))
+        yield dvgo_file(dvgo(mlp="random", dialect="2021"))
+        yield dvgo_file(dvgo(mlp="random", dialect="planes"))
         return
     if name == "th":
         yield tensorf_file(tensorf())

@@ -153,14 +153,15 @@ def dvgo(
     shape: tuple[int, int, int] = SHAPE,
 ) -> dict[str, Any]:
     """A checkpoint. mlp: affine, of which no relu ever cuts anything; random; none (three channels of colour).
-    dialect: grid; early (before April 2022, without act_shift)."""
+    dialect: grid; early (before April 2022, without act_shift); 2021 (before February 2022, positions in the MLP);
+    planes (features are products of planes and vectors)."""
     random = np.random.default_rng(4)
     low, high = (CENTRE - RADIUS).astype(np.float32), (CENTRE + RADIUS).astype(np.float32)
     axes = [np.linspace(a, b, edge) for a, b, edge in zip(low, high, shape, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     C = 3 if mlp == "none" else features + 3 * (not direct)
     k0 = random.normal(0, 0.5, (1, C, *shape)).astype(np.float32)
-    dot = "" if dialect == "early" else ".grid"
+    dot = "" if dialect in ("early", "2021") else ".grid"
     state: dict[str, Any] = {
         "xyz_min": low,
         "xyz_max": high,
@@ -168,10 +169,10 @@ def dvgo(
         f"k0{dot}": k0,
         "mask_cache.mask": np.ones((3, 4, 2), bool),
     }
-    if dialect != "early":
+    if dot:
         state["act_shift"] = np.array([ACT_SHIFT], np.float32)
     if mlp != "none":
-        state |= weights(mlp, features)
+        state |= weights(mlp, features, positions=dialect == "2021")
     settings = {
         "xyz_min": numpy_array(low),
         "xyz_max": numpy_array(high),
@@ -184,6 +185,14 @@ def dvgo(
         "rgbnet_direct": direct,
         "viewbase_pe": 4,
     }
+    if dialect == "planes":
+        del state["k0.grid"]
+        state |= _planes(random, C, shape)
+    if dialect == "2021":
+        del state["mask_cache.mask"]
+        state["mask_cache.density"] = np.ones((1, 1, 2, 2, 2), np.float32)
+        flags = dict.fromkeys(("nearest", "pre_act_density", "in_act_density"), False)
+        settings |= {"posbase_pe": 5, "mask_cache_path": "coarse_last.tar", **flags}
     optimizer = {"state": {0: {"exp_avg": View(np.zeros(1, np.float32), 0, (9,), (1,), numel=9)}}}
     return {
         "global_step": 20000,
@@ -193,11 +202,22 @@ def dvgo(
     }
 
 
-def weights(mlp: str, features: int = FEATURES) -> dict[str, Any]:
+def _planes(random: Any, channels: int, shape: tuple[int, int, int]) -> dict[str, Any]:
+    """Of a TensoRFGrid with two parts each, three across x and y."""
+    X, Y, Z = shape
+    sizes = {"xy_plane": (3, X, Y), "xz_plane": (2, X, Z), "yz_plane": (2, Y, Z), "z_vec": (3, Z, 1)}
+    sizes |= {"y_vec": (2, Y, 1), "x_vec": (2, X, 1)}
+    made = {f"k0.{name}": random.normal(0, 1, (1, *size)).astype(np.float32) for name, size in sizes.items()}
+    return made | {"k0.f_vec": random.normal(0, 0.5, (7, channels)).astype(np.float32)}
+
+
+def weights(mlp: str, features: int = FEATURES, *, positions: bool = False) -> dict[str, Any]:
     """rgbnet of two hidden layers. affine: only features and d itself have weights in the first layer, and biases keep
     every unit on."""
     random = np.random.default_rng(5)
-    layers = [random.normal(0, 0.3, shape) for shape in ((WIDTH, features + 27), (WIDTH, WIDTH), (3, WIDTH))]
+    layers = [
+        random.normal(0, 0.3, shape) for shape in ((WIDTH, features + 27 + 33 * positions), (WIDTH, WIDTH), (3, WIDTH))
+    ]
     biases = [random.normal(0, 0.3, len(layer)) for layer in layers]
     if mlp == "affine":
         layers[0][:, features + 3 :] = 0
@@ -207,7 +227,8 @@ def weights(mlp: str, features: int = FEATURES) -> dict[str, Any]:
     named: dict[str, Any] = {}
     for name, layer, bias in zip(("rgbnet.0", "rgbnet.2.0", "rgbnet.3"), layers, biases, strict=True):
         named |= {f"{name}.weight": layer.astype(np.float32), f"{name}.bias": bias.astype(np.float32)}
-    return named | {"viewfreq": np.array([1, 2, 4, 8], np.float32)}
+    more = {"posfreq": np.array([1, 2, 4, 8, 16], np.float32)} if positions else {}
+    return named | {"viewfreq": np.array([1, 2, 4, 8], np.float32)} | more
 
 
 def dvgo_file(checkpoint: dict[str, Any] | None = None) -> bytes:

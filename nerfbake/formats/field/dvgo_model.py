@@ -21,8 +21,14 @@ _LEAST = 1e-4  # the opacity of a step below which its renderer skips a sample
 _REFUSED = {
     "mpi_depth": "a forward-facing scene (NDC), whose lattice is no box of the world",
     "scene_center": "an unbounded scene, whose lattice is contracted",
-    "posbase_pe": "of DirectVoxGO before February 2022, whose MLP asks for positions",
 }
+_FLAGS = {  # of DirectVoxGO before February 2022
+    "nearest": "values of the nearest node, not between nodes",
+    "pre_act_density": "opacities at the nodes, not densities",
+    "in_act_density": "densities that are activated at the nodes",
+}
+_NO_MASK = "the mask that a coarse lattice makes is left out; nodes that it leaves out are empty by themselves"
+POSITIONS = 3  # features that a file does not hold: where a node stands in the box
 
 
 class Model(TorchModel):
@@ -31,8 +37,19 @@ class Model(TorchModel):
     def __init__(self, view: memoryview) -> None:
         super().__init__(view, "model_kwargs", "model_state_dict", "DirectVoxGO")
         for key, what in _REFUSED.items():
-            if key in self.settings or (key == "posbase_pe" and "posfreq" in self.state):
+            if key in self.settings:
                 raise InvalidFile(Problem("model_kwargs", f"has {key}: {what}", "a bounded scene of DirectVoxGO"))
+        if "act_shift.grid" in self.state:
+            found = "has act_shift.grid: a forward-facing scene (NDC), whose lattice is no box of the world"
+            raise InvalidFile(Problem("model_state_dict", found, "a bounded scene of DirectVoxGO"))
+        for key, what in _FLAGS.items():
+            if self.settings.get(key, False) is not False:
+                raise InvalidFile(Problem("model_kwargs", f"has {key}: {what}", "False, as its own settings have it"))
+
+    @property
+    def of_2021(self) -> bool:
+        """True before February 2022, when MLPs asked for positions, and no opacity was too small to count."""
+        return "posbase_pe" in self.settings
 
     def lattice(
         self, links: npt.NDArray[np.int32], density: Singles, features: npt.NDArray[Any], colour: Colour, dialect: str
@@ -48,9 +65,9 @@ class Model(TorchModel):
             box=np.stack([low, high]),
             at_corners=True,
             occupied=self.mask(),
-            least=_threshold(self.settings),
+            least=0.0 if self.of_2021 else _threshold(self.settings),
             dialect=dialect,
-            notes=tuple(self.file.notes),
+            notes=(*self.file.notes, *((_NO_MASK,) if "mask_cache.density" in self.state else ())),
         )
 
     def mask(self) -> Bits | None:
@@ -111,10 +128,14 @@ def colour_of(model: Model) -> Colour:
         stems.append(next(each for each in names if f"{each}.weight" in model.state))
     weights, biases = model.layers(stems, [f"rgbnet.{number}" for number in layers])
     frequencies = model.floats("viewfreq", (model.any("viewfreq").size,))
+    positions = model.of_2021 and "posfreq" in model.state
+    sines = model.floats("posfreq", (model.any("posfreq").size,)) if positions else np.zeros(0)
     return MlpColour(
         *layers_of(weights, biases),
         frequencies=tuple(frequencies.tolist()),
         direct=model.settings.get("rgbnet_direct", False) is True,
+        encoded=POSITIONS if positions else 0,
+        feature_frequencies=tuple(sines.tolist()),
     )
 
 

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import LatticeField, load, measure_lattice, octree_of_lattice
 from nerfbake.formats.field import dvgo as reader
 from nerfbake.kernels.lattice.mlp import encoded
+from nerfbake.kernels.lattice.nodes import blended, in_nodes
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.lattice_field import MlpColour, RgbColour
@@ -29,11 +30,15 @@ def read(**options: Any) -> LatticeField:
     return reader.decode(memoryview(dvgo_file(dvgo(**options))))
 
 
+def sines(x: Any, count: int) -> Any:
+    angles = (x[:, :, None] * 2.0 ** np.arange(count)).reshape(len(x), -1)
+    return np.concatenate([x, np.sin(angles), np.cos(angles)], axis=1)
+
+
 def mlp_of(checkpoint: dict[str, Any], features: Any, directions: Any) -> Any:
     """torch's Linear, y = x W^T + b, in float64: (m, n, 3) logits of features (m, F) in directions (n, 3)."""
     state = checkpoint["model_state_dict"]
-    angles = directions[:, :, None] * np.array([1, 2, 4, 8.0])
-    code = np.concatenate([directions, np.sin(angles).reshape(-1, 12), np.cos(angles).reshape(-1, 12)], axis=1)
+    code = sines(directions, 4)
     m, n = len(features), len(directions)
     x = np.concatenate([np.repeat(features, n, 0), np.tile(code, (m, 1))], axis=1)
     for name, last in (("rgbnet.0", False), ("rgbnet.2.0", False), ("rgbnet.3", True)):
@@ -42,17 +47,17 @@ def mlp_of(checkpoint: dict[str, Any], features: Any, directions: Any) -> Any:
     return x.reshape(m, n, 3)
 
 
-@pytest.mark.parametrize("dialect", ["grid", "early"])
+@pytest.mark.parametrize("dialect", ["grid", "early", "2021", "planes"])
 def test_densities_follow_its_formula(dialect: str) -> None:
     lattice = read(dialect=dialect)
     assert lattice.at_corners
     assert_allclose(lattice.box, np.stack([CENTRE - RADIUS, CENTRE + RADIUS]))
-    assert lattice.least == 1e-4
+    assert lattice.least == (0 if dialect == "2021" else 1e-4)
     octree = octree_of_lattice(lattice, basis="SH1")
     points = world_centres(octree)
-    shift = ACT_SHIFT if dialect == "grid" else np.log(1 / (1 - 1e-2) - 1)
+    shift = ACT_SHIFT if dialect in ("grid", "planes") else np.log(1 / (1 - 1e-2) - 1)
     density = np.logaddexp(0, affine(points) + shift) / EDGE
-    density[1 - np.exp(-density * lattice.step) <= 1e-4] = 0
+    density[1 - np.exp(-density * lattice.step) <= lattice.least] = 0
     clear = np.abs(1 - np.exp(-density * lattice.step) - 1e-4) > 1e-6
     assert_allclose(octree.sample(points)[clear, -1], density[clear], rtol=1e-4, atol=1e-6)
 
@@ -79,6 +84,36 @@ def test_colours_are_those_of_its_mlp(direct: bool) -> None:
     ray = np.tile(np.arange(3), 70)
     seen = seen_along(lattice, directions)(features, ray)
     assert_allclose(seen, 1 / (1 + np.exp(-logits[np.arange(210), ray])), atol=1e-6)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_before_2022_the_mlp_asks_for_positions(direct: bool) -> None:
+    """Features, then the place in the box, 0 to 1, with its sines, then the direction: anywhere, not at nodes alone."""
+    checkpoint = dvgo(mlp="random", dialect="2021", direct=direct)
+    lattice = reader.decode(memoryview(dvgo_file(checkpoint)))
+    assert lattice.dialect == "DirectVoxGO, 2021"
+    assert lattice.notes[0].startswith("the mask that a coarse lattice makes")
+    shares, directions = np.random.default_rng(1).random((60, 3)), fibonacci(2)
+    at = in_nodes(shares, lattice.shape, lattice.at_corners)
+    whole = blended(lattice.links, table_of(lattice), at)
+    grid = np.moveaxis(checkpoint["model_state_dict"]["k0"][0], 0, -1).reshape(210, -1)
+    own = blended(lattice.links, np.ascontiguousarray(grid), at)
+    k0, added = (own, 0) if direct else (own[:, 3:], own[:, None, :3])
+    logits = mlp_of(checkpoint, np.concatenate([k0, sines(shares, 5)], axis=1), directions) + added
+    seen = seen_along(lattice, directions)(whole, np.ones(60, np.int64))
+    assert_allclose(seen, 1 / (1 + np.exp(-logits[:, 1])), atol=2e-6)
+
+
+def test_features_may_be_products_of_planes() -> None:
+    checkpoint, lattice = dvgo(mlp="random", dialect="planes"), read(mlp="random", dialect="planes")
+    xy, xz, yz, z, y, x = (
+        checkpoint["model_state_dict"][f"k0.{name}"][0].astype(float)
+        for name in ("xy_plane", "xz_plane", "yz_plane", "z_vec", "y_vec", "x_vec")
+    )
+    formulas = ("rxy,rzi->xyzr", xy, z), ("rxz,ryi->xyzr", xz, y), ("ryz,rxi->xyzr", yz, x)
+    parts = np.concatenate([np.einsum(formula, a, b) for formula, a, b in formulas], axis=3)
+    expected = parts @ checkpoint["model_state_dict"]["k0.f_vec"]
+    assert_allclose(lattice.features.reshape(*SHAPE, FEATURES), expected, atol=1e-5)
 
 
 def test_coefficients_are_the_least_squares_of_its_logits() -> None:
@@ -139,10 +174,14 @@ NAN = np.full(3, np.nan, np.float32)
 LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "NDC": (settings(mpi_depth=128), "has mpi_depth: a forward-facing scene (NDC)"),
     "contracted": (settings(scene_center=numpy_array(NAN)), "has scene_center: an unbounded scene"),
-    "of 2021": (settings(posbase_pe=5) , "has posbase_pe: of DirectVoxGO before February 2022"),
+    "NDC by its shift": (state(act_shift__grid=GRID), "model_state_dict has act_shift.grid: a forward-facing scene"),
+    "nearest nodes": (settings(nearest=True), "has nearest: values of the nearest node, not between nodes"),
+    "opacities": (settings(pre_act_density=True), "has pre_act_density: opacities at the nodes"),
+    "activated nodes": (settings(in_act_density=1), "has in_act_density: densities that are activated at the nodes"),
     "no grid": (without("density.grid"), "model_state_dict has no density.grid; allowed: a model"),
     "no colours": (without("k0.grid"), "model_state_dict has no k0.grid"),
-    "planes": (state(k0__xy_plane=GRID), "k0 is of planes and vectors (TensoRFGrid)"),
+    "a plane of five axes": (state(k0__xy_plane=GRID, k0__z_vec=GRID), "k0.xy_plane has shape (1, 1, 5, 6, 7)"),
+    "a plane alone": (state(k0__xy_plane=GRID[0]), "model_state_dict has no k0.z_vec"),
     "a flat grid": (state(density__grid=np.zeros(9, np.float32)), "density.grid has shape (9,)"),
     "whole numbers": (state(density__grid=GRID.astype(np.int32)), "density.grid has dtype int32"),
     "fewer channels": (state(k0__grid=np.zeros((1, 2, *SHAPE), np.float32)), "allowed: (1, 4, X, Y, Z)"),
@@ -165,6 +204,23 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a mask of numbers": (state(**{"mask_cache__mask": GRID[0]}), "mask_cache.mask has dtype float32"),
     "no settings": (lambda checkpoint: checkpoint.update(model_kwargs=3), "data.pkl has no model_kwargs"),
 }  # fmt: skip
+
+
+PLANE_LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "a broad vector": (state(k0__z_vec=np.zeros((1, 3, 7, 2), np.float32)), "k0.z_vec has (7, 2) nodes; allowed: of one axis"),
+    "other nodes": (state(k0__x_vec=np.zeros((1, 2, 4, 1), np.float32)), "k0.yz_plane has (6, 7, 2)"),
+    "more channels": (state(k0__f_vec=np.zeros((7, 5), np.float32)), "k0.f_vec makes 5 channels; allowed: 4"),
+    "fewer parts": (state(k0__f_vec=np.zeros((6, 4), np.float32)), "k0.f_vec is for (6,) parts; allowed: 7"),
+    "another density": (state(density__grid=GRID[..., :3]), "k0 has (5, 6, 7) nodes; allowed: (5, 6, 3)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", PLANE_LIES)
+def test_lying_planes_are_refused(lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    change, expected = PLANE_LIES[lie]
+    checkpoint = dvgo(dialect="planes")
+    change(checkpoint)
+    assert expected in refused_as_it_is(tmp_path / "bad.tar", dvgo_file(checkpoint), capsys)
 
 
 @pytest.mark.parametrize("lie", LIES)
