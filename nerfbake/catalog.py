@@ -115,6 +115,7 @@ FOLDERS = (
     FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", "poses_bounds.npy", _LLFF, writable=False),
     FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", "finedensity.vdb", writable=False),
+    FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", writable=False),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.

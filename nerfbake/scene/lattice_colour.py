@@ -109,4 +109,29 @@ class MlpColour:
         return number_problems("the MLP", numbers) + number_problems("frequencies", frequencies, most=MAX_FREQUENCY)
 
 
-Colour = ShColour | RgbColour | MlpColour
+@dataclass(frozen=True, eq=False)
+class DeferredColour:
+    """A diffuse colour and what an MLP adds for a direction, once for each ray: of the ray's own sums in a picture, of
+    one place's values anywhere else. At 1 the sum is cut.
+
+    Features are red, green, blue and `others` that the MLP is asked for, too, all of them times the opacity, and then
+    the opacity itself; a factor that all of them have does not matter. mlp None: nothing is added.
+    """
+
+    mlp: MlpColour | None
+    others: int = 4
+
+    def __post_init__(self) -> None:
+        if self.mlp and (self.mlp.features != 3 + self.others or not self.mlp.direct or self.mlp.encoded):
+            found = f"takes {self.mlp.features} features"
+            raise InvalidScene(Problem("the MLP", found, f"{3 + self.others}, 3 of them a colour"))
+
+    @property
+    def features(self) -> int:
+        return 3 + self.others + 1
+
+    def __str__(self) -> str:
+        return f"RGB and a deferred {self.mlp}" if self.mlp else "RGB by opacity"
+
+
+Colour = ShColour | RgbColour | MlpColour | DeferredColour

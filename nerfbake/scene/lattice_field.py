@@ -15,6 +15,7 @@ from nerfbake.kernels.soundness import all_finite, place, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, require_shape
 from nerfbake.scene.basis import SH_SIZES
 from nerfbake.scene.lattice_colour import Colour as Colour
+from nerfbake.scene.lattice_colour import DeferredColour as DeferredColour
 from nerfbake.scene.lattice_colour import MlpColour as MlpColour
 from nerfbake.scene.lattice_colour import RgbColour as RgbColour
 from nerfbake.scene.lattice_colour import ShColour as ShColour
@@ -26,10 +27,11 @@ STEP = 0.5  # of the least distance between nodes: how far the samples of all th
 class Activation(NamedTuple):
     """The density per world unit that an interpolated value x stands for: scale * kind(x + shift).
 
-    relu  max(0, x).  softplus  ln(1 + e^x)
+    relu  max(0, x).  softplus  ln(1 + e^x).  opacity  -ln(1 - x), of x from 0 to 1 - 1/510: x is the opacity of 1/scale
+    world units, and no byte tells anything above from 1
     """
 
-    kind: Literal["relu", "softplus"] = "relu"
+    kind: Literal["relu", "softplus", "opacity"] = "relu"
     shift: float = 0.0
     scale: float = 1.0
 
@@ -170,7 +172,8 @@ class LatticeField(Scene):
 
     def value_problems(self) -> list[Problem]:
         """Values that no renderer can use; only rows that a node has count."""
-        mlp = self.colour if isinstance(self.colour, MlpColour) else None
+        mlp = self.colour.mlp if isinstance(self.colour, DeferredColour) else self.colour
+        mlp = mlp if isinstance(mlp, MlpColour) else None
         weights, most = (mlp.problems(), mlp.most) if mlp else ([], np.inf)
         # Channels that lie together are not copied, to be looked at row by row.
         features = self.features.T if self.features.flags.f_contiguous else self.features

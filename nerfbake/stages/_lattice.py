@@ -10,16 +10,17 @@ import numpy.typing as npt
 from nerfbake.kernels.arrays import Ints, Points, Singles
 from nerfbake.kernels.lattice import harmonics
 from nerfbake.kernels.lattice.mlp import Layers, encoded, layers_for, logits_along, projected
-from nerfbake.kernels.lattice.nodes import RELU, SOFTPLUS, Nodes, cells_in, nearest_in
+from nerfbake.kernels.lattice.nodes import OPACITY, RELU, SOFTPLUS, Nodes, cells_in, nearest_in
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import log, sigmoid
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.octree.halves import widened
-from nerfbake.scene.lattice_field import LatticeField, MlpColour, ShColour
+from nerfbake.scene.lattice_field import DeferredColour, LatticeField, MlpColour, ShColour
+from nerfbake.stages._deferred import bare, fit_of_deferred, seen_of
 
 DIRECTIONS = 256  # in which colours are compared while coefficients are chosen
 MLP_DIRECTIONS = 64  # the same of an MLP, whose time they are
-_KINDS = {"relu": RELU, "softplus": SOFTPLUS}
+_KINDS = {"relu": RELU, "softplus": SOFTPLUS, "opacity": OPACITY}
 _Y0 = 0.28209479177387814  # the first of the spherical harmonics, a constant
 
 Seen = Callable[[Singles, Ints], Singles]
@@ -61,6 +62,9 @@ def seen_along(lattice: LatticeField, directions: Points) -> Seen:
             return sigmoid(logits_along(own, layers, ray) + added).astype(np.float32)
 
         return seen
+    if isinstance(lattice.colour, DeferredColour):
+        shown = seen_of(lattice.colour, directions)
+        return lambda features, ray: shown(bare(features), ray)
     return lambda features, ray: sigmoid(features).astype(np.float32)
 
 
@@ -80,6 +84,8 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
             return projected(own, layers, inverse) + _constant(added, B)
 
         return fit
+    if isinstance(lattice.colour, DeferredColour):
+        return fit_of_deferred(lattice.colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
     return lambda features: _constant(features, B)
 
 

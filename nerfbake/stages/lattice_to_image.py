@@ -8,13 +8,15 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.lattice.nodes import Nodes, blended, in_nodes
-from nerfbake.kernels.lattice.rays import gathered, samples_of
+from nerfbake.kernels.lattice.rays import Samples, gathered, samples_of, summed
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
-from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.lattice_field import DeferredColour, LatticeField
+from nerfbake.stages._deferred import bare, seen_of
 from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
 from nerfbake.stages._supersampled import supersampled
 
+_SEEN = 1 / 255  # alpha of a ray from which on an MLP is asked what it adds
 _RAYS = 1 << 13  # at a time: what they meet stays small
 
 
@@ -29,7 +31,8 @@ def render_lattice(
     """What the camera sees of the lattice: trilinear values, activated where a sample stands, half a node apart.
 
     background, transmittance_cut and samples are render_field()'s; so is what a pixel holds. Colours above 1 are cut
-    there once a ray's are added up. Raises InvalidScene for a lattice that cannot be shown; MemoryLimit.
+    there once a ray's are added up. A deferred colour's MLP is asked once for each ray, of its sums and the background
+    behind them. Raises InvalidScene for a lattice that cannot be shown; MemoryLimit.
 
     >>> import numpy as np
     >>> from nerfbake import LatticeField, orbit_cameras, render_lattice
@@ -65,7 +68,7 @@ def _rendered(
     out = np.empty((len(looks), 5), np.float32)
     for begin in range(0, len(looks), _RAYS):
         some = looks[begin : begin + _RAYS]
-        out[begin : begin + len(some)] = _along(lattice, nodes, table, origin, some, float(cut))
+        out[begin : begin + len(some)] = _along(lattice, nodes, table, origin, some, float(cut), background)
     shape = (camera.height, camera.width)
     colour, alpha, far = np.minimum(out[:, :3], 1), out[:, 3], out[:, 4]
     if background is not None:
@@ -74,7 +77,15 @@ def _rendered(
     return Image(np.minimum(colour, 1).reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape), background)
 
 
-def _along(lattice: LatticeField, nodes: Nodes, table: Singles, origin: Floats, looks: Floats, cut: float) -> Floats:
+def _along(
+    lattice: LatticeField,
+    nodes: Nodes,
+    table: Singles,
+    origin: Floats,
+    looks: Floats,
+    cut: float,
+    background: tuple[float, float, float] | None,
+) -> Floats:
     """(m, 5) of rays: colour weighted by opacity, alpha, and the sum of opacity times distance."""
     ways = looks / (lattice.box[1] - lattice.box[0])
     met = samples_of(nodes, places_of(lattice, origin), ways, lattice.step, cut)
@@ -82,5 +93,22 @@ def _along(lattice: LatticeField, nodes: Nodes, table: Singles, origin: Floats, 
     memory.require("what the rays meet", k * (4 * lattice.features.shape[1] + 40))
     ray = np.repeat(np.arange(len(looks)), np.diff(met.first))
     features = blended(lattice.links, table, in_nodes(met.places, lattice.shape, lattice.at_corners))
+    if isinstance(lattice.colour, DeferredColour):
+        return np.column_stack([_deferred(lattice.colour, met, features, looks, background), met.lost])
     colours = gathered(met, seen_along(lattice, looks)(features, ray))
     return np.column_stack([colours, met.lost])
+
+
+def _deferred(
+    colour: DeferredColour,
+    met: Samples,
+    features: Singles,
+    looks: Floats,
+    background: tuple[float, float, float] | None,
+) -> Floats:
+    """(m, 3) the colour of rays with what the MLP adds to it, without what is behind."""
+    sums = summed(met, bare(features))
+    behind = (1 - met.lost[:, :1]) * np.array(background or (0, 0, 0))
+    sums[:, :3] += behind
+    shown = seen_of(colour, looks)(sums, np.arange(len(looks)))
+    return np.asarray(np.where(met.lost[:, :1] >= _SEEN, shown, sums[:, :3]) - behind, np.float64)

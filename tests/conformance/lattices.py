@@ -17,6 +17,9 @@ from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
 from tests.conformance.case import Case, Facts, Frozen, form_named
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, svox2, svox2_file
 from tests.support.plenvdb import merged, merged_folder, plenvdb, plenvdb_folder
+from tests.support.snerg import colour_at as snerg_colour
+from tests.support.snerg import density_of as snerg_density
+from tests.support.snerg import snerg, snerg_folder, values_at
 from tests.support.tensorf import colour_at, density_at, tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 
@@ -55,6 +58,23 @@ def cases() -> Iterator[Case]:
     about = "A checkpoint as TensoRF writes it with torch: planes and lines, a mask in a box of its own, an MLP."
     files = {"lattice/planes.th": Frozen(form_named("th"), None, data=tensorf_file(decomposed))}
     yield Case("lattice/planes", about, files, _planes(decomposed), answer, computed=1e-5)
+    made = snerg()
+    about = "A folder as SNeRG exports it: blocks of voxels in an atlas of slices, a diffuse colour and a deferred MLP."
+    files = {"lattice/snerg": Frozen(form_named("snerg"), None, data=snerg_folder(made))}
+    yield Case("lattice/snerg", about, files, _blocks(made), answer, computed=2e-5)
+
+
+def _blocks(made: dict[str, Any]) -> Facts:
+    """By the definition, worked out in tests.support: each of eight voxels fetched from the atlas."""
+    box = np.array([[-1.25, -2.75, 1.25], [1.5, 0.75, 3.25]])
+    points = box[0] + np.random.default_rng(8).uniform(0.1, 0.9, (60, 3)).round(3) * (box[1] - box[0])
+    points = points[values_at(made, points)[:, 7] > 0.1][:8]
+    density, colours = snerg_density(values_at(made, points)), snerg_colour(made, points, DIRECTION)
+    lookups = [
+        {"point": point, "density": sigma, "colour": colour}
+        for point, sigma, colour in zip(points.tolist(), density.tolist(), colours.tolist(), strict=True)
+    ]
+    return {"resolution": [11, 14, 8], "world_box": box.tolist(), "direction": DIRECTION, "lookups": lookups}
 
 
 def _planes(checkpoint: dict[str, Any]) -> Facts:

@@ -32,6 +32,7 @@ from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
+from tests.support.snerg import snerg, snerg_folder
 from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
@@ -72,7 +73,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
 @cache
 def folders_of(name: str) -> tuple[Files, ...]:
     """Folders of a kind, by their files' names."""
-    makers = {"stage1": _stage1s, "atlas": _atlases, "thesis": _theses, "plenvdb": _plenvdbs}
+    makers = {"stage1": _stage1s, "atlas": _atlases, "thesis": _theses, "plenvdb": _plenvdbs, "snerg": _snergs}
     return tuple(makers[name]() if name in makers else _captures(name))
 
 
@@ -236,6 +237,11 @@ def _plenvdbs() -> Iterator[Files]:
     """Grids of a whole lattice, and merged ones."""
     yield plenvdb_folder(plenvdb(shape=(3, 4, 9)))
     yield merged_folder(plenvdb(shape=(4, 3, 5)))
+
+
+def _snergs() -> Iterator[Files]:
+    yield snerg_folder(snerg())
+    yield snerg_folder(snerg(diffuse=True))
 
 
 def _theses() -> Iterator[Files]:

@@ -17,7 +17,9 @@ from nerfbake.kernels.arrays import Bits, Floats, Singles
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import exp_parts
 
-RELU, SOFTPLUS = 0, 1
+RELU, SOFTPLUS, OPACITY = 0, 1, 2
+_LN2 = 0.6931471805599453
+_LEAST_LEFT = 1 / 510  # half of the least share that 8 bits tell
 _exp_parts: Any = compiled()(exp_parts)
 
 
@@ -105,7 +107,12 @@ def density_at(nodes: Nodes, u: float, v: float, w: float) -> float:
     if not held:
         return 0.0
     raw = total + nodes.shift
-    found = nodes.scale * (max(raw, 0.0) if nodes.kind == RELU else softplus_of(raw))
+    if nodes.kind == RELU:
+        found = nodes.scale * max(raw, 0.0)
+    elif nodes.kind == SOFTPLUS:
+        found = nodes.scale * softplus_of(raw)
+    else:
+        found = nodes.scale * thickness_of(raw)
     return found if found > nodes.least else 0.0
 
 
@@ -147,3 +154,17 @@ def softplus_of(x: float) -> float:
     for n in range(31, 0, -2):
         series = series * z + 1 / n
     return float(max(x, 0.0) + 2 * s * series)
+
+
+@compiled()
+def thickness_of(opacity: float) -> float:
+    """-ln(1 - x), of an opacity of at most 1 - 1/510: what is left is brought near 1, and there 2 artanh's series."""
+    left, doubled = max(1 - max(opacity, 0.0), _LEAST_LEFT), 0.0
+    while left < 0.7071067811865476:
+        left, doubled = left * 2, doubled + 1
+    s = (left - 1) / (left + 1)
+    z = s * s
+    series = 1 / 19
+    for n in range(17, 0, -2):
+        series = series * z + 1 / n
+    return float(doubled * _LN2 - 2 * s * series)

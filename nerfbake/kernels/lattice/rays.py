@@ -48,6 +48,13 @@ def gathered(samples: Samples, colours: Singles) -> Singles:
     return out
 
 
+def summed(samples: Samples, values: Singles) -> Singles:
+    """(m, C) the same of any values (k, C)."""
+    out = np.zeros((len(samples.lost), values.shape[1]), np.float32)
+    _sum(samples.first, samples.weights, values, out)
+    return out
+
+
 @compiled(parallel=True)
 def _march(
     nodes: Nodes,
@@ -113,3 +120,13 @@ def _gather(first: Ints, weights: Singles, colours: Singles, out: Singles) -> No
             green += weights[i] * colours[i, 1]
             blue += weights[i] * colours[i, 2]
         out[ray, 0], out[ray, 1], out[ray, 2] = red, green, blue
+
+
+@compiled(parallel=True)
+def _sum(first: Ints, weights: Singles, values: Singles, out: Singles) -> None:
+    for ray in prange(len(out)):
+        total = out[ray]
+        for i in range(first[ray], first[ray + 1]):
+            weight, own = weights[i], values[i]
+            for column in range(len(total)):
+                total[column] += weight * own[column]

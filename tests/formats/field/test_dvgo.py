@@ -207,7 +207,7 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
 
 
 PLANE_LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
-    "a broad vector": (state(k0__z_vec=np.zeros((1, 3, 7, 2), np.float32)), "k0.z_vec has (7, 2) nodes; allowed: of one axis"),
+    "a broad vector": (state(k0__z_vec=np.zeros((1, 3, 7, 2), np.float32)), "k0.z_vec has (7, 2) nodes; allowed: of o"),
     "other nodes": (state(k0__x_vec=np.zeros((1, 2, 4, 1), np.float32)), "k0.yz_plane has (6, 7, 2)"),
     "more channels": (state(k0__f_vec=np.zeros((7, 5), np.float32)), "k0.f_vec makes 5 channels; allowed: 4"),
     "fewer parts": (state(k0__f_vec=np.zeros((6, 4), np.float32)), "k0.f_vec is for (6,) parts; allowed: 7"),

@@ -17,6 +17,7 @@ from nerfbake.kernels.lattice.nodes import (
     in_nodes,
     nearest_in,
     softplus_of,
+    thickness_of,
 )
 
 SHAPE = (5, 6, 7)
@@ -88,3 +89,9 @@ def test_a_mask_may_be_of_cells_in_a_box_of_its_own() -> None:
     x = np.array([0.0, 0.24, 0.26, 0.49, 0.51, 0.7, 0.75, 0.76, 1.0])
     where = np.column_stack([x, np.full(9, 0.3), np.full(9, 1.0)])
     assert_array_equal(densities(nodes, where), [1, 1, 0, 0, 1, 1, 1, 0, 0])
+
+
+def test_an_opacity_is_a_thickness_up_to_the_last_byte() -> None:
+    opacity = np.array([-0.5, 0.0, 1e-6, 0.1, 0.5, 0.9, 0.998, 0.999, 1.0, 3.0])
+    found = np.array([thickness_of(each) for each in opacity])
+    assert_allclose(found, -np.log(np.maximum(1 - np.maximum(opacity, 0), 1 / 510)), rtol=1e-11, atol=1e-15)

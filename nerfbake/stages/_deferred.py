@@ -1,0 +1,53 @@
+"""Colours that are deferred: what stages make of a diffuse colour and of what an MLP adds to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nerfbake.kernels.arrays import Ints, Points, Singles
+from nerfbake.kernels.lattice.harmonics import LEAST, inverse_of
+from nerfbake.kernels.lattice.mlp import layers_for, logits_along
+from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.kernels.maths.elementary import log, sigmoid
+from nerfbake.kernels.maths.products import product
+from nerfbake.scene.lattice_colour import DeferredColour
+
+Seen = Callable[[Singles, Ints], Singles]
+_THINNEST = np.float32(1e-6)  # of what values are divided by
+
+
+def bare(features: Singles) -> Singles:
+    """(k, 3 + others) the colour and the MLP's values of features (k, 3 + others + 1), without the opacity in them."""
+    return np.asarray(features[:, :-1] / np.maximum(features[:, -1:], _THINNEST), np.float32)
+
+
+def seen_of(colour: DeferredColour, directions: Points) -> Seen:
+    """What makes colours (k, 3) of bare values (k, 3 + others), each in the direction with its number (k,)."""
+    if colour.mlp is None:
+        return lambda values, ray: np.asarray(np.minimum(values[:, :3], 1), np.float32)
+    mlp = colour.mlp
+    weights = mlp.first, mlp.first_bias, mlp.middle, mlp.middle_bias, mlp.last, mlp.last_bias
+    layers = layers_for(directions, mlp.frequencies, *weights)
+
+    def seen(values: Singles, ray: Ints) -> Singles:
+        added = sigmoid(logits_along(values, layers, ray)).astype(np.float32)
+        return np.asarray(np.minimum(values[:, :3] + added, 1), np.float32)
+
+    return seen
+
+
+def fit_of_deferred(colour: DeferredColour, directions: Points, B: int) -> Callable[[Singles], Singles]:
+    """What makes the 3 B coefficients of a sigmoid's sums of features, by least squares of logits in directions."""
+    inverse, seen = inverse_of(sh_basis(directions, B)), seen_of(colour, directions)
+
+    def fit(features: Singles) -> Singles:
+        values, out = bare(features), np.zeros((len(features), 3, B))
+        for j in range(len(directions)):
+            shown = np.clip(seen(values, np.full(len(values), j)), LEAST, 1 - LEAST).astype(np.float64)
+            logits = log(shown) - log(1 - shown)
+            out += product(logits.reshape(-1, 1), inverse[None, :, j]).reshape(out.shape)
+        return out.reshape(len(features), -1).astype(np.float32)
+
+    return fit
