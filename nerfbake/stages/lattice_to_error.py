@@ -46,10 +46,11 @@ def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree) -> float:
     memory.require("the lattice's colours", 4 * lattice.n * lattice.features.shape[1])
     features = blended(lattice.links, table_of(lattice), at)
     seen = seen_along(lattice, directions)
-    weight, basis = opacity(values[:, -1], lattice.step), sh_basis(directions, B)
+    weight, across = opacity(values[:, -1], lattice.step), np.ascontiguousarray(sh_basis(directions, B).T)
+    memory.require("the colours in all directions", 24 * len(points) * DIRECTIONS)
+    sums = np.stack([product(values[:, c * B : (c + 1) * B], across) for c in range(3)], axis=2)
     total = 0.0
     for j in range(DIRECTIONS):
         truth = np.clip(seen(features, np.full(len(points), j)), 0, 1)
-        sums = np.stack([product(values[:, c * B : (c + 1) * B], basis[j : j + 1].T)[:, 0] for c in range(3)], axis=1)
-        total += float((((sigmoid(sums) - truth) ** 2).sum(axis=1) * weight).sum())
+        total += float((((sigmoid(sums[:, j]) - truth) ** 2).sum(axis=1) * weight).sum())
     return 255 * float(np.sqrt(total / (3 * DIRECTIONS * weight.sum())))
