@@ -19,8 +19,8 @@ from nerfbake.scene.lattice_field import DeferredColour, LatticeField, MlpColour
 from nerfbake.stages._deferred import bare, fit_of_deferred, seen_of
 
 DIRECTIONS = 256  # in which colours are compared while coefficients are chosen
-# The same of an MLP, whose time they are. Of an MLP fitted to the chair's colours, RMS in 400 other directions: SH4 12.49
-# in 24 of them and 12.47 in 256, SH9 2.15 in 64 and 2.11 in 256 (2.18 in 48), SH25 1.85 in 100 and 1.81 in 256.
+# The same of an MLP, whose time they are. Of one fitted to the chair's colours, RMS in 400 others: SH4 12.49 in 24 and
+# 12.47 in 256, SH9 2.18 in 48, 2.15 in 64 and 2.11 in 256, SH25 1.85 in 100 and 1.81 in 256.
 MLP_DIRECTIONS, FEW_DIRECTIONS = 64, 24
 _KINDS = {"relu": RELU, "softplus": SOFTPLUS, "opacity": OPACITY}
 _Y0 = 0.28209479177387814  # the first of the spherical harmonics, a constant

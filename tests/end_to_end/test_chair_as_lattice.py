@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from nerfbake import LatticeField, N3Tree, build_octree, compare_scenes, load, octree_of_lattice, orbit_cameras
-from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.elementary import sigmoid
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake import (
+    LatticeField,
+    N3Tree,
+    build_octree,
+    compare_scenes,
+    load,
+    measure_lattice,
+    octree_of_lattice,
+    orbit_cameras,
+)
+from nerfbake.bench.inputs.models import write_plenoxels, write_voxels
 from nerfbake.scene.octree import SparseVoxelOctree
-from tests.support.n3trees import archive
-from tests.support.scenes import voxel_centres
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
 EDGE = 64
@@ -28,29 +32,8 @@ def grid(chair: Path) -> SparseVoxelOctree:
 def plenoxels(grid: SparseVoxelOctree, tmp_path_factory: pytest.TempPathFactory) -> LatticeField:
     """A checkpoint of svox2 with a node in each voxel that holds something, rows in no order: its colours are sums cut
     at 0 that are nearest to the chair's sigmoids."""
-    values = grid.sample(grid.origin + voxel_centres(grid.size) * grid.voxel_size)
-    held = np.flatnonzero(values[:, -1] > 0)
-    basis = sh_basis(fibonacci(256), 9)
-    seen = sigmoid(values[held, :-1].reshape(-1, 9) @ basis.T) - 0.5
-    colours = (seen @ np.linalg.pinv(basis).T).reshape(-1, 27)
-    order = np.random.default_rng(0).permutation(len(held))
-    links = np.full(EDGE**3, -1, np.int32)
-    links[held[order]] = np.arange(len(held))
-    half = grid.voxel_size * EDGE / 2
     path = tmp_path_factory.mktemp("plenoxels") / "ckpt.npz"
-    path.write_bytes(
-        archive(
-            {
-                "radius": half.astype(np.float32),
-                "center": (grid.origin + half).astype(np.float32),
-                "links": links.reshape(EDGE, EDGE, EDGE),
-                "density_data": values[held[order], -1:],
-                "sh_data": colours[order].astype(np.float16),
-                "basis_type": np.int64(1),
-            },
-            deflated=False,
-        )
-    )
+    write_plenoxels(path, grid, EDGE)
     return load(path, LatticeField)
 
 
@@ -65,3 +48,14 @@ def test_finer_voxels_are_nearer_to_the_lattices_own_pictures(
 ) -> None:
     octree = octree_of_lattice(plenoxels, resolution=(times * EDGE,) * 3)
     assert decibels(plenoxels, octree) > least
+
+
+@pytest.mark.long
+def test_an_mlp_of_the_chair_becomes_harmonics(grid: SparseVoxelOctree, tmp_path: Path) -> None:
+    """Of 12 features and the direction, fitted to the chair's colours: what is lost is told, and SH16 loses less."""
+    write_voxels(tmp_path / "fine_last.tar", grid, EDGE, steps=200)
+    lattice = load(tmp_path / "fine_last.tar", LatticeField)
+    octree = octree_of_lattice(lattice)
+    assert measure_lattice(lattice, octree) < 8
+    assert measure_lattice(lattice, octree_of_lattice(lattice, basis="SH16")) < measure_lattice(lattice, octree)
+    assert decibels(lattice, octree) > 38

@@ -6,10 +6,10 @@ import pickletools
 from itertools import pairwise
 from random import Random
 
+from nerfbake.bench.inputs.torch_writer import glob, text
 from tests.fuzz import hostile_values as hostile
 from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_zip import archive_of, break_zip, members_of
-from tests.support.torch_files import glob, text
 
 _PICKLE = "data.pkl"
 # What a hostile author would put in: calls, globals, opcodes of other protocols, copies, ends.

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from nerfbake.bench.inputs.torch_writer import numpy_array, ordered, torch_file
 from tests.support.lattices import CENTRE, RADIUS, SHAPE
-from tests.support.torch_files import numpy_array, ordered, torch_file
 
 PARTS, LOOKS, FEATURES, WIDTH = (2, 3, 2), (3, 2, 1), 4, 8
 ACROSS = ((0, 1), (0, 2), (1, 2))  # a plane's axes; the line's is the third one

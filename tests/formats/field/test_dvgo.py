@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import LatticeField, load, measure_lattice, octree_of_lattice
+from nerfbake.bench.inputs.torch_writer import View, numpy_array, torch_file
 from nerfbake.formats.field import dvgo as reader
 from nerfbake.kernels.lattice.mlp import encoded
 from nerfbake.kernels.lattice.nodes import blended, in_nodes
@@ -21,7 +22,7 @@ from nerfbake.stages._lattice import MLP_DIRECTIONS, fit_of, seen_along, table_o
 from tests.support.hostile import refused_as_it_is
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, affine
 from tests.support.scenes import world_centres
-from tests.support.torch_files import ACT_SHIFT, BASE, FEATURES, View, dvgo, dvgo_file, numpy_array, torch_file
+from tests.support.torch_files import ACT_SHIFT, BASE, FEATURES, dvgo, dvgo_file
 
 EDGE = float(np.prod(2 * RADIUS.astype(np.float64)) / BASE) ** (1 / 3)
 

@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nerfbake import LatticeField, load, memory_limit, octree_of_lattice
+from nerfbake.bench.inputs.torch_writer import numpy_array
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.field import tensorf as reader
@@ -25,7 +26,6 @@ from tests.support.hostile import refused_as_it_is
 from tests.support.lattices import CENTRE, RADIUS, SHAPE
 from tests.support.scenes import world_centres
 from tests.support.tensorf import MASK_BOX, colour_at, dense, density_at, in_mask, tensorf, tensorf_file
-from tests.support.torch_files import numpy_array
 
 RANDOM = np.random.default_rng(1)
 CORNERS = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), -1).reshape(-1, 3)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from nerfbake.bench.inputs.torch_writer import Raw, View, Writer, archive, glob, numpy_array, ordered, text, torch_file
 from nerfbake.errors import InvalidFile, MemoryLimit
 from nerfbake.formats.wire.torch_pickle import MAX_OPCODES, read_pickle
 from nerfbake.formats.wire.torch_zip import TorchReader, is_torch
 from nerfbake.memory import memory_limit, scope
-from tests.support.torch_files import Raw, View, Writer, archive, glob, numpy_array, ordered, text, torch_file
 
 SIX = np.arange(6, dtype=np.float32)
 
