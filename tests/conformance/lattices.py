@@ -47,6 +47,10 @@ def cases() -> Iterator[Case]:
     about = "A checkpoint as DirectVoxGO writes it with torch: nodes on the box, features and an MLP."
     files = {"lattice/voxels.tar": Frozen(form_named("tar"), None, data=dvgo_file(dvgo(mlp="random")))}
     yield Case("lattice/voxels", about, files, _voxels(dvgo(mlp="random"), SHARES), answer, computed=1e-5)
+    old = dvgo(mlp="random", dialect="2021", direct=False)
+    about = "A checkpoint as DirectVoxGO wrote it in 2021: its MLP asks for the place in the box, too."
+    files = {"lattice/voxels_2021.tar": Frozen(form_named("tar"), None, data=dvgo_file(old))}
+    yield Case("lattice/voxels_2021", about, files, _voxels(old, SHARES), answer, computed=1e-5)
     checkpoint, folder = plenvdb(), form_named("plenvdb")
     about = "A folder as PlenVDB writes it: the grids of such a checkpoint as .vdb files, unnamed but for a number."
     files = {"lattice/plenvdb": Frozen(folder, None, data=plenvdb_folder(checkpoint))}
@@ -122,31 +126,41 @@ def _voxels(checkpoint: dict[str, Any], shares: list[tuple[float, float, float]]
     nearest is false."""
     state = checkpoint["model_state_dict"]
     low, high = state["xyz_min"].astype(np.float64), state["xyz_max"].astype(np.float64)
+    old = "posfreq" in state
+    grid, looks = state["density" if old else "density.grid"], state["k0" if old else "k0.grid"]
+    shift = -np.log(1 / 0.01 - 1) if old else float(state["act_shift"][0])
+    added = 0 if checkpoint["model_kwargs"]["rgbnet_direct"] else 3
     edge = float(np.prod(high - low) / checkpoint["model_kwargs"]["num_voxels_base"]) ** (1 / 3)
     angles = np.array(DIRECTION)[:, None] * np.array([1.0, 2.0, 4.0, 8.0])
     code = [*DIRECTION, *np.sin(angles).reshape(-1), *np.cos(angles).reshape(-1)]
     lookups = []
     for share in shares:
         at = np.array(share) * (np.array(SHAPE) - 1)
-        raw, features = 0.0, np.zeros(state["k0.grid"].shape[1])
+        raw, features = 0.0, np.zeros(looks.shape[1])
         for step in product((0, 1), repeat=3):
             node = np.floor(at).astype(int) + step
             weight = float(np.prod(1 - np.abs(at - node)))
             if weight > 0:
-                raw += weight * float(state["density.grid"][(0, 0, *node)])
-                features += weight * state["k0.grid"][(0, slice(None), *node)].astype(np.float64)
-        x = np.array([*features, *code])
+                raw += weight * float(grid[(0, 0, *node)])
+                features += weight * looks[(0, slice(None), *node)].astype(np.float64)
+        x = np.array([*features[added:], *(_place(share) if old else ()), *code])
         for name in ("rgbnet.0", "rgbnet.2.0"):
             x = np.maximum(state[f"{name}.weight"] @ x + state[f"{name}.bias"], 0)
-        logits = state["rgbnet.3.weight"] @ x + state["rgbnet.3.bias"]
-        density = float(np.logaddexp(0, raw + float(state["act_shift"][0]))) / edge
-        mask = state["mask_cache.mask"]
+        logits = state["rgbnet.3.weight"] @ x + state["rgbnet.3.bias"] + (features[:added] if added else 0)
+        density = float(np.logaddexp(0, raw + shift)) / edge
+        mask = np.ones((1, 1, 1), bool) if old else state["mask_cache.mask"]
         if not mask[tuple(np.floor(np.array(share) * (np.array(mask.shape) - 1) + 0.5).astype(int))]:
             density = 0.0
         point = (low + np.array(share) * (high - low)).tolist()
         lookups.append({"point": point, "density": density, "colour": (1 / (1 + np.exp(-logits))).tolist()})
     box = [low.tolist(), high.tolist()]
     return {"resolution": list(SHAPE), "world_box": box, "direction": DIRECTION, "lookups": lookups}
+
+
+def _place(share: tuple[float, float, float]) -> list[float]:
+    """A place in the box, and its sines: of x times 1, 2, 4, 8, 16, of y, of z; then the cosines."""
+    angles = (np.array(share)[:, None] * 2.0 ** np.arange(5)).reshape(-1)
+    return [*share, *np.sin(angles), *np.cos(angles)]
 
 
 def _harmonics(x: float, y: float, z: float) -> npt.NDArray[np.float64]:

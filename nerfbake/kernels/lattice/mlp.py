@@ -59,7 +59,7 @@ def layers_for(
 def encoded(x: Floats, frequencies: tuple[float, ...]) -> Floats:
     """(n, w + 2 w k) of directions or features (n, w): x, the sines of the first of them times each frequency, of the
     second, ..., and the cosines."""
-    angles = (x[:, :, None] * np.array(frequencies)).reshape(len(x), -1)
+    angles = (x[:, :, None] * np.array(frequencies)).reshape(len(x), x.shape[1] * len(frequencies))
     sine, cosine = sine_cosine(angles)
     return np.concatenate([x, sine, cosine], axis=1)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nerfbake import LatticeField, load, memory_limit, octree_of_lattice
+from nerfbake import Camera, LatticeField, load, memory_limit, octree_of_lattice, render_lattice
 from nerfbake.bench.inputs.torch_writer import numpy_array
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
@@ -91,6 +91,14 @@ def test_its_harmonics_are_plenoxels() -> None:
     directions = fibonacci(2)
     seen = seen_along(lattice, directions)(features_at(lattice, points), np.ones(len(points), np.int64))
     assert_allclose(seen, np.maximum(0.5 + wanted @ sh_basis(directions, 9)[1], 0), atol=1e-5)
+
+
+def test_rays_that_meet_nothing_show_the_background() -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = CENTRE + np.array([0, 0, 9])
+    pose[:3, :3] = np.diag([1, -1, -1])  # looking away
+    image = render_lattice(read(), Camera(3, 2, 4.0, pose, "away"), background=(0.25, 0.5, 1.0))
+    assert_allclose(image.colour, np.broadcast_to([0.25, 0.5, 1.0], (2, 3, 3)))
 
 
 def test_commands_take_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
