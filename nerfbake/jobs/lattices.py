@@ -19,9 +19,10 @@ def octree_of(
     with source.blamed(steps, "sampling the lattice"):
         octree = nerfbake.octree_of_lattice(lattice, **options)
     with source.blamed(steps, "measuring what voxels lose"):
-        apart = nerfbake.measure_lattice(lattice, octree)
+        field = nerfbake.field_of_octree(octree)
+        apart = nerfbake.measure_lattice(lattice, field)
         views = nerfbake.orbit_cameras(lattice, frames=_FRAMES, width=_EDGE, height=_EDGE)
-        found = nerfbake.compare_scenes(lattice, octree, views, keep_pictures=False)
+        found = nerfbake.compare_scenes(lattice, field, views, keep_pictures=False)
     size = "x".join(map(str, octree.size))
     seen = f"{found.means['a_b']['psnr']:.1f} dB from the lattice's own pictures"
     steps.say(f"{source.name}: in {size} voxels, {seen}; colours are {apart:.2g}/255 (RMS) from its own")

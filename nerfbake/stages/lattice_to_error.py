@@ -14,15 +14,17 @@ from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.octree.means import opacity
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages._lattice import places_of, seen_along, table_of
 from nerfbake.stages.octree_to_field import field_of_octree
 
 LEAVES, DIRECTIONS = 2000, 400  # that are looked at; the directions are others than those of the fit
 
 
-def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree) -> float:
+def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree | RadianceField) -> float:
     """The root of the mean square, in 0..255, of what the octree's leaves are off the lattice's own colours at their
     centres: in 400 directions other than those that its coefficients were chosen by, a leaf weighed by its opacity.
+    octree: may be field_of_octree()'s field of it, where one is there.
 
     Of at most 2,000 leaves, evenly chosen. Raises InvalidScene for broken scenes, and for an octree that holds nothing.
 
@@ -36,7 +38,7 @@ def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree) -> float:
     True
     """
     lattice.require_usable()
-    field = field_of_octree(octree)
+    field = octree if isinstance(octree, RadianceField) else field_of_octree(octree)
     points = field.leaf_centres(LEAVES)
     if not len(points):
         raise InvalidScene(Problem("the octree", "holds nothing", "a leaf with a density above 0"))

@@ -32,12 +32,12 @@ def samples_of(nodes: Nodes, origin: Floats, directions: Floats, step: float, cu
     """origin (3,) and directions (m, 3) in shares of the box, a direction being one world unit long; step in world
     units. A ray ends where it lets less than `cut` through."""
     m = len(directions)
-    counts, lost = np.zeros(m + 1, np.int64), np.zeros((m, 2))
+    counts, spans, lost = np.zeros(m + 1, np.int64), np.zeros((m, 2), np.int64), np.zeros((m, 2))
     places, weights = np.zeros((0, 3)), np.zeros(0, np.float32)
-    _march(nodes, origin, directions, step, cut, False, counts, places, weights, lost)
+    _march(nodes, origin, directions, step, cut, False, counts, spans, places, weights, lost)
     first = np.cumsum(counts)
     places, weights = np.empty((int(first[-1]), 3)), np.empty(int(first[-1]), np.float32)
-    _march(nodes, origin, directions, step, cut, True, first, places, weights, lost)
+    _march(nodes, origin, directions, step, cut, True, first, spans, places, weights, lost)
     return Samples(first, places, weights, lost)
 
 
@@ -64,17 +64,22 @@ def _march(
     cut: float,
     keep: bool,
     first: Ints,
+    spans: Ints,
     places: Floats,
     weights: Singles,
     lost: Floats,
 ) -> None:
-    """keep False: counts each ray's samples into first[ray + 1]; True: writes them from first[ray] on."""
+    """keep False: counts each ray's samples into first[ray + 1], and tells in spans (m, 2) between which steps they
+    are; True: looks there alone, and writes them from first[ray] on."""
     m = len(directions)
     for block in prange((m + _BLOCK - 1) // _BLOCK):
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, m)):
             start, end = _span(origin, directions, ray)
             through, far, number = 1.0, 0.0, 0
-            for i in range(int(max(np.ceil((end - start) / step), 0.0))):
+            low, high = 0, int(max(np.ceil((end - start) / step), 0.0))
+            if keep:
+                low, high = spans[ray, 0], spans[ray, 1]
+            for i in range(low, high):
                 t = start + i * step
                 u = min(max(origin[0] + t * directions[ray, 0], 0.0), 1.0)
                 v = min(max(origin[1] + t * directions[ray, 1], 0.0), 1.0)
@@ -88,6 +93,9 @@ def _march(
                 if keep:
                     at = first[ray] + number
                     places[at, 0], places[at, 1], places[at, 2], weights[at] = u, v, w, weight
+                elif number == 0:
+                    spans[ray, 0] = i
+                spans[ray, 1] = i + 1
                 number += 1
                 far += weight * t
                 through *= kept

@@ -43,3 +43,16 @@ def test_a_ray_ends_where_little_is_let_through(cut: float) -> None:
 def test_a_camera_inside_sees_only_what_is_before_it() -> None:
     met = samples_of(nodes(1.0), np.array([0.5, 0.5, 0.5]), np.array([[1.0, 0.0, 0.0]]), STEP, 0.0)
     assert_allclose(met.places[:, 0], 0.5 + np.arange(4) * STEP)
+
+
+def test_a_hole_in_the_fog_is_passed() -> None:
+    """A mask of five nodes along x, of which the second and the fourth count: their samples, and none between."""
+    mask = np.zeros((5, 1, 1), bool)
+    mask[[1, 3]] = True
+    fog = nodes(3.0)._replace(mask=mask, times=nearest_in(mask)[0], plus=nearest_in(mask)[1])
+    met = samples_of(fog, np.array([-0.5, 0.5, 0.5]), np.array([[1.0, 0.0, 0.0]]), STEP / 2, 0.0)
+    x = (np.arange(16) * STEP / 2)[[2, 3, 4, 5, 10, 11, 12, 13]]
+    assert_allclose(met.places[:, 0], x)
+    kept = np.exp(-3 * STEP / 2)
+    assert_allclose(met.weights, (1 - kept) * kept ** np.arange(8), rtol=1e-6)
+    assert_allclose(met.lost[0], [1 - kept**8, (met.weights * (0.5 + x)).sum()], rtol=1e-6)
