@@ -14,7 +14,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.factors import Shape, factors_of, rows_of, shape_of
-from nerfbake.formats.field.torch_model import TorchModel, as_singles, every_node, layers_of
+from nerfbake.formats.field.torch_model import TorchModel, as_singles, every_node, layers_of, told
 from nerfbake.formats.wire.torch_zip import is_torch
 from nerfbake.kernels.arrays import Bits, Points, Singles
 from nerfbake.kernels.lattice.masks import nodes_around, touched_cells
@@ -117,7 +117,7 @@ def _activation(model: TorchModel) -> Activation:
         return Activation("softplus", shift, scale)
     if kind == "relu":  # which leaves the shift out
         return Activation("relu", 0.0, scale)
-    raise InvalidFile(Problem("fea2denseAct", f"is {str(kind)!r:.40}", "softplus or relu"))
+    raise InvalidFile(Problem("fea2denseAct", f"is {told(kind)}", "softplus or relu"))
 
 
 def _number(model: TorchModel, key: str) -> float:
@@ -135,8 +135,9 @@ def _colour(model: TorchModel, features: int) -> Colour:
             raise InvalidFile(Problem("basis_mat.weight", f"makes {features} features", f"{_SH_FEATURES}, for SH"))
         return ShColour(_SH_FEATURES // 3)
     if mode not in ("MLP_Fea", "MLP"):
-        kind = {"MLP_PE": ", whose MLP asks for positions", "RGB": ", colours without a bound"}.get(str(mode), "")
-        raise InvalidFile(Problem("shadingMode", f"is {str(mode)!r:.40}{kind}", _COLOURS))
+        kinds = {"MLP_PE": ", whose MLP asks for positions", "RGB": ", colours without a bound"}
+        kind = kinds.get(mode, "") if isinstance(mode, str) else ""
+        raise InvalidFile(Problem("shadingMode", f"is {told(mode)}{kind}", _COLOURS))
     views = _frequencies(model, "view_pe")
     sines = _frequencies(model, "fea_pe") if mode == "MLP_Fea" else ()
     layers = layers_of(*model.layers(list(_LAYERS), list(_LAYERS)))
@@ -154,7 +155,7 @@ def _frequencies(model: TorchModel, key: str) -> tuple[float, ...]:
     """1, 2, 4, ..., as many as the setting says."""
     count = model.settings.get(key)
     if type(count) is not int or not 0 <= count <= _MOST_FREQUENCIES:
-        raise InvalidFile(Problem(key, f"is {count!s:.40}", f"0 to {_MOST_FREQUENCIES}"))
+        raise InvalidFile(Problem(key, f"is {told(count)}", f"0 to {_MOST_FREQUENCIES}"))
     return tuple(float(1 << i) for i in range(count))
 
 
@@ -170,7 +171,7 @@ def _mask(model: TorchModel) -> _Mask | None:
         or any(edge != 1 for edge in sizes[:-3])
         or not all(2 <= e <= MAX_EDGE for e in sizes[-3:])
     ):
-        raise InvalidFile(Problem("alphaMask.shape", f"is {shape!s:.60}", f"(Z, Y, X), 2 to {MAX_EDGE} each"))
+        raise InvalidFile(Problem("alphaMask.shape", f"is {sizes or told(shape)}", f"(Z, Y, X), 2 to {MAX_EDGE} each"))
     Z, Y, X = sizes[-3:]
     packed = model.file.array(root.get("alphaMask.mask"), "alphaMask.mask")
     if packed.dtype != np.uint8 or packed.shape != ((X * Y * Z + 7) // 8,):

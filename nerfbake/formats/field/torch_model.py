@@ -73,6 +73,13 @@ def as_singles(array: npt.NDArray[Any], name: str) -> Singles:
     return np.ascontiguousarray(cast(array, np.float32)).reshape(array.shape)
 
 
+def told(value: Any) -> str:
+    """A setting as a message shows it; of what holds other things its kind alone, which may hold any number of them."""
+    if isinstance(value, str | int | float | bool | None):
+        return repr(value)[:40]
+    return f"a {type(value).__name__.lower()}"
+
+
 def layers_of(weights: dict[str, Singles], biases: dict[str, Singles]) -> MlpLayers:
     """Layers by their names, (out, in) and (out,), in order. Raises InvalidFile."""
     names = list(weights)

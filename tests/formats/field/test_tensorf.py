@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nerfbake import Camera, LatticeField, load, memory_limit, octree_of_lattice, render_lattice
-from nerfbake.bench.inputs.torch_writer import numpy_array
+from nerfbake.bench.inputs.torch_writer import Raw, numpy_array
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.field import tensorf as reader
@@ -201,6 +201,7 @@ def ones(*shape: int) -> Any:
     return np.ones(shape, np.float32)
 
 
+NESTED = Raw(b"]" * 5000 + b"a" * 4999)  # lists in lists
 PLANES = [f"density_plane.{i}" for i in range(3)]
 LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "NDC": (settings(near_far=[0.0, 1.0]), "near_far is of rays from 0 to 1: a forward-facing scene (NDC)"),
@@ -227,15 +228,18 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "another activation": (settings(fea2denseAct="exp"), "fea2denseAct is 'exp'; allowed: softplus or relu"),
     "positions": (settings(shadingMode="MLP_PE"), "shadingMode is 'MLP_PE', whose MLP asks for positions; allowed: ML"),
     "bare colours": (settings(shadingMode="RGB"), "shadingMode is 'RGB', colours without a bound"),
-    "no mode": (settings(shadingMode=None), "shadingMode is 'None'; allowed: MLP_Fea, MLP or SH"),
+    "no mode": (settings(shadingMode=None), "shadingMode is None; allowed: MLP_Fea, MLP or SH"),
     "SH of four": (settings(shadingMode="SH"), "basis_mat.weight makes 4 features; allowed: 27, for SH"),
+    "a mode without an end": (settings(shadingMode=NESTED), "shadingMode is a list; allowed: MLP_Fea"),
+    "frequencies in lists": (settings(fea_pe=NESTED), "fea_pe is a list; allowed: 0 to 16"),
+    "an activation of lists": (settings(fea2denseAct=NESTED), "fea2denseAct is a list; allowed: softplus or relu"),
     "no frequencies": (settings(view_pe=None), "view_pe is None; allowed: 0 to 16"),
     "a million": (settings(fea_pe=10**6), "fea_pe is 1000000; allowed: 0 to 16"),
     "fewer inputs": (settings(view_pe=1), "renderModule.mlp.0 takes 43 inputs; allowed: 37, of 4 features"),
     "no layer": (without("renderModule.mlp.2.weight"), "has no renderModule.mlp.2.weight"),
     "a layer of another width": (state(renderModule__mlp__2__weight=ones(8, 7)), "renderModule.mlp.2 has weights of"),
     "a last layer of four": (state(renderModule__mlp__4__weight=ones(4, 8)), "the MLP's last has shape"),
-    "a mask of text": (mask(shape="abc"), "alphaMask.shape is abc; allowed: (Z, Y, X)"),
+    "a mask of text": (mask(shape="abc"), "alphaMask.shape is 'abc'; allowed: (Z, Y, X)"),
     "a mask of many": (mask(shape=(2, 5, 3, 4)), "alphaMask.shape is (2, 5, 3, 4)"),
     "a thin mask": (mask(shape=(1, 1, 60)), "alphaMask.shape is (1, 1, 60)"),
     "a huge mask": (mask(shape=(4096, 4096, 4096)), "alphaMask.mask has dtype uint8, shape (8,); allowed: uint8 (85"),
