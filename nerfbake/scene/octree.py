@@ -140,6 +140,7 @@ class SparseVoxelOctree(Scene):
         sigma = np.empty(self.n, rows.dtype)
         for start in range(0, self.n, _PROVEN):
             sigma[start : start + _PROVEN] = rows[start : start + _PROVEN][:, -1]
+        sigma.flags.writeable = False  # a change would be lost
         return sigma
 
     @property

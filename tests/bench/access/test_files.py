@@ -11,7 +11,7 @@ from tests.support.scenes import n3tree
 
 def test_a_density_that_float16_cannot_hold_costs_its_rows_only(tmp_path: Path) -> None:
     tree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
-    tree.sigma[-1] = 1e6
+    tree.node_data[-1, -1] = 1e6
     density, index = (build_vdb(tree, grids=(grid,)) for grid in ("density", "index"))
     rows = file_rows(tmp_path, 4, tree, density, index)
     refused = [what for what, _, size in rows if size is None]
