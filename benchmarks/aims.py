@@ -80,6 +80,13 @@ VIEW = {
     "frames of the MLP, llvmpipe: x atlas": Aim("at least", 4),
 }
 
+# inputs: whole commands on two cores, their reports included
+INPUTS = {
+    ("ckpt.npz", "s"): Aim("at most", 30),
+    ("fine_last.tar", "s"): Aim("at most", 120),
+    ("fine_last.tar", "peak MB"): Aim("below", 2000),
+}
+
 
 def aims_table(rows: Iterable[tuple[str, Aim, float | None]]) -> Table:
     """What is aimed for and what was measured: (what, its aim, its figure or None where nothing was measured)."""

@@ -81,5 +81,5 @@ def commands_as_forks(forks: Forks, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert done.returncode == 0, done.stderr
         return Result(seconds, peak=1, facts={"stdout": done.stdout.decode()} if keep else {})
 
-    for module in ("benchmarks.fit", "benchmarks.view", "nerfbake.bench.fit.comparison"):
+    for module in ("benchmarks.fit", "benchmarks.inputs", "benchmarks.view", "nerfbake.bench.fit.comparison"):
         monkeypatch.setattr(f"{module}.measure_process", measured)

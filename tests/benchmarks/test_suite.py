@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, fit, outputs, svo, view, wires
-from benchmarks.aims import FIT, VIEW
+from benchmarks import atlas, fit, inputs, outputs, svo, view, wires
+from benchmarks.aims import FIT, INPUTS, VIEW
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
 from nerfbake.bench.access.readers import READERS
@@ -91,6 +91,18 @@ def test_svo(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[0] for row in found["Whole processes"]] == ["chair_sh9", "sample_sh16", "no_such_chair: not there"]
     assert [row[0] for row in found["The chair at 256^3"]] == ["svo.pb full", "svo.pb compact"]
     assert [row[0] for row in found["Scaling"]] == list(svo.SCALING)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("commands_as_forks")
+def test_inputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("PLENOXELS", 5), ("VOXELS", 4), ("STEPS", 2), ("EDGE", 12), ("FRAMES", 1)):
+        monkeypatch.setattr(inputs, name, value)
+    monkeypatch.setattr(inputs, "in_turn", lambda work, rounds: [[work() for _ in range(rounds)]])  # none to warm up
+    found = tables(small("inputs", scenes), "inputs.md")
+    (rows,) = (table for title, table in found.items() if title.startswith("`nerfbake svo"))
+    assert [row[:2] for row in rows] == [["ckpt.npz", "5^3"], ["fine_last.tar", "4^3"]]
+    assert [row[0] for row in found["Aims"]] == [f"{name}: {what}" for name, what in INPUTS]
 
 
 @pytest.mark.slow
@@ -264,6 +276,6 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, fit, atlas, view, compress"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, fit, inputs, atlas, view, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
