@@ -1,5 +1,6 @@
 // A ray through the octree of Include/octree.hlsl, as TR-24-01 (docs/sources.md) has it in 3.4: its colour, the light
-// that is left, and where it is expected to end. Behind Include/common.hlsl, octree.hlsl and harmonics.hlsl; knows nothing of Unity.
+// that is left, and where it is expected to end. Behind Include/common.hlsl, octree.hlsl and harmonics.hlsl; knows
+// nothing of Unity.
 // Density and colour are constant in a leaf, so that sums along the ray are exact; what is empty is crossed in one step.
 
 // Voxels that are alike: a node, or -1 where they are empty, and the lowest corner and the edge of their cube.
