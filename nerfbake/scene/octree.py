@@ -17,7 +17,7 @@ from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.soundness import all_finite, count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis, voxel_dtype
-from nerfbake.scene.rows import MadeOnce, NodeRows
+from nerfbake.scene.rows import MadeOnce, RowsOfNodes
 
 _PROVEN = 1 << 15  # rows at a time: temporaries stay in the cache, and memory bounded
 MAX_SIZE = 4096  # voxels along an axis
@@ -104,9 +104,9 @@ class SparseVoxelOctree(Scene):
 
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
-    def node_rows(self) -> NodeRows:
+    def node_rows(self) -> RowsOfNodes:
         """node_data, not made yet perhaps."""
-        rows: NodeRows = self.__dict__["node_rows"]
+        rows: RowsOfNodes = self.__dict__["node_rows"]
         return rows
 
     @property

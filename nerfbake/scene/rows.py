@@ -25,7 +25,7 @@ class Rows(Protocol):
     def __getitem__(self, rows: slice, /) -> npt.NDArray[Any]: ...
 
 
-class NodeRows(Rows, Protocol):
+class RowsOfNodes(Rows, Protocol):
     """Rows of an octree's nodes."""
 
     def take(self, rows: npt.NDArray[Any], axis: int) -> npt.NDArray[Any]:

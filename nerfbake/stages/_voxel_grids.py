@@ -12,12 +12,13 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.affine import combined
 from nerfbake.kernels.maths.elementary import sigmoid
+from nerfbake.kernels.octree.node_values import MadeRows
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import popcount
 from nerfbake.kernels.vdb.bricks import Bricks, NodeNumbers
 from nerfbake.kernels.vdb.runs import in_order_of
 from nerfbake.scene.basis import parse_basis
-from nerfbake.scene.rows import NodeRows
+from nerfbake.scene.rows import RowsOfNodes
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.vdb_voxels import topology_of_leaves
@@ -42,14 +43,14 @@ def require_grids(grids: tuple[str, ...], up: str, data_format: str, data_dim: i
         raise InvalidScene(Problem("grid 'sh'", f"of {data_dim} values a node", "3 B + 1 values"))
 
 
-def made_later(data: NodeRows, dtype: np.dtype[Any]) -> bool:
+def made_later(data: RowsOfNodes, dtype: np.dtype[Any]) -> bool:
     """Whether the table of an index is left to be made as it is written: where data are, and nothing is rounded."""
     return not isinstance(data, np.ndarray) and data.dtype == dtype
 
 
 def volume_of_voxels(
     bricks: Bricks,
-    data: NodeRows,
+    data: RowsOfNodes,
     sigma: npt.NDArray[Any] | None,
     frame: OctreeFrame,
     *,
@@ -71,23 +72,18 @@ def volume_of_voxels(
 class _Rows(NamedTuple):
     """data (n, D), in this data_format, sigma (n,) where density is asked for, (m,) the row that each voxel holds."""
 
-    data: NodeRows
+    data: RowsOfNodes
     sigma: npt.NDArray[Any] | None
     data_format: str
     node: NodeNumbers
 
 
-class _TableRows:
+class _TableRows(MadeRows):
     """(m + 1, D) zeros, and each voxel's node: rows that are made when they are asked for."""
 
-    def __init__(self, data: NodeRows, node: NodeNumbers) -> None:
+    def __init__(self, data: RowsOfNodes, node: NodeNumbers) -> None:
         self._data, self._node = data, node
         self.shape, self.dtype = (len(node) + 1, data.shape[1]), data.dtype
-
-    @property
-    def nbytes(self) -> int:
-        """What they all take."""
-        return self.shape[0] * self.shape[1] * self.dtype.itemsize
 
     @property
     def held(self) -> int:
@@ -98,15 +94,6 @@ class _TableRows:
         begin, end, _ = rows.indices(self.shape[0])
         own = self._data.take(self._node[max(begin - 1, 0) : max(end - 1, 0)], axis=0)
         return own if begin else np.concatenate([np.zeros((min(end, 1), self.shape[1]), self.dtype), own])
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        out = np.empty(self.shape, self.dtype)
-
-        def make(begin: int, end: int) -> None:
-            out[begin:end] = self[begin:end]
-
-        over_chunks(make, len(out), _CHUNK)
-        return out if dtype is None else out.astype(dtype, copy=False)
 
 
 def _grids(
@@ -146,7 +133,7 @@ def _colour(rows: _Rows) -> npt.NDArray[np.float32]:
     return colour
 
 
-def _picked(data: NodeRows, node: NodeNumbers, columns: list[int]) -> npt.NDArray[Any]:
+def _picked(data: RowsOfNodes, node: NodeNumbers, columns: list[int]) -> npt.NDArray[Any]:
     """(m, len(columns)) of each voxel's node these values."""
     flat, width = np.asarray(data).reshape(-1), np.int64(data.shape[1])
     picked = np.empty((len(node), len(columns)), data.dtype)

@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import NoChild, assemble, children_with
-from nerfbake.formats.wire.blob import row_pieces
 from nerfbake.formats.wire.npz_names import npz_keys
 from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.formats.wire.npz_writer import Pieces, write_npz
@@ -36,12 +35,11 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(octree: SparseVoxelOctree, *, no_child: NoChild = 0) -> Iterator[bytes | memoryview]:
-    rows = octree.node_rows
     arrays: dict[str, npt.ArrayLike | Pieces] = {
         "svo_version": np.int64(VERSION),
         "size": np.array(octree.size, np.int32),
         "node_children": children_with(octree.node_children, no_child),
-        "node_data": Pieces(rows.shape, rows.dtype, lambda: row_pieces(rows)),
+        "node_data": Pieces(octree.node_rows),
         "level_sizes": np.array(octree.level_sizes, np.int32),
         "data_format": np.array(octree.data_format),
         "origin": octree.origin,

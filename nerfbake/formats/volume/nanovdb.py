@@ -52,7 +52,7 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
             Problem("a .nvdb", f"would hold {len(volume.grids)} grids", f"one of {', '.join(volume.labels)}")
         )
     first = volume.grids[0]
-    if codec == "zip" and isinstance(first, IndexGrid):
+    if codec == "zip" and isinstance(first, IndexGrid) and not isinstance(first.table_rows, np.ndarray):
         memory.require("the table, packed,", first.table_rows.nbytes)
     grid_pieces, grid, box = write_grid(volume)
     size = stored = sum(map(size_of, grid_pieces))

@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, InvalidScene, Problem, one_line
 from nerfbake.formats.volume.frame import NAME, frame_text, parse_frame
-from nerfbake.formats.wire.blob import row_pieces
 from nerfbake.formats.wire.npz_names import npz_keys
 from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.formats.wire.npz_writer import Pieces, write_npz
@@ -76,7 +75,7 @@ def encode(volume: Volume) -> Iterator[bytes | memoryview]:
             arrays[f"tree_{k}_{level}_mask"], arrays[f"tree_{k}_{level}_rank"] = words, _ranks(words, first)
         arrays |= _tile_arrays(tree, k)
     for k, grid in enumerate(volume.grids):
-        arrays[f"grid_{k}_table"] = _index_table(grid) if isinstance(grid, IndexGrid) else _table(grid)
+        arrays[f"grid_{k}_table"] = Pieces(grid.table_rows) if isinstance(grid, IndexGrid) else _table(grid)
         if isinstance(grid, VdbTree) and grid.active is not None:
             arrays[f"grid_{k}_active"] = grid.active.astype(np.uint8)
         if isinstance(grid, VdbTree) and grid.place is not None:
@@ -131,11 +130,6 @@ def _is_foreign(grid: VdbTree | IndexGrid) -> bool:
         return False
     plain = grid.active is None and grid.place is None and grid.topology.tiles is None
     return not plain or grid.grid_class in ("level set", "staggered")
-
-
-def _index_table(grid: IndexGrid) -> Pieces:
-    rows = grid.table_rows
-    return Pieces(rows.shape, rows.dtype, lambda: row_pieces(rows))
 
 
 def _table(grid: VdbTree) -> npt.NDArray[Any]:

@@ -33,6 +33,9 @@ class Rows(Protocol):
     @property
     def shape(self) -> tuple[int, ...]: ...
 
+    @property
+    def dtype(self) -> np.dtype[Any]: ...
+
     def __getitem__(self, rows: slice, /) -> npt.NDArray[Any]: ...
 
 

@@ -13,12 +13,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from zlib_ng import zlib_ng
 
+from nerfbake.formats.wire.blob import Rows, row_pieces
 from nerfbake.formats.wire.npy import npy_head, npy_pieces
 
 ALIGN = 64
@@ -28,11 +29,9 @@ _UNIX, _MODE = 3 << 8, 0o100644 << 16
 
 
 class Pieces(NamedTuple):
-    """An array that need not be in memory as a whole."""
+    """An array that need not be in memory as a whole; its rows are made twice, as the CRC stands before them."""
 
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    make: Callable[[], Iterable[memoryview]]  # its little-endian bytes in C order; called twice: the CRC stands first
+    rows: Rows
 
 
 def write_npz(arrays: Mapping[str, npt.ArrayLike | Pieces]) -> Iterator[bytes | memoryview]:
@@ -62,8 +61,9 @@ def write_npz(arrays: Mapping[str, npt.ArrayLike | Pieces]) -> Iterator[bytes | 
 def _member(value: npt.ArrayLike | Pieces) -> tuple[bytes, int, Callable[[], Iterable[memoryview]]]:
     """An array's header, its size with that, and what gives the rest."""
     if isinstance(value, Pieces):
-        head = npy_head(value.shape, value.dtype)
-        return head, len(head) + prod(value.shape) * value.dtype.itemsize, value.make
+        rows = value.rows
+        head = npy_head(rows.shape, rows.dtype)
+        return head, len(head) + prod(rows.shape) * rows.dtype.itemsize, lambda: row_pieces(rows)
     head, body = npy_pieces(np.asarray(value))
     return head, len(head) + len(body), lambda: (body,)
 

@@ -32,11 +32,34 @@ class Leaves(Protocol):
         """What each weighs in a mean."""
 
 
-class NodeRows:
+class MadeRows:
+    """(n, D) rows that are made when they are asked for: rows[begin:end] gives some, np.asarray(rows) all of them."""
+
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+
+    @property
+    def nbytes(self) -> int:
+        """What they all take."""
+        return self.shape[0] * self.shape[1] * self.dtype.itemsize
+
+    def __getitem__(self, rows: slice) -> npt.NDArray[Any]:
+        raise NotImplementedError
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        out = np.empty(self.shape, self.dtype)
+
+        def make(begin: int, end: int) -> None:
+            out[begin:end] = self[begin:end]
+
+        over_chunks(make, len(out), _CHUNK)
+        return out if dtype is None else out.astype(dtype, copy=False)
+
+
+class NodeRows(MadeRows):
     """(n, D) rows in breadth-first order, of which only the means are kept: leaves are copied when they are asked for.
 
-    So an octree can be written whose values do not fit beside those they come from. values[begin:end] gives some,
-    np.asarray(values) all of them.
+    So an octree can be written whose values do not fit beside those they come from.
     """
 
     def __init__(self, levels: list[Level], leaves: Leaves) -> None:
@@ -49,11 +72,6 @@ class NodeRows:
         for height in range(len(levels) - 1, -1, -1):
             weight = self._add_level(levels, height, end, weight)
             end -= len(levels[height].leaf)
-
-    @property
-    def nbytes(self) -> int:
-        """What they all take."""
-        return self.shape[0] * self.shape[1] * self.dtype.itemsize
 
     @property
     def held(self) -> int:
@@ -75,15 +93,6 @@ class NodeRows:
     def take(self, rows: Indices, axis: int) -> npt.NDArray[Any]:
         """(m, D) of these nodes, leaves all of them."""
         return self._leaves.values(self._leaf[rows])
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        out = np.empty(self.shape, self.dtype)
-
-        def make(begin: int, end: int) -> None:
-            out[begin:end] = self[begin:end]
-
-        over_chunks(make, len(out), _CHUNK)
-        return out if dtype is None else out.astype(dtype, copy=False)
 
     def _add_level(self, levels: list[Level], height: int, end: int, weight_below: Floats) -> Floats:
         """Works out the means of a level whose last row is before `end`; (m,) what its nodes weigh in the next."""

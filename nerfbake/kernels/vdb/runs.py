@@ -24,8 +24,7 @@ def reduce_runs(ufunc: np.ufunc, rows: npt.NDArray[Any], counts: Ints, empty: fl
 
 def rows_of_runs(counts: Ints, order: Ints) -> Ints:
     """The rows of all runs, the runs taken in another order: counts [2, 1], order [1, 0] -> [2, 0, 1]."""
-    lengths = counts[order]
-    return np.arange(int(lengths.sum())) + np.repeat(exclusive_sum(counts)[order] - exclusive_sum(lengths), lengths)
+    return _rows(exclusive_sum(counts)[order], counts[order])
 
 
 def in_order_of(runs: npt.NDArray[Any], counts: Ints, order: Ints) -> npt.NDArray[Any]:
@@ -33,11 +32,15 @@ def in_order_of(runs: npt.NDArray[Any], counts: Ints, order: Ints) -> npt.NDArra
     starts, out, done = exclusive_sum(counts), np.empty(int(counts[order].sum()), runs.dtype), 0
     for begin in range(0, len(order), _RUNS):
         some = order[begin : begin + _RUNS]
-        lengths = counts[some]
-        rows = np.arange(int(lengths.sum())) + np.repeat(starts[some] - exclusive_sum(lengths), lengths)
+        rows = _rows(starts[some], counts[some])
         out[done : done + len(rows)] = runs[rows]
         done += len(rows)
     return out
+
+
+def _rows(starts: Ints, lengths: Ints) -> Ints:
+    """The rows of runs that start there and are so long, one run behind the other."""
+    return np.arange(int(lengths.sum())) + np.repeat(starts - exclusive_sum(lengths), lengths)
 
 
 class RunSpread(NamedTuple):
