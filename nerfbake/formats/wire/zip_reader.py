@@ -15,7 +15,7 @@ import deflate
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire.npz_names import MAX_MEMBERS, ZIP_MAGIC
+from nerfbake.formats.wire.npz_names import MAX_DIRECTORY, MAX_MEMBERS, ZIP_MAGIC
 
 MAX_INFLATION = 1032  # deflate's own bound: 258 bytes for a quarter of a byte
 
@@ -82,7 +82,10 @@ class ZipReader:
 
 
 class _ViewFile(io.RawIOBase):
-    """A memoryview as the seekable file that zipfile wants, without a copy of it."""
+    """A memoryview as the seekable file that zipfile wants, without a copy of it.
+
+    zipfile reads the directory whole, and makes ten bytes of each of its bytes before anybody can count its members.
+    """
 
     def __init__(self, view: memoryview) -> None:
         self._view, self._at = view, 0
@@ -99,6 +102,8 @@ class _ViewFile(io.RawIOBase):
 
     def read(self, size: int | None = -1) -> bytes:
         end = len(self._view) if size is None or size < 0 else self._at + size
+        if end - self._at > MAX_DIRECTORY:
+            raise InvalidFile(Problem("zip directory", f"has {end - self._at:,} bytes", f"{MAX_DIRECTORY:,} at most"))
         piece = bytes(self._view[self._at : end])
         self._at += len(piece)
         return piece

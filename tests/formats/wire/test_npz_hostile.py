@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import struct
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 import zlib
 from pathlib import Path
@@ -13,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nerfbake.errors import InvalidFile
+from nerfbake.formats.wire.npz_reader import NpzReader
 from tests.support.hostile import refused
 from tests.support.n3trees import archive, sound
 
@@ -60,6 +64,19 @@ def test_a_broken_archive_is_refused(name: str, tmp_path: Path, capfd: pytest.Ca
     if b"offset.npy" not in data and data[:2] == b"PK" and len(data) > 22:
         data = with_other_keys(data)
     assert expected in refused(tmp_path, data, capfd)
+
+
+def test_a_directory_of_a_million_members_is_refused_before_it_is_unpacked() -> None:
+    """It made 350 MB of a file of 35 MB, whatever --max-memory said."""
+    entry = b"PK\1\2" + struct.pack("<4B4HL2L5H2L", 20, 0, 20, *[0] * 8, 1, *[0] * 6) + b"a"
+    directory = entry * 200_000
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, len(directory), 30, 0)
+    view = memoryview(b"PK\3\4" + bytes(26) + directory + end)
+    tracemalloc.start()
+    with pytest.raises(InvalidFile, match=r"zip directory has 9,400,000 bytes; allowed: 1,048,576 at most"):
+        NpzReader(view)
+    assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    tracemalloc.stop()
 
 
 def with_other_keys(broken: bytes) -> bytes:
