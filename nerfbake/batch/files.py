@@ -41,7 +41,7 @@ def require_report(state: str | Path, path: str | Path | None) -> None:
         return
     if Path(path).suffix not in _REPORTS:
         raise UsageError(f"the ending of {str(path)!r} names no report; allowed: {', '.join(_REPORTS)}")
-    io.require_absent(path, force=_is_ours(state, path))
+    io.require_absent(path, force=_is_ours(state, path), parents=True)
 
 
 def _is_ours(state: str | Path, path: str | Path) -> bool:

@@ -8,6 +8,7 @@ target sweeps what dead ones have left, told by the lock that nobody holds, what
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import re
 import shutil
@@ -29,8 +30,10 @@ _LONGEST_NAME = 200  # of 255 bytes, which leaves room for the digits
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
-def require_absent(target: str | Path, *, force: bool) -> None:
-    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+def require_absent(target: str | Path, *, force: bool, parents: bool = False) -> None:
+    """Raises OutputError if the target is there and may not be replaced, or if there is no folder that it could be
+    written to: asked before the work, not after it. parents: the folders that lead there will be made.
+    """
     if str(target) == "-":
         return
     _require_name(target)
@@ -38,6 +41,8 @@ def require_absent(target: str | Path, *, force: bool) -> None:
         raise OutputError("is a folder; allowed: a file", source=str(target))
     if not force and os.path.lexists(target) and _is_regular(Path(target)):
         raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
+    if not parents:
+        _require_place(target)
 
 
 def require_room(targets: Sequence[str], *, force: bool) -> None:
@@ -47,7 +52,7 @@ def require_room(targets: Sequence[str], *, force: bool) -> None:
         if target in known:
             raise OutputError("would be written twice; allowed: a name of its own for each picture", source=target)
         known.add(target)
-        require_absent(target, force=force)
+        require_absent(target, force=force, parents=True)
     for folder in {Path(target).parent for target in targets}:
         there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), None)
         if there is not None and not there.is_dir():
@@ -55,13 +60,16 @@ def require_room(targets: Sequence[str], *, force: bool) -> None:
 
 
 def require_no_folder(target: str | Path, *, force: bool) -> None:
-    """Raises OutputError if the target is there and may not be replaced: asked before the work, not after it."""
+    """Raises OutputError if the target is there and may not be replaced, or if there is no folder that it could be
+    made in: asked before the work, not after it.
+    """
     path = Path(target)
     _require_name(path)
     if os.path.lexists(path) and not path.is_dir():
         raise OutputError("is no folder; allowed: a new folder", source=str(target))
     if path.is_dir() and any(path.iterdir()) and not force:
         raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
+    _require_place(path)
 
 
 @contextmanager
@@ -213,6 +221,19 @@ def _is_regular(path: Path) -> bool:
     return not path.exists() or stat.S_ISREG(path.stat().st_mode)
 
 
+def _require_place(target: str | Path) -> None:
+    """Raises OutputError, in the system's words, where nothing can be made that then becomes the target."""
+    path = Path(os.path.realpath(target))
+    if not path.is_dir() and not _is_regular(path):
+        return  # a pipe or a device, which is written to as it stands
+    with _told_of(target):
+        with suppress(FileNotFoundError):
+            path.lstat()  # tells of a file where its folder should be
+        path.parent.stat()
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
 def _require_name(target: str | Path) -> None:
     try:
         encoded = os.fsencode(target)
@@ -220,3 +241,14 @@ def _require_name(target: str | Path) -> None:
         encoded = b"\0"
     if b"\0" in encoded:
         raise OutputError("is no name that a file can have; allowed: a path", source=str(target))
+    with _told_of(target), suppress(FileNotFoundError, NotADirectoryError):
+        Path(target).lstat()  # tells of a name that is too long
+
+
+@contextmanager
+def _told_of(target: str | Path) -> Iterator[None]:
+    """Turns what the system says against a target into an OutputError that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{error.strerror or error}", source=str(target)) from None

@@ -16,7 +16,7 @@ import pytest
 
 from nerfbake.errors import OutputError
 from nerfbake.io import targets
-from nerfbake.io.targets import replacing, replacing_folder
+from nerfbake.io.targets import replacing, replacing_folder, require_absent, require_no_folder
 
 # Writes half of what it should under the target's name, says so, and waits to be killed.
 HALF_WRITER = """
@@ -219,6 +219,36 @@ def test_what_is_no_name_of_a_file_is_refused(target: str, tmp_path: Path) -> No
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("none/a.bin", "No such file"),
+        ("file/a.bin", "Not a directory"),
+        ("dangling", "No such file"),
+        ("x" * 256, "too long"),
+    ],
+)
+def test_a_place_where_nothing_can_be_written_is_told_before_the_work(name: str, found: str, tmp_path: Path) -> None:
+    """It was told when the work was done, which was then lost: of a fit minutes, its OUT.partial included."""
+    (tmp_path / "file").write_bytes(b"")
+    (tmp_path / "dangling").symlink_to("none/a.bin")
+    for require in (require_absent, require_no_folder)[: 1 if name == "dangling" else 2]:
+        with pytest.raises(OutputError, match=found):
+            require(tmp_path / name, force=True)
+    if name.startswith("none"):
+        require_absent(tmp_path / name, force=False, parents=True)
+
+
+def test_a_folder_that_nobody_may_write_to_is_told_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_absent(tmp_path / "a.bin", force=False)
+    monkeypatch.setattr("nerfbake.io.targets.os.access", lambda path, mode: Path(path) != tmp_path)
+    for require in (require_absent, require_no_folder):
+        with pytest.raises(OutputError, match="Permission denied"):
+            require(tmp_path / "a.bin", force=False)
+
+
 def test_random_kills_leave_nothing_half(tmp_path: Path) -> None:
     target = tmp_path / "out.bin"
     writer = "import sys; from pathlib import Path; from tests.io.test_targets import write\nwhile True: "
