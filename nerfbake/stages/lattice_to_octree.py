@@ -21,7 +21,7 @@ from nerfbake.stages._half import rounded
 from nerfbake.stages._lattice import fit_of, nodes_of, table_of
 from nerfbake.stages.octree_to_octree import cut_octree
 
-_TESTED = 1 << 20  # voxels whose density is asked at a time
+_TESTED = 1 << 18  # voxels whose density is asked at a time
 _FITTED = 1 << 15  # voxels whose colours are made at a time
 _FOUND_BYTES = 16  # a voxel's place and density, while colours are not made yet
 
@@ -110,12 +110,15 @@ def _near(lattice: LatticeField, size: tuple[int, int, int]) -> Iterator[Ints]:
     """The voxels (k, 3), some at a time, that have a node with values among the eight around their centre."""
     low = [_node_below(lattice, size, axis) for axis in range(3)]
     planes = max(1, _TESTED // (size[1] * size[2]))
+    rows = max(1, _TESTED // (planes * size[2]))  # of a plane: all of them, unless one alone has too many voxels
     for begin in range(0, size[0], planes):
         x = low[0][begin : begin + planes]
-        near = lattice.links[x[0] : x[-1] + 2] >= 0
-        for axis, below in enumerate((x - x[0], low[1], low[2])):
-            near = near.take(below, axis) | near.take(np.minimum(below + 1, near.shape[axis] - 1), axis)
-        yield np.argwhere(near) + np.array([begin, 0, 0])
+        for first in range(0, size[1], rows):
+            y = low[1][first : first + rows]
+            near = lattice.links[x[0] : x[-1] + 2, y[0] : y[-1] + 2] >= 0
+            for axis, below in enumerate((x - x[0], y - y[0], low[2])):
+                near = near.take(below, axis) | near.take(np.minimum(below + 1, near.shape[axis] - 1), axis)
+            yield np.argwhere(near) + np.array([begin, first, 0])
 
 
 def _node_below(lattice: LatticeField, size: tuple[int, int, int], axis: int) -> Ints:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +58,18 @@ def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lattice_to_octree, "_TESTED", 1)
     monkeypatch.setattr(lattice_to_octree, "_FITTED", 7)
     assert_same_octree(octree_of_lattice(lattice, basis="SH4"), whole)
+
+
+def test_a_lattice_of_wide_planes_takes_no_more_memory_for_it() -> None:
+    """A file of 33 KB with 2 x 2048 x 2048 links took 1.1 GB under --max-memory 256MiB."""
+    lattice = some_lattice()
+    links, features = np.zeros((2, 512, 1024), np.int32), lattice.features[:1]
+    lattice = replace(lattice, links=links, density=np.zeros(1, np.float32), features=features, occupied=None)
+    tracemalloc.start()
+    with pytest.raises(InvalidScene, match="holds nothing"):
+        octree_of_lattice(lattice)
+    assert tracemalloc.get_traced_memory()[1] < 40 << 20  # of 2 million voxels a plane
+    tracemalloc.stop()
 
 
 def test_densities_of_nodes_at_corners_are_activated_between_them() -> None:
