@@ -195,5 +195,10 @@ def _data(content: Any) -> bytes:
     rows = len(content.texels)
     halves = np.ascontiguousarray(content.texels.reshape(rows, -1).T).astype("<f2")
     planes = halves.view(np.uint8).reshape(-1, rows, 2).transpose(0, 2, 1)
-    top, blocks = content.top.astype("<i4"), content.blocks.astype("<u4")
-    return deflate_whole([top.tobytes(), blocks.tobytes(), *(plane.tobytes() for plane in planes)])
+    whole = (content.top.astype("<i4", copy=False), content.blocks.astype("<u4", copy=False))  # the grid may be large
+    return deflate_whole(
+        [
+            *(np.ascontiguousarray(each).reshape(-1).view(np.uint8).data for each in whole),
+            *(plane.tobytes() for plane in planes),
+        ]
+    )
