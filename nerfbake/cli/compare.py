@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Command, PixelSize, as_json, reads, samples, speaks, without_effect
+from nerfbake.cli.params import CAPTURE, Command, Number, PixelSize, as_json, reads, samples, speaks, without_effect
 from nerfbake.cli.paths import Capture, Reads, Writes
 from nerfbake.cli.words import Words
 from nerfbake.jobs.comparisons import Compared, Limits, Pages, Seen, compare_files
@@ -39,8 +39,8 @@ def sees(function: Command) -> Command:
 def limits(function: Command) -> Command:
     """Adds --min-psnr and --max-error; the command gets `limits`."""
 
-    @click.option("--min-psnr", type=float, help="Exit 3 if the mean PSNR of IN2 against IN is lower (dB).")
-    @click.option("--max-error", type=float, help="Exit 3 if any channel of any pixel differs by more (0..1).")
+    @click.option("--min-psnr", type=Number(), help="Exit 3 if the mean PSNR of IN2 against IN is lower (dB).")
+    @click.option("--max-error", type=Number(), help="Exit 3 if any channel of any pixel differs by more (0..1).")
     @wraps(function)
     def command(*args: Any, min_psnr: float | None, max_error: float | None, **others: Any) -> Any:
         return function(*args, limits=Limits(min_psnr, max_error), **others)

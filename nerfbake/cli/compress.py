@@ -9,7 +9,19 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Command, Size, as_json, reads, samples, speaks, without_effect, writes
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    Number,
+    NumberRange,
+    Size,
+    as_json,
+    reads,
+    samples,
+    speaks,
+    without_effect,
+    writes,
+)
 from nerfbake.cli.paths import Capture, Reads
 from nerfbake.cli.words import Words
 from nerfbake.jobs.budgets import Budget
@@ -22,11 +34,11 @@ def aims(function: Command) -> Command:
 
     @click.option(
         "--max-loss",
-        type=click.FloatRange(min=0.001, max=20),
+        type=NumberRange(min=0.001, max=20),
         help="The most PSNR that pictures may lose against photographs, in dB.  [default: 0.1]",
     )
     @click.option("--max-size", type=Size(), help="The most bytes that OUT may have, for example 2MB.")
-    @click.option("--step", type=click.FloatRange(min=1e-4, max=16), help="Round colours to steps of this size.")
+    @click.option("--step", type=NumberRange(min=1e-4, max=16), help="Round colours to steps of this size.")
     @wraps(function)
     def command(*args: Any, max_loss: float | None, max_size: int | None, step: float | None, **others: Any) -> Any:
         return function(*args, goal=Goal(max_loss, max_size, step), **others)
@@ -44,10 +56,10 @@ def measures(function: Command) -> Command:
     @samples
     @click.option(
         "--source-psnr",
-        type=click.FloatRange(min=1, max=80),
+        type=NumberRange(min=1, max=80),
         help="How near IN comes to its photographs in dB, to predict the loss.  [default: 35]",
     )
-    @click.option("--min-psnr", type=float, help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
+    @click.option("--min-psnr", type=Number(), help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
     @wraps(function)
     def command(
         *args: Any,

@@ -10,7 +10,17 @@ from typing import Any, ClassVar
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import Command, as_json, max_memory, seed, sh_basis, speaks, without_effect, writes
+from nerfbake.cli.params import (
+    Command,
+    NumberRange,
+    as_json,
+    max_memory,
+    seed,
+    sh_basis,
+    speaks,
+    without_effect,
+    writes,
+)
 from nerfbake.cli.paths import Keeps, Photographs, Reads, Writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
@@ -90,7 +100,7 @@ def takes_recipe(function: Command) -> Command:
         type=click.Choice(["fast", "balanced", "best"]),
         help="A schedule of about 40, 100 or 200 seconds on two cores.  [default: balanced]",
     )
-    @click.option("--minutes", type=click.FloatRange(0.1, 600), help="Choose a schedule for so long on two cores.")
+    @click.option("--minutes", type=NumberRange(0.1, 600), help="Choose a schedule for so long on two cores.")
     @click.option("--epochs", metavar="SCHEDULE", help="A schedule, as this command prints the one that it follows.")
     @click.option(
         "--resolution",

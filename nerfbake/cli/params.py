@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
 import click
 from click.core import ParameterSource
+from click.types import FloatParamType
 
 from nerfbake import catalog, memory
 from nerfbake.cli.paths import Capture, Output, Reads, Stage1AndFolder
@@ -17,6 +19,28 @@ from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
 
 CAPTURE = "a transforms.json, or a folder that holds one, a COLMAP model, or the poses of LLFF or NSVF"
+
+
+class Number(FloatParamType):
+    """Any number; NaN, which is no limit that anything could keep to, is none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        return _told(self, super().convert(value, param, ctx), param, ctx)
+
+
+class NumberRange(click.FloatRange):
+    """A number in a range; NaN, which is neither below nor above it, is none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        return _told(self, super().convert(value, param, ctx), param, ctx)
+
+
+def _told(
+    kind: click.ParamType[float], number: float, param: click.Parameter | None, ctx: click.Context | None
+) -> float:
+    if math.isnan(number):
+        kind.fail("nan is no number; allowed: one", param, ctx)
+    return number
 
 
 class Size(click.ParamType[int]):
@@ -178,7 +202,7 @@ samples = click.option(
 def judges(function: Command) -> Command:
     """Adds --min-psnr, --cameras and --samples; the command gets `budget`."""
 
-    @click.option("--min-psnr", type=float, help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
+    @click.option("--min-psnr", type=Number(), help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
     @click.option(
         "--cameras",
         metavar="CAPTURE",

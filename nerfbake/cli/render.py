@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import click
 
-from nerfbake.cli.params import CAPTURE, Command, PixelSize, reads, samples, speaks, without_effect
+from nerfbake.cli.params import CAPTURE, Command, NumberRange, PixelSize, reads, samples, speaks, without_effect
 from nerfbake.cli.paths import Capture, Declared, Reads, Writes
 from nerfbake.cli.volumes import chooses_grids
 from nerfbake.cli.words import Words
@@ -155,7 +155,7 @@ def places_mesh(function: Command) -> Command:
 @click.option("--lod", type=click.IntRange(min=0), help="The level at which an octree is shown.")
 @click.option(
     "--transmittance-cut",
-    type=click.FloatRange(0, 1, max_open=True),
+    type=NumberRange(0, 1, max_open=True),
     default=1e-4,
     show_default=True,
     help="A ray ends where less than this share of light is left; 0.5 makes an opaque cutout.",

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import Resolution, judges, reads, speaks, writes_octree
+from nerfbake.cli.params import NumberRange, Resolution, judges, reads, speaks, writes_octree
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source, Target
 from nerfbake.jobs.octrees import bake_octree
@@ -37,7 +37,7 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
     show_default=True,
     help="The number type of the values that OUT stores.",
 )
-@click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
+@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
 @click.option(
     "--basis",
     type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
@@ -45,7 +45,7 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
 )
 @click.option(
     "--scale",
-    type=click.FloatRange(1e-6, 1e6),
+    type=NumberRange(1e-6, 1e6),
     help="Of a lattice: how many times larger the world is to be than that of IN.",
 )
 @judges

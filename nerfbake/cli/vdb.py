@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import Resolution, judges, reads, speaks, writes
+from nerfbake.cli.params import NumberRange, Resolution, judges, reads, speaks, writes
 from nerfbake.cli.volumes import codec_option
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source, Target
@@ -26,7 +26,7 @@ GRIDS = "Some of density, Cd (the mean colour over all directions), sh (SH coeff
     type=Resolution(),
     help="Voxels along each axis of a PlenOctree.  [default: its finest; twice a lattice's]",
 )
-@click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
+@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
 @click.option(
     "--up",
     type=click.Choice(["y", "z"]),

@@ -7,7 +7,18 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import CAPTURE, Command, Size, reads, samples, speaks, without_effect, writes
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    Number,
+    NumberRange,
+    Size,
+    reads,
+    samples,
+    speaks,
+    without_effect,
+    writes,
+)
 from nerfbake.cli.paths import Capture, Reads
 from nerfbake.cli.render import Background, places_mesh
 from nerfbake.cli.volumes import chooses_grids
@@ -28,7 +39,7 @@ def carries(function: Command) -> Command:
     )
     @click.option(
         "--max-loss",
-        type=click.FloatRange(min=0.001, max=20),
+        type=NumberRange(min=0.001, max=20),
         help="The most PSNR that pictures may lose against photographs, in dB.  [default: 0.1]",
     )
     @click.option("--max-size", type=Size(), help="The most bytes that OUT may have, for example 2MB.")
@@ -52,7 +63,7 @@ def measures(function: Command) -> Command:
     )
     @click.option(
         "--min-psnr",
-        type=float,
+        type=Number(),
         help="The least PSNR in dB of what OUT shows: below it OUT becomes OUT.rejected (exit 3).",
     )
     @samples

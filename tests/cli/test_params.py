@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import click
 import pytest
+from click.types import FloatParamType
 
 from nerfbake.cli.main import cli, run
 from nerfbake.cli.params import Size
@@ -60,6 +62,22 @@ def test_every_command_that_renders_knows_how_many_rays_a_pixel_may_have(
     assert "'--samples'" in said
     (option,) = (param for param in cli.commands[name].params if param.name == "samples")
     assert (option.type.min, option.type.max) == (1, MAX_SAMPLES)  # type: ignore[attr-defined]
+
+
+FLOATS = [
+    (name, param.opts[-1])
+    for name, command in cli.commands.items()
+    for param in command.params
+    if isinstance(param.type, FloatParamType | click.FloatRange)
+]
+
+
+@pytest.mark.parametrize(("name", "option"), FLOATS)
+def test_nan_is_no_number(name: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is not outside of any range: --max-loss nan worked for seconds, and then blamed the input's colour_step."""
+    assert run([name, option, "nan"]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert f"'{option}': nan is no number" in said
 
 
 @pytest.mark.parametrize(("text", "size"), [("100", 100), ("1.5KiB", 1536), ("2 MB", 2_000_000), ("4gib", 4 << 30)])
