@@ -23,10 +23,17 @@ def octree_of(
         apart = nerfbake.measure_lattice(lattice, field)
         views = nerfbake.orbit_cameras(lattice, frames=_FRAMES, width=_EDGE, height=_EDGE)
         found = nerfbake.compare_scenes(lattice, field, views, keep_pictures=False)
-    size = "x".join(map(str, octree.size))
+    size = f"{'x'.join(map(str, octree.size))} voxels{_chosen(lattice, octree, options.get('resolution'))}"
     seen = f"{found.means['a_b']['psnr']:.1f} dB from the lattice's own pictures"
-    steps.say(f"{source.name}: in {size} voxels, {seen}; colours are {apart:.2g}/255 (RMS) from its own")
+    steps.say(f"{source.name}: in {size}, {seen}; colours are {apart:.2g}/255 (RMS) from its own")
     return octree
+
+
+def _chosen(lattice: nerfbake.LatticeField, octree: nerfbake.SparseVoxelOctree, resolution: Any) -> str:
+    """Behind the voxels of an octree that nobody asked for, why they are coarser than the lattice's cells."""
+    if resolution is not None or lattice.blocks is None or octree.size == lattice.cells:
+        return ""
+    return f" (the finest that fit into memory; it has {'x'.join(map(str, lattice.cells))} cells)"
 
 
 def tell_notes(steps: Steps, source: Source, scene: Any) -> None:

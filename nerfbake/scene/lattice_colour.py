@@ -115,11 +115,13 @@ class DeferredColour:
     one place's values anywhere else. At 1 the sum is cut.
 
     Features are red, green, blue and `others` that the MLP is asked for, too, all of them times the opacity, and then
-    the opacity itself; a factor that all of them have does not matter. mlp None: nothing is added.
+    the opacity itself; a factor that all of them have does not matter. squashed: there is no opacity in them, and it is
+    their sigmoids that are meant. mlp None: nothing is added.
     """
 
     mlp: MlpColour | None
     others: int = 4
+    squashed: bool = False
 
     def __post_init__(self) -> None:
         if self.mlp and (self.mlp.features != 3 + self.others or not self.mlp.direct or self.mlp.encoded):
@@ -128,10 +130,12 @@ class DeferredColour:
 
     @property
     def features(self) -> int:
-        return 3 + self.others + 1
+        return 3 + self.others + (0 if self.squashed else 1)
 
     def __str__(self) -> str:
-        return f"RGB and a deferred {self.mlp}" if self.mlp else "RGB by opacity"
+        if self.mlp:
+            return f"RGB and a deferred {self.mlp}"
+        return "RGB" if self.squashed else "RGB by opacity"
 
 
 Colour = ShColour | RgbColour | MlpColour | DeferredColour

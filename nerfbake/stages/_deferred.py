@@ -18,8 +18,10 @@ Seen = Callable[[Singles, Ints], Singles]
 _THINNEST = np.float32(1e-6)  # of what values are divided by
 
 
-def bare(features: Singles) -> Singles:
-    """(k, 3 + others) the colour and the MLP's values of features (k, 3 + others + 1), without the opacity in them."""
+def bare(colour: DeferredColour, features: Singles) -> Singles:
+    """(k, 3 + others) the colour and the MLP's values of features (k, C), without the opacity in them."""
+    if colour.squashed:
+        return sigmoid(features).astype(np.float32)
     return np.asarray(features[:, :-1] / np.maximum(features[:, -1:], _THINNEST), np.float32)
 
 
@@ -39,15 +41,15 @@ def seen_of(colour: DeferredColour, directions: Points) -> Seen:
 
 
 def fit_of_deferred(colour: DeferredColour, directions: Points, B: int) -> Callable[[Singles], Singles]:
-    """What makes the 3 B coefficients of a sigmoid's sums of features, by least squares of logits in directions."""
+    """What makes the 3 B coefficients of a sigmoid's sums of bare values, by least squares of logits in directions."""
     inverse, seen = inverse_of(sh_basis(directions, B)), seen_of(colour, directions)
 
-    def fit(features: Singles) -> Singles:
-        values, out = bare(features), np.zeros((len(features), 3, B))
+    def fit(values: Singles) -> Singles:
+        out = np.zeros((len(values), 3, B))
         for j in range(len(directions)):
             shown = np.clip(seen(values, np.full(len(values), j)), LEAST, 1 - LEAST).astype(np.float64)
             logits = log(shown) - log(1 - shown)
             out += product(logits.reshape(-1, 1), inverse[None, :, j]).reshape(out.shape)
-        return out.reshape(len(features), -1).astype(np.float32)
+        return out.reshape(len(values), -1).astype(np.float32)
 
     return fit

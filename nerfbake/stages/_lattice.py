@@ -7,24 +7,37 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.arrays import Ints, Points, Singles
+from nerfbake import memory
+from nerfbake.kernels.arrays import Floats, Ints, Points, Singles
 from nerfbake.kernels.lattice import harmonics
+from nerfbake.kernels.lattice.blocks import NO_PLANES, BlockNodes, sums_at
 from nerfbake.kernels.lattice.mlp import Layers, encoded, layers_for, logits_along, projected
-from nerfbake.kernels.lattice.nodes import OPACITY, RELU, SOFTPLUS, Nodes, cells_in, nearest_in
+from nerfbake.kernels.lattice.nodes import (
+    EXPONENTIAL,
+    OPACITY,
+    RELU,
+    SOFTPLUS,
+    Nodes,
+    blended,
+    cells_in,
+    in_nodes,
+    nearest_in,
+)
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import log, sigmoid
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.octree.halves import widened
-from nerfbake.scene.lattice_field import DeferredColour, LatticeField, MlpColour, ShColour
+from nerfbake.scene.lattice_field import Blocks, DeferredColour, LatticeField, MlpColour, ShColour
 from nerfbake.stages._deferred import bare, fit_of_deferred, seen_of
 
 DIRECTIONS = 256  # in which colours are compared while coefficients are chosen
 # The same of an MLP, whose time they are. Of one fitted to the chair's colours, RMS in 400 others: SH4 12.49 in 24 and
 # 12.47 in 256, SH9 2.18 in 48, 2.15 in 64 and 2.11 in 256, SH25 1.85 in 100 and 1.81 in 256.
 MLP_DIRECTIONS, FEW_DIRECTIONS = 64, 24
-_KINDS = {"relu": RELU, "softplus": SOFTPLUS, "opacity": OPACITY}
+_KINDS = {"relu": RELU, "softplus": SOFTPLUS, "opacity": OPACITY, "exponential": EXPONENTIAL}
 _Y0 = 0.28209479177387814  # the first of the spherical harmonics, a constant
 
+Looked = Callable[[Floats], Singles]
 Seen = Callable[[Singles, Ints], Singles]
 Fit = Callable[[Singles], Singles]
 
@@ -38,7 +51,32 @@ def nodes_of(lattice: LatticeField) -> Nodes:
     corners = int(lattice.at_corners)
     own = lattice.mask_box
     times, plus = nearest_in(mask) if own is None else cells_in(mask, lattice.box, own)
-    return Nodes(lattice.links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least)
+    nodes = Nodes(lattice.links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least)
+    if lattice.blocks is None:
+        return nodes
+    planes = NO_PLANES if lattice.planes is None else np.ascontiguousarray(lattice.planes.density)
+    return nodes._replace(**_blocks(lattice, lattice.blocks)._asdict(), planes=planes)
+
+
+def _blocks(lattice: LatticeField, blocks: Blocks) -> BlockNodes:
+    """Where these and the nodes of its planes are, as kernels take them."""
+    times, plus = cells_in(lattice.links >= 0, lattice.box, blocks.box)
+    planes = lattice.planes
+    across, first = (0.0, 0.0) if planes is None else (float(planes.across), float(planes.first))
+    return BlockNodes(np.ascontiguousarray(lattice.links), blocks.edge, times, plus, across, first)
+
+
+def features_of(lattice: LatticeField) -> Looked:
+    """What looks features (m, C) up at places (m, 3) in the box. Raises MemoryLimit."""
+    memory.require("the lattice's colours", 4 * lattice.n * lattice.features.shape[1])
+    table = table_of(lattice)
+    if lattice.blocks is None:
+        return lambda places: blended(lattice.links, table, in_nodes(places, lattice.shape, lattice.at_corners))
+    blocks, C = _blocks(lattice, lattice.blocks), table.shape[1]
+    planes = np.zeros((3, 0, 0, C), np.float32)
+    if lattice.planes is not None:
+        planes = np.ascontiguousarray(lattice.planes.features)
+    return lambda places: sums_at(blocks, table, planes, places)
 
 
 def table_of(lattice: LatticeField, rows: npt.NDArray[np.int32] | slice = slice(None)) -> Singles:
@@ -66,7 +104,8 @@ def seen_along(lattice: LatticeField, directions: Points) -> Seen:
         return seen
     if isinstance(lattice.colour, DeferredColour):
         shown = seen_of(lattice.colour, directions)
-        return lambda features, ray: shown(bare(features), ray)
+        whole_colour = lattice.colour
+        return lambda features, ray: shown(bare(whole_colour, features), ray)
     return lambda features, ray: sigmoid(features).astype(np.float32)
 
 
@@ -88,8 +127,14 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
 
         return fit
     if isinstance(lattice.colour, DeferredColour):
-        return fit_of_deferred(lattice.colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
+        deferred, fit_bare = lattice.colour, fit_of_bare(lattice.colour, B)
+        return lambda features: fit_bare(bare(deferred, features))
     return lambda features: _constant(features, B)
+
+
+def fit_of_bare(colour: DeferredColour, B: int) -> Fit:
+    """The same of a deferred colour's bare values (m, 3 + others)."""
+    return fit_of_deferred(colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
 
 
 def _layers(mlp: MlpColour, directions: Points) -> Layers:

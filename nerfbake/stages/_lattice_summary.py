@@ -15,12 +15,18 @@ def summary_of_lattice(lattice: LatticeField) -> dict[str, Any]:
     density, features = extremes(lattice.density[:, None]), extremes(lattice.features)
     kind, shift, scale = lattice.activation
     mask = lattice.occupied
+    held = lattice.links >= 0
+    blocks: dict[str, Any] = {}
+    if lattice.blocks is not None:
+        blocks = {"blocks": list(held.shape), "held_blocks": int(np.count_nonzero(held))}
+        blocks["planes"] = None if lattice.planes is None else lattice.planes.density.shape[1]
     return {
         "kind": "lattice field",
         "dialect": lattice.dialect,
         "resolution": list(lattice.shape),
         "nodes": lattice.n,
-        "linked_nodes": int(np.count_nonzero(lattice.links >= 0)),
+        "linked_nodes": int(np.count_nonzero(held)) if lattice.blocks is None else lattice.n,
+        **blocks,
         "mask": None if mask is None else list(mask.shape),
         "masked_nodes": None if mask is None else int(np.count_nonzero(mask)),
         "colours": str(lattice.colour),

@@ -6,7 +6,7 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.lattice.nodes import blended, in_nodes
+from nerfbake.kernels.lattice.nodes import densities
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.kernels.maths.products import product
@@ -15,9 +15,10 @@ from nerfbake.kernels.octree.means import opacity
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages._lattice import places_of, seen_along, table_of
+from nerfbake.stages._lattice import features_of, nodes_of, places_of, seen_along
 from nerfbake.stages.octree_to_field import field_of_octree
 
+_LEAST = 1e-300  # of what is divided by: nothing is seen there
 LEAVES, DIRECTIONS = 2000, 400  # that are looked at; the directions are others than those of the fit
 
 
@@ -44,15 +45,16 @@ def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree | RadianceF
         raise InvalidScene(Problem("the octree", "holds nothing", "a leaf with a density above 0"))
     values, directions = field.sample(points), fibonacci(DIRECTIONS)
     B = field.basis.size
-    at = in_nodes(places_of(lattice, points), lattice.shape, lattice.at_corners)
-    memory.require("the lattice's colours", 4 * lattice.n * lattice.features.shape[1])
-    features = blended(lattice.links, table_of(lattice), at)
+    places = places_of(lattice, points)
+    features = features_of(lattice)(places)
     seen = seen_along(lattice, directions)
     weight, across = opacity(values[:, -1], lattice.step), np.ascontiguousarray(sh_basis(directions, B).T)
+    if lattice.blocks is not None:  # a voxel's mean may be of a face, whose centre is in an empty block
+        weight = np.where(densities(nodes_of(lattice), places) > 0, weight, 0)
     memory.require("the colours in all directions", 24 * len(points) * DIRECTIONS)
     sums = np.stack([product(values[:, c * B : (c + 1) * B], across) for c in range(3)], axis=2)
     total = 0.0
     for j in range(DIRECTIONS):
         truth = np.clip(seen(features, np.full(len(points), j)), 0, 1)
         total += float((((sigmoid(sums[:, j]) - truth) ** 2).sum(axis=1) * weight).sum())
-    return 255 * float(np.sqrt(total / (3 * DIRECTIONS * weight.sum())))
+    return 255 * float(np.sqrt(total / max(3 * DIRECTIONS * weight.sum(), _LEAST)))

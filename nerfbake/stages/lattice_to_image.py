@@ -7,13 +7,13 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Singles
-from nerfbake.kernels.lattice.nodes import Nodes, blended, in_nodes
+from nerfbake.kernels.lattice.nodes import Nodes
 from nerfbake.kernels.lattice.rays import Samples, gathered, samples_of, summed
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.lattice_field import DeferredColour, LatticeField
 from nerfbake.stages._deferred import bare, seen_of
-from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
+from nerfbake.stages._lattice import Looked, features_of, nodes_of, places_of, seen_along
 from nerfbake.stages._supersampled import supersampled
 
 _SEEN = 1 / 255  # alpha of a ray from which on an MLP is asked what it adds
@@ -47,17 +47,16 @@ def render_lattice(
     lattice.require_usable()
     if not 0 <= transmittance_cut < 1:
         raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, without 1"))
-    memory.require("the lattice's colours", 4 * lattice.n * lattice.features.shape[1])
-    nodes, table = nodes_of(lattice), table_of(lattice)
+    nodes, looked = nodes_of(lattice), features_of(lattice)
     return supersampled(
-        lambda part: _rendered(lattice, nodes, table, part, background, transmittance_cut), camera, samples
+        lambda part: _rendered(lattice, nodes, looked, part, background, transmittance_cut), camera, samples
     )
 
 
 def _rendered(
     lattice: LatticeField,
     nodes: Nodes,
-    table: Singles,
+    looked: Looked,
     camera: Camera,
     background: tuple[float, float, float] | None,
     cut: float,
@@ -68,7 +67,7 @@ def _rendered(
     out = np.empty((len(looks), 5), np.float32)
     for begin in range(0, len(looks), _RAYS):
         some = looks[begin : begin + _RAYS]
-        out[begin : begin + len(some)] = _along(lattice, nodes, table, origin, some, float(cut), background)
+        out[begin : begin + len(some)] = _along(lattice, nodes, looked, origin, some, float(cut), background)
     shape = (camera.height, camera.width)
     colour, alpha, far = np.minimum(out[:, :3], 1), out[:, 3], out[:, 4]
     if background is not None:
@@ -80,7 +79,7 @@ def _rendered(
 def _along(
     lattice: LatticeField,
     nodes: Nodes,
-    table: Singles,
+    looked: Looked,
     origin: Floats,
     looks: Floats,
     cut: float,
@@ -92,7 +91,7 @@ def _along(
     k = len(met.weights)
     memory.require("what the rays meet", k * (4 * lattice.features.shape[1] + 40))
     ray = np.repeat(np.arange(len(looks)), np.diff(met.first))
-    features = blended(lattice.links, table, in_nodes(met.places, lattice.shape, lattice.at_corners))
+    features = looked(met.places)
     if isinstance(lattice.colour, DeferredColour):
         return np.column_stack([_deferred(lattice.colour, met, features, looks, background), met.lost])
     colours = gathered(met, seen_along(lattice, looks)(features, ray))
@@ -107,7 +106,7 @@ def _deferred(
     background: tuple[float, float, float] | None,
 ) -> Floats:
     """(m, 3) the colour of rays with what the MLP adds to it, without what is behind."""
-    sums = summed(met, bare(features))
+    sums = summed(met, bare(colour, features))
     behind = (1 - met.lost[:, :1]) * np.array(background or (0, 0, 0))
     sums[:, :3] += behind
     shown = seen_of(colour, looks)(sums, np.arange(len(looks)))

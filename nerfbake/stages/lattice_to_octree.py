@@ -16,6 +16,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.scene.volume import OctreeFrame
+from nerfbake.stages._block_voxels import Held, colour_blocks, held_of_blocks
 from nerfbake.stages._cube_levels import Block, octree_of_blocks
 from nerfbake.stages._half import rounded
 from nerfbake.stages._lattice import fit_of, nodes_of, table_of
@@ -39,11 +40,14 @@ def octree_of_lattice(
 
     resolution: (W, H, D), 1 to 4096; None: twice the lattice's cells. A voxel holds the density and the colour at its
     centre, interpolated as the lattice's own program does. Where it is as coarse as a cell of the lattice or coarser,
-    it holds the mean of finer voxels, by build_octree's rule.
+    it holds the mean of finer voxels, by build_octree's rule. Of a lattice of blocks, None is as many voxels as it has
+    cells, or as many halvings of that as memory asks for, and voxels hold means of samples inside them; what the MLP of
+    its colours is asked for is the mean, too.
 
     Colours become the sigmoid of sums of spherical harmonics, basis SH1 to SH25: by least squares of the logits over
     256 directions (measure_lattice() tells what that costs). Voxels whose density is 0, or below sigma_min (1/world
-    unit), are empty. Colours are made a part at a time, so that beside the octree little memory is needed.
+    unit), are empty; of means that is said of samples. Colours are made a part at a time, so that beside the octree
+    little memory is needed.
 
     Raises InvalidScene for a broken lattice, for one that holds nothing, and for values that float16 cannot hold;
     MemoryLimit.
@@ -61,14 +65,21 @@ def octree_of_lattice(
     wanted = parse_basis(basis)
     if wanted.kind != "SH":
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
-    size, levels = _sizes(lattice, resolution)
-    cells, sigma = _held(lattice, size, sigma_min or 0.0)
+    if lattice.blocks is not None:
+        held, levels = held_of_blocks(lattice, resolution, wanted.size, sigma_min or 0.0), 0
+    else:
+        size, levels = _sizes(lattice, resolution)
+        held = Held(size, *_held(lattice, size, sigma_min or 0.0))
+    size, cells = held.size, held.cells
     if not len(cells):
         raise InvalidScene(Problem("the lattice", "holds nothing", f"a density above {sigma_min or 0:g} somewhere"))
     memory.require("the voxels' values", len(cells) * wanted.data_dim * 4)
     values = np.empty((len(cells), wanted.data_dim), np.float32)
-    values[:, -1] = sigma
-    _colour(lattice, size, cells, wanted.size, values)
+    values[:, -1] = held.sigma
+    if lattice.blocks is not None:
+        colour_blocks(lattice, held, wanted.size, sigma_min or 0.0, values)
+    else:
+        _colour(lattice, size, cells, wanted.size, values)
     data = rounded(values, np.dtype(dtype), what="the lattice", asked="float16")
     edges = (lattice.box[1] - lattice.box[0]) / size
     frame = OctreeFrame(size, basis, layout, lattice.box[0].copy(), edges)

@@ -9,6 +9,7 @@ from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.lattice.blocks import empty_steps
 from nerfbake.kernels.lattice.nodes import Nodes, density_at
 from nerfbake.kernels.march.traversal import compiled_exp_parts
 
@@ -79,13 +80,18 @@ def _march(
             low, high = 0, int(max(np.ceil((end - start) / step), 0.0))
             if keep:
                 low, high = spans[ray, 0], spans[ray, 1]
-            for i in range(low, high):
+            i, ahead = low, 1
+            while i < high:
                 t = start + i * step
                 u = min(max(origin[0] + t * directions[ray, 0], 0.0), 1.0)
                 v = min(max(origin[1] + t * directions[ray, 1], 0.0), 1.0)
                 w = min(max(origin[2] + t * directions[ray, 2], 0.0), 1.0)
                 density = density_at(nodes, u, v, w)
                 if density <= 0:
+                    if nodes.edge > 0:
+                        x, y, z = directions[ray, 0] * step, directions[ray, 1] * step, directions[ray, 2] * step
+                        ahead = empty_steps(nodes, u, v, w, x, y, z)
+                    i += ahead
                     continue
                 whole, rest = compiled_exp_parts(-density * step)
                 kept = whole + whole * rest
@@ -99,6 +105,7 @@ def _march(
                 number += 1
                 far += weight * t
                 through *= kept
+                i += 1
                 if through < cut:
                     break
             if not keep:

@@ -1,0 +1,156 @@
+"""Nodes that stand in blocks, with three planes whose values are added to theirs: what is between them.
+
+A block is so many cells wide along each edge and has all nodes of these cells for itself, those on its faces, too: its
+values need no other block's. A plane lies across two axes: plane 0 across y and z, 1 across x and z, 2 across x and y.
+Places are shares of the lattice's box, as in kernels.lattice.nodes. Source: MERF (Reiser et al., 2023).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import prange
+
+from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.jit import compiled
+
+_FAR = 1e6  # steps that are passed over at once, at most
+_ROUNDING = 1e-3  # of a step: the last bits of a place may be those of another block
+_AT_ONCE = 1 << 10  # places that one core does before it takes the next
+
+
+class BlockNodes(NamedTuple):
+    """links (X, Y, Z): the row of a block's first node, behind which its others follow, x-major; below 0 the block is
+    empty, and nothing is there. A place u is in block number int(u block_times + block_plus) along each axis, `edge`
+    cells wide. In nodes of the planes it is at u plane_times + plane_plus.
+    """
+
+    links: npt.NDArray[np.int32]
+    edge: int
+    block_times: Floats
+    block_plus: Floats
+    plane_times: float
+    plane_plus: float
+
+
+NOWHERE = np.zeros(3)  # for a lattice without blocks
+NO_PLANES = np.zeros((3, 0, 0), np.float32)
+
+
+def sums_at(blocks: BlockNodes, table: Singles, planes: Singles, places: Floats) -> Singles:
+    """(m, C) at places (m, 3): values (n, C) of the nodes and (3, P, P, C) of the planes; zeros in empty blocks."""
+    out = np.zeros((len(places), table.shape[1]), np.float32)
+    _sums(blocks, table, planes, places, out)
+    return out
+
+
+@compiled(merged=True)
+def _place_in(blocks: Any, u: float, v: float, w: float) -> tuple[int, float, float, float]:
+    """The row of the block's first node, below 0 for an empty one; where it is in the block, 0 to `edge` nodes.
+
+    blocks: BlockNodes, or kernels.lattice.nodes' Nodes, which has the same fields.
+    """
+    X, Y, Z = blocks.links.shape
+    a = u * blocks.block_times[0] + blocks.block_plus[0]
+    b = v * blocks.block_times[1] + blocks.block_plus[1]
+    c = w * blocks.block_times[2] + blocks.block_plus[2]
+    i, j, k = min(max(int(a), 0), X - 1), min(max(int(b), 0), Y - 1), min(max(int(c), 0), Z - 1)
+    return blocks.links[i, j, k], (a - i) * blocks.edge, (b - j) * blocks.edge, (c - k) * blocks.edge
+
+
+@compiled(merged=True)
+def _cell(at: float, cells: int) -> tuple[int, float]:
+    """The cell of a place, and where it is in it: 0 to 1."""
+    low = min(max(int(at), 0), cells - 1)
+    return low, min(max(at - low, 0.0), 1.0)
+
+
+@compiled(merged=True)
+def raw_at(nodes: Any, u: float, v: float, w: float) -> tuple[bool, float]:
+    """Whether there is a block at a place, and the sum of the density (n,) and the planes (3, P, P) of Nodes there."""
+    row, x, y, z = _place_in(nodes, u, v, w)
+    if row < 0:
+        return False, 0.0
+    side = nodes.edge + 1
+    i, fx = _cell(x, nodes.edge)
+    j, fy = _cell(y, nodes.edge)
+    k, fz = _cell(z, nodes.edge)
+    total = 0.0
+    for corner in range(8):
+        share = (fx if corner & 4 else 1 - fx) * (fy if corner & 2 else 1 - fy) * (fz if corner & 1 else 1 - fz)
+        at = ((i + (corner >> 2)) * side + j + (corner >> 1 & 1)) * side + k + (corner & 1)
+        total += share * nodes.density[row + at]
+    cells = nodes.planes.shape[1] - 1
+    if cells > 0:
+        i, fx = _cell(u * nodes.plane_times + nodes.plane_plus, cells)
+        j, fy = _cell(v * nodes.plane_times + nodes.plane_plus, cells)
+        k, fz = _cell(w * nodes.plane_times + nodes.plane_plus, cells)
+        for corner in range(4):
+            p, q = corner >> 1, corner & 1
+            gx, gy = (fx if p else 1 - fx), (fy if p else 1 - fy)
+            hy, hz = (fy if q else 1 - fy), (fz if q else 1 - fz)
+            total += gy * hz * nodes.planes[0, j + p, k + q]
+            total += gx * hz * nodes.planes[1, i + p, k + q]
+            total += gx * hy * nodes.planes[2, i + p, j + q]
+    return True, total
+
+
+@compiled(merged=True)
+def empty_steps(nodes: Any, u: float, v: float, w: float, du: float, dv: float, dw: float) -> int:
+    """How many steps (du, dv, dw) from a place on there is surely nothing, as its block is empty; 1 where it is not."""
+    left = 0.0
+    if _place_in(nodes, u, v, w)[0] < 0:
+        along_x = _steps_in(u * nodes.block_times[0] + nodes.block_plus[0], du * nodes.block_times[0])
+        along_y = _steps_in(v * nodes.block_times[1] + nodes.block_plus[1], dv * nodes.block_times[1])
+        along_z = _steps_in(w * nodes.block_times[2] + nodes.block_plus[2], dw * nodes.block_times[2])
+        left = min(along_x, along_y, along_z)
+    return max(int(left - _ROUNDING), 1)
+
+
+@compiled(merged=True)
+def _steps_in(at: float, step: float) -> float:
+    """From `at` to the end of its block, whose number is int(at)."""
+    inside = at - int(at)
+    return min((1 - inside) / step if step > 0 else inside / -step if step < 0 else _FAR, _FAR)
+
+
+@compiled(parallel=True)
+def _sums(blocks: BlockNodes, table: Singles, planes: Singles, places: Floats, out: Singles) -> None:
+    m, C = out.shape
+    side, cells = blocks.edge + 1, planes.shape[1] - 1
+    for part in prange((m + _AT_ONCE - 1) // _AT_ONCE):
+        total = np.zeros(C)
+        for n in range(part * _AT_ONCE, min((part + 1) * _AT_ONCE, m)):
+            u, v, w = places[n, 0], places[n, 1], places[n, 2]
+            row, x, y, z = _place_in(blocks, u, v, w)
+            if row < 0:
+                continue
+            total[:] = 0
+            i, fx = _cell(x, blocks.edge)
+            j, fy = _cell(y, blocks.edge)
+            k, fz = _cell(z, blocks.edge)
+            for corner in range(8):
+                share = (fx if corner & 4 else 1 - fx) * (fy if corner & 2 else 1 - fy) * (fz if corner & 1 else 1 - fz)
+                at = row + ((i + (corner >> 2)) * side + j + (corner >> 1 & 1)) * side + k + (corner & 1)
+                for column in range(C):
+                    total[column] += share * table[at, column]
+            if cells > 0:
+                i, fx = _cell(u * blocks.plane_times + blocks.plane_plus, cells)
+                j, fy = _cell(v * blocks.plane_times + blocks.plane_plus, cells)
+                k, fz = _cell(w * blocks.plane_times + blocks.plane_plus, cells)
+                _add_between(total, planes, 0, j, fy, k, fz)
+                _add_between(total, planes, 1, i, fx, k, fz)
+                _add_between(total, planes, 2, i, fx, j, fy)
+            for column in range(C):
+                out[n, column] = total[column]
+
+
+@compiled(merged=True)
+def _add_between(total: Floats, planes: Singles, plane: int, i: int, f: float, j: int, g: float) -> None:
+    for corner in range(4):
+        p, q = corner >> 1, corner & 1
+        share = (f if p else 1 - f) * (g if q else 1 - g)
+        for column in range(len(total)):
+            total[column] += share * planes[plane, i + p, j + q, column]
