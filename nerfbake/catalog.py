@@ -105,7 +105,8 @@ FORMATS = (
 # A folder that is of several kinds is read as the first of them that holds what is wanted: of a capture its
 # transforms.json, then COLMAP's model, from which LLFF's poses were made.
 _COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
-_LLFF, _NSVF = ("poses_bounds.npy",), ("intrinsics.txt",)
+_LLFF, _NSVF, _BAKED = ("poses_bounds.npy",), ("intrinsics.txt",), ("scene_params.json",)
+_BLOCKS = "sparse_grid_block_indices.png"
 FOLDERS = (
     FolderKind("stage1", "Stage1", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
     FolderKind("atlas", "BakedAtlas", "atlas.folder", "octahedral atlas", key="atlas.json"),
@@ -115,7 +116,8 @@ FOLDERS = (
     FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", "poses_bounds.npy", _LLFF, writable=False),
     FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", "finedensity.vdb", writable=False),
-    FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", writable=False),
+    FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
+    FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 
 # A further ending of any format: zstd's frames, whose module has compress and decompress.
@@ -321,9 +323,11 @@ def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> FolderKi
     )
 
 
-def folder_of_member(name: str) -> FolderKind | None:
-    """The kind of folder that a file of this name stands for, if there is one."""
-    return next((form for form in FOLDERS if name in form.members), None)
+def folder_of_member(name: str, files: Mapping[str, memoryview]) -> FolderKind | None:
+    """The kind of folder that a file of this name stands for among these files, if there is one: of several the first
+    that is of these files, or else the last."""
+    known = [form for form in FOLDERS if name in form.members]
+    return next((form for form in known[:-1] if form.load_module().recognise(files)), known[-1] if known else None)
 
 
 def require_content(head: bytes) -> None:

@@ -61,7 +61,7 @@ def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True)
     name = reading_name(source)
     with blame(name):
         with memory.scope():
-            member = folder_of_member(Path(source).name)
+            member = folder_of_member(Path(source).name, Folder(Path(source).parent, {}))
             if str(source) != STREAM and Path(source).is_dir():
                 found = _decode_folder(Path(source), kinds)
             elif member and Path(source).is_file():

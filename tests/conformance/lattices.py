@@ -11,11 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import load
-from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
+from nerfbake.kernels.lattice.nodes import densities
 from nerfbake.scene.lattice_field import LatticeField
-from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
+from nerfbake.stages._lattice import features_of, nodes_of, places_of, seen_along
 from tests.conformance.case import Case, Facts, Frozen, form_named
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, svox2, svox2_file
+from tests.support.merf import colour_at as merf_colour
+from tests.support.merf import density_of as merf_density
+from tests.support.merf import merf, merf_folder, sums_at
 from tests.support.plenvdb import merged, merged_folder, plenvdb, plenvdb_folder
 from tests.support.snerg import colour_at as snerg_colour
 from tests.support.snerg import density_of as snerg_density
@@ -66,6 +69,25 @@ def cases() -> Iterator[Case]:
     about = "A folder as SNeRG exports it: blocks of voxels in an atlas of slices, a diffuse colour and a deferred MLP."
     files = {"lattice/snerg": Frozen(form_named("snerg"), None, data=snerg_folder(made))}
     yield Case("lattice/snerg", about, files, _blocks(made), answer, computed=2e-5)
+    baked = merf()
+    about = "A folder as MERF exports it: blocks of nodes in an atlas of slices, three planes, and a deferred MLP."
+    files = {"lattice/merf": Frozen(form_named("merf"), None, data=merf_folder(baked))}
+    yield Case("lattice/merf", about, files, _sums(baked), answer, computed=2e-5)
+
+
+def _sums(made: dict[str, Any]) -> Facts:
+    """By the definition, worked out in tests.support: fetched from the atlas and from each plane, added, activated."""
+    points = np.random.default_rng(8).uniform(-1, 1, (200, 3)).round(3)
+    held, sums = sums_at(made, points)
+    density = merf_density(made, held, sums)
+    there = np.flatnonzero(density > 0.1)[:8]
+    colours = merf_colour(made, sums[there], DIRECTION)
+    lookups = [
+        {"point": point, "density": sigma, "colour": colour}
+        for point, sigma, colour in zip(points[there].tolist(), density[there].tolist(), colours.tolist(), strict=True)
+    ]
+    box = [[-1.0] * 3, [1.0] * 3]
+    return {"resolution": [14, 14, 14], "world_box": box, "direction": DIRECTION, "lookups": lookups}
 
 
 def _blocks(made: dict[str, Any]) -> Facts:
@@ -172,7 +194,7 @@ def _harmonics(x: float, y: float, z: float) -> npt.NDArray[np.float64]:
 def answer(path: Path, expected: Facts) -> Facts:
     lattice = load(path, LatticeField)
     places = places_of(lattice, np.array([each["point"] for each in expected["lookups"]]))
-    features = blended(lattice.links, table_of(lattice), in_nodes(places, lattice.shape, lattice.at_corners))
+    features = features_of(lattice)(places)
     seen = seen_along(lattice, np.array([expected["direction"]]))
     colours = seen(features, np.zeros(len(places), np.int64)).tolist()
     sigma = densities(nodes_of(lattice), np.clip(places, 0, 1)).tolist()

@@ -26,6 +26,7 @@ from nerfbake.scene.schedule import parse_schedule
 from tests.support import captures
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.lattices import svox2, svox2_file
+from tests.support.merf import merf, merf_folder
 from tests.support.meshes import cube, square
 from tests.support.n3trees import archive, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
@@ -73,7 +74,14 @@ def files_of(name: str) -> tuple[bytes, ...]:
 @cache
 def folders_of(name: str) -> tuple[Files, ...]:
     """Folders of a kind, by their files' names."""
-    makers = {"stage1": _stage1s, "atlas": _atlases, "thesis": _theses, "plenvdb": _plenvdbs, "snerg": _snergs}
+    makers = {
+        "stage1": _stage1s,
+        "atlas": _atlases,
+        "thesis": _theses,
+        "plenvdb": _plenvdbs,
+        "merf": _merfs,
+        "snerg": _snergs,
+    }
     return tuple(makers[name]() if name in makers else _captures(name))
 
 
@@ -242,6 +250,11 @@ def _plenvdbs() -> Iterator[Files]:
 def _snergs() -> Iterator[Files]:
     yield snerg_folder(snerg())
     yield snerg_folder(snerg(diffuse=True))
+
+
+def _merfs() -> Iterator[Files]:
+    yield merf_folder(merf())
+    yield merf_folder(merf(planes=False))
 
 
 def _theses() -> Iterator[Files]:

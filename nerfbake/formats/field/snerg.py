@@ -18,19 +18,18 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.field.snerg_params import PARAMS, Params, decode_params
-from nerfbake.formats.wire.picture import opened
+from nerfbake.formats.field.baked_folder import EMPTY, PARAMS, Bytes, indices_of, picture_of
+from nerfbake.formats.field.snerg_params import Params, decode_params
 from nerfbake.kernels.arrays import Bits, Points
 from nerfbake.scene.lattice_field import Activation, LatticeField
 
 _INDICES = "atlas_indices.png"
+_ALLOWED = f"{_INDICES}, and as many rgba and feature pictures as slices"
 _SLICES = 4  # in a picture
-_EMPTY = 255
 _CHANNELS = 8
 _AT_ONCE = 1 << 21  # voxels
 _ROW_BYTES = 3 * 4 + _CHANNELS + 2 * _CHANNELS + 4  # a voxel's place and bytes, then its features and its opacity
 
-Bytes = npt.NDArray[np.uint8]
 Ints32 = npt.NDArray[np.int32]
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
@@ -46,11 +45,14 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
     return PARAMS in files
 
 
-def decode(files: Mapping[str, memoryview]) -> LatticeField:
-    """The lattice of a folder, in the world of the cameras. Raises InvalidFile naming the file, MemoryLimit."""
-    params = decode_params(files[PARAMS])
-    indices = _indices(files, params)
-    occupied = indices[..., 0] != _EMPTY
+def decode(files: Mapping[str, memoryview], *, member: str = PARAMS) -> LatticeField:
+    """The lattice of a folder, in the world of the cameras; `member` stands for all of it.
+
+    Raises InvalidFile naming the file, MemoryLimit.
+    """
+    params = decode_params(files)
+    indices = indices_of(files, _INDICES, params.blocks, params.atlas_blocks, _ALLOWED)
+    occupied = indices[..., 0] != EMPTY
     if not occupied.any():
         raise InvalidFile(Problem(_INDICES, "has no block that holds anything", "one or more"))
     with memory.scope():
@@ -98,35 +100,6 @@ def _moved(box: Points, params: Params) -> Points:
 
 
 # -- pictures --------------------------------------------------------------------------------------------------
-def _picture(files: Mapping[str, memoryview], name: str, mode: str, size: tuple[int, int]) -> Bytes:
-    """(H, W, channels) of a PNG that has this mode and this width and height."""
-    if name not in files:
-        raise InvalidFile(Problem(name, "is missing", f"{_INDICES}, and as many rgba and feature pictures as slices"))
-    with opened(files[name], name, "PNG", bytes_per_pixel=2 * len(mode)) as picture:
-        if picture.size != size or picture.mode != mode:
-            found = f"has {picture.size[0]}x{picture.size[1]} pixels of {picture.mode}"
-            raise InvalidFile(Problem(name, found, f"{size[0]}x{size[1]} of {mode}, as {PARAMS} has it"))
-        return np.asarray(picture)
-
-
-def _indices(files: Mapping[str, memoryview], params: Params) -> Bytes:
-    """(X, Y, Z, 3) of each block of the grid its block in the atlas."""
-    X, Y, Z = params.blocks
-    found = _picture(files, _INDICES, "RGB", (X, Y * Z))
-    indices = found.reshape(Z, Y, X, 3).transpose(2, 1, 0, 3)
-    held = indices[..., 0] != _EMPTY
-    beyond = held & (indices >= np.array(params.atlas_blocks)).any(axis=3)
-    if beyond.any():
-        at = tuple(int(i) for i in np.argwhere(beyond)[0])
-        lead = tuple(int(i) for i in indices[at])
-        allowed = f"below {params.atlas_blocks}, the blocks of the atlas"
-        raise InvalidFile(Problem(f"{_INDICES}, block {at},", f"leads to {lead}", allowed))
-    a, b, c = indices[held].astype(np.int64).T
-    if len(np.unique((a << 16) | (b << 8) | c)) != len(a):
-        raise InvalidFile(Problem(_INDICES, "leads to a block of the atlas twice", "once at most"))
-    return indices
-
-
 def _layer(files: Mapping[str, memoryview], params: Params, number: int) -> Bytes:
     """(slices, H, W, 8) of one layer of the atlas' blocks."""
     W, H, _ = params.atlas
@@ -135,7 +108,9 @@ def _layer(files: Mapping[str, memoryview], params: Params, number: int) -> Byte
     out = np.zeros((edge, H, W, _CHANNELS), np.uint8)
     for picture in range(number * edge // _SLICES, ((number + 1) * edge - 1) // _SLICES + 1):
         names = [f"rgba_{picture:03d}.png"] + [f"feature_{picture:03d}.png"] * (params.colour.mlp is not None)
-        parts = [_picture(files, name, "RGBA", (W, _SLICES * H)).reshape(_SLICES, H, W, 4) for name in names]
+        parts = [
+            picture_of(files, name, "RGBA", (W, _SLICES * H), _ALLOWED).reshape(_SLICES, H, W, 4) for name in names
+        ]
         first = max(picture * _SLICES, number * edge)
         for z in range(first, min((picture + 1) * _SLICES, (number + 1) * edge)):
             rgba = parts[0][z % _SLICES]
@@ -169,7 +144,7 @@ def _voxels(files: Mapping[str, memoryview], params: Params, indices: Bytes, occ
 def _blocks(files: Mapping[str, memoryview], params: Params, indices: Bytes) -> Iterator[tuple[Bits, _Voxels]]:
     """Voxels that hold something, some blocks at a time, and which of them are the block's own."""
     edge = params.block + 2
-    blocks = np.argwhere(indices[..., 0] != _EMPTY)
+    blocks = np.argwhere(indices[..., 0] != EMPTY)
     leads = indices[tuple(blocks.T)].astype(np.int64)
     step = max(1, _AT_ONCE // edge**3)
     for layer in range(params.atlas_blocks[2]):

@@ -1,0 +1,41 @@
+"""What is changed in a folder with a scene_params.json that lies: of what was made, `fields` and the files' bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tests.support.snerg import Files, png
+
+Lie = Callable[[dict[str, Any], Files], None]
+PARAMS = "scene_params.json"
+
+
+def changed(**values: Any) -> Lie:
+    """Other values; a name may have an underscore before it."""
+    named = {key.lstrip("_"): value for key, value in values.items()}
+    return lambda made, files: files.update({PARAMS: json.dumps(made["fields"] | named).encode()})
+
+
+def no_field(key: str) -> Lie:
+    return lambda made, files: files.update(
+        {PARAMS: json.dumps({k: v for k, v in made["fields"].items() if k != key}).encode()}
+    )
+
+
+def without(name: str) -> Lie:
+    def change(made: dict[str, Any], files: Files) -> None:
+        del files[name]
+
+    return change
+
+
+def picture(name: str, *shape: int, value: int = 0) -> Lie:
+    return lambda made, files: files.update({name: png(np.full(shape, value, np.uint8))})
+
+
+def half_of(name: str) -> Lie:
+    return lambda made, files: files.update({name: files[name][: len(files[name]) // 2]})
