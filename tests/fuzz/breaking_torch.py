@@ -6,7 +6,7 @@ import pickletools
 from itertools import pairwise
 from random import Random
 
-from nerfbake.bench.inputs.torch_writer import glob, text
+from nerfbake.formats.wire.torch_writer import glob, text
 from tests.fuzz import hostile_values as hostile
 from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_zip import archive_of, break_zip, members_of

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.bench.inputs.torch_writer import numpy_array, ordered, torch_file
+from nerfbake.formats.wire.torch_writer import numpy_array, ordered, torch_file
 from tests.support.lattices import CENTRE, RADIUS, SHAPE
 
 PARTS, LOOKS, FEATURES, WIDTH = (2, 3, 2), (3, 2, 1), 4, 8
@@ -71,7 +71,7 @@ def _weights(random: Any, inputs: int) -> dict[str, Any]:
 
 
 def tensorf_file(checkpoint: dict[str, Any] | None = None) -> bytes:
-    return torch_file(tensorf() if checkpoint is None else checkpoint)
+    return torch_file(tensorf() if checkpoint is None else checkpoint, location="cuda:0")
 
 
 # -- what it means ---------------------------------------------------------------------------------------------

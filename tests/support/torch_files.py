@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.bench.inputs.torch_writer import View, numpy_array, ordered, torch_file
+from nerfbake.formats.wire.torch_writer import View, numpy_array, ordered, torch_file
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, affine
 
 FEATURES, WIDTH = 4, 8
@@ -102,4 +102,4 @@ def weights(mlp: str, features: int = FEATURES, *, positions: bool = False) -> d
 
 
 def dvgo_file(checkpoint: dict[str, Any] | None = None) -> bytes:
-    return torch_file(dvgo() if checkpoint is None else checkpoint, prefix="fine_last")
+    return torch_file(dvgo() if checkpoint is None else checkpoint, prefix="fine_last", location="cuda:0")

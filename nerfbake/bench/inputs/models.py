@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.bench.inputs.torch_writer import numpy_array, ordered, torch_file
+from nerfbake.formats.wire.torch_writer import numpy_array, ordered, torch_file
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.kernels.maths.sphere import fibonacci
@@ -90,7 +90,7 @@ def write_voxels(path: Path, octree: SparseVoxelOctree, edge: int, *, steps: int
         "viewbase_pe": 4,
     }
     checkpoint = {"global_step": steps, "model_kwargs": settings, "model_state_dict": ordered(state)}
-    path.write_bytes(torch_file(checkpoint, prefix="fine_last"))
+    path.write_bytes(torch_file(checkpoint, prefix="fine_last", location="cuda:0"))
 
 
 def _sampled(octree: SparseVoxelOctree, edge: int, *, corners: bool) -> tuple[Array, Array]:

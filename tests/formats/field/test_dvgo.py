@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import LatticeField, load, measure_lattice, octree_of_lattice
-from nerfbake.bench.inputs.torch_writer import View, numpy_array, torch_file
 from nerfbake.formats.field import dvgo as reader
+from nerfbake.formats.wire.torch_writer import View, numpy_array, torch_file
 from nerfbake.kernels.lattice.mlp import encoded
 from nerfbake.kernels.lattice.nodes import blended, in_nodes
 from nerfbake.kernels.march.sh import sh_basis

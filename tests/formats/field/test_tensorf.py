@@ -13,10 +13,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nerfbake import Camera, LatticeField, load, memory_limit, octree_of_lattice, render_lattice
-from nerfbake.bench.inputs.torch_writer import Raw, numpy_array
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.field import tensorf as reader
+from nerfbake.formats.wire.torch_writer import Raw, numpy_array
 from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.sphere import fibonacci

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake.bench.inputs.torch_writer import Raw, View, Writer, archive, glob, numpy_array, ordered, text, torch_file
 from nerfbake.errors import InvalidFile, MemoryLimit
 from nerfbake.formats.wire.torch_pickle import MAX_OPCODES, read_pickle
+from nerfbake.formats.wire.torch_writer import Raw, View, Writer, archive, glob, numpy_array, ordered, text, torch_file
 from nerfbake.formats.wire.torch_zip import TorchReader, is_torch
 from nerfbake.memory import memory_limit, scope
 
@@ -239,10 +239,8 @@ def test_what_torch_saves_is_read(torch: str, tmp_path: Path) -> None:
 
 @pytest.mark.tools
 @pytest.mark.slow
-def test_torch_reads_what_the_tests_write(torch: str, tmp_path: Path) -> None:
+def test_torch_reads_what_is_written(torch: str, tmp_path: Path) -> None:
     (tmp_path / "a.pt").write_bytes(torch_file({"a": View(SIX, 0, (3, 2), (1, 3)), "b": numpy_array(SIX)}))
-    loads = (
-        "import sys, torch; a = torch.load(sys.argv[1], map_location='cpu'); print(a['a'].tolist(), a['b'].tolist())"
-    )
+    loads = "import sys, torch; a = torch.load(sys.argv[1]); print(a['a'].tolist(), a['b'].tolist())"
     done = subprocess.run([torch, "-c", loads, str(tmp_path / "a.pt")], capture_output=True, check=True, timeout=120)
     assert done.stdout.decode().split("\n")[0] == f"{SIX.reshape(2, 3).T.tolist()} {SIX.tolist()}"

@@ -1,7 +1,7 @@
-"""torch's files without torch: a writer of the opcodes that torch 1.13 writes, for what benchmarks and tests read.
+"""torch's files without torch: a writer of the opcodes that torch 1.13 writes, in the zip archive that torch_zip draws.
 
 Numbers, text, dicts, lists and tuples are what they are; arrays are written as tensors, each with a storage of its own;
-what is to be a global, a NumPy array or anything else is given in opcodes, as Raw.
+what is to be a global, a NumPy array or anything else is given in opcodes, as Raw. The same values give the same bytes.
 """
 
 from __future__ import annotations
@@ -76,10 +76,12 @@ def _number(value: int) -> bytes:
 
 
 class Writer:
-    """Values to opcodes; storages by key, in the order in which they are met."""
+    """Values to opcodes; storages by key, in the order in which they are met. location: the device that tensors are
+    said to have been on; one that a reader has not is a hindrance to torch.load()."""
 
-    def __init__(self) -> None:
+    def __init__(self, location: str = "cpu") -> None:
         self.storages: list[bytes] = []
+        self._location = location
 
     def code(self, value: Any) -> bytes:
         if isinstance(value, Raw):
@@ -107,7 +109,7 @@ class Writer:
         key = text(str(len(self.storages)))
         self.storages.append(values.tobytes())
         numel = values.size if view.numel is None else view.numel
-        storage = b"(" + text("storage") + kind + key + text("cuda:0") + _number(numel) + b"tQ"
+        storage = b"(" + text("storage") + kind + key + text(self._location) + _number(numel) + b"tQ"
         rest = self.code(view.offset) + self.code(view.size) + self.code(view.stride)
         hooks = glob("collections", "OrderedDict") + b")R"
         return glob("torch._utils", "_rebuild_tensor_v2") + b"(" + storage + rest + b"\x89" + hooks + b"tR"
@@ -130,7 +132,8 @@ def archive(
     return file.getvalue()
 
 
-def torch_file(value: Any, **options: Any) -> bytes:
-    writer = Writer()
+def torch_file(value: Any, *, location: str = "cpu", **options: Any) -> bytes:
+    """A file that torch.load() makes this value of; options are archive()'s."""
+    writer = Writer(location)
     pickle = b"\x80\x02" + writer.code(value) + b"."
     return archive(pickle, writer.storages, **options)
