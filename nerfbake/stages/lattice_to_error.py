@@ -48,7 +48,8 @@ def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree | RadianceF
     places = places_of(lattice, points)
     features = features_of(lattice)(places)
     seen = seen_along(lattice, directions)
-    weight, across = opacity(values[:, -1], lattice.step), np.ascontiguousarray(sh_basis(directions, B).T)
+    weight, rgba = opacity(values[:, -1], lattice.step), field.basis.kind == "RGBA"
+    across = np.ones((1, DIRECTIONS)) if rgba else np.ascontiguousarray(sh_basis(directions, B).T)
     if lattice.blocks is not None:  # a voxel's mean may be of a face, whose centre is in an empty block
         weight = np.where(densities(nodes_of(lattice), places) > 0, weight, 0)
     memory.require("the colours in all directions", 24 * len(points) * DIRECTIONS)
