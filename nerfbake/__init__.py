@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.octree_to_brick_field import bricks_of_octree as bricks_of_octree
     from nerfbake.stages.octree_to_compression import compress_octree as compress_octree
     from nerfbake.stages.octree_to_field import field_of_octree as field_of_octree
+    from nerfbake.stages.octree_to_lattice import lattice_of_octree as lattice_of_octree
     from nerfbake.stages.octree_to_octree import cut_octree as cut_octree
     from nerfbake.stages.octree_to_octree import lower_basis as lower_basis
     from nerfbake.stages.octree_to_quantised import quantise_octree as quantise_octree

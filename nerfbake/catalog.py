@@ -115,7 +115,7 @@ FOLDERS = (
     FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", "sparse/0/images.bin", _COLMAP, writable=False),
     FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", "poses_bounds.npy", _LLFF, writable=False),
     FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
-    FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", "finedensity.vdb", writable=False),
+    FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
@@ -165,6 +165,7 @@ STAGES = {
     "field_of_page_field": "nerfbake.stages.page_field_to_field",
     "fit_field": "nerfbake.stages.views_to_field",
     "sphere_cameras": "nerfbake.stages.scene_to_cameras",
+    "lattice_of_octree": "nerfbake.stages.octree_to_lattice",
     "lower_basis": "nerfbake.stages.octree_to_octree",
     "quantise_octree": "nerfbake.stages.octree_to_quantised",
     "weigh_leaves": "nerfbake.stages.field_to_importance",

@@ -28,6 +28,7 @@ from nerfbake.cli.convert import convert
 from nerfbake.cli.fit import fit
 from nerfbake.cli.hull import hull
 from nerfbake.cli.info import info
+from nerfbake.cli.lattice import lattice
 from nerfbake.cli.lod import lod
 from nerfbake.cli.refit import refit
 from nerfbake.cli.render import render
@@ -72,6 +73,7 @@ for command in (
     fit,
     svo,
     vdb,
+    lattice,
     atlas,
     atlas_error,
     convert,

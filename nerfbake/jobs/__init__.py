@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.fits import fit_file as fit_file
     from nerfbake.jobs.grids import Choice as Choice
     from nerfbake.jobs.hulls import bake_hull as bake_hull
+    from nerfbake.jobs.lattices import bake_lattice as bake_lattice
     from nerfbake.jobs.octrees import bake_lod as bake_lod
     from nerfbake.jobs.octrees import bake_octree as bake_octree
     from nerfbake.jobs.photographs import Album as Album
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
 JOBS = {
     "bake_atlas": "atlases",
     "bake_hull": "hulls",
+    "bake_lattice": "lattices",
     "bake_lod": "octrees",
     "bake_octree": "octrees",
     "bake_volume": "volumes",

@@ -34,6 +34,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["a.npz", "OUT.svo.pb", "--resolution", "3", "--profile", "bulk"],
         lambda out: jobs.bake_octree("a.npz", jobs.Target(f"{out}.svo.pb", profile="bulk"), resolution=(3, 3, 3)),
     ),
+    "lattice": (
+        ["a.svo.pb", "OUT", "--rounds", "2", "--merged", "--seed", "3"],
+        lambda out: jobs.bake_lattice("a.svo.pb", out, rounds=2, merged=True, seed=3),
+    ),
     "lod": (
         ["a.svo.pb", "OUT.svo.fb", "--level", "1"],
         lambda out: jobs.bake_lod("a.svo.pb", f"{out}.svo.fb", level=1),

@@ -1,4 +1,4 @@
-"""Lattices as other programs write them, which nerfbake reads alone: the files are made here, after their formats."""
+"""Lattices as other programs write them: the files are made here, after their formats. And one that nerfbake writes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import load
+from nerfbake.formats.field import dvgo as whole
 from nerfbake.kernels.lattice.nodes import densities
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.stages._lattice import features_of, nodes_of, places_of, seen_along
@@ -61,6 +62,17 @@ def cases() -> Iterator[Case]:
     about = "The same merged: rows in halves, only for nodes where the mask is true; all others are zeros, and empty."
     files = {"lattice/plenvdb_merged": Frozen(folder, None, data=merged_folder(checkpoint))}
     yield Case("lattice/plenvdb_merged", about, files, _voxels(merged(checkpoint), CLEAR), answer, computed=1e-5)
+    cubes = merged(_cubes())
+    about = "A folder as nerfbake writes it for PlenVDB: its colours one grid behind the other, its mask its own."
+    ours = Frozen(folder, whole.decode(memoryview(dvgo_file(cubes))))
+    yield Case(
+        "lattice/plenvdb_written",
+        about,
+        {"lattice/plenvdb_written": ours},
+        _voxels(cubes, CLEAR),
+        answer,
+        computed=1e-5,
+    )
     decomposed = tensorf()
     about = "A checkpoint as TensoRF writes it with torch: planes and lines, a mask in a box of its own, an MLP."
     files = {"lattice/planes.th": Frozen(form_named("th"), None, data=tensorf_file(decomposed))}
@@ -88,6 +100,14 @@ def _sums(made: dict[str, Any]) -> Facts:
     ]
     box = [[-1.0] * 3, [1.0] * 3]
     return {"resolution": [14, 14, 14], "world_box": box, "direction": DIRECTION, "lookups": lookups}
+
+
+def _cubes() -> dict[str, Any]:
+    """A checkpoint of DirectVoxGO whose nodes are as far apart on each axis."""
+    checkpoint = plenvdb()
+    state = checkpoint["model_state_dict"]
+    state["xyz_max"] = (state["xyz_min"] + (np.array(SHAPE) - 1) / 4).astype(np.float32)
+    return checkpoint
 
 
 def _blocks(made: dict[str, Any]) -> Facts:

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from nerfbake import (
     LatticeField,
     Meshes,
     SparseVoxelOctree,
     Volume,
+    build_octree,
     jobs,
     load,
     octree_of_lattice,
@@ -19,12 +21,12 @@ from nerfbake import (
     save,
 )
 from nerfbake.cli.main import run
-from nerfbake.errors import BudgetMissed, InvalidFile, UsageError
+from nerfbake.errors import BudgetMissed, InvalidFile, OutputError, UsageError
 from nerfbake.jobs import Budget, Pictures, PlacedMesh, Seen, Shots, lattices
 from tests.jobs.listener import Listener
 from tests.support.lattices import SHAPE, svox2, svox2_file
 from tests.support.meshes import cube
-from tests.support.scenes import assert_same_octree
+from tests.support.scenes import assert_same_octree, n3tree
 
 LAYERS = {"background_links": np.zeros((8, 4), np.int32), "background_data": np.zeros((3, 2, 4), np.float32)}
 
@@ -94,6 +96,38 @@ def test_pictures_are_the_lattices_own_and_with_a_mesh_the_octrees() -> None:
 
 def test_a_page_of_it_is_a_page_of_its_octree() -> None:
     assert jobs.view_file("ckpt.npz", "a.html", data="exact").title == "ckpt.npz"
+
+
+def test_an_octree_becomes_a_folder_whose_loss_is_told(tmp_path: Path) -> None:
+    jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=16)
+    steps = Listener()
+    told = jobs.bake_lattice(tmp_path / "tree.npz", tmp_path / "out", resolution=8, rounds=20, steps=steps)
+    (line,) = steps.said
+    assert line.startswith(f"{tmp_path / 'out'}: lattice field of 10x10x8, ")
+    assert " dB from the octree's own pictures; colours are " in line
+    found = load(tmp_path / "out", LatticeField)
+    assert_array_equal(found.box, told.box)
+    assert_array_equal(found.density.reshape(told.shape)[told.links >= 0], told.density[told.links[told.links >= 0]])
+    jobs.bake_octree(tmp_path / "out", tmp_path / "back.svo.npz", basis="SH1")
+    with pytest.raises(OutputError, match="exists already"):
+        jobs.bake_lattice(tmp_path / "tree.npz", tmp_path / "out", rounds=1)
+
+
+def test_a_merged_folder_that_loses_too_much_is_set_aside(tmp_path: Path) -> None:
+    save("f.npz", n3tree(data_format="SH1"))
+    line = ["lattice", "f.npz", str(tmp_path / "out"), "--rounds", "1", "--merged", "-q"]
+    assert run([*line, "--min-psnr", "90", "--cameras", "c.json"]) == 3
+    (rejected,) = tmp_path.iterdir()
+    assert rejected.name == "out.rejected"
+    assert load(rejected, LatticeField).dialect == "PlenVDB, merged"
+
+
+def test_only_what_has_voxels_becomes_a_lattice(tmp_path: Path) -> None:
+    with pytest.raises(InvalidFile, match="holds a lattice field"):
+        jobs.bake_lattice("ckpt.npz", tmp_path / "out")
+    save("f.svo.pb", build_octree(n3tree(data_format="SH1")))
+    with pytest.raises(UsageError, match="an octree has its own resolution"):
+        jobs.bake_lattice("f.svo.pb", tmp_path / "out", resolution=8)
 
 
 def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ and the files that its program writes; docs/formats/checkpoints.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -22,11 +22,14 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, Problem
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.field.dvgo_model import Model, colour_of
+from nerfbake.formats.field.plenvdb_grids import grids_file, nodes_of, rows_file
+from nerfbake.formats.field.plenvdb_model import model_file
 from nerfbake.formats.field.torch_model import every_node
 from nerfbake.formats.volume import openvdb
 from nerfbake.formats.wire.npz_reader import NpzReader
+from nerfbake.formats.wire.npz_writer import write_npz
 from nerfbake.kernels.arrays import Bits, Singles
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.vdb.slots import origins_of
@@ -41,6 +44,7 @@ _EXACT = 1 << 24  # the last whole number up to which float32 has all of them
 _WHOLE = f"{_MODEL}, and {_DENSITY} with {_COLOURS} or {_ROWS} with {_TABLE}"
 
 Shape = tuple[int, int, int]
+Files = Iterator[tuple[str, Iterable[bytes | memoryview]]]
 
 
 def recognise(files: Mapping[str, memoryview]) -> bool:
@@ -58,6 +62,46 @@ def decode(files: Mapping[str, memoryview]) -> LatticeField:
         model = Model(files[_MODEL])
         colour = colour_of(model)
     return _merged(files, model, colour) if merged else _plain(files, model, colour)
+
+
+def encode(lattice: LatticeField, *, merged: bool = False) -> Files:
+    """The folder. merged: values in float16, as rows for the nodes where the mask is true; else float32 for all nodes.
+
+    Raises InvalidScene for a lattice that is none of PlenVDB's, and for values that float16 cannot hold.
+    """
+    yield _MODEL, [model_file(lattice)]
+    with memory.scope():
+        yield from _merged_files(lattice) if merged else _plain_files(lattice)
+
+
+def _plain_files(lattice: LatticeField) -> Files:
+    nodes, features = nodes_of(lattice.links), lattice.features
+    yield _DENSITY, grids_file(nodes, 1, 1, lambda _: lattice.density[:, None])
+    yield _COLOURS, grids_file(nodes, 3, features.shape[1] // 3, lambda k: features[:, 3 * k : 3 * k + 3])
+
+
+def _merged_files(lattice: LatticeField) -> Files:
+    mask = lattice.links >= 0 if lattice.occupied is None else lattice.occupied
+    if mask.shape != lattice.shape:
+        raise InvalidScene(Problem("the mask", f"has {mask.shape} nodes", f"{lattice.shape}, as the lattice has"))
+    rows = lattice.links[mask]
+    if len(rows) > _EXACT:
+        found = f"has {len(rows):,} nodes where the mask is true"
+        raise InvalidScene(Problem("the lattice", found, f"{_EXACT:,}, as float32 tells rows apart; or not merged"))
+    memory.hold("the rows", 2 * (len(rows) + 1) * (1 + lattice.features.shape[1]))
+    den, col = _in_rows(lattice.density, rows), _in_rows(lattice.features, rows)
+    yield _ROWS, rows_file(mask)
+    yield _TABLE, write_npz({"den": den, "col": col})
+
+
+def _in_rows(values: npt.NDArray[Any], rows: npt.NDArray[np.int32]) -> npt.NDArray[np.float16]:
+    """Row 0 zeros, then the values of these rows; zeros for one below 0. Raises InvalidScene."""
+    held = rows >= 0
+    out = np.zeros((len(rows) + 1, *values.shape[1:]), np.float16)
+    out[1:][held] = cast(values[rows[held]], np.float16)
+    if not np.isfinite(out).all():
+        raise InvalidScene(Problem("the lattice", "holds values above 65504", "what float16 can hold, or not merged"))
+    return out
 
 
 def _plain(files: Mapping[str, memoryview], model: Model, colour: Colour) -> LatticeField:

@@ -12,15 +12,15 @@ same grids give the same bytes. Source: docs/formats/vdb.md, "OpenVDB files".
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.formats.volume.openvdb_reader import read_file
 from nerfbake.formats.volume.openvdb_writer import TYPES, write_grid
 from nerfbake.formats.wire.openvdb_stream import MAGIC, UUID, VERSION, text
-from nerfbake.scene.vdb import IndexGrid
-from nerfbake.scene.volume import Volume
+from nerfbake.scene.vdb import IndexGrid, VdbTree
+from nerfbake.scene.volume import OctreeFrame, Transform, Volume
 
 LIBRARY = (10, 0)  # the version of OpenVDB whose files these are like
 DEFAULT_GRIDS = ("density", "Cd")
@@ -40,13 +40,19 @@ def require_grids(grids: tuple[str, ...], *, half: bool) -> None:
 
 def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator[bytes | memoryview]:
     """The file in pieces. Raises InvalidScene for an index grid, which the format does not have."""
-    yield struct.pack("<qIIIB", MAGIC, VERSION, *LIBRARY, 1) + UUID + struct.pack("<Ii", 0, len(volume.grids))
+    placed = ((_tree(grid), volume.transform_of(grid)) for grid in volume.grids)
+    yield from file_of(placed, len(volume.grids), frame=volume.frame, zipped=codec == "zip")
+
+
+def file_of(
+    grids: Iterable[tuple[VdbTree, Transform]], count: int, *, frame: OctreeFrame | None = None, zipped: bool = True
+) -> Iterator[bytes | memoryview]:
+    """The same of so many grids with their transforms, each of which may be made when its turn comes."""
+    yield struct.pack("<qIIIB", MAGIC, VERSION, *LIBRARY, 1) + UUID + struct.pack("<Ii", 0, count)
     at = 8 + 12 + 1 + len(UUID) + 8
-    for k, grid in enumerate(volume.grids):
-        if isinstance(grid, IndexGrid):
-            raise InvalidScene(Problem("a .vdb", "has no index grids", "density, Cd, sh; or a .nvdb"))
+    for k, (grid, transform) in enumerate(grids):
         # The frame stands in the first grid: tools that copy grids keep what a grid says.
-        written = write_grid(grid, volume.transform_of(grid), volume.frame if k == 0 else None, zipped=codec == "zip")
+        written = write_grid(grid, transform, frame if k == 0 else None, zipped=zipped)
         name = text(grid.name) + text(TYPES[grid.values.shape[1], grid.values.dtype.name]) + text("")
         start = at + len(name) + 24
         buffers = start + sum(map(len, written.front))
@@ -54,6 +60,12 @@ def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator
         yield name + struct.pack("<3q", start, buffers, at)
         yield from written.front
         yield from written.buffers
+
+
+def _tree(grid: VdbTree | IndexGrid) -> VdbTree:
+    if isinstance(grid, IndexGrid):
+        raise InvalidScene(Problem("a .vdb", "has no index grids", "density, Cd, sh; or a .nvdb"))
+    return grid
 
 
 def decode(view: memoryview) -> Volume:

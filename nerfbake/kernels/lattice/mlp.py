@@ -16,7 +16,7 @@ from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.maths.products import product
 
-_LANES = 64
+LANES = 64  # features at a time
 
 
 class Layers(NamedTuple):
@@ -79,7 +79,7 @@ def projected(features: Singles, layers: Layers, inverse: Singles) -> Singles:
 
 
 @compiled()
-def _dense(weights: Singles, x: Singles, y: Singles) -> None:
+def dense(weights: Singles, x: Singles, y: Singles) -> None:
     """y (o, lanes) += weights (o, i) @ x (i, lanes), four inputs a pass."""
     inputs = weights.shape[1]
     for o in range(len(weights)):
@@ -87,35 +87,35 @@ def _dense(weights: Singles, x: Singles, y: Singles) -> None:
         for i in range(0, inputs - inputs % 4, 4):
             w0, w1, w2, w3 = weights[o, i], weights[o, i + 1], weights[o, i + 2], weights[o, i + 3]
             x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
-            for lane in range(_LANES):
+            for lane in range(LANES):
                 total[lane] += (w0 * x0[lane] + w1 * x1[lane]) + (w2 * x2[lane] + w3 * x3[lane])
         for i in range(inputs - inputs % 4, inputs):
             w, row = weights[o, i], x[i]
-            for lane in range(_LANES):
+            for lane in range(LANES):
                 total[lane] += w * row[lane]
 
 
 @compiled()
 def _behind(layers: Layers, hidden: Singles, other: Singles, logits: Singles) -> None:
     """The logits (3, lanes) behind the first layer's sums, hidden (H, lanes), which are overwritten."""
-    _cut(hidden)
+    cut(hidden)
     for layer in range(len(layers.middle)):
         bias = layers.middle_bias[layer]
         for o in range(len(other)):
             other[o] = bias[o]
-        _dense(layers.middle[layer], hidden, other)
-        _cut(other)
+        dense(layers.middle[layer], hidden, other)
+        cut(other)
         hidden[:] = other
     for channel in range(3):
         logits[channel] = layers.last_bias[channel]
-    _dense(layers.last, hidden, logits)
+    dense(layers.last, hidden, logits)
 
 
 @compiled()
-def _cut(x: Singles) -> None:
+def cut(x: Singles) -> None:
     for o in range(len(x)):
         row = x[o]
-        for lane in range(_LANES):
+        for lane in range(LANES):
             row[lane] = max(row[lane], f32(0))
 
 
@@ -123,17 +123,17 @@ def _cut(x: Singles) -> None:
 def _along(features: Singles, layers: Layers, ray: Ints, out: Singles) -> None:
     k, F = features.shape
     H = len(layers.by_feature)
-    for block in prange((k + _LANES - 1) // _LANES):
-        begin, end = block * _LANES, min((block + 1) * _LANES, k)
-        x, hidden = np.zeros((F, _LANES), np.float32), np.zeros((H, _LANES), np.float32)
-        other, logits = np.empty((H, _LANES), np.float32), np.empty((3, _LANES), np.float32)
+    for block in prange((k + LANES - 1) // LANES):
+        begin, end = block * LANES, min((block + 1) * LANES, k)
+        x, hidden = np.zeros((F, LANES), np.float32), np.zeros((H, LANES), np.float32)
+        other, logits = np.empty((H, LANES), np.float32), np.empty((3, LANES), np.float32)
         for lane in range(end - begin):
             own = ray[begin + lane]
             for i in range(F):
                 x[i, lane] = features[begin + lane, i]
             for o in range(H):
                 hidden[o, lane] = layers.by_direction[own, o]
-        _dense(layers.by_feature, x, hidden)
+        dense(layers.by_feature, x, hidden)
         _behind(layers, hidden, other, logits)
         for lane in range(end - begin):
             for channel in range(3):
@@ -144,27 +144,27 @@ def _along(features: Singles, layers: Layers, ray: Ints, out: Singles) -> None:
 def _project(features: Singles, layers: Layers, inverse: Singles, out: Singles) -> None:
     m, F = features.shape
     H, B = len(layers.by_feature), len(inverse)
-    for block in prange((m + _LANES - 1) // _LANES):
-        begin, end = block * _LANES, min((block + 1) * _LANES, m)
-        x, base = np.zeros((F, _LANES), np.float32), np.zeros((H, _LANES), np.float32)
-        hidden, other = np.empty((H, _LANES), np.float32), np.empty((H, _LANES), np.float32)
-        logits, sums = np.empty((3, _LANES), np.float32), np.zeros((3 * B, _LANES), np.float32)
+    for block in prange((m + LANES - 1) // LANES):
+        begin, end = block * LANES, min((block + 1) * LANES, m)
+        x, base = np.zeros((F, LANES), np.float32), np.zeros((H, LANES), np.float32)
+        hidden, other = np.empty((H, LANES), np.float32), np.empty((H, LANES), np.float32)
+        logits, sums = np.empty((3, LANES), np.float32), np.zeros((3 * B, LANES), np.float32)
         for lane in range(end - begin):
             for i in range(F):
                 x[i, lane] = features[begin + lane, i]
-        _dense(layers.by_feature, x, base)
+        dense(layers.by_feature, x, base)
         for j in range(len(layers.by_direction)):
             own = layers.by_direction[j]
             for o in range(H):
                 shift, row, target = own[o], base[o], hidden[o]
-                for lane in range(_LANES):
+                for lane in range(LANES):
                     target[lane] = row[lane] + shift
             _behind(layers, hidden, other, logits)
             for channel in range(3):
                 values = logits[channel]
                 for b in range(B):
                     share, total = inverse[b, j], sums[channel * B + b]
-                    for lane in range(_LANES):
+                    for lane in range(LANES):
                         total[lane] += share * values[lane]
         for lane in range(end - begin):
             for b in range(3 * B):
