@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks import __main__ as entry
 from benchmarks import atlas, fit, inputs, outputs, svo, view, wires
-from benchmarks.aims import FIT, INPUTS, VIEW
+from benchmarks.aims import FINER, FIT, INPUTS, VIEW
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
 from nerfbake.bench.access.readers import READERS
@@ -98,11 +98,16 @@ def test_svo(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_inputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("PLENOXELS", 5), ("VOXELS", 4), ("STEPS", 2), ("EDGE", 12), ("FRAMES", 1)):
         monkeypatch.setattr(inputs, name, value)
+    for name, value in (("SMALL", 8), ("SMALL_FRAMES", 1), ("SMALL_EDGE", 12)):
+        monkeypatch.setattr(inputs, name, value)
     monkeypatch.setattr(inputs, "in_turn", lambda work, rounds: [[work() for _ in range(rounds)]])  # none to warm up
     found = tables(small("inputs", scenes), "inputs.md")
     (rows,) = (table for title, table in found.items() if title.startswith("`nerfbake svo"))
     assert [row[:2] for row in rows] == [["ckpt.npz", "5^3"], ["fine_last.tar", "4^3"]]
-    assert [row[0] for row in found["Aims"]] == [f"{name}: {what}" for name, what in INPUTS]
+    (finer,) = (table for title, table in found.items() if title.startswith("The chair as 8^3"))
+    assert [row[1] for row in finer] == ["8^3", "8^3", "16^3", "24^3"]
+    told = [f"{name}: {what}" for name, what in INPUTS] + [f"{times}x, refitted: dB" for times in FINER]
+    assert [row[0] for row in found["Aims"]] == told
 
 
 @pytest.mark.slow
