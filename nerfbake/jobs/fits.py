@@ -156,12 +156,16 @@ def fit_file(
     steps.say(f"{source.name}: --epochs {schedule}")
     keeper = None if state is None else Keeper(state, recipe.told(schedule), posed.trained)
     course = Course(posed, schedule)
-    field, stopped = _fit(steps, source, posed.trained, schedule, recipe, course, keeper)
-    if stopped:
-        _write_partial(steps, target, kind, field, state)
-    scene = _made(steps, target, kind, field)
-    del field, posed
-    target.write(steps, scene)
+    with _interrupts() as asked:
+        field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
+        with steps.phase("putting the field together") as tell, io.blame(target.path):
+            scene = _WAYS[kind](field, target, tell)
+        del field, posed
+        if asked:
+            _write_partial(steps, target, kind, scene, state)
+        target.write(steps, scene)
+    if asked:
+        raise Stopped(f"stopped before it was judged: {target.path} is whole")
     del scene
     fitted = _judged(steps, target, judges, schedule, course)
     if report is not None:
@@ -192,13 +196,14 @@ def _fit(
     recipe: Recipe,
     course: Course,
     keeper: Keeper | None,
-) -> tuple[nerfbake.BrickField, bool]:
-    """The field, and whether Ctrl-C ended it early."""
+    asked: list[int],
+) -> nerfbake.BrickField:
+    """What was fitted until the end, or until somebody asked for it."""
     from nerfbake.scene.views import world_box
     from nerfbake.stages.views_to_field import fit_field
 
     now = start = _start(keeper, course)
-    with steps.progress("fitting") as tell, io.blame(source.name), _interrupts() as asked:
+    with steps.progress("fitting") as tell, io.blame(source.name):
         box = None if recipe.box is None else world_box(recipe.box)
         for now in fit_field(views, schedule=schedule, basis=recipe.basis, box=box, seed=recipe.seed, start=start):
             ended = course.follow(now)
@@ -206,8 +211,9 @@ def _fit(
                 _keep(keeper, now, course)
             tell(course.share(now), course.told(now))
             if asked:
-                return now.field(), True
-        return now.field(), False
+                break
+        field: nerfbake.BrickField = now.field()
+        return field
 
 
 def _start(keeper: Keeper | None, course: Course) -> Any:
@@ -229,16 +235,11 @@ def _keep(keeper: Keeper, now: Any, course: Course) -> None:
         keeper.keep(now, worked=worked, curve=course.curve)
 
 
-def _made(steps: Steps, target: Target, kind: str, field: nerfbake.BrickField) -> Any:
-    with steps.phase("putting the field together") as tell, io.blame(target.path):
-        return _WAYS[kind](field, target, tell)
-
-
-def _write_partial(steps: Steps, target: Target, kind: str, field: nerfbake.BrickField, state: str | None) -> NoReturn:
+def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: str | None) -> NoReturn:
     """Writes what there is beside where it should have been, and raises Stopped."""
     ending = io.format_for(target.path, kind, to=target.to).name
     partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
-    partial.write(steps, _made(steps, partial, kind, field))
+    partial.write(steps, scene)
     goes_on = f"; the same command goes on from {state}" if state else ""
     raise Stopped(f"stopped before it was done: {partial.path} has what there was{goes_on}")
 
@@ -261,7 +262,10 @@ def _judged(steps: Steps, target: Target, judges: nerfbake.Views, schedule: Sche
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """What Ctrl-C asks for, once, so that work can end where it is whole; the second time it ends at once."""
+    """What Ctrl-C asks for, once, so that work can end where it is whole; the second time it ends at once.
+
+    The list is empty until then.
+    """
     asked: list[int] = []
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -195,9 +196,31 @@ def test_ctrl_c_writes_what_there_is(trainer: FakeFit, capture: Path, listener: 
         assert stopped.value.exit_code == 130
         assert str(stopped.value) == f"stopped before it was done: {target.path}.partial has what there was"
     assert sorted(path.name for path in Path().iterdir()) == ["a.svo.pb.partial", "b.partial"]
-    partial = load("b.partial", N3Tree)
-    assert isinstance(partial, N3Tree)
+    assert isinstance(load("b.partial"), N3Tree)
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.usefixtures("trainer")
+@pytest.mark.parametrize(
+    ("slow", "said", "left"),
+    [
+        ("nerfbake.n3tree_of_bricks", r"before it was done: a\.npz\.partial has what there was", "a.npz.partial"),
+        ("nerfbake.io.save", r"before it was judged: a\.npz is whole", "a.npz"),
+    ],
+)
+def test_ctrl_c_loses_nothing_while_what_was_fitted_is_made_and_written(
+    slow: str, said: str, left: str, capture: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = resolve_name(slow)
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        interrupt()
+        return work(*arguments, **options)
+
+    monkeypatch.setattr(slow, interrupted)
+    with pytest.raises(Stopped, match=said):
+        fit_file(capture, "a.npz")
+    assert [path.name for path in Path().iterdir()] == [left]
 
 
 def test_what_ctrl_c_has_stopped_goes_on_from_its_state(trainer: FakeFit, capture: Path) -> None:
