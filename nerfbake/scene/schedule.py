@@ -48,7 +48,7 @@ VIEWS = 100  # that the epochs of presets are meant for; of fewer, each is seen 
 PRESETS = {  # of R cells: stages of R / 4, R / 2, R, and R with some cells divided
     "fast": (2, 2, 1, 1),
     "balanced": (3, 3, 1, 4),
-    "best": (3, 3, 1, 8),
+    "best": (3, 3, 1, 7),
 }
 _AGAIN = 6  # epochs of divided cells from which on some more are divided halfway
 
@@ -128,10 +128,10 @@ def _stages(epochs: tuple[int, ...], resolution: int, samples: int, views: int) 
     second = epochs[3] // 2 if epochs[3] >= _AGAIN else 0
     quarter, half = max(resolution // 4, RESOLUTIONS[0]), max(resolution // 2, RESOLUTIONS[0])
     made = [
-        Stage(quarter, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.03),
-        Stage(half, 2, middle, (0.1, 0.03), (0.5, 0.2), prune=0.03),
-        Stage(resolution, 1, fine, (0.1, 0.04), (0.5, 0.3), prune=0.02),
-        Stage(resolution, 1, times(epochs[3] - second), (0.15, 0.02), (0.8, 0.1), 2, 0.1, 0.005),
+        Stage(quarter, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.01),
+        Stage(half, 2, middle, (0.1, 0.015), (0.5, 0.2), prune=0.03),
+        Stage(resolution, 1, fine, (0.08, 0.03), (0.5, 0.3), prune=0.02),
+        Stage(resolution, 1, times(epochs[3] - second), (0.12, 0.02), (1.0, 0.12), 2, 0.1, 0.005),
     ]
     if second:
         made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, 0.1, 0.005))

@@ -26,8 +26,7 @@ from nerfbake.stages.views_to_hull import find_solid, require_views
 __all__ = ["FitState", "fit_field"]
 
 TASKS = 16  # that a view's pixels are shared out to; more would be no faster on 16 cores, and take more memory
-_ALPHA, _POINT = 0.5, 0.02  # weights of the loss of alpha, and of every cell's own colour
-_PULL = 0.01  # of density towards 0, in steps
+_ALPHA, _POINT = 0.1, 0.08  # weights of the loss of alpha, and of every cell's own colour
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # of each band in a step: what all views agree on is found first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # pull of the coefficients of each band towards 0
 _RING = 1  # pixels around an object that are looked at, too
@@ -131,14 +130,8 @@ def _visit(state: FitState, views: Views, batch: Batch | None) -> Batch | None:
     part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
     parts, ridge = (np.array(each, np.float32)[band_of(state.basis.size)] for each in (_PARTS, _RIDGE))
     rates = _rate(stage.density, part), _rate(stage.colour, part)
-    take_steps(
-        cells.bricks,
-        batch,
-        looks.eye,
-        cells.means,
-        cells.seen,
-        Steps(*rates, _PULL, parts, ridge, float(stage.rays**2)),
-    )
+    steps = Steps(*rates, parts, ridge, float(stage.rays**2))
+    take_steps(cells.bricks, batch, looks.eye, cells.means, cells.seen, steps)
     return batch
 
 

@@ -27,19 +27,16 @@ DECAY = 0.9  # of the moving means
 FADE = 0.95  # of the largest weight, at every view that meets the cell
 MOST_DENSITY = 12.0  # per own width
 _CURVATURE_FLOOR, _WEIGHT_FLOOR = 1e-3, 1e-2
-_SLOPE_FLOOR = 0.05  # of the sigmoid
+_SLOPE_FLOOR = 0.15  # of the sigmoid, whose slope is a quarter at most
 _SUMS = 8  # numbers of a row that are added up, from COLOUR_SUM on
 _BLOCK = 512  # places of bricks that one core does before it takes the next
 
 
 class Steps(NamedTuple):
-    """rates of density and colour; the pull of density towards 0; of each coefficient its part in a step and its ridge,
-    (B,) each; rays a pixel.
-    """
+    """rates of density and colour; of each coefficient its part in a step and its ridge, (B,) each; rays a pixel."""
 
     density: float
     colour: float
-    pull: float
     parts: Singles
     ridge: Singles
     rays: float
@@ -142,12 +139,7 @@ def _move_density(
     steps: Steps,
 ) -> None:
     one, decay, fresh = np.float32(1), np.float32(DECAY), np.float32(1 - DECAY)
-    floor, rate, pull, most = (
-        np.float32(_CURVATURE_FLOOR),
-        np.float32(steps.density),
-        np.float32(steps.pull),
-        np.float32(MOST_DENSITY),
-    )
+    floor, rate, most = np.float32(_CURVATURE_FLOOR), np.float32(steps.density), np.float32(MOST_DENSITY)
     value, row, per_width, rays = np.uint64(start), np.uint64(first), np.float32(1 / width), np.float32(1 / steps.rays)
     for cell in range(np.uint64(count)):
         part = per_width * (np.float32(0.5) if places[row + cell] & 1 else one)
@@ -156,7 +148,7 @@ def _move_density(
         old = means[row + cell, 0]
         mean = decay * old + fresh * curvature if old > 0 else curvature
         quotient = min(max(asked / (mean + floor), -one), one)
-        moved = min(max(values[value + cell] + rate * (quotient - pull), np.float32(0)), most)
+        moved = min(max(values[value + cell] + rate * quotient, np.float32(0)), most)
         means[row + cell, 0] = mean if curvature > 0 else old
         values[value + cell] = moved if curvature > 0 else values[value + cell]
 
