@@ -147,7 +147,7 @@ class N3Tree(Scene):
         if negative.any() and not negative_is_empty:
             first = np.unravel_index(int(np.argmax(negative)), negative.shape)
             where = place("data", (*first, self.data_dim - 1))
-            allowed = "a density of 0 or more (--sigma-min 0 reads less as empty)"
+            allowed = "a density of 0 or more (`svo --sigma-min 0` reads less as empty)"
             problems.append(Problem(where, f"is {sigma[first]:g}", allowed, int(negative.sum())))
         if self.extra_data is not None:
             problems += number_problems("extra_data", self.extra_data)

@@ -22,7 +22,7 @@ from nerfbake.stages._coefficients import Coefficients, Rows, transform, visible
 from nerfbake.stages._loss import Cost, Judge, measuring_judge, predicting_judge
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.octree_to_field import field_of_octree
-from nerfbake.stages.octree_to_octree import lower_basis
+from nerfbake.stages.octree_to_octree import lower_basis, require_lower
 from nerfbake.stages.octree_to_quantised import most_important
 from nerfbake.stages.scene_to_cameras import sphere_cameras
 
@@ -68,6 +68,8 @@ def compress_octree(
     """
     if [max_loss, max_size, step].count(None) != 2:
         raise InvalidScene(Problem("the goal", "is not one", "one of max_loss, max_size and step"))
+    if basis is not None:
+        require_lower(octree, basis)  # before the work, not after it
     rows = visible_leaves(octree)
     own = field_of_octree(octree)
     importance = weigh_leaves(own, sphere_cameras(own, frames=_FRAMES, edge=_EDGE))

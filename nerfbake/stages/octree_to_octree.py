@@ -46,6 +46,15 @@ def cut_octree(octree: SparseVoxelOctree, *, level: int) -> SparseVoxelOctree:
     return cut.with_layout(octree.layout)
 
 
+def require_lower(octree: SparseVoxelOctree, basis: str) -> None:
+    """Raises InvalidScene for a basis that lower_basis() cannot make of the octree's."""
+    own = shown_basis(octree.data_format)
+    lower = [f"SH{size}" for size in SH_SIZES if own.kind == "SH" and size < own.size]
+    if basis not in (str(own), *lower):
+        found = f"is {basis[:40]} for an octree of {own}"
+        raise InvalidScene(Problem("the basis", found, ", ".join(lower) or str(own)))
+
+
 def lower_basis(octree: SparseVoxelOctree, basis: str, gram: npt.NDArray[np.float64]) -> SparseVoxelOctree:
     """The octree in SHk of a lower degree: the coefficients that look most like what there was, by least squares over
     the directions of gram (B, B), stages.field_to_importance. In its own basis it is itself.
@@ -59,12 +68,10 @@ def lower_basis(octree: SparseVoxelOctree, basis: str, gram: npt.NDArray[np.floa
     >>> print(lower_basis(octree, "SH4", gram))
     SH4 octree of 16x16x16, 716 nodes, float32, full
     """
+    require_lower(octree, basis)
     own, lower = shown_basis(octree.data_format), parse_basis(basis)
     if lower == own:
         return octree
-    if own.kind != "SH" or lower.kind != "SH" or lower.size > own.size:
-        allowed = ", ".join(f"SH{size}" for size in SH_SIZES if own.kind == "SH" and size < own.size) or str(own)
-        raise InvalidScene(Problem("the basis", f"is {basis} for an octree of {own}", allowed))
     k = lower.size
     fit = np.ascontiguousarray(solve_each(gram[None, :k, :k], gram[None, :k])[0].T)
     memory.require("the octree in another basis", octree.n * lower.data_dim * octree.node_rows.dtype.itemsize)

@@ -21,7 +21,7 @@ def test_check_lists_everything_and_exits_1(shell: Shell, tmp_path: Path) -> Non
     assert done.returncode == 1
     assert done.stdout.decode().splitlines() == [
         "bad.npz: data[0, 0, 0, 0, 1] is nan; allowed: a finite number",
-        "bad.npz: data[0, 1, 0, 0, 3] is -1; allowed: a density of 0 or more (--sigma-min 0 reads less as empty)",
+        "bad.npz: data[0, 1, 0, 0, 3] is -1; allowed: a density of 0 or more (`svo --sigma-min 0` reads less as empty)",
     ]
     told = json.loads(shell("check", "bad.npz", "--json").stdout)
     assert not told["ok"]

@@ -95,7 +95,7 @@ def test_every_wrong_value_is_named() -> None:
     tree.data[0, 1, 1, 1, -1] = -2
     assert [str(problem) for problem in tree.problems()] == [
         "data[0, 0, 1, 0, 2] is nan; allowed: a finite number (and 2 more)",
-        "data[0, 1, 1, 1, 3] is -2; allowed: a density of 0 or more (--sigma-min 0 reads less as empty)",
+        "data[0, 1, 1, 1, 3] is -2; allowed: a density of 0 or more (`svo --sigma-min 0` reads less as empty)",
     ]
     tree = n3tree(invradius=np.array([1, 0, np.nan]), offset=np.array([0, np.inf, 0]))
     assert [str(problem) for problem in tree.problems()] == [

@@ -136,6 +136,14 @@ def test_a_lower_basis_is_part_of_the_loss(octree: SparseVoxelOctree) -> None:
     assert found.loss > compressed(octree, step=0.01).loss
 
 
+def test_a_basis_that_cannot_be_is_told_before_the_work(
+    octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerfbake.stages.octree_to_compression.weigh_leaves", None)
+    with pytest.raises(InvalidScene, match=r"^the basis is SH3 for an octree of SH\d+; allowed: SH1"):
+        compressed(octree, step=0.01, basis="SH3")
+
+
 def test_a_basis_that_loses_too_much_is_told(octree: SparseVoxelOctree) -> None:
     with pytest.raises(BudgetMissed, match="at the finest step"):
         compressed(octree, max_loss=0.001, basis="SH1")

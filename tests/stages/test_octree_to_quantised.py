@@ -155,7 +155,7 @@ def test_a_lower_basis_is_the_least_squares_fit_over_what_is_seen() -> None:
         assert_allclose(lower.node_data[:, c * 4 : c * 4 + 4].T, best, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("basis", ["SH16", "RGBA", "SG4"])
+@pytest.mark.parametrize("basis", ["SH16", "SH3", "RGBA", "SG4"])
 def test_a_higher_or_another_basis_is_refused(basis: str) -> None:
     octree = build_octree(n3tree(data_format="SH9"), resolution=2)
     with pytest.raises(InvalidScene, match=f"the basis is {basis} for an octree of SH9; allowed: SH1, SH4"):
