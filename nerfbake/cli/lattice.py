@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import Resolution, judges, reads, seed, speaks
+from nerfbake.cli.params import NumberRange, Resolution, judges, reads, seed, speaks
 from nerfbake.cli.paths import Output
 from nerfbake.cli.words import Words
 from nerfbake.jobs.files import FolderTarget, Source
@@ -22,7 +22,7 @@ from nerfbake.jobs.lattices import FINEST, bake_lattice
     type=Resolution(),
     help=f"Voxels along each axis of a PlenOctree, 1 to 4096.  [default: its finest, but {FINEST} at most]",
 )
-@click.option("--sigma-min", type=click.FloatRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
+@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
 @click.option(
     "--rounds",
     type=click.IntRange(1, 100_000),
