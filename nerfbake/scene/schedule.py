@@ -12,7 +12,7 @@ from nerfbake.errors import InvalidScene, Problem
 Rates = tuple[float, float]  # of the first and of the last step
 RESOLUTIONS = (8, 1024)
 MAX_MINUTES = 10_000.0
-_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 25.0, 20.0  # of the last stage and before it
+_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 20.0, 20.0  # of divided cells and before them
 MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
 _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
 
@@ -45,11 +45,8 @@ class Stage(NamedTuple):
 
 
 VIEWS = 100  # that the epochs of presets are meant for; of fewer, each is seen the more often
-PRESETS = {  # of R cells: stages of R / 4, R / 2, R, and R with some cells divided
-    "fast": (2, 2, 1, 1),
-    "balanced": (3, 3, 1, 4),
-    "best": (3, 3, 1, 7),
-}
+_BEFORE = 3, 3, 1  # epochs of the stages of R / 4, R / 2 and R cells
+PRESETS = {"fast": 1, "balanced": 4, "best": 7}  # and of R with some cells divided
 _AGAIN = 6  # epochs of divided cells from which on some more are divided halfway
 
 
@@ -117,21 +114,21 @@ def schedule_for(minutes: float, *, resolution: int = 256, samples: int = 2, vie
     if not 0 < minutes <= MAX_MINUTES:
         raise InvalidScene(Problem("minutes", f"are {minutes:g}", f"above 0, to {MAX_MINUTES:g}"))
     epochs = max(1, min(round((60 * minutes - _SECONDS_BEFORE) / _SECONDS_AN_EPOCH), MAX_EPOCHS))
-    return _stages((2, 2, 1, 1) if epochs == 1 else (3, 3, 1, epochs), resolution, samples, views)
+    return _stages(epochs, resolution, samples, views)
 
 
-def _stages(epochs: tuple[int, ...], resolution: int, samples: int, views: int) -> Schedule:
+def _stages(epochs: int, resolution: int, samples: int, views: int) -> Schedule:
     def times(epochs: int) -> int:
         return max(1, min(round(epochs * VIEWS / views), MAX_EPOCHS))
 
-    coarse, middle, fine = map(times, epochs[:3])
-    second = epochs[3] // 2 if epochs[3] >= _AGAIN else 0
+    coarse, middle, fine = map(times, _BEFORE)
+    second = epochs // 2 if epochs >= _AGAIN else 0
     quarter, half = max(resolution // 4, RESOLUTIONS[0]), max(resolution // 2, RESOLUTIONS[0])
     made = [
         Stage(quarter, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.01),
         Stage(half, 2, middle, (0.1, 0.015), (0.5, 0.2), prune=0.03),
         Stage(resolution, 1, fine, (0.08, 0.03), (0.5, 0.3), prune=0.02),
-        Stage(resolution, 1, times(epochs[3] - second), (0.12, 0.02), (1.0, 0.12), 2, 0.1, 0.005),
+        Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, 0.1, 0.005),
     ]
     if second:
         made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, 0.1, 0.005))
