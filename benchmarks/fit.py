@@ -23,7 +23,7 @@ from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.n3tree import N3Tree
 
-ROUNDS = 3
+ROUNDS = 2
 RESOLUTION = 256
 COARSE = 128  # voxels an axis of the octree that is refitted
 LIKE: tuple[str, ...] = ()  # options of what it is refitted to look like: the defaults

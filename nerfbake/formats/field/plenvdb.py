@@ -159,7 +159,7 @@ def _links(view: memoryview, mask: Bits, n: int) -> npt.NDArray[np.int32]:
     with memory.scope():
         (tree,) = _trees(view, channels=1, one=True)
         memory.hold("the rows", 8 * len(tree.values))
-        rows = tree.active_values[:, 0].astype(np.float64)
+        rows = cast(tree.active_values[:, 0], np.float64)
         sound = (rows >= 1) & (rows <= n) & (rows == np.floor(rows))
         if not sound.all():
             found = f"leads to row {rows[int(np.argmin(sound))]:g}"

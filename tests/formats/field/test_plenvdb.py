@@ -248,6 +248,8 @@ MERGED_LIES: dict[str, tuple[Callable[[Files], None], str]] = {
     "half a row": (but("mergedidxs.vdb", grid_file(ROWS + 0.5, at=MASK)), "mergedidxs.vdb: the grid leads to row 1.5"),
     "row 0": (but("mergedidxs.vdb", grid_file(ROWS - 1, at=MASK)), "the grid leads to row 0"),
     "row NaN": (but("mergedidxs.vdb", grid_file(ROWS * np.nan, at=MASK)), "the grid leads to row nan"),
+    "a signalling NaN": (but("mergedidxs.vdb", grid_file(np.full_like(ROWS, 0x7FA00000, np.uint32).view(np.float32),
+                                                         at=MASK)), "the grid leads to row nan"),
     "a row twice": (but("mergedidxs.vdb", grid_file(np.maximum(ROWS, 2), at=MASK)), EACH_ONCE),
     "another mask": (but("mergedidxs.vdb", grid_file(ROWS[::-1], at=MASK[::-1])),
                      "mergedidxs.vdb: the grid has other nodes than those where mask_cache.mask is true; allowed: the "
