@@ -117,7 +117,7 @@ class N3Tree(Scene):
         """Cells along an axis at the deepest level."""
         return int(self.N ** len(self.levels))
 
-    @cached_property
+    @property
     def leaf_mask(self) -> npt.NDArray[np.bool_]:
         """(n, N, N, N) bool: cells that mean something, that is leaves of live nodes."""
         live = np.zeros(self.n, bool)
@@ -126,9 +126,9 @@ class N3Tree(Scene):
         mask: npt.NDArray[np.bool_] = (self.child == 0) & live[:, None, None, None]
         return mask
 
-    @cached_property
+    @property
     def sigma(self) -> npt.NDArray[np.float32]:
-        """(n, N, N, N) density in 1/world unit, of which only that of leaves means anything; it lies together."""
+        """(n, N, N, N) density in 1/world unit, of which only that of leaves means anything; a copy."""
         return np.ascontiguousarray(self.data[..., -1], np.float32)
 
     # -- soundness ---------------------------------------------------------------------------------------------

@@ -54,13 +54,13 @@ def build_octree(
     if sigma_min is not None and not sigma_min >= 0:
         raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
     _require_usable(tree, sigma_min)
-    memory.require("the tree's densities and links", _PER_CELL * tree.n * tree.N**3)
-    source = _source(tree, sigma_min or 0.0)
-    room = _room(tree.data_dim, layout, dtype)
-    levels, mixed = refine(source, size, centres=resample == "nearest", room=room)
-    leaves = LeafValues(tree, source.density, _finest_width(tree), np.dtype(dtype))
-    if (levels[-1].leaf >= source.link.size).any():
-        leaves.add_means(source, mixed, size)
+    with memory.lent("the tree's densities and links", _PER_CELL * tree.n * tree.N**3):
+        source = _source(tree, sigma_min or 0.0)
+        room = _room(tree.data_dim, layout, dtype)
+        levels, mixed = refine(source, size, centres=resample == "nearest", room=room)
+        leaves = LeafValues(tree, source.density, _finest_width(tree), np.dtype(dtype))
+        if (levels[-1].leaf >= source.link.size).any():
+            leaves.add_means(source, mixed, size)
     del source  # its links are not needed any more, and take room
     levels = merge_equal(drop_empty(levels, leaves.hold), leaves.same)
     values = NodeRows(levels, leaves)
@@ -78,12 +78,12 @@ def build_octree(
 
 
 def _room(data_dim: int, layout: Layout, dtype: str) -> Room:
-    """What nodes take: 16 bytes while they are made, their child slots, and the values that are kept.
+    """What nodes take: 24 bytes while they are made, their child slots, and the values that are kept.
 
     Of float32 those are the means alone, since leaves stay in the tree; float16 keeps a row of every node.
     """
     mean, slots = 4 * data_dim + 8, 8 * 4
-    node = 16 + (slots if layout == "full" else 0) + (0 if dtype == "float32" else 2 * data_dim)
+    node = 24 + (slots if layout == "full" else 0) + (0 if dtype == "float32" else 2 * data_dim)
     return Room(node=node, inner=mean + (0 if layout == "full" else slots))
 
 
