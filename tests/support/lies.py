@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from nerfbake.cli.main import run
 from tests.support.snerg import Files, png
 
 Lie = Callable[[dict[str, Any], Files], None]
@@ -39,3 +42,13 @@ def picture(name: str, *shape: int, value: int = 0) -> Lie:
 
 def half_of(name: str) -> Lie:
     return lambda made, files: files.update({name: files[name][: len(files[name]) // 2]})
+
+
+def assert_refused(folder: Path, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """`svo` says this of the folder in its one line, and writes nothing."""
+    out = folder.parent / "out.svo.pb"
+    assert run(["svo", str(folder), str(out), "-q"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {folder}: ")
+    assert expected in line
+    assert not out.exists()

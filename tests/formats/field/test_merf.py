@@ -27,7 +27,7 @@ from nerfbake.scene.lattice_field import DeferredColour
 from nerfbake.stages import _block_voxels
 from nerfbake.stages._lattice import MLP_DIRECTIONS, features_of, nodes_of, places_of, seen_along
 from tests.jobs.listener import Listener
-from tests.support.lies import Lie, changed, half_of, no_field, picture, without
+from tests.support.lies import Lie, assert_refused, changed, half_of, no_field, picture, without
 from tests.support.merf import (
     ATLAS,
     PLANES,
@@ -283,12 +283,7 @@ def test_a_lying_folder_is_refused(lie: str, tmp_path: Path, capsys: pytest.Capt
     made = merf()
     files = merf_folder(made)
     change(made, files)
-    folder = written(tmp_path / "bad", files)
-    assert run(["svo", str(folder), str(tmp_path / "out.svo.pb"), "-q"]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: {folder}: ")
-    assert expected in line
-    assert not (tmp_path / "out.svo.pb").exists()
+    assert_refused(written(tmp_path / "bad", files), expected, capsys)
 
 
 def test_a_folder_takes_no_more_memory_than_there_is(made: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.lattice_colour import DeferredColour
 from nerfbake.stages._lattice import MLP_DIRECTIONS, fit_of, nodes_of, places_of, seen_along, table_of
-from tests.support.lies import Lie, changed, half_of, no_field, picture, without
+from tests.support.lies import Lie, assert_refused, changed, half_of, no_field, picture, without
 from tests.support.plenvdb import written
 from tests.support.scenes import world_centres
 from tests.support.snerg import (
@@ -188,12 +188,7 @@ def test_a_lying_folder_is_refused(lie: str, tmp_path: Path, capsys: pytest.Capt
     made = snerg()
     files = snerg_folder(made)
     change(made, files)
-    folder = written(tmp_path / "bad", files)
-    assert run(["svo", str(folder), str(tmp_path / "out.svo.pb"), "-q"]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: {folder}: ")
-    assert expected in line
-    assert not (tmp_path / "out.svo.pb").exists()
+    assert_refused(written(tmp_path / "bad", files), expected, capsys)
 
 
 def test_blocks_are_cut_to_those_that_hold_something() -> None:
