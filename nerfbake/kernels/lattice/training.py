@@ -12,7 +12,7 @@ them, and the groups' sums are added in their order: the same bits for any numbe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
@@ -20,13 +20,12 @@ from numba import prange
 from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.lattice.mlp import LANES, cut, dense
-from nerfbake.kernels.maths.elementary import exp_parts
+from nerfbake.kernels.march.traversal import sigmoid_of
 
 BATCH = 2048  # pairs a round
 _GROUPS = 8
 _RATE, _MEAN, _SQUARE, _LEAST = 4e-3, 0.9, 0.99, 1e-10  # Adam's; the rate falls to 0 in a straight line
 _BY_LOGIT, _FARTHEST = f32(1e-3), f32(10)
-_exp_parts: Any = compiled()(exp_parts)
 
 
 class Pairs(NamedTuple):
@@ -135,21 +134,15 @@ def _descend(
             cut(two)
             _layer(weights.last, weights.last_bias, two, out)
             _slope_of_logits(pairs, own, ways, out, f32(1 / len(row)))
-            _turn(two, across)
-            for tile in range(len(across)):
-                dense(out, across[tile], by_last[group, tile])
+            _add_products(out, two, across, by_last[group])
             behind[:] = f32(0)
             dense(last_across, out, behind)
             _where(two, behind)
-            _turn(one, across)
-            for tile in range(len(across)):
-                dense(behind, across[tile], by_middle[group, tile])
+            _add_products(behind, one, across, by_middle[group])
             before[:] = f32(0)
             dense(middle_across, behind, before)
             _where(one, before)
-            _turn(x, x_across)
-            for tile in range(len(x_across)):
-                dense(before, x_across[tile], by_first[group, tile])
+            _add_products(before, x, x_across, by_first[group])
             _sum_lanes(before, by_bias[group, :H])
             _sum_lanes(behind, by_bias[group, H : 2 * H])
             _sum_lanes(out, by_bias[group, 2 * H :])
@@ -183,24 +176,23 @@ def _slope_of_logits(pairs: Pairs, row: Ints, way: Ints, logits: Singles, share:
             for b in range(B):
                 truth += pairs.basis[way[lane], b] * pairs.coefficients[row[lane], channel * B + b]
             truth = min(max(truth, -_FARTHEST), _FARTHEST)
-            shown, wanted = _sigmoid(logits[channel, lane]), _sigmoid(truth)
+            shown, wanted = sigmoid_of(logits[channel, lane]), sigmoid_of(truth)
             by_colour = (shown - wanted) * shown * (f32(1) - shown)
             logits[channel, lane] = f32(2) * share * (by_colour + _BY_LOGIT * (logits[channel, lane] - truth))
 
 
 @compiled()
-def _sigmoid(x: np.float32) -> np.float32:
-    whole, rest = _exp_parts(-x)
-    return f32(1 / (1 + (whole + whole * rest)))
+def _add_products(slopes: Singles, shown: Singles, across: Singles, total: Singles) -> None:
+    """total (t, o, 64) += slopes (o, 64) times shown (i, 64) of the same lanes: of a layer's units by its inputs.
 
-
-@compiled()
-def _turn(lanes: Singles, across: Singles) -> None:
-    """(i, 64) as tiles (t, 64, 64), a row for each lane; tiles end in what they held."""
-    for i in range(len(lanes)):
+    across (t, 64, 64) is room for the inputs, a row for each lane; what it held beyond them stays there.
+    """
+    for i in range(len(shown)):
         tile, column = i // LANES, i % LANES
         for lane in range(LANES):
-            across[tile, lane, column] = lanes[i, lane]
+            across[tile, lane, column] = shown[i, lane]
+    for tile in range(len(across)):
+        dense(slopes, across[tile], total[tile])
 
 
 @compiled()
