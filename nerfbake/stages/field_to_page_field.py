@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.march.cells import rows_at
 from nerfbake.scene.page_field import (
     ALL,
@@ -154,13 +155,9 @@ def _set_distances(top: npt.NDArray[np.int32]) -> None:
     reached = top >= 0
     for distance in range(1, FARTHEST + 1):
         top[~reached] = -distance
-        grown = np.pad(reached, 1)
-        grown = grown[:-2] | grown[1:-1] | grown[2:]
-        grown = grown[:, :-2] | grown[:, 1:-1] | grown[:, 2:]
-        grown = grown[:, :, :-2] | grown[:, :, 1:-1] | grown[:, :, 2:]
-        if grown.all():
+        reached = dilated(reached)
+        if reached.all():
             break
-        reached = grown
 
 
 def _texels(field: RadianceField, rows: Ints) -> tuple[npt.NDArray[np.float16], float]:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Points, Singles
+from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.maths.elementary import expm1, log, power
 from nerfbake.scene.lattice_field import MAX_EDGE, STEP, Activation, LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -139,10 +140,7 @@ def _numbered(voxels: Coords, shape: tuple[int, int, int]) -> tuple[npt.NDArray[
     memory.require("the lattice's links", 10 * prod(shape))
     held = np.zeros(shape, bool)
     held[tuple(voxels.T)] = True
-    near = held
-    for axis in range(3):
-        ends = np.arange(shape[axis])
-        near = near | near.take(np.maximum(ends - 1, 0), axis) | near.take(np.minimum(ends + 1, shape[axis] - 1), axis)
+    near = dilated(held)
     links = np.full(shape, -1, np.int32)
     count = int(np.count_nonzero(near))
     memory.require("the lattice's nodes", count * _NODE_BYTES)

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits
+from nerfbake.kernels.dilation import dilated
 
 Top = npt.NDArray[np.int32]
 
@@ -20,22 +21,10 @@ def top_grid(held: Bits) -> Top:
     top = np.full(held.shape, -r, np.int32)
     near = held.copy()
     for away in range(1, r):
-        wider = _dilated(near)
+        wider = dilated(near)
         top[wider & ~near] = -away
         if wider.all() or not wider.any():
             break
         near = wider
     top[held] = np.arange(np.count_nonzero(held), dtype=np.int32)
     return top
-
-
-def _dilated(held: Bits) -> Bits:
-    """With the 26 neighbours of each: one axis after the other."""
-    wider = held
-    for axis in range(3):
-        along = np.moveaxis(wider, axis, 0)
-        grown = along.copy()
-        grown[1:] |= along[:-1]
-        grown[:-1] |= along[1:]
-        wider = np.moveaxis(grown, 0, axis)
-    return wider
