@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-_STORAGES = {
-    "f8": "Double", "f4": "Float", "f2": "Half", "i8": "Long", "i4": "Int", "i2": "Short", "i1": "Char", "u1": "Byte",
-    "b1": "Bool",
-}  # fmt: skip
+from nerfbake.formats.wire.torch_values import STORAGES
+
+_NAMES = {dtype: name for name, dtype in STORAGES.items()}
 
 
 class Raw(NamedTuple):
@@ -105,7 +104,7 @@ class Writer:
 
     def _tensor(self, view: View) -> bytes:
         values = np.asarray(view.values)
-        kind = glob("torch", f"{_STORAGES[values.dtype.str[1:]]}Storage")
+        kind = glob("torch", _NAMES[values.dtype.str[1:]])
         key = text(str(len(self.storages)))
         self.storages.append(values.tobytes())
         numel = values.size if view.numel is None else view.numel
