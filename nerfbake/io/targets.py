@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO
 
 from nerfbake.errors import BudgetMissed, OutputError
+from nerfbake.io.sources import blame
 
 try:
     import fcntl
@@ -226,7 +227,7 @@ def _require_place(target: str | Path) -> None:
     path = Path(os.path.realpath(target))
     if not path.is_dir() and not _is_regular(path):
         return  # a pipe or a device, which is written to as it stands
-    with _told_of(target):
+    with blame(str(target), OutputError):
         with suppress(FileNotFoundError):
             path.lstat()  # tells of a file where its folder should be
         path.parent.stat()
@@ -241,14 +242,5 @@ def _require_name(target: str | Path) -> None:
         encoded = b"\0"
     if b"\0" in encoded:
         raise OutputError("is no name that a file can have; allowed: a path", source=str(target))
-    with _told_of(target), suppress(FileNotFoundError, NotADirectoryError):
+    with blame(str(target), OutputError), suppress(FileNotFoundError, NotADirectoryError):
         Path(target).lstat()  # tells of a name that is too long
-
-
-@contextmanager
-def _told_of(target: str | Path) -> Iterator[None]:
-    """Turns what the system says against a target into an OutputError that names it."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{error.strerror or error}", source=str(target)) from None
