@@ -83,6 +83,11 @@ class MlpColour:
         return f"MLP of {len(self.middle) + 1}x{len(self.first)}"
 
     @property
+    def weights(self) -> tuple[Singles, Singles, Singles, Singles, Singles, Singles]:
+        """first, first_bias, middle, middle_bias, last, last_bias."""
+        return self.first, self.first_bias, self.middle, self.middle_bias, self.last, self.last_bias
+
+    @property
     def inputs(self) -> int:
         """Features that go through the MLP."""
         width = int(self.first.shape[1]) if self.first.ndim == 2 else 0
@@ -103,8 +108,7 @@ class MlpColour:
         return MAX_ANGLE / max(self.feature_frequencies) if self._sines else float("inf")
 
     def problems(self) -> list[Problem]:
-        weights = (self.first, self.first_bias, self.middle, self.middle_bias, self.last, self.last_bias)
-        numbers = np.concatenate([each.reshape(-1) for each in weights])
+        numbers = np.concatenate([each.reshape(-1) for each in self.weights])
         frequencies = np.array(self.frequencies + self.feature_frequencies, np.float64)
         return number_problems("the MLP", numbers) + number_problems("frequencies", frequencies, most=MAX_FREQUENCY)
 

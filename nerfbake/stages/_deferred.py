@@ -29,9 +29,7 @@ def seen_of(colour: DeferredColour, directions: Points) -> Seen:
     """What makes colours (k, 3) of bare values (k, 3 + others), each in the direction with its number (k,)."""
     if colour.mlp is None:
         return lambda values, ray: np.asarray(np.minimum(values[:, :3], 1), np.float32)
-    mlp = colour.mlp
-    weights = mlp.first, mlp.first_bias, mlp.middle, mlp.middle_bias, mlp.last, mlp.last_bias
-    layers = layers_for(directions, mlp.frequencies, *weights)
+    layers = layers_for(directions, colour.mlp.frequencies, *colour.mlp.weights)
 
     def seen(values: Singles, ray: Ints) -> Singles:
         added = sigmoid(logits_along(values, layers, ray)).astype(np.float32)

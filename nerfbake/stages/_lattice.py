@@ -11,7 +11,7 @@ from nerfbake import memory
 from nerfbake.kernels.arrays import Floats, Ints, Points, Singles
 from nerfbake.kernels.lattice import harmonics
 from nerfbake.kernels.lattice.blocks import NO_PLANES, BlockNodes, sums_at
-from nerfbake.kernels.lattice.mlp import Layers, encoded, layers_for, logits_along, projected
+from nerfbake.kernels.lattice.mlp import encoded, layers_for, logits_along, projected
 from nerfbake.kernels.lattice.nodes import (
     EXPONENTIAL,
     OPACITY,
@@ -95,7 +95,7 @@ def seen_along(lattice: LatticeField, directions: Points) -> Seen:
         basis = sh_basis(directions, lattice.colour.size, np.float32)
         return lambda features, ray: harmonics.shown(features, basis, ray)
     if isinstance(lattice.colour, MlpColour):
-        whole, layers = lattice.colour, _layers(lattice.colour, directions)
+        whole, layers = lattice.colour, layers_for(directions, lattice.colour.frequencies, *lattice.colour.weights)
 
         def seen(features: Singles, ray: Ints) -> Singles:
             own, added = _split(whole, features)
@@ -119,7 +119,8 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
     if isinstance(lattice.colour, MlpColour):
         count = FEW_DIRECTIONS if B <= 4 else max(MLP_DIRECTIONS, 4 * B)
         directions, whole = fibonacci(count), lattice.colour
-        layers, inverse = _layers(whole, directions), harmonics.inverse_of(sh_basis(directions, B))
+        layers = layers_for(directions, whole.frequencies, *whole.weights)
+        inverse = harmonics.inverse_of(sh_basis(directions, B))
 
         def fit(features: Singles) -> Singles:
             own, added = _split(whole, features)
@@ -135,11 +136,6 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
 def fit_of_bare(colour: DeferredColour, B: int) -> Fit:
     """The same of a deferred colour's bare values (m, 3 + others)."""
     return fit_of_deferred(colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
-
-
-def _layers(mlp: MlpColour, directions: Points) -> Layers:
-    weights = mlp.first, mlp.first_bias, mlp.middle, mlp.middle_bias, mlp.last, mlp.last_bias
-    return layers_for(directions, mlp.frequencies, *weights)
 
 
 def _split(mlp: MlpColour, features: Singles) -> tuple[Singles, Singles]:
