@@ -10,12 +10,11 @@ import numpy.typing as npt
 from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.lattice.mlp import encoded
 from nerfbake.kernels.lattice.training import Pairs, fitted
-from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.products import principal_axes, product
 from nerfbake.kernels.maths.sphere import fibonacci
-from nerfbake.scene.basis import Basis
 from nerfbake.scene.lattice_colour import MlpColour
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.stages._basis_functions import basis_at
 
 # What PlenVDB trains by itself, and what its fast renderer takes for granted.
 FEATURES, UNITS = 12, 128
@@ -55,17 +54,11 @@ def fit_mlp(field: RadianceField, seen: Singles, *, rounds: int, seed: int) -> t
     code = _code(coefficients.astype(np.float64))
     directions = fibonacci(_DIRECTIONS)
     inputs = encoded(directions, FREQUENCIES).astype(np.float32)
-    pairs = Pairs(code.features(coefficients), coefficients, inputs, basis_at(field.basis, directions))
+    basis = basis_at(field.basis, directions, np.float32)
+    pairs = Pairs(code.features(coefficients), coefficients, inputs, basis)
     weights = fitted(pairs, UNITS, rounds=rounds, seed=seed)
     layers = weights.first, weights.first_bias, weights.middle[None], weights.middle_bias[None]
     return code, MlpColour(*layers, weights.last, weights.last_bias, FREQUENCIES)
-
-
-def basis_at(basis: Basis, directions: Floats) -> Singles:
-    """(m, B) at directions of a field's own world; RGBA's is 1 everywhere."""
-    if basis.kind == "RGBA":
-        return np.ones((len(directions), 1), np.float32)
-    return sh_basis(directions, basis.size, np.float32)
 
 
 def _drawn(seen: Singles, random: np.random.Generator) -> Ints:

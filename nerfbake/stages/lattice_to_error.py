@@ -7,7 +7,6 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.lattice.nodes import densities
-from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.kernels.maths.products import product
 from nerfbake.kernels.maths.sphere import fibonacci
@@ -15,6 +14,7 @@ from nerfbake.kernels.octree.means import opacity
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.stages._basis_functions import basis_at
 from nerfbake.stages._lattice import features_of, nodes_of, places_of, seen_along
 from nerfbake.stages.octree_to_field import field_of_octree
 
@@ -48,8 +48,8 @@ def measure_lattice(lattice: LatticeField, octree: SparseVoxelOctree | RadianceF
     places = places_of(lattice, points)
     features = features_of(lattice)(places)
     seen = seen_along(lattice, directions)
-    weight, rgba = opacity(values[:, -1], lattice.step), field.basis.kind == "RGBA"
-    across = np.ones((1, DIRECTIONS)) if rgba else np.ascontiguousarray(sh_basis(directions, B).T)
+    weight = opacity(values[:, -1], lattice.step)
+    across = np.ascontiguousarray(basis_at(field.basis, directions).T)
     if lattice.blocks is not None:  # a voxel's mean may be of a face, whose centre is in an empty block
         weight = np.where(densities(nodes_of(lattice), places) > 0, weight, 0)
     memory.require("the colours in all directions", 24 * len(points) * DIRECTIONS)

@@ -1,0 +1,19 @@
+"""What a field's coefficients are multiplied by in a direction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.scene.basis import Basis
+
+
+def basis_at(basis: Basis, directions: Points, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    """(m, B) at directions (m, 3) of a field's own world; RGBA's only function is 1 everywhere."""
+    if basis.kind == "RGBA":
+        return np.ones((len(directions), 1), dtype)
+    return sh_basis(directions, basis.size, dtype)
