@@ -65,11 +65,9 @@ def bake_lattice(
     scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
     judged = None if budget.min_psnr is None else scene
     with source.blamed(steps, "building the octree"):
-        if isinstance(scene, nerfbake.N3Tree):
-            wanted = min(scene.resolution, FINEST) if resolution is None else resolution
-            scene = nerfbake.build_octree(scene, resolution=wanted, sigma_min=sigma_min, layout="compact")
-        elif resolution is not None:
-            raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
+        if isinstance(scene, nerfbake.N3Tree) and resolution is None:
+            resolution = min(scene.resolution, FINEST)
+        scene = compact_octree(scene, resolution, sigma_min)
     with source.blamed(steps, "fitting the lattice"):
         lattice = nerfbake.lattice_of_octree(scene, sigma_min=sigma_min, **options)
     sizes = target.write(steps, lattice, merged=merged)
@@ -81,6 +79,20 @@ def bake_lattice(
     steps.say(f"{target.path}: {lattice}, {seen}, {sum(sizes.values()):,} bytes")
     judge(target.path, judged, budget, made_from=source.name, steps=steps)
     return lattice
+
+
+def compact_octree(
+    scene: nerfbake.N3Tree | nerfbake.SparseVoxelOctree,
+    resolution: int | tuple[int, int, int] | None,
+    sigma_min: float | None,
+) -> nerfbake.SparseVoxelOctree:
+    """Of a PlenOctree its octree, for a stage that asks for no child slots of leaves, which are a third of the memory;
+    an octree is what it is. Raises UsageError where an octree is asked for another resolution."""
+    if isinstance(scene, nerfbake.N3Tree):
+        return nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
+    if resolution is not None:
+        raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
+    return scene
 
 
 def _lost(lattice: nerfbake.LatticeField, field: nerfbake.RadianceField) -> tuple[float, float]:

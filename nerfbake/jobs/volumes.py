@@ -7,11 +7,10 @@ from typing import Literal
 
 import nerfbake
 from nerfbake import memory
-from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.grids import require_grids, tell_of_halves
-from nerfbake.jobs.lattices import octree_of
+from nerfbake.jobs.lattices import compact_octree, octree_of
 from nerfbake.jobs.steps import SILENT, Steps
 
 
@@ -56,11 +55,7 @@ def bake_volume(
         scene, resolution = octree_of(steps, source, scene, resolution=size, sigma_min=sigma_min), None
     with source.blamed(steps, "building the grids"):
         own = not isinstance(scene, nerfbake.N3Tree)
-        if isinstance(scene, nerfbake.N3Tree):
-            # Leaves need no child slots here: a third of the memory where values are made as they are written.
-            scene = nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
-        elif resolution:
-            raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
+        scene = compact_octree(scene, resolution, sigma_min)
         volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, sigma_min=sigma_min)
         volume = volume if own else _as_of_a_full_octree(volume)
     tell_of_halves(steps, form, volume)
