@@ -71,6 +71,8 @@ def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = Fal
     one costs nothing for arrays in tuples if it names them where it uses them (`coder.data[i]`); arrays that are first
     unpacked, and rows of arrays, have their references counted, which takes longer than what is done with them.
 
+    A division by zero gives what IEEE 754 says: a kernel that asks before each one cannot be vectorised.
+
     There is no fastmath: it lets the compiler reorder, fuse and estimate by what the CPU has, and the last bits of what
     comes out would tell one CPU from another. Where a sum is to be vectorised, the code says which terms go together.
     """
@@ -78,6 +80,7 @@ def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = Fal
     def compile_(function: Function) -> Function:
         how: Literal["always", "never"] = "always" if inline else "never"
         options: Any = {"nogil": True, "parallel": parallel, "inline": how, "forceinline": merged}
+        options["error_model"] = "numpy"
         try:
             result: Any = numba.njit(function, cache=True, **options)
         except RuntimeError:  # numba found no folder that it may write to
