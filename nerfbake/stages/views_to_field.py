@@ -11,7 +11,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
 from nerfbake.kernels.fit.bricks import ROW, Batch, Bricks, new_batch
 from nerfbake.kernels.fit.plan import divided, doubled, plan_of_kept
-from nerfbake.kernels.fit.rays import march_view
+from nerfbake.kernels.fit.rays import View, march_view
 from nerfbake.kernels.fit.update import Steps, take_steps
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import power
@@ -143,13 +143,13 @@ def _rate(rates: Rates, part: float) -> float:
 def _marched(bricks: Bricks, batch: Batch | None, looks: Looks, views: Views) -> tuple[float, Batch]:
     """The sum of squares of what the pixels are off; with a larger batch where the view needs it."""
     background, errors = np.array(views.background, np.float32), np.zeros(TASKS)
-    alpha = _ALPHA if views.masked else 0.0
+    view = View(looks.eye, looks.directions, looks.targets, background, _ALPHA if views.masked else 0.0, _POINT)
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:
             memory.require(f"fitting {len(bricks.places):,} cells", TASKS * capacity * ROW * 4 + 4 * len(bricks.values))
             batch = new_batch(TASKS, len(bricks.slots), capacity)
-        march_view(bricks, batch, looks.eye, looks.directions, looks.targets, background, alpha, _POINT, errors)
+        march_view(bricks, batch, view, errors)
         capacity = int(batch.used.max())
         if capacity <= batch.rows.shape[1]:
             return float(errors.sum()), batch

@@ -33,114 +33,92 @@ _PER = 64  # steps of the table of exponentials to one unit
 _FALL = exp(-np.arange(40 * _PER) / _PER)
 
 
-class Hits(NamedTuple):
-    """The cells that a pixel's rays have met: their rows, the ray's length in each, and what gets through behind."""
+class View(NamedTuple):
+    """What the field is to look like.
+
+    eye (3,) and directions (pixels rays, 3) float32, unit, in the world; rays of a pixel stand together. targets
+    (pixels, 4): colour over the background, and alpha. background (3,). alpha_weight, point_weight: of alpha, and of
+    every cell's own colour, beside that of a pixel's.
+    """
+
+    eye: Floats
+    directions: Singles
+    targets: Singles
+    background: Singles
+    alpha_weight: float
+    point_weight: float
+
+
+class Own(NamedTuple):
+    """What a task has to itself: of the cells that a pixel's rays have met the rows, the ray's length in each, and what
+    gets through behind; seen (4,), the sum of the rays' colours and alphas, then what the pixel lacks; room, as
+    colours.enter() has it; place (3,) of the eye, in cells.
+    """
 
     row: npt.NDArray[np.int32]
     length: Singles
     through: Singles
+    seen: Floats
+    room: Singles
+    place: Floats
 
 
 @compiled(parallel=True)
-def march_view(
-    bricks: Bricks,
-    batch: Batch,
-    eye: Floats,
-    directions: Singles,
-    targets: Singles,
-    background: Singles,
-    alpha_weight: float,
-    point_weight: float,
-    errors: Floats,
-) -> None:
+def march_view(bricks: Bricks, batch: Batch, view: View, errors: Floats) -> None:
     """Fills the batch with what the pixels ask of the cells.
 
-    eye (3,) and directions (pixels rays, 3), unit, in the world; rays of a pixel stand together. targets (pixels, 4):
-    colour over the background, and alpha. errors (tasks,): the sum of squares of what colours are off.
+    errors (tasks,): the sum of squares of what colours are off.
     """
     tasks = batch.base.shape[0]
     for turn in prange(tasks):
         task = shuffled(turn, tasks)
-        errors[task] = _march_part(
-            bricks, batch, task, eye, directions, targets, background, alpha_weight, point_weight
-        )
+        errors[task] = _march_part(bricks, batch, task, view)
 
 
+# What rays take is in tuples and read from there: of an array that is an argument, or part of another, each call counts
+# references, and threads wait for each other at every count.
 @compiled()
-def _march_part(
-    bricks: Bricks,
-    batch: Batch,
-    task: Whole,
-    eye: Floats,
-    directions: Singles,
-    targets: Singles,
-    background: Singles,
-    alpha_weight: float,
-    point_weight: float,
-) -> float:
+def _march_part(bricks: Bricks, batch: Batch, task: Whole, view: View) -> float:
     """One task's pixels, and its rows of the batch."""
     batch.used[task] = 0
     batch.base[task, :] = UNMET
-    tasks, pixels = batch.base.shape[0], len(targets)
-    rays = len(directions) // max(pixels, 1)
+    tasks, pixels = batch.base.shape[0], len(view.targets)
+    rays = len(view.directions) // max(pixels, 1)
     most = 4 * 8 * bricks.top.shape[0] * rays
-    hits = Hits(np.empty(most, np.int32), np.empty(most, np.float32), np.empty(most, np.float32))
-    room = new_room((len(bricks.values) // bricks.first[-1] - 1) // 3)
-    seen, ends, error = np.zeros(4), np.zeros(rays + 1, np.int64), 0.0
-    place = (eye - bricks.low) / bricks.size
+    own = Own(
+        np.empty(most, np.int32),
+        np.empty(most, np.float32),
+        np.empty(most, np.float32),
+        np.zeros(4),
+        new_room((len(bricks.values) // bricks.first[-1] - 1) // 3),
+        (view.eye - bricks.low) / bricks.size,
+    )
+    ends, error = np.zeros(rays + 1, np.int64), 0.0
     for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
-        seen[:] = 0
+        own.seen[:] = 0
         for ray in range(rays):
-            ends[ray + 1] = _forth(
-                bricks, batch, task, eye, place, directions, pixel * rays + ray, room, hits, ends[ray], seen, background
-            )
+            ends[ray + 1] = _forth(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
         for k in range(4):
-            seen[k] = targets[pixel, k] - seen[k] / rays
-        error += seen[0] * seen[0] + seen[1] * seen[1] + seen[2] * seen[2]
+            own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
+        error += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
         for ray in range(rays):
-            _back(
-                batch,
-                task,
-                hits,
-                ends[ray],
-                ends[ray + 1],
-                seen,
-                targets,
-                pixel,
-                background,
-                alpha_weight,
-                point_weight,
-            )
+            _back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
     return error
 
 
-@compiled()
-def _forth(
-    bricks: Bricks,
-    batch: Batch,
-    task: Whole,
-    eye: Floats,
-    place: Floats,
-    directions: Singles,
-    ray: int,
-    room: Singles,
-    hits: Hits,
-    count: Whole,
-    seen: Floats,
-    background: Singles,
-) -> Whole:
+@compiled(merged=True)
+def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray: Whole, count: Whole) -> Whole:
     """Adds a ray's colour and alpha to `seen` and its hits to the others; gives their number."""
-    top, slots, rows = bricks.top, bricks.slots, batch.rows[task]
-    o0, o1, o2 = place[0], place[1], place[2]
+    o0, o1, o2 = own.place[0], own.place[1], own.place[2]
     d0, d1, d2 = (
-        directions[ray, 0] / bricks.size[0],
-        directions[ray, 1] / bricks.size[1],
-        directions[ray, 2] / bricks.size[2],
+        view.directions[ray, 0] / bricks.size[0],
+        view.directions[ray, 1] / bricks.size[1],
+        view.directions[ray, 2] / bricks.size[2],
     )
     i0 = 1 / d0 if d0 != 0 else np.inf
     i1 = 1 / d1 if d1 != 0 else np.inf
     i2 = 1 / d2 if d2 != 0 else np.inf
-    edge = 8 * top.shape[0]
+    edge = 8 * bricks.top.shape[0]
     t, end = part_between(o0, i0, edge, 0.0, np.inf)
     t, end = part_between(o1, i1, edge, t, end)
     t, end = part_between(o2, i2, edge, t, end)
@@ -149,12 +127,12 @@ def _forth(
     up0, up1, up2 = d0 > 0, d1 > 0, d2 > 0
     while t < end:
         b0, b1, b2 = x >> 3, y >> 3, z >> 3
-        brick = np.int64(top[b0, b1, b2])
+        brick = np.int64(bricks.top[b0, b1, b2])
         base = np.int64(-1)
         if brick >= 0:
             base = np.int64(batch.base[task, brick])
             if base == UNMET:
-                base = enter(bricks, batch, task, brick, (b0, b1, b2), eye, room)
+                base = enter(bricks, batch, task, brick, (b0, b1, b2), view.eye, own.room)
         if base < 0:
             # Empty bricks as far as they are known to reach, in all directions.
             away: Whole = max(-brick, 1)
@@ -176,7 +154,7 @@ def _forth(
                 x, y = within(o0 + t * d0, l0, l0 + width - 1), within(o1 + t * d1, l1, l1 + width - 1)
         else:
             while True:
-                slot = np.int64(slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
+                slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
                 wide: Whole = slot & 1
                 l0, l1, l2, width = x & ~wide, y & ~wide, z & ~wide, 1 + wide
                 exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
@@ -186,7 +164,7 @@ def _forth(
                 if slot >= 0:
                     row = base + (slot >> 1)
                     length = ahead - t
-                    depth = min(rows[row, SIGMA] * length, 39.0)
+                    depth = min(batch.rows[task, row, SIGMA] * length, 39.0)
                     step = int(depth * _PER)
                     rest = depth - step * (1 / _PER)
                     kept = _FALL[step] * (1 - rest * (1 - rest * (0.5 - rest * (1 / 6))))
@@ -194,11 +172,11 @@ def _forth(
                     if behind < OPAQUE:
                         behind = 0.0  # the last cell takes all that is left
                     weight = through - behind
-                    red += weight * rows[row, 0]
-                    green += weight * rows[row, 1]
-                    blue += weight * rows[row, 2]
+                    red += weight * batch.rows[task, row, 0]
+                    green += weight * batch.rows[task, row, 1]
+                    blue += weight * batch.rows[task, row, 2]
                     through = behind
-                    hits.row[count], hits.length[count], hits.through[count] = row, length, through
+                    own.row[count], own.length[count], own.through[count] = row, length, through
                     count += 1
                     if through == 0:
                         break
@@ -221,46 +199,34 @@ def _forth(
                 break
         if not (0 <= x < edge and 0 <= y < edge and 0 <= z < edge):
             break
-    seen[0] += red + through * background[0]
-    seen[1] += green + through * background[1]
-    seen[2] += blue + through * background[2]
-    seen[3] += 1 - through
+    own.seen[0] += red + through * view.background[0]
+    own.seen[1] += green + through * view.background[1]
+    own.seen[2] += blue + through * view.background[2]
+    own.seen[3] += 1 - through
     return count
 
 
-@compiled()
-def _back(
-    batch: Batch,
-    task: Whole,
-    hits: Hits,
-    first: Whole,
-    last: int,
-    off: Floats,
-    targets: Singles,
-    pixel: int,
-    background: Singles,
-    alpha_weight: float,
-    point_weight: float,
-) -> None:
-    """Replays a ray's hits from the last to the first; off (4,): what its pixel lacks, of colours and of alpha."""
-    rows = batch.rows[task]
-    left = np.float64(hits.through[last - 1]) if last > first else 1.0
-    s0, s1, s2 = left * background[0], left * background[1], left * background[2]
-    r0, r1, r2, ra = off[0], off[1], off[2], alpha_weight * off[3] * left
-    g0, g1, g2 = targets[pixel, 0], targets[pixel, 1], targets[pixel, 2]
+@compiled(merged=True)
+def _back(batch: Batch, task: Whole, view: View, own: Own, pixel: Whole, first: Whole, last: Whole) -> None:
+    """Replays a ray's hits from the last to the first; seen: what its pixel lacks, of colours and of alpha."""
+    left = np.float64(own.through[last - 1]) if last > first else 1.0
+    s0, s1, s2 = left * view.background[0], left * view.background[1], left * view.background[2]
+    r0, r1, r2, ra = own.seen[0], own.seen[1], own.seen[2], view.alpha_weight * own.seen[3] * left
+    g0, g1, g2 = view.targets[pixel, 0], view.targets[pixel, 1], view.targets[pixel, 2]
     blame = abs(r0) + abs(r1) + abs(r2)
     for hit in range(last - 1, first - 1, -1):
-        row, length, behind = hits.row[hit], np.float64(hits.length[hit]), np.float64(hits.through[hit])
-        weight = (np.float64(hits.through[hit - 1]) if hit > first else 1.0) - behind
-        c0, c1, c2 = np.float64(rows[row, 0]), np.float64(rows[row, 1]), np.float64(rows[row, 2])
+        row, length, behind = own.row[hit], np.float64(own.length[hit]), np.float64(own.through[hit])
+        weight = (np.float64(own.through[hit - 1]) if hit > first else 1.0) - behind
+        c0, c1 = np.float64(batch.rows[task, row, 0]), np.float64(batch.rows[task, row, 1])
+        c2 = np.float64(batch.rows[task, row, 2])
         j0, j1, j2 = length * (behind * c0 - s0), length * (behind * c1 - s1), length * (behind * c2 - s2)
         ja = length * left
         s0, s1, s2 = s0 + weight * c0, s1 + weight * c1, s2 + weight * c2
-        rows[row, COLOUR_SUM] += weight * (r0 + point_weight * (g0 - c0))
-        rows[row, COLOUR_SUM + 1] += weight * (r1 + point_weight * (g1 - c1))
-        rows[row, COLOUR_SUM + 2] += weight * (r2 + point_weight * (g2 - c2))
-        rows[row, WEIGHT] += weight
-        rows[row, DENSITY_SUM] += j0 * r0 + j1 * r1 + j2 * r2 + length * ra
-        rows[row, CURVATURE] += j0 * j0 + j1 * j1 + j2 * j2 + alpha_weight * ja * ja
-        rows[row, MOST] = max(rows[row, MOST], weight)
-        rows[row, BLAME] += weight * blame
+        batch.rows[task, row, COLOUR_SUM] += weight * (r0 + view.point_weight * (g0 - c0))
+        batch.rows[task, row, COLOUR_SUM + 1] += weight * (r1 + view.point_weight * (g1 - c1))
+        batch.rows[task, row, COLOUR_SUM + 2] += weight * (r2 + view.point_weight * (g2 - c2))
+        batch.rows[task, row, WEIGHT] += weight
+        batch.rows[task, row, DENSITY_SUM] += j0 * r0 + j1 * r1 + j2 * r2 + length * ra
+        batch.rows[task, row, CURVATURE] += j0 * j0 + j1 * j1 + j2 * j2 + view.alpha_weight * ja * ja
+        batch.rows[task, row, MOST] = max(batch.rows[task, row, MOST], weight)
+        batch.rows[task, row, BLAME] += weight * blame

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from nerfbake.kernels.fit.bricks import COLOUR_SUM, CURVATURE, DENSITY_SUM, MOST, ROW, SIGMA, WEIGHT, Bricks, new_batch
 from nerfbake.kernels.fit.plan import plan_of_solid, settle
-from nerfbake.kernels.fit.rays import march_view
+from nerfbake.kernels.fit.rays import View, march_view
 
 EYE = np.array([0.4, 0.3, 5.0])
 
@@ -43,7 +43,7 @@ def marched(made: Bricks, samples: int = 1, tasks: int = 1, point: float = 0.0) 
     directions, targets = rays(samples)
     n, errors = len(made.places), np.zeros(tasks)
     batch = new_batch(tasks, len(made.slots), n)
-    march_view(made, batch, EYE, directions, targets, np.ones(3, np.float32), 0.0, point, errors)
+    march_view(made, batch, View(EYE, directions, targets, np.ones(3, np.float32), 0.0, point), errors)
     total = np.zeros((n, ROW))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
@@ -93,7 +93,7 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     made = bricks()
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
-    march_view(made, batch, EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, np.zeros(1))
+    march_view(made, batch, View(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0), np.zeros(1))
     _, rows = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
     assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])
