@@ -7,7 +7,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
-from nerfbake.kernels.fit.hull import mark_clear
+from nerfbake.kernels.fit.hull import TASKS, mark_clear
 from nerfbake.kernels.maths.affine import inverse, turned
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.brick_field import BrickField
@@ -21,7 +21,7 @@ _RING = 1  # pixels around an object that may still be its own
 _WITNESSES = 5  # views that must see the background where no alpha tells it
 _SEARCH = 32  # cells along an axis while the box is looked for
 _ROUNDS = 4
-_CELL_BYTES = 8
+_CELL_BYTES = 7 + TASKS
 
 
 def carve_hull(views: Views, *, box: Points | None = None, resolution: int = 64) -> BrickField:
@@ -68,7 +68,8 @@ def find_solid(views: Views, box: Points | None, resolution: int) -> tuple[Bits,
 def _carved(views: Views, box: Points, R: int) -> Bits:
     memory.require(f"a hull of {R}^3 cells", _CELL_BYTES * R**3)
     size = (box[1] - box[0]) / R
-    met, clear, inside = np.zeros((R,) * 3, np.uint8), np.zeros((R,) * 3, np.uint16), np.zeros((R,) * 3, np.uint16)
+    met = np.empty((TASKS, R, R, R), np.uint8)
+    clear, inside = np.zeros((R,) * 3, np.uint16), np.zeros((R,) * 3, np.uint16)
     for view, camera in enumerate(views.cameras.cameras):
         scale = max(1, min(camera.width, camera.height) // _EDGE)
         looks = looks_of(views, view, scale=scale, samples=1, ring=None)

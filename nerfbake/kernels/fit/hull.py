@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles
 from nerfbake.kernels.jit import compiled
@@ -14,9 +15,10 @@ from nerfbake.kernels.march.traversal import within
 Marks = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.uint16]
 _HELD, _CLEAR = 1, 2
+TASKS = 4  # that share a view's rays
 
 
-@compiled()
+@compiled(parallel=True)
 def mark_clear(
     low: Floats, size: Floats, eye: Floats, directions: Singles, held: Bits, met: Marks, clear: Counts, inside: Counts
 ) -> None:
@@ -24,17 +26,35 @@ def mark_clear(
     background's rays cross.
 
     low, size, eye (3,): the lattice's corner, its cells, and the camera in the world. directions (m, 3) and held (m,):
-    which rays are the object's. met (R, R, R): room to work in.
+    which rays are the object's. met (TASKS, R, R, R): room to work in.
     """
-    met[:] = 0
     place = (eye - low) / size
-    for ray in range(len(directions)):
+    for task in prange(TASKS):
+        _mark_part(task, place, size, directions, held, met)
+    for x in prange(len(clear)):
+        _count_slab(x, met, clear, inside)
+
+
+@compiled()
+def _mark_part(task: int, place: Floats, size: Floats, directions: Singles, held: Bits, met: Marks) -> None:
+    """A task's rays, in its own room."""
+    own, rays = met[task], len(directions)
+    own[:] = 0
+    for ray in range(rays * task // TASKS, rays * (task + 1) // TASKS):
         d0, d1, d2 = directions[ray, 0] / size[0], directions[ray, 1] / size[1], directions[ray, 2] / size[2]
-        _mark(place[0], place[1], place[2], d0, d1, d2, np.uint8(_HELD if held[ray] else _CLEAR), met)
-    marks, all_clear, all_inside = met.reshape(-1), clear.reshape(-1), inside.reshape(-1)
-    for cell in range(len(marks)):
-        all_inside[cell] += marks[cell] > 0
-        all_clear[cell] += marks[cell] == _CLEAR
+        _mark(place[0], place[1], place[2], d0, d1, d2, np.uint8(_HELD if held[ray] else _CLEAR), own)
+
+
+@compiled()
+def _count_slab(x: int, met: Marks, clear: Counts, inside: Counts) -> None:
+    """What the tasks' marks of a slab say together."""
+    for y in range(clear.shape[1]):
+        for z in range(clear.shape[2]):
+            marks = np.uint8(0)
+            for task in range(TASKS):
+                marks |= met[task, x, y, z]
+            inside[x, y, z] += marks > 0
+            clear[x, y, z] += marks == _CLEAR
 
 
 @compiled()

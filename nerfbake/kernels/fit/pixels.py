@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
-from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.octree.morton import dilate
 
@@ -23,44 +24,68 @@ def tile_order(width: int, height: int) -> Ints:
     return (row << 16 | column)[order]
 
 
-@compiled()
+@compiled(parallel=True)
 def shrunk(picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles) -> None:
     """(H, W, 4) float32: the means of scale^2 pixels' colours over the background, 0..1, and alpha.
 
     Where alpha tells nothing, it is 1 where a pixel is not the background.
     """
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            total = np.zeros(4)
-            for j in range(scale):
-                for i in range(scale):
-                    pixel = picture[y * scale + j, x * scale + i]
-                    alpha, differs = pixel[3] / 255, 0.0
-                    for k in range(3):
-                        colour = pixel[k] / 255
-                        total[k] += colour * alpha + background[k] * (1 - alpha)
-                        differs = max(differs, abs(colour - background[k]))
-                    total[3] += alpha if masked else 1.0 if differs > _PLAIN else 0.0
-            for k in range(4):
-                out[y, x, k] = total[k] / (scale * scale)
+    for y in prange(out.shape[0]):
+        _shrink_row(picture, background, masked, scale, y, out)
+
+
+@compiled()
+def _shrink_row(
+    picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, y: int, out: Singles
+) -> None:
+    ground0, ground1, ground2 = background[0], background[1], background[2]
+    for x in range(out.shape[1]):
+        red, green, blue, held = 0.0, 0.0, 0.0, 0.0
+        for j in range(scale):
+            for i in range(scale):
+                row, column = y * scale + j, x * scale + i
+                alpha = picture[row, column, 3] / 255
+                c0, c1, c2 = picture[row, column, 0] / 255, picture[row, column, 1] / 255, picture[row, column, 2] / 255
+                red += c0 * alpha + ground0 * (1 - alpha)
+                green += c1 * alpha + ground1 * (1 - alpha)
+                blue += c2 * alpha + ground2 * (1 - alpha)
+                differs = max(abs(c0 - ground0), abs(c1 - ground1), abs(c2 - ground2))
+                held += alpha if masked else 1.0 if differs > _PLAIN else 0.0
+        out[y, x, 0], out[y, x, 1] = red / (scale * scale), green / (scale * scale)
+        out[y, x, 2], out[y, x, 3] = blue / (scale * scale), held / (scale * scale)
 
 
 @compiled()
 def chosen(image: Singles, tiles: Ints, ring: int, pixels: npt.NDArray[np.int32]) -> int:
     """Fills in the numbers of the pixels with something in them, or within a ring around those; gives their count."""
     height, width, count = image.shape[0], image.shape[1], 0
+    near = np.empty((height, width), np.bool_)
+    _mark_near(image, ring, near)
     for tile in tiles:
         top, left = (tile >> 16) * TILE, (tile & 0xFFFF) * TILE
         for y in range(top, min(top + TILE, height)):
             for x in range(left, min(left + TILE, width)):
-                held = False
-                for j in range(max(y - ring, 0), min(y + ring + 1, height)):
-                    for i in range(max(x - ring, 0), min(x + ring + 1, width)):
-                        held |= image[j, i, 3] > 0
-                if held:
+                if near[y, x]:
                     pixels[count] = y * width + x
                     count += 1
     return count
+
+
+@compiled()
+def _mark_near(image: Singles, ring: int, near: Bits) -> None:
+    """Where something is within a ring: first along columns, then along rows."""
+    height, width = near.shape
+    above = np.empty(width, np.bool_)
+    for y in range(height):
+        above[:] = False
+        for j in range(max(y - ring, 0), min(y + ring + 1, height)):
+            for x in range(width):
+                above[x] |= image[j, x, 3] > 0
+        near[y] = above
+        for away in range(1, ring + 1):
+            for x in range(width - away):
+                near[y, x] |= above[x + away]
+                near[y, x + away] |= above[x]
 
 
 @compiled()
