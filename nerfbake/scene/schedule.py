@@ -12,7 +12,7 @@ from nerfbake.errors import InvalidScene, Problem
 Rates = tuple[float, float]  # of the first and of the last step
 RESOLUTIONS = (8, 1024)
 MAX_MINUTES = 10_000.0
-_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 20.0, 20.0  # of divided cells and before them
+_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 18.0  # of divided cells and before them
 MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
 _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
 
@@ -46,7 +46,7 @@ class Stage(NamedTuple):
 
 VIEWS = 100  # that the epochs of presets are meant for; of fewer, each is seen the more often
 _BEFORE = 3, 3, 1  # epochs of the stages of R / 4, R / 2 and R cells
-PRESETS = {"fast": 1, "balanced": 4, "best": 7}  # and of R with some cells divided
+PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # and of R with some cells divided
 _AGAIN = 6  # epochs of divided cells from which on some more are divided halfway
 
 

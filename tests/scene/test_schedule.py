@@ -29,7 +29,7 @@ def test_every_preset_is_a_schedule(name: str, resolution: int, samples: int) ->
 def test_long_schedules_divide_cells_twice() -> None:
     shares = {name: [stage.split for stage in preset_schedule(name)] for name in PRESETS}
     assert shares == {"fast": [0, 0, 0, 0.1], "balanced": [0, 0, 0, 0.1], "best": [0, 0, 0, 0.1, 0.1]}
-    assert [preset_schedule(name).epochs for name in PRESETS] == [8, 11, 14]
+    assert [preset_schedule(name).epochs for name in PRESETS] == [8, 11, 15]
 
 
 def test_more_minutes_are_more_epochs() -> None:
