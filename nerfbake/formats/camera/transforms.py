@@ -171,7 +171,8 @@ def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | No
         return None
     angle = number(fields, key, where)
     if not _LEAST_ANGLE <= angle < most:
-        raise InvalidFile(Problem(within(where, key), f"is {angle:g}", f"{unit} between 0 and {most:.4g}"))
+        upto = "180" if unit == "degrees" else "pi"
+        raise InvalidFile(Problem(within(where, key), f"is {angle:.7g}", f"{unit} between 0 and {upto}"))
     return float(0.5 * edge / tangent((np.radians(angle) if unit == "degrees" else angle) / 2))
 
 

@@ -60,7 +60,9 @@ class TorchReader:
             return self._view_of(value, name)
         if isinstance(value, Array) and value.value is not None:
             return value.value.astype(value.value.dtype.newbyteorder("="), copy=False)
-        if type(value) in (int, float, bool) and abs(value) < 1 << 62:
+        if type(value) in (int, float, bool):
+            if not abs(value) < 1 << 62:
+                raise InvalidFile(Problem(name, "is too large, or not a number", "a number below 2^62"))
             return np.array(value)
         raise InvalidFile(Problem(name, "is no array", "a tensor, an array or a number"))
 

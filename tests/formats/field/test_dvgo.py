@@ -194,6 +194,7 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "turned box": (state(xyz_min=CENTRE + RADIUS, xyz_max=CENTRE - RADIUS), "num_voxels_base is 1000, over a volume"),
     "no voxels": (settings(num_voxels_base=0), "num_voxels_base is 0"),
     "no number": (settings(num_voxels_base="many"), "num_voxels_base is no array"),
+    "a number beyond all": (settings(num_voxels_base=1 << 62), "num_voxels_base is too large, or not a number"),
     "a threshold of 1": (settings(fast_color_thres=1.0), "fast_color_thres is no opacity"),
     "NaN threshold": (settings(fast_color_thres={0: float("nan")}), "fast_color_thres is no opacity"),
     "NaN shift": (state(act_shift=NAN[:1]), "activation[0] is nan"),
