@@ -125,6 +125,7 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
     x, y, z = within(o0 + t * d0, 0, edge - 1), within(o1 + t * d1, 0, edge - 1), within(o2 + t * d2, 0, edge - 1)
     through, red, green, blue = 1.0, 0.0, 0.0, 0.0
     up0, up1, up2 = d0 > 0, d1 > 0, d2 > 0
+    exact = 3  # the axis along which the last bit of the place is right, behind a wide cell; or all of them
     while t < end:
         b0, b1, b2 = x >> 3, y >> 3, z >> 3
         brick = np.int64(bricks.top[b0, b1, b2])
@@ -135,6 +136,7 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
                 base = enter(bricks, batch, task, brick, (b0, b1, b2), view.eye, own.room)
         if base < 0:
             # Empty bricks as far as they are known to reach, in all directions.
+            exact = 3
             away: Whole = max(-brick, 1)
             l0, l1, l2, width = (b0 - away + 1) << 3, (b1 - away + 1) << 3, (b2 - away + 1) << 3, (2 * away - 1) << 3
             exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
@@ -155,6 +157,15 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
         else:
             while True:
                 slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
+                if exact < 3 and slot & 1 == 0:
+                    if exact != 0:
+                        x = within(o0 + t * d0, x & ~1, x | 1)
+                    if exact != 1:
+                        y = within(o1 + t * d1, y & ~1, y | 1)
+                    if exact != 2:
+                        z = within(o2 + t * d2, z & ~1, z | 1)
+                    exact = 3
+                    slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
                 wide: Whole = slot & 1
                 l0, l1, l2, width = x & ~wide, y & ~wide, z & ~wide, 1 + wide
                 exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
@@ -182,17 +193,12 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
                         break
                 t = ahead
                 if exit0 <= exit1 and exit0 <= exit2:
-                    x = l0 + width if up0 else l0 - 1
-                    if wide:
-                        y, z = within(o1 + t * d1, l1, l1 + 1), within(o2 + t * d2, l2, l2 + 1)
+                    x, axis = l0 + width if up0 else l0 - 1, 0
                 elif exit1 <= exit2:
-                    y = l1 + width if up1 else l1 - 1
-                    if wide:
-                        x, z = within(o0 + t * d0, l0, l0 + 1), within(o2 + t * d2, l2, l2 + 1)
+                    y, axis = l1 + width if up1 else l1 - 1, 1
                 else:
-                    z = l2 + width if up2 else l2 - 1
-                    if wide:
-                        x, y = within(o0 + t * d0, l0, l0 + 1), within(o1 + t * d1, l1, l1 + 1)
+                    z, axis = l2 + width if up2 else l2 - 1, 2
+                exact = axis if wide else 3
                 if x >> 3 != b0 or y >> 3 != b1 or z >> 3 != b2:
                     break
             if through == 0:
