@@ -98,7 +98,7 @@ def takes_recipe(function: Command) -> Command:
     @click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
-        help="A schedule of about 40, 100 or 170 seconds on two cores.  [default: balanced]",
+        help="A schedule of about 40, 80 or 140 seconds on two cores.  [default: balanced]",
     )
     @click.option("--minutes", type=NumberRange(0.1, 600), help="Choose a schedule for so long on two cores.")
     @click.option("--epochs", metavar="SCHEDULE", help="A schedule, as this command prints the one that it follows.")

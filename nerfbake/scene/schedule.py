@@ -12,7 +12,7 @@ from nerfbake.errors import InvalidScene, Problem
 Rates = tuple[float, float]  # of the first and of the last step
 RESOLUTIONS = (8, 1024)
 MAX_MINUTES = 10_000.0
-_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 18.0  # of divided cells and before them
+_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 16.0  # of divided cells and before them
 MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
 _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
 
