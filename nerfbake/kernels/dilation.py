@@ -8,7 +8,7 @@ from nerfbake.kernels.arrays import Bits
 
 
 def dilated(held: Bits) -> Bits:
-    """(X, Y, Z) with the 26 neighbours of each: one axis after the other."""
+    """(X, Y, Z) with the 26 neighbours of each, or with 8 where an edge is 1: one axis after the other."""
     wider = held
     for axis in range(3):
         along = np.moveaxis(wider, axis, 0)

@@ -7,6 +7,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
+from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit.hull import TASKS, mark_clear
 from nerfbake.kernels.maths.affine import inverse, turned
 from nerfbake.scene.basis import Basis
@@ -17,7 +18,6 @@ from nerfbake.stages._looks import looks_of, zoomed
 
 MIN_VIEWS = 2
 _EDGE = 128  # pixels of a silhouette's shorter edge, about
-_RING = 1  # pixels around an object that may still be its own
 _WITNESSES = 5  # views that must see the background where no alpha tells it
 _SEARCH = 32  # cells along an axis while the box is looked for
 _ROUNDS = 4
@@ -74,7 +74,8 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
         scale = max(1, min(camera.width, camera.height) // _EDGE)
         looks = looks_of(views, view, scale=scale, samples=1, ring=None)
         own = zoomed(camera, scale)
-        held = _ringed((looks.targets[:, 3] > 0).reshape(own.height, own.width))
+        held = (looks.targets[:, 3] > 0).reshape(1, own.height, own.width)
+        held = dilated(held)  # pixels around an object may still be its own
         mark_clear(box[0].copy(), size, looks.eye, looks.directions, held.reshape(-1), met, clear, inside)
     witnesses = 1 if views.masked else min(_WITNESSES, max(len(views.pictures) // 2, 1))
     solid = (clear < witnesses) & (inside >= MIN_VIEWS)
@@ -86,14 +87,6 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
         )
         raise InvalidScene(Problem("views", found, "cameras around one object, in the box"))
     return np.asarray(solid)
-
-
-def _ringed(held: Bits) -> Bits:
-    """With the pixels around."""
-    wider = np.pad(held, _RING)
-    for axis in (0, 1):
-        wider = wider | np.roll(wider, 1, axis) | np.roll(wider, -1, axis)
-    return wider[_RING:-_RING, _RING:-_RING]
 
 
 def _common_cube(views: Views) -> Points:
