@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit import pixels as kernels
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.views import Views
@@ -35,7 +36,10 @@ def looks_of(views: Views, view: int, *, scale: int, samples: int, ring: int | N
     kernels.shrunk(picture, np.array(views.background, np.float64), views.masked, scale, image)
     pixels = np.arange(camera.width * camera.height, dtype=np.int32)
     if ring is not None:
-        found = kernels.chosen(image, _tiles(camera.width, camera.height), ring, pixels)
+        held = image[None, ..., 3] > 0
+        for _ in range(ring):
+            held = dilated(held)
+        found = kernels.chosen(np.ascontiguousarray(held[0]), _tiles(camera.width, camera.height), pixels)
         pixels = pixels[:found].copy()
     return Looks(
         camera.pose[:3, 3].copy(), pixels, kernels.gathered(image, pixels), _directions(camera, pixels, samples)

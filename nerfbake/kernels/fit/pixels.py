@@ -56,36 +56,17 @@ def _shrink_row(
 
 
 @compiled()
-def chosen(image: Singles, tiles: Ints, ring: int, pixels: npt.NDArray[np.int32]) -> int:
-    """Fills in the numbers of the pixels with something in them, or within a ring around those; gives their count."""
-    height, width, count = image.shape[0], image.shape[1], 0
-    near = np.empty((height, width), np.bool_)
-    _mark_near(image, ring, near)
+def chosen(held: Bits, tiles: Ints, pixels: npt.NDArray[np.int32]) -> int:
+    """Fills in the numbers of the pixels that are held (H, W), tile by tile; gives their count."""
+    height, width, count = held.shape[0], held.shape[1], 0
     for tile in tiles:
         top, left = (tile >> 16) * TILE, (tile & 0xFFFF) * TILE
         for y in range(top, min(top + TILE, height)):
             for x in range(left, min(left + TILE, width)):
-                if near[y, x]:
+                if held[y, x]:
                     pixels[count] = y * width + x
                     count += 1
     return count
-
-
-@compiled()
-def _mark_near(image: Singles, ring: int, near: Bits) -> None:
-    """Where something is within a ring: first along columns, then along rows."""
-    height, width = near.shape
-    above = np.empty(width, np.bool_)
-    for y in range(height):
-        above[:] = False
-        for j in range(max(y - ring, 0), min(y + ring + 1, height)):
-            for x in range(width):
-                above[x] |= image[j, x, 3] > 0
-        near[y] = above
-        for away in range(1, ring + 1):
-            for x in range(width - away):
-                near[y, x] |= above[x + away]
-                near[y, x + away] |= above[x]
 
 
 @compiled()
