@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,17 +13,18 @@ from nerfbake.jobs.files import FolderTarget
 from nerfbake.jobs.steps import SILENT, Steps
 
 LANGUAGES = ("glsl", "hlsl", "wgsl", "c")
-NEEDS = {  # what there is, and what has to stand before it
+NEEDS = {  # each file, and the files that it includes; WGSL has no #include, so they are pasted above it
     "octree": ("common",),
     "vdb_index": ("common",),
     "march": ("common", "harmonics"),
     "harmonics": (),
-    "atlas": ("common",),  # GLSL ES asks how precise a sampler is
+    "atlas": (),
     "mlp": ("common",),
     "world": (),
     "nanovdb": (),
 }
 PAGE = "README.md"
+_INCLUDE = re.compile(r'^#include "(.*)"\n', re.MULTILINE)
 
 
 def write_shaders(
@@ -51,7 +53,7 @@ def write_shaders(
         raise UsageError(f"{', '.join(what)} is not there in {', '.join(languages)}; allowed: {allowed}")
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
-    files = [(path, [_text(path)]) for path in (PAGE, *paths)]
+    files = [(path, [shader_text(path).encode()]) for path in (PAGE, *paths)]
     with steps.phase(f"writing {target.path}"):
         sizes = io.save_files(target.path, files, force=target.force)
     steps.say(f"{target.path}: {len(sizes)} files, {sum(sizes.values()):,} bytes; {PAGE} says how to feed them")
@@ -71,7 +73,15 @@ def _path(language: str, name: str) -> str:
     return "" if language == "c" else f"{language}/{name}.{language}"
 
 
-def _text(name: str) -> bytes:
+def shader_text(name: str) -> str:
+    """A shader of the package, ready to be compiled: "glsl/octree.glsl".
+
+    WebGL has no #include, so a GLSL file carries the text of what it includes, behind the same guards: of several files
+    that are pasted one below the other only the first copy counts.
+    """
     data = pkgutil.get_data("nerfbake", f"shaders/{name}")
     assert data is not None
-    return data
+    text = data.decode()
+    if name.endswith(".glsl"):
+        return _INCLUDE.sub(lambda found: shader_text(f"glsl/{found[1]}"), text)
+    return text

@@ -21,9 +21,8 @@ from tests.support.shaders import Hlsl, Points
 
 OWN = files("nerfbake") / "shaders" / "pnanovdb"
 C = """
-#define PNANOVDB_C
 #define PNANOVDB_CMATH
-#include <nanovdb/PNanoVDB.h>
+#include "nanovdb.h"
 #include "nanovdb.h"
 #include <stdio.h>
 #include <stdlib.h>
@@ -60,7 +59,6 @@ HLSL = """
 #define PNANOVDB_HLSL
 #define NANOVDB_TYPE PNANOVDB_GRID_TYPE_NAME
 void asuint(double value, out uint low, out uint high) { low = 0u; high = 0u; }
-#include <nanovdb/PNanoVDB.h>
 #include "nanovdb.h"
 StructuredBuffer<uint> nvdb : register(t0);
 StructuredBuffer<float4> points : register(t1);
@@ -145,7 +143,7 @@ def test_nvidias_header_finds_the_same_in_c(
         pytest.skip("no gcc (Debian: gcc)")
     if header not in programs:
         (tmp_path / "read.c").write_text(C)
-        include = [f"-I{HEADERS[header]()}", f"-I{OWN}"]
+        include = [f"-I{HEADERS[header]() / 'nanovdb'}", f"-I{OWN}"]
         subprocess.run(["gcc", "-O1", *include, "read.c", "-o", "read", "-lm"], cwd=tmp_path, check=True)
         programs[header] = tmp_path / "read"
     scene = scenes[kind]
@@ -168,7 +166,7 @@ def test_nvidias_header_finds_the_same_in_hlsl(
     code = HLSL.replace("CHANNELS", str(scene.channels)).replace("NAME", kind.split(",")[0].upper()) + hlsl.main(COUNT)
     # glslang refuses a literal of 64 bits in a macro that nothing uses: C's preprocessor leaves none.
     (tmp_path / "code").write_text(code)
-    command = ["gcc", "-E", "-P", "-x", "c", f"-I{HEADERS[header]()}", f"-I{OWN}", "code"]
+    command = ["gcc", "-E", "-P", "-x", "c", f"-I{HEADERS[header]() / 'nanovdb'}", f"-I{OWN}", "code"]
     plain = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
     found = hlsl.wgpu.dispatch(*hlsl.compiled(plain), scene.points, {"nvdb": np.frombuffer(scene.bytes, np.uint32)})
     assert_same(kind, found, scene)

@@ -1,16 +1,40 @@
-"""The files of a language stand behind one another in any choice that `nerfbake shaders` makes."""
+"""Each file compiles alone, and the files of a language compile in any choice that `nerfbake shaders` makes."""
 
 from __future__ import annotations
+
+import re
 
 import pytest
 
 from nerfbake.jobs.shaders import NEEDS
-from tests.support.shaders import Runner
+from tests.support.shaders import HOME, Runner
 
-CHOICES = {name: (*needs, name) for name, needs in NEEDS.items() if name != "nanovdb"}
-CHOICES["all"] = tuple(dict.fromkeys(part for choice in CHOICES.values() for part in choice))
+NAMES = [name for name in NEEDS if name != "nanovdb"]  # nanovdb.h is compiled in test_nanovdb.py
 
 
-@pytest.mark.parametrize("choice", CHOICES)
-def test_what_a_file_needs_is_all_that_it_needs(runner: Runner, choice: str) -> None:
-    runner.compile(CHOICES[choice])
+def choice(runner: Runner, *names: str) -> list[str]:
+    """Files to paste: WGSL has no #include, so there each file stands below what it needs, once."""
+    if runner.language == "wgsl":
+        return list(dict.fromkeys(part for name in names for part in (*NEEDS[name], name)))
+    return list(names)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_compiles_alone(runner: Runner, name: str) -> None:
+    runner.compile(choice(runner, name))
+
+
+def test_all_files_compile_together_in_either_order(runner: Runner) -> None:
+    runner.compile(choice(runner, *NAMES))
+    runner.compile(choice(runner, *reversed(NAMES)))
+
+
+@pytest.mark.parametrize("language", ["glsl", "hlsl"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_includes_what_the_table_says_and_has_a_guard(language: str, name: str) -> None:
+    text = (HOME / language / f"{name}.{language}").read_text()
+    assert tuple(re.findall(rf'(?m)^#include "(\w+)\.{language}"$', text)) == NEEDS[name]
+    guard = f"NERFBAKE_{name.upper()}_{language.upper()}"
+    code = re.sub(r"(?m)^//.*\n", "", text)
+    assert code.startswith(f"#ifndef {guard}\n#define {guard}\n")
+    assert code.endswith(f"#endif  // {guard}\n")

@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from nerfbake.jobs.shaders import shader_text
+
 HOME = files("nerfbake") / "shaders"
 LANGUAGES = ("glsl", "hlsl", "wgsl")
 VERSIONS = ("300 es", "330")  # of GLSL
@@ -49,7 +51,7 @@ class Runner(Protocol):
 
 
 def text_of(language: str, parts: Sequence[str]) -> str:
-    return "\n".join((HOME / language / f"{part}.{language}").read_text() for part in parts)
+    return "\n".join(shader_text(f"{language}/{part}.{language}") for part in parts)
 
 
 def runner_of(language: str, folder: Path) -> Runner:
@@ -229,8 +231,27 @@ class Hlsl:
         """SPIR-V of a code with a main, and the group and the binding of each name; once of each code."""
         if code not in self.made:
             (self.folder / "code.hlsl").write_text(code)
-            command = ["glslangValidator", "-D", "-V", "-e", "main", "-S", "comp", "--amb", "-q", "-o", "code.spv"]
-            done = subprocess.run([*command, "code.hlsl"], cwd=self.folder, capture_output=True, text=True, check=False)
+            command = [
+                "glslangValidator",
+                "-D",
+                "-V",
+                "-e",
+                "main",
+                "-S",
+                "comp",
+                "--amb",
+                "-q",
+                "-o",
+                "code.spv",
+                f"-I{HOME / 'hlsl'}",
+            ]
+            done = subprocess.run(
+                [*command, f"-I{HOME / 'hlsl'}", "code.hlsl"],
+                cwd=self.folder,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
             assert done.returncode == 0, done.stdout
             names = re.findall(r"^(\w+): .* binding (\d+)", done.stdout, re.MULTILINE)
             names += re.findall(r"(\w+) ?: ?register\([tu](\d+)\)", code)

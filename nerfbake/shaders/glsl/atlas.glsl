@@ -1,4 +1,4 @@
-// The specular colour of a baked atlas, GLSL ES 3.00 (WebGL 2) and GLSL 3.30: paste or #include this above main().
+// The specular colour of a baked atlas, GLSL ES 3.00 (WebGL 2) and GLSL 3.30: paste this above main().
 // tests/shaders/test_atlas.py runs the same steps in NumPy and compares them with the program's own lookups, texel by texel.
 //
 //   atlas      atlas_{c}.png, LINEAR, CLAMP_TO_EDGE, no mips, RGB8 (not sRGB)
@@ -7,6 +7,10 @@
 //   uv         the mesh's texture coordinates, v down as in glTF: upload the PNGs without flipping them
 //   direction  unit, from the camera to the surface point, in the mesh's own coordinates, y up
 //   colour = clamp(diffuse + specular, 0, 1), all of them the numbers that a screen shows
+#ifndef NERFBAKE_ATLAS_GLSL
+#define NERFBAKE_ATLAS_GLSL
+precision highp float;
+precision highp sampler2D;
 
 struct Atlas {
     float mapSize;      // atlas.json: map_size
@@ -66,3 +70,4 @@ vec3 specularGrid(sampler2D atlas, sampler2D features, Atlas a, vec2 uv, vec3 di
     node += dot(1.0 - first - second, stride);
     return colour + f2 * tile(atlas, a, node, at);
 }
+#endif  // NERFBAKE_ATLAS_GLSL

@@ -1,9 +1,11 @@
-// What the other files need, and stands before them: buffers, the bits of a word, the eight voxels around a point.
+// What the other files include: buffers, the bits of a word, the eight voxels around a point.
 // GLSL ES 3.00 (WebGL 2) and GLSL 3.30.
 //
 // These have no storage buffers: entry i of a buffer is texel (i % width, i / width) of a texture of any width, and the
 // rest of its last line is never read. The texture of int32 is R32I, of pairs of uint32 RG32UI, of four RGBA32UI, of
 // float32 R32F, of four float16 RGBA16F; its filter is NEAREST.
+#ifndef NERFBAKE_COMMON_GLSL
+#define NERFBAKE_COMMON_GLSL
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -63,3 +65,4 @@ float weightOf(int i, vec3 f) {
     vec3 weights = mix(1.0 - f, f, vec3(sideOf(i)));
     return weights.x * weights.y * weights.z;
 }
+#endif  // NERFBAKE_COMMON_GLSL

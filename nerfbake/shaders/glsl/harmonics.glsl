@@ -5,6 +5,8 @@
 // voxel's values is that coefficient of red (0), green (1) or blue (2), and number 3 * size is the density. A colour is
 // the sigmoid of the sum of coefficients times functions. RGBA has no functions: its colour is the sigmoid of its only
 // coefficient, as if there were one function that is 1.
+#ifndef NERFBAKE_HARMONICS_GLSL
+#define NERFBAKE_HARMONICS_GLSL
 precision highp float;
 precision highp int;
 
@@ -73,3 +75,4 @@ Harmonics harmonics(vec3 direction, int size) {
 vec3 sigmoid(vec3 sum) {
     return 1.0 / (1.0 + exp(-sum));
 }
+#endif  // NERFBAKE_HARMONICS_GLSL

@@ -1,5 +1,5 @@
 // A ray through a PageField, which the pages of `nerfbake view` show: its colour, its depth, and what light is left.
-// Behind common.glsl and harmonics.glsl. Density and colour are constant in a voxel: sums along the ray are exact.
+// Density and colour are constant in a voxel: sums along the ray are exact.
 //
 //   top     an int32 for each cell of 8^3 voxels, z fastest: below 0 empty, and so is every cell nearer than minus this
 //           number of cells; from 0 the number of a leaf; from 2^30 a row for all of the cell, plus 2^30
@@ -7,6 +7,11 @@
 //           first voxel, and how many bits the lower half has; 255 there: the whole block has that row
 //   texels  four float16 or float32 each, texelsPerRow in a row: red, green, blue of the first coefficient and the
 //           density; then red, green, blue of the second, of the third, ..., without a gap
+#ifndef NERFBAKE_MARCH_GLSL
+#define NERFBAKE_MARCH_GLSL
+#include "common.glsl"
+#include "harmonics.glsl"
+
 uniform isampler2D top;
 uniform usampler2D blocks;
 uniform sampler2D texels;
@@ -105,3 +110,4 @@ Marched march(Field field, vec3 origin, vec3 along, Harmonics basis, float stop,
 vec4 cutout(Marched found, float cut) {
     return found.transmittance < cut ? vec4(found.colour / (1.0 - found.transmittance), 1.0) : vec4(0.0);
 }
+#endif  // NERFBAKE_MARCH_GLSL

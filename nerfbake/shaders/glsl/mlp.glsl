@@ -1,10 +1,14 @@
-// The specular MLP of nerf2mesh's stage 1, which an atlas stands for: to compare them. Behind common.glsl.
+// The specular MLP of nerf2mesh's stage 1, which an atlas stands for: to compare them.
 //
 //   weights0  6 float32 a hidden unit: of the direction's x, y, z, then of the feature's red, green, blue; column i of
 //             net.0.weight of mlp.json
 //   weights1  3 float32 a hidden unit: row i of net.1.weight
 //
 // Constants in unrolled code are several times as fast as fetches: docs/formats/realtime.md has measured both.
+#ifndef NERFBAKE_MLP_GLSL
+#define NERFBAKE_MLP_GLSL
+#include "common.glsl"
+
 uniform sampler2D weights0;
 uniform sampler2D weights1;
 
@@ -22,3 +26,4 @@ vec3 specularMlp(int units, vec3 direction, vec3 feature) {
     }
     return 1.0 / (1.0 + exp(-sum));
 }
+#endif  // NERFBAKE_MLP_GLSL

@@ -1,12 +1,15 @@
 // The sparse voxel octree of a .svo.* file: the way down to a voxel, and its values, nearest or trilinear.
-// Behind common.glsl. The struct is that of TR-24-01 (docs/sources.md), listing 2, but for its two buffers, which stand
-// beside it.
+// The struct is that of TR-24-01 (docs/sources.md), listing 2; its two buffers stand beside it.
 //
 //   nodeChildren  8 int32 a node, the numbers of its children, 0 or -1 where there is none; child x + 2 y + 4 z, where
 //                 1 is the upper half. For EVERY node: of a file in the compact layout with zeros behind its own
 //   nodeData      dataDim float32 a node: all coefficients of red, of green, of blue, then the density, 1/world unit
 //
 // Points are in voxels: voxel (0, 0, 0) reaches from 0 to 1 along each axis. world.glsl leads there.
+#ifndef NERFBAKE_OCTREE_GLSL
+#define NERFBAKE_OCTREE_GLSL
+#include "common.glsl"
+
 uniform isampler2D nodeChildren;
 uniform sampler2D nodeData;
 
@@ -66,3 +69,4 @@ float octreeTrilinear(SparseVoxelOctree octree, Corners corners, int k) {
     for (int i = 0; i < 8; i++) sum += corners.weight[i] * octreeValue(octree, corners.row[i], k);
     return sum;
 }
+#endif  // NERFBAKE_OCTREE_GLSL

@@ -2,6 +2,8 @@
 // harmonics are: asked there, they turn with the object. GLSL ES 3.00 (WebGL 2) and GLSL 3.30; no buffers.
 //
 // Three rows of a 3 x 4 matrix are vec4s, so that it does not matter whether an engine counts rows or columns first.
+#ifndef NERFBAKE_WORLD_GLSL
+#define NERFBAKE_WORLD_GLSL
 precision highp float;
 precision highp int;
 
@@ -42,3 +44,4 @@ vec3 lookInAxes(World world, vec3 along) {
     for (int i = 0; i < 3; i++) look[i] /= length(world.toVoxels[i].xyz);
     return normalize(look);
 }
+#endif  // NERFBAKE_WORLD_GLSL

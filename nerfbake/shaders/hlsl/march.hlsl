@@ -1,5 +1,5 @@
 // A ray through a PageField, which the pages of `nerfbake view` show: its colour, its depth, and what light is left.
-// Behind common.hlsl and harmonics.hlsl. Density and colour are constant in a voxel: sums along the ray are exact.
+// Density and colour are constant in a voxel: sums along the ray are exact.
 //
 //   top     an int32 for each cell of 8^3 voxels, z fastest: below 0 empty, and so is every cell nearer than minus this
 //           number of cells; from 0 the number of a leaf; from 2^30 a row for all of the cell, plus 2^30
@@ -7,6 +7,11 @@
 //           first voxel, and how many bits the lower half has; 255 there: the whole block has that row
 //   texels  four float32 each, texelsPerRow in a row: red, green, blue of the first coefficient and the
 //           density; then red, green, blue of the second, of the third, ..., without a gap
+#ifndef NERFBAKE_MARCH_HLSL
+#define NERFBAKE_MARCH_HLSL
+#include "common.hlsl"
+#include "harmonics.hlsl"
+
 StructuredBuffer<int> top;
 StructuredBuffer<uint4> blocks;
 StructuredBuffer<float4> texels;
@@ -111,3 +116,4 @@ float4 cutout(Marched found, float cut) {
     if (found.transmittance >= cut) return 0.0;
     return float4(found.colour / (1.0 - found.transmittance), 1.0);
 }
+#endif  // NERFBAKE_MARCH_HLSL

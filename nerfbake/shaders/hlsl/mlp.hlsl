@@ -1,10 +1,14 @@
-// The specular MLP of nerf2mesh's stage 1, which an atlas stands for: to compare them. Behind common.hlsl.
+// The specular MLP of nerf2mesh's stage 1, which an atlas stands for: to compare them.
 //
 //   weights0  6 float32 a hidden unit: of the direction's x, y, z, then of the feature's red, green, blue; column i of
 //             net.0.weight of mlp.json
 //   weights1  3 float32 a hidden unit: row i of net.1.weight
 //
 // Constants in unrolled code are several times as fast as fetches: docs/formats/realtime.md has measured both.
+#ifndef NERFBAKE_MLP_HLSL
+#define NERFBAKE_MLP_HLSL
+#include "common.hlsl"
+
 StructuredBuffer<float> weights0;
 StructuredBuffer<float> weights1;
 
@@ -22,3 +26,4 @@ float3 specularMlp(int units, float3 direction, float3 feature) {
     }
     return 1.0 / (1.0 + exp(-sum));
 }
+#endif  // NERFBAKE_MLP_HLSL

@@ -1,5 +1,5 @@
 // A VDB tree of a .vdb.npz: masks and ranks lead from a voxel to its row of a table, nearest or trilinear.
-// Behind common.hlsl. Names are those of the file, without `tree_{t}_` and `grid_{g}_`.
+// Names are those of the file, without `tree_{t}_` and `grid_{g}_`.
 //
 //   rootOrigin  3 int32 an upper node: root_origin
 //   upper       a pair of uint32 for each of an upper node's 1024 words: upper_mask and upper_rank beside each other
@@ -9,6 +9,10 @@
 //
 // Points are in voxels whose CENTRES are whole numbers, as NanoVDB's are. Tiles, which no grid of nerfbake's own has,
 // are not read.
+#ifndef NERFBAKE_VDB_INDEX_HLSL
+#define NERFBAKE_VDB_INDEX_HLSL
+#include "common.hlsl"
+
 StructuredBuffer<int> rootOrigin;
 StructuredBuffer<uint2> upper;
 StructuredBuffer<uint2> lower;
@@ -78,3 +82,4 @@ float vdbTrilinear(VdbIndex index, Corners corners, int k) {
     for (int i = 0; i < 8; i++) sum += corners.weight[i] * vdbValue(index, corners.row[i], k);
     return sum;
 }
+#endif  // NERFBAKE_VDB_INDEX_HLSL

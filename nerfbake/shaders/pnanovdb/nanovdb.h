@@ -1,14 +1,26 @@
 // Grids of a .nvdb, read by NVIDIA's own PNanoVDB.h, in C and in HLSL: nearest and trilinear, of Float, Fp16 and
 // OnIndex grids; of the latter the table, float32 or float16, that nerfbake keeps as their blind data.
 //
-// Behind `#define PNANOVDB_C` or `#define PNANOVDB_HLSL`, and PNanoVDB.h itself: libnanovdb-dev of Debian has it, and
-// so have NVIDIA's Warp and OpenVDB; OnIndex grids need one of version 32.6 or later.
+// It includes PNanoVDB.h, which must be in the include path: Debian's libnanovdb-dev, NVIDIA's Warp and OpenVDB have it.
+// OnIndex grids need version 32.6 or later. A C compiler reads PNanoVDB.h as C, any other compiler as HLSL, unless
+// PNANOVDB_C or PNANOVDB_HLSL is defined before.
 //
 //   buf  the grid's bytes, from its magic on, as uint32: those of a file without codec (`--codec none`) that are behind
 //        its 192 bytes of header and its name with a NUL. HLSL: a StructuredBuffer<uint>
 //
 // Points are in voxels whose CENTRES are whole numbers. In a shader, define NANOVDB_TYPE as PNANOVDB_GRID_TYPE_FLOAT,
 // _FP16 or _ONINDEX first: where the type is known only when it runs, Mesa's compiler takes minutes and gigabytes.
+#ifndef NERFBAKE_NANOVDB_H
+#define NERFBAKE_NANOVDB_H
+#if !defined(PNANOVDB_C) && !defined(PNANOVDB_HLSL)
+#if defined(__STDC__) || defined(__cplusplus)
+#define PNANOVDB_C
+#else
+#define PNANOVDB_HLSL
+#endif
+#endif
+#include "PNanoVDB.h"
+
 struct nanovdb_grid_t {
     pnanovdb_grid_type_t type;
     pnanovdb_root_handle_t root;
@@ -113,3 +125,4 @@ PNANOVDB_FORCE_INLINE float nanovdb_trilinear(
     }
     return sum;
 }
+#endif  // NERFBAKE_NANOVDB_H
