@@ -14,6 +14,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conformance.case import HOME
 from tests.support.csharp import PACKAGE, READER, compile_csharp, require_mono
 from tests.support.pages import broken_links
+from tests.support.unity_meta import imported, meta_of, meta_text
 
 pytestmark = pytest.mark.tools
 HERE = Path(__file__).parent
@@ -86,3 +87,13 @@ def test_the_folder_is_a_package() -> None:
 
 def test_links_of_its_page_lead_somewhere() -> None:
     assert broken_links(PACKAGE / "README.md") == []
+
+
+def test_every_asset_keeps_its_guid() -> None:
+    """Scenes refer to scripts and shaders by GUID: one that changes breaks every scene that is shared."""
+    metas = {path: meta_of(path).read_text() for path in imported()}
+    assert {path: text for path, text in metas.items() if text != meta_text(path)} == {}
+    assert len({text.split()[3] for text in metas.values()}) == len(metas)
+    assert set(PACKAGE.rglob("*.meta")) == {meta_of(path) for path in metas}
+    # One GUID by hand: md5 of com.nerfbake.unity/Shaders/Octree.shader.
+    assert "guid: 99f8253b018b87a7065e09a404575629\n" in metas[PACKAGE / "Shaders" / "Octree.shader"]

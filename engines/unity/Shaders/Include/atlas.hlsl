@@ -6,6 +6,8 @@
 //   uv         the mesh's texture coordinates, v down as in glTF: upload the PNGs without flipping them
 //   direction  unit, from the camera to the surface point, in the mesh's own coordinates, y up
 //   colour = clamp(diffuse + specular, 0, 1), all of them the numbers that a screen shows
+#ifndef NERFBAKE_ATLAS_HLSL
+#define NERFBAKE_ATLAS_HLSL
 Texture2D<float4> atlas;
 Texture2D<float4> labels;
 Texture2D<float4> features;
@@ -74,3 +76,4 @@ float3 specularGrid(Atlas a, float2 uv, float3 direction) {
     node += dot(1.0 - first - second, stride);
     return colour + f2 * tile(a, node, at);
 }
+#endif  // NERFBAKE_ATLAS_HLSL

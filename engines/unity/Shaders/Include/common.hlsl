@@ -1,7 +1,8 @@
-// What the other files need, and stands before them: the bits of a word, the eight voxels around a point.
+// What the other files include: the bits of a word, the eight voxels around a point.
 // HLSL, shader model 5. A buffer of int32 is a StructuredBuffer<int>, pairs of uint32 are a StructuredBuffer<uint2>, and
 // four of float32 a StructuredBuffer<float4>; float16 is widened before it is uploaded.
-
+#ifndef NERFBAKE_COMMON_HLSL
+#define NERFBAKE_COMMON_HLSL
 // How many bits of a word are set.
 int count(uint bits) {
     return (int)countbits(bits);
@@ -29,3 +30,4 @@ float weightOf(int i, float3 f) {
     float3 weights = lerp(1.0 - f, f, float3(sideOf(i)));
     return weights.x * weights.y * weights.z;
 }
+#endif  // NERFBAKE_COMMON_HLSL

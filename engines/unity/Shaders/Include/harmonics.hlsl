@@ -5,6 +5,8 @@
 // voxel's values is that coefficient of red (0), green (1) or blue (2), and number 3 * size is the density. A colour is
 // the sigmoid of the sum of coefficients times functions. RGBA has no functions: its colour is the sigmoid of its only
 // coefficient, as if there were one function that is 1.
+#ifndef NERFBAKE_HARMONICS_HLSL
+#define NERFBAKE_HARMONICS_HLSL
 static const int SH_0_0 = 0;
 static const int SH_1_M1 = 1, SH_1_0 = 2, SH_1_P1 = 3;
 static const int SH_2_M2 = 4, SH_2_M1 = 5, SH_2_0 = 6, SH_2_P1 = 7, SH_2_P2 = 8;
@@ -70,3 +72,4 @@ Harmonics harmonics(float3 direction, int size) {
 float3 sigmoid(float3 sum) {
     return 1.0 / (1.0 + exp(-sum));
 }
+#endif  // NERFBAKE_HARMONICS_HLSL

@@ -1,12 +1,16 @@
 // The sparse voxel octree of a .svo.* file: the way down to a voxel, and its values, nearest or trilinear.
-// Behind common.hlsl. The struct is that of TR-24-01 (docs/sources.md), listing 2, but for its two buffers, which stand
-// beside it: not every compiler takes buffers in a struct.
+// The struct is that of TR-24-01 (docs/sources.md), listing 2; its two buffers stand beside it, because not every
+// compiler takes buffers in a struct.
 //
 //   nodeChildren  8 int32 a node, the numbers of its children, 0 or -1 where there is none; child x + 2 y + 4 z, where
 //                 1 is the upper half. For EVERY node: of a file in the compact layout with zeros behind its own
 //   nodeData      dataDim float32 a node: all coefficients of red, of green, of blue, then the density, 1/world unit
 //
 // Points are in voxels: voxel (0, 0, 0) reaches from 0 to 1 along each axis. world.hlsl leads there.
+#ifndef NERFBAKE_OCTREE_HLSL
+#define NERFBAKE_OCTREE_HLSL
+#include "common.hlsl"
+
 StructuredBuffer<int> nodeChildren;
 StructuredBuffer<float> nodeData;
 
@@ -67,3 +71,4 @@ float octreeTrilinear(SparseVoxelOctree octree, Corners corners, int k) {
     for (int i = 0; i < 8; i++) sum += corners.weight[i] * octreeValue(octree, corners.row[i], k);
     return sum;
 }
+#endif  // NERFBAKE_OCTREE_HLSL

@@ -2,6 +2,8 @@
 // harmonics are: asked there, they turn with the object. HLSL, shader model 5; no buffers.
 //
 // Three rows of a 3 x 4 matrix are float4s, so that it does not matter whether an engine counts rows or columns first.
+#ifndef NERFBAKE_WORLD_HLSL
+#define NERFBAKE_WORLD_HLSL
 static const int Z_UP = 0;       // right-handed, z up: Blender, and the fields themselves
 static const int Y_UP = 1;       // right-handed, y up: glTF, three.js
 static const int Y_UP_LEFT = 2;  // left-handed, y up: Unity
@@ -39,3 +41,4 @@ float3 lookInAxes(World world, float3 along) {
     for (int i = 0; i < 3; i++) look[i] /= length(world.toVoxels[i].xyz);
     return normalize(look);
 }
+#endif  // NERFBAKE_WORLD_HLSL
