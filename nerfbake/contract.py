@@ -19,15 +19,22 @@ from nerfbake.errors import Problem, UsageError, one_line
 
 Piece = bytes | memoryview
 HEAD = 512  # bytes that are enough to tell most formats by
-PICTURES = (
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".PNG",
-    ".JPG",
-    ".JPEG",
-)  # endings that a capture may leave out of a picture's name
+_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"))  # those of a line stand for the same kind of picture
+PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # endings that a capture may leave out of a name
 _SHOWN = 60  # characters of a wrong value
+
+
+def picture_names(name: str) -> list[str]:
+    """The file names that a picture of this name may have, the first one first.
+
+    Captures leave the ending out, or write it in another case than the file has: a.jpg for a.JPG, or for a.jpeg.
+    """
+    names = [name, *(name + ending for ending in PICTURES)]
+    for kind in _ENDINGS:
+        for ending in kind:
+            if name.endswith(ending):
+                names += [name.removesuffix(ending) + other for other in kind if other != ending]
+    return names
 
 
 class Scene(Protocol):

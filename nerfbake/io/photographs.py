@@ -8,17 +8,17 @@ from typing import Any
 
 from nerfbake import memory
 from nerfbake.catalog import load_photographs
-from nerfbake.contract import PICTURES
+from nerfbake.contract import PICTURES, picture_names
 from nerfbake.errors import InvalidFile
 from nerfbake.io.reading import load
 from nerfbake.io.sources import blame, read_file
 
 
 def find_photograph(folder: str | Path, name: str) -> Path | None:
-    """The PNG or JPEG of this name in a folder, whose ending the name may leave out; None where there is none."""
+    """The PNG or JPEG of this name in a folder, as picture_names() spells it; None where there is none."""
     if not name:
         return None
-    paths = (Path(folder) / f"{name}{ending}" for ending in ("", *PICTURES))
+    paths = (Path(folder) / spelled for spelled in picture_names(name))
     return next((path for path in paths if path.is_file()), None)
 
 
@@ -51,17 +51,17 @@ class Truth(Sequence[Any]):
         return load(self._paths[i], self._image)
 
 
-def load_photograph(path: str | Path) -> Any:
+def load_photograph(path: str | Path, size: tuple[int, int] | None = None) -> Any:
     """(H, W, 4) uint8: sRGB and straight alpha, as the file has them; 255 where it has none.
 
-    Raises InvalidFile, MemoryLimit.
+    size: (W, H) of the camera, see decode_photograph(). Raises InvalidFile, MemoryLimit.
     """
     with blame(str(path)):
         with memory.scope():
             view = read_file(Path(path))
             if not len(view):
                 raise InvalidFile("is empty; allowed: a PNG or a JPEG")
-            pixels = load_photographs().decode_photograph(view)
+            pixels = load_photographs().decode_photograph(view, size)
         return memory.kept(pixels)
 
 

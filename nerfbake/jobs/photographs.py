@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -82,29 +83,33 @@ def _held_out(views: nerfbake.Views, every: int, name: str) -> Posed:
 
 
 def _read(steps: Steps, path: str, album: Album) -> nerfbake.Views:
-    cameras = read_cameras(steps, path)
-    files = _found(path, cameras)
+    cameras, files = _with_pictures(steps, path, read_cameras(steps, path))
     masks = None if album.masks is None else _masks(album.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
-        return nerfbake.build_views(cameras, _pictures(files, masks), background=album.background)
+        return nerfbake.build_views(cameras, _pictures(cameras, files, masks), background=album.background)
 
 
-def _pictures(files: Sequence[Path], masks: Sequence[Path] | None) -> Iterator[Any]:
+def _pictures(cameras: nerfbake.Cameras, files: Sequence[Path], masks: Sequence[Path] | None) -> Iterator[Any]:
     """One after the other: a picture is held beside its mask for no longer than it takes to put them together."""
     from nerfbake.stages.pictures_to_views import cut_out  # here, since the help loads no arrays
 
-    for i, file in enumerate(files):
-        pixels = io.load_photograph(file)
+    for i, (camera, file) in enumerate(zip(cameras.cameras, files, strict=True)):
+        size = camera.width, camera.height
+        pixels = io.load_photograph(file, size)
         if masks is not None:
-            mask = io.load_photograph(masks[i])
+            mask = io.load_photograph(masks[i], size)
             with io.blame(str(masks[i])):
                 pixels = cut_out(pixels, mask)
         yield pixels
 
 
-def _found(path: str, cameras: nerfbake.Cameras) -> list[Path]:
-    """Each camera's picture. Raises InvalidFile where some are missing."""
+def _with_pictures(steps: Steps, path: str, cameras: nerfbake.Cameras) -> tuple[nerfbake.Cameras, list[Path]]:
+    """The cameras that have a picture, and these pictures; says how many cameras have none.
+
+    Captures are shared without the pictures that were blurred: instant-ngp's fox has 50 of 67. Raises InvalidFile where
+    fewer than half of the pictures are there, since the folder is then more likely to be the wrong one.
+    """
     for i, camera in enumerate(cameras.cameras):
         if not camera.picture:
             found, allowed = "names no picture in the folder of the capture", "a PNG or a JPEG there, or below"
@@ -114,7 +119,14 @@ def _found(path: str, cameras: nerfbake.Cameras) -> list[Path]:
     # A model's own folder stands below the one that has the pictures.
     folders = [folder, *folder.resolve().parents[:_ABOVE]] if cameras.dialect == "COLMAP" else [folder]
     folder = next((each for each in folders if any(io.find_photograph(each, name) for name in names)), folder)
-    return _all_of(names, [io.find_photograph(folder, name) for name in names], path, "picture")
+    found = [io.find_photograph(folder, name) for name in names]
+    kept = [i for i, file in enumerate(found) if file is not None]
+    if 2 * len(kept) < len(found):
+        _all_of(names, found, path, "picture")
+    if left_out := len(found) - len(kept):
+        steps.say(f"{path}: {left_out} of {len(found)} cameras have no picture and are left out")
+        cameras = replace(cameras, cameras=tuple(cameras.cameras[i] for i in kept))
+    return cameras, [file for file in found if file is not None]
 
 
 def _masks(folder: str, cameras: nerfbake.Cameras) -> list[Path]:

@@ -16,6 +16,7 @@ from PIL import Image as Pillow
 
 from nerfbake import Cameras, load
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
+from nerfbake.io.photographs import is_picture
 from nerfbake.jobs import Album, Source
 from nerfbake.jobs.photographs import Posed, read_photographs
 from nerfbake.jobs.steps import SILENT
@@ -139,8 +140,59 @@ def test_a_plain_background_is_found_or_told(tmp_path: Path) -> None:
         read(capture, background=(1.0, 1.0, 1.0))
 
 
+@pytest.mark.parametrize("write", [write for write in DIALECTS if write is not write_llff])  # its poses name no picture
+def test_cameras_without_a_picture_are_left_out_and_counted(
+    write: Callable[..., Path], tmp_path: Path, listener: Listener
+) -> None:
+    path = photographed(write, tmp_path, many(6))
+    for name in ("r_1", "r_4"):
+        (picture,) = (file for file in tmp_path.rglob(f"{name}*") if is_picture(file))
+        picture.unlink()
+    trained, judges = read_photographs(listener, Source(str(path)), Album(holdout=2))
+    assert [camera.name for camera in trained.cameras.cameras] == ["r_2", "r_5"]
+    assert [camera.name for camera in judges.cameras.cameras] == ["r_0", "r_3"]
+    assert f"{path}: 2 of 6 cameras have no picture and are left out" in listener.said
+    for views in (trained, judges):
+        for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
+            assert_array_equal(pixels, spot(camera.width, camera.height, int(camera.name[2:])))
+
+
+def test_endings_may_be_in_another_case_than_the_files(tmp_path: Path) -> None:
+    capture = photographed(write_nerfstudio, tmp_path, many(5))
+    for name, ending in (("r_1", ".JPG"), ("r_2", ".jpeg"), ("r_3", ".JPEG"), ("r_4", ".jpg")):
+        Pillow.open(capture / "images" / f"{name}.png").convert("RGB").save(
+            capture / "images" / f"{name}{ending}", "JPEG"
+        )
+        (capture / "images" / f"{name}.png").unlink()
+    (capture / "images" / "r_0.png").rename(capture / "images" / "r_0.PNG")
+    path = capture / "transforms.json"
+    text = path.read_text()
+    for name in ("r_1", "r_2", "r_3", "r_4"):
+        text = text.replace(f"{name}.png", f"{name}.jpg")
+    path.write_text(text)
+    posed = read(capture)
+    assert len(posed.trained.pictures) + len(posed.judges.pictures) == 5
+
+
+def test_a_picture_that_lies_on_its_side_is_turned_only_to_fit_its_camera(tmp_path: Path) -> None:
+    """EXIF's orientation 6: the stored rows run from the bottom of the scene to its top."""
+    capture = photographed(write_nerfstudio, tmp_path, many(3))
+    path = capture / "images" / "r_1.png"
+    upright = Pillow.open(path)
+    exif = Pillow.Exif()
+    exif[0x0112] = 6
+    stored = upright.transpose(Pillow.Transpose.ROTATE_90)
+    stored.save(path, exif=exif)
+    assert_array_equal(read(capture).trained.pictures[0], np.asarray(upright))  # poses found on upright pictures
+    upright.save(path, exif=exif)
+    assert_array_equal(read(capture).trained.pictures[0], np.asarray(upright))  # poses found on the stored pixels
+    stored.save(path)
+    with pytest.raises(InvalidScene, match=r"r_1\.png has 10x14 pixels; allowed: .* 14x10"):
+        read(capture)
+
+
 def gone(capture: Path) -> None:
-    for name in ("r_1", "r_3"):
+    for name in ("r_1", "r_3", "r_4"):
         (capture / "images" / f"{name}.png").unlink()
 
 
@@ -182,7 +234,7 @@ def edit(capture: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> N
 
 
 WRONG: dict[str, tuple[Callable[[Path], None], str]] = {
-    "missing": (gone, r"capture: picture images/r_1\.png is not there; allowed: a PNG or a JPEG .* \(and 1 more\)$"),
+    "missing": (gone, r"capture: picture images/r_1\.png is not there; allowed: a PNG or a JPEG .* \(and 2 more\)$"),
     "unreadable": (unreadable, r"images/r_2\.png: the picture cannot be read .*; allowed: a whole PNG or JPEG$"),
     "of another shape": (of_another_shape, r"capture: picture images/r_2\.png has 10x14 pixels; allowed: .* 14x10$"),
     "leading out": (leading_out, r"capture: camera r_2 names no picture in the folder of the capture; allowed"),

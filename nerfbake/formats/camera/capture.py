@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.contract import PICTURES
+from nerfbake.contract import PICTURES, picture_names
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.maths.affine import combined
 
@@ -107,11 +107,12 @@ class PictureSizes:
         place, _, name = path.rpartition("/")
         if place not in self._there:
             self._there[place] = set(self._folder.names(place))
-        endings = (ending for ending in ("", *PICTURES) if name + ending in self._there[place])
-        if (ending := next(endings, None)) is None:
+        found = next((each for each in picture_names(name) if each in self._there[place]), None)
+        if found is None:
             return None
+        inside = f"{place}/{found}" if place else found
         try:
-            return size_of(self._folder.head(path + ending), path + ending)
+            return size_of(self._folder.head(inside), inside)
         except InvalidFile:
             return None
 
