@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import PurePath
 from typing import NamedTuple, cast
 
 from nerfbake import contract
@@ -261,6 +262,14 @@ def load_checkpoints() -> contract.Checkpoints:
 def uncompressed(name: str) -> str:
     """A path, or a format's name, without the ending of a compressed file."""
     return name[: -len(COMPRESSED)] if name.lower().endswith(COMPRESSED) else name
+
+
+def scene_name(path: str) -> str:
+    """The name of a scene: its file's without the endings of its format, or its folder's."""
+    name = PurePath(path).name
+    plain = uncompressed(name)
+    suffix = next((form.suffix for form in FORMATS if plain.lower().endswith(form.suffix)), "")
+    return plain[: len(plain) - len(suffix)] or name
 
 
 def compressed(form: Format) -> Format:

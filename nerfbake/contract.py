@@ -122,8 +122,8 @@ class Compression(Protocol):
 class Photographs(Protocol):
     """The pictures that a field is fitted to."""
 
-    def decode_photograph(self, view: memoryview, /) -> Any:
-        """(H, W, 4) uint8, sRGB and straight alpha. Raises InvalidFile, MemoryLimit."""
+    def decode_photograph(self, view: memoryview, size: tuple[int, int] | None = None, /) -> Any:
+        """(H, W, 4) uint8, sRGB and straight alpha. size: (W, H) of its camera. Raises InvalidFile, MemoryLimit."""
 
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """The picture as a PNG of at most so many pixels along each edge. Raises InvalidFile, MemoryLimit."""

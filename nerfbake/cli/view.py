@@ -82,7 +82,7 @@ def measures(function: Command) -> Command:
 @writes("Page", required=False)
 @carries
 @measures
-@click.option("--title", help="What the page is called.  [default: the name of IN]")
+@click.option("--title", help="Title of the page.  [default: the name of IN, without its ending]")
 @click.option(
     "--background",
     type=Background(),

@@ -119,14 +119,14 @@ def _with_pictures(steps: Steps, path: str, cameras: nerfbake.Cameras) -> tuple[
     # A model's own folder stands below the one that has the pictures.
     folders = [folder, *folder.resolve().parents[:_ABOVE]] if cameras.dialect == "COLMAP" else [folder]
     folder = next((each for each in folders if any(io.find_photograph(each, name) for name in names)), folder)
-    found = [io.find_photograph(folder, name) for name in names]
-    kept = [i for i, file in enumerate(found) if file is not None]
-    if 2 * len(kept) < len(found):
-        _all_of(names, found, path, "picture")
-    if left_out := len(found) - len(kept):
-        steps.say(f"{path}: {left_out} of {len(found)} cameras have no picture and are left out")
+    files = [io.find_photograph(folder, name) for name in names]
+    kept = [i for i, file in enumerate(files) if file is not None]
+    if 2 * len(kept) < len(files):
+        _all_of(names, files, path, "picture")
+    if left_out := len(files) - len(kept):
+        steps.say(f"{path}: {left_out} of {len(files)} cameras have no picture and are left out")
         cameras = replace(cameras, cameras=tuple(cameras.cameras[i] for i in kept))
-    return cameras, [file for file in found if file is not None]
+    return cameras, [file for file in files if file is not None]
 
 
 def _masks(folder: str, cameras: nerfbake.Cameras) -> list[Path]:

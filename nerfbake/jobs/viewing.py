@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
 from typing import Any, Literal, NamedTuple
 
 import nerfbake
@@ -59,7 +58,7 @@ def view_file(
                 measured; None: it is predicted
     min_psnr    the least mean PSNR in dB of what the written page shows, against `source`; None: any
     samples     rays along each edge of a pixel of these pictures; None: as the cameras have it, or 1
-    title       None: the name of the source
+    title       None: the name of the source without its ending
     background  sRGB in 0..1; None: the reader's own, light or dark
     lookup      how the page opens, as render_field() has it; its reader may change it
     mesh        triangles that stand in a field
@@ -83,7 +82,7 @@ def view_file(
         read, scene = _read(steps, source, wish, choice)
         if stage1 is not None and not isinstance(scene, nerfbake.BakedAtlas):
             raise UsageError(f"--stage1 goes with an atlas, which {source.name} is not; allowed: an atlas folder")
-        look = Look(PurePath(source.name).name if title is None else title, cameras, background, lookup)
+        look = Look(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
         if isinstance(scene, nerfbake.Stage1 | nerfbake.BakedAtlas):
             if mesh or wish.anew or min_psnr is not None:
                 raise UsageError(

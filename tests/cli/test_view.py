@@ -24,7 +24,7 @@ def scene(tmp_path: Path) -> Path:
 def test_a_page_is_written_and_kept(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "a.npz", "a.html")
     assert done.returncode == 0, done.stderr
-    assert b"<title>a.npz</title>" in (tmp_path / "a.html").read_bytes()
+    assert b"<title>a</title>" in (tmp_path / "a.html").read_bytes()
     assert "predicted on 24 views" in done.stderr.decode()
     assert shell("view", "a.npz", "a.html").returncode == 4
     done = shell("view", "-", "-", "--title", "<b>", stdin=(tmp_path / "a.npz").read_bytes())
@@ -161,7 +161,7 @@ def test_without_out_a_browser_opens_the_page(shell: Shell, tmp_path: Path, monk
     monkeypatch.setenv("BROWSER", f"{sys.executable} browser.py %s")
     done = shell("view", "a.npz", "--data", "exact")
     assert done.returncode == 0, done.stderr
-    assert b"<title>a.npz</title>" in (tmp_path / "opened.html").read_bytes()
+    assert b"<title>a</title>" in (tmp_path / "opened.html").read_bytes()
     assert len(list((tmp_path / "kept").glob("nerfbake-*/page.html"))) == 1
     # What fails leaves nothing behind, and options of a file are refused where there is none.
     assert shell("view", "a.npz", "--min-psnr", "200", "--data", "exact").returncode == 3

@@ -70,3 +70,19 @@ def test_public_jobs_are_there() -> None:
         assert callable(getattr(jobs, name))
     with pytest.raises(AttributeError, match="nonsense"):
         _ = jobs.nonsense
+
+
+def test_a_scene_is_named_by_its_file_without_the_endings() -> None:
+    names = (
+        "a/chair.npz",
+        "chair.svo.pb.zst",
+        "chair.vdb.npz",
+        "CHAIR.SVO.PB",
+        "folder",
+        "x/mesh_stage1",
+        "my.scene.glb",
+        ".npz",
+    )
+    assert [catalog.scene_name(name) for name in names] == [
+        "chair", "chair", "chair", "CHAIR", "folder", "mesh_stage1", "my.scene", ".npz",
+    ]  # fmt: skip

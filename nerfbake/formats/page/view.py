@@ -33,6 +33,7 @@ from nerfbake.formats.page.parts import ball_of, part_of
 from nerfbake.formats.page.triangles import pack_triangles, surface_facts, triangle_facts
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.deflate import deflate_whole, inflate
+from nerfbake.formats.wire.photograph import encode_thumbnail
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -58,6 +59,7 @@ _SCRIPTS = (
     "main.js",
 )
 _SHADERS = ("field.glsl", "march.glsl", "smooth.glsl", "shown.glsl")
+_THUMBNAIL = 200, 64  # of og:image: pixels along an edge, the least that sites ask for, and colours
 _NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera
 
 
@@ -123,13 +125,15 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
         ]
     )
     all_of_it: object = page.field or page.content
+    cover = b"".join(png.encode(page.cover))
     parts = {
         "policy": policy,
         "title": escape(one_line(page.title)),
         "style": style,
         "script": script,
         "shader": "\n".join(map(part_of, _SHADERS)) if page.field else part_of("surface.glsl"),
-        "cover": base64.b64encode(b"".join(png.encode(page.cover))).decode(),
+        "cover": base64.b64encode(cover).decode(),
+        "thumbnail": base64.b64encode(encode_thumbnail(memoryview(cover), *_THUMBNAIL)).decode(),
         "about": escape(f"All of the scene is in this file: {all_of_it}."),
         "facts": json.dumps(facts).replace("<", "\\u003c"),
     }

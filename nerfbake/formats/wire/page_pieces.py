@@ -13,7 +13,7 @@ from html import escape
 from nerfbake.errors import one_line
 from nerfbake.formats.wire.page_style import STYLE
 
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 END = "</main>\n</body>\n</html>\n"
 
 

@@ -43,11 +43,11 @@ def _lies(picture: Image.Image, size: tuple[int, int]) -> bool:
     return picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS
 
 
-def encode_thumbnail(view: memoryview, edge: int) -> bytes:
+def encode_thumbnail(view: memoryview, edge: int, colours: int | None = None) -> bytes:
     """A PNG of at most so many pixels along each edge, of a PNG, a JPEG or the first picture of a GIF; one that is
-    smaller keeps its size. Raises InvalidFile, MemoryLimit.
+    smaller keeps its size. colours: the size of its palette; None: it has none. Raises InvalidFile, MemoryLimit.
     """
     with opened(view, "the picture", "PNG", "JPEG", "GIF", bytes_per_pixel=12) as picture:
         small = picture.convert("RGBA")
         small.thumbnail((edge, edge), Image.Resampling.BOX)
-        return png_of(small)
+        return png_of(small if colours is None else small.quantize(colours, Image.Quantize.FASTOCTREE))

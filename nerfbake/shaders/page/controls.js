@@ -4,6 +4,11 @@ const KEYS = {
   ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
 };
 
+function fullScreen() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else document.documentElement.requestFullscreen?.().catch(() => {});
+}
+
 class Controls {
   constructor(viewer) {
     this.viewer = viewer;
@@ -33,6 +38,7 @@ class Controls {
       viewer.ticket++;
       viewer.state = "lost";
       viewer.busy = null;
+      viewer.reveal(false);
       viewer.say("The graphics were taken away for a moment.");
     });
     canvas.addEventListener("webglcontextrestored", () => viewer.start());
@@ -47,7 +53,7 @@ class Controls {
     element("mode").addEventListener("change", () => viewer.show(element("mode").value));
     element("reset").addEventListener("click", () => viewer.reset());
     element("backdrop").addEventListener("click", () => viewer.nextBackground());
-    element("full").addEventListener("click", () => viewer.fullScreen());
+    element("full").addEventListener("click", () => fullScreen());
     element("about").addEventListener("click", () => element("help").showModal());
     element("full").hidden = !document.documentElement.requestFullscreen;
   }
@@ -82,9 +88,9 @@ class Controls {
     else if (key === "[" || key === "]") viewer.next(key === "[" ? -1 : 1);
     else if (key >= "1" && key <= "5") viewer.show(Object.keys(MODES)[Number(key) - 1]);
     else if (key === "r" || key === "R") viewer.reset();
-    else if (key === "f" || key === "F") viewer.fullScreen();
+    else if (key === "f" || key === "F") fullScreen();
     else if (key === "b" || key === "B") viewer.nextBackground();
-    else if (key === "c" || key === "C") viewer.copy();
+    else if (key === "c" || key === "C") viewer.panel.copy();
     else if (key === "o" || key === "O") viewer.panel.toggle();
     else if (key === "s" || key === "S") viewer.panel.save();
     else if (key === "t" || key === "T") viewer.panel.look(viewer.looks.smoothly ? "nearest" : "trilinear");

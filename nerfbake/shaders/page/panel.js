@@ -23,7 +23,7 @@ class Panel {
     element("whole").addEventListener("click", () => this.restore());
     element("options").addEventListener("click", () => this.toggle());
     element("save").addEventListener("click", () => this.save());
-    element("copy").addEventListener("click", () => viewer.copy());
+    element("copy").addEventListener("click", () => this.copy());
     for (const kind of ["pointermove", "pointerdown"]) canvas.addEventListener(kind, (event) => this.hover(event));
     canvas.addEventListener("pointerleave", () => this.tellDepth(null));
   }
@@ -97,6 +97,20 @@ class Panel {
     const { canvas, scale } = this.viewer, pace = element("pace");
     pace.textContent = `${took.toFixed(0)} ms, ${(1000 / took).toFixed(took > 100 ? 1 : 0)} a second`;
     pace.title = `at ${Math.round(canvas.width * scale)} \u00d7 ${Math.round(canvas.height * scale)} pixels`;
+  }
+
+  // -- the camera as text ------------------------------------------------------------------------------------------
+  async copy() {
+    const { viewer } = this, text = JSON.stringify(viewer.capture(), null, 1);
+    try {
+      await navigator.clipboard.writeText(text);
+      viewer.say("This camera is in the clipboard, as a transforms.json.");
+      setTimeout(() => viewer.say(""), 2500);
+    } catch {
+      element("frame").value = text;
+      element("camera").showModal();
+      element("frame").select();
+    }
   }
 
   // -- the picture as a file -----------------------------------------------------------------------------------------

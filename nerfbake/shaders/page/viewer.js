@@ -25,6 +25,10 @@ class Viewer {
     this.scale = 0.5; // of the pixels along an edge, while the view moves
     this.lines = 64; // in a band, at rest
     this.rest = null; // what is still to be refined
+    this.finished = false; // the picture at rest is complete
+    this.revealed = false; // the canvas is shown: it holds a whole picture of the scene
+    this.last = 0; // when the scene was turned by itself last
+    this.keeping = 0; // the timer that writes the view into the address
     this.busy = null; // what the graphics have not finished
     this.asked = 0; // for a frame
     this.view = 0; // the number of the camera that R leads back to
@@ -125,10 +129,16 @@ class Viewer {
 
   // Something else is to be seen: draws a coarse picture now, a fine one once nothing changes any more.
   change() {
+    this.restart();
+    this.ask();
+  }
+
+  // Bands that were drawn before belong to another picture, so none of them is kept.
+  restart() {
     this.changed = true;
     this.rest = null;
+    this.finished = false;
     this.moved = performance.now();
-    this.ask();
   }
 
   ask() {
@@ -139,6 +149,7 @@ class Viewer {
     this.asked = 0;
     if (this.state !== "ready") return;
     if (this.busy && !this.busy.done()) return this.ask();
+    if (this.busy) this.reveal(true);
     const took = this.busy ? now - this.busy.since : 0, coarse = this.busy?.coarse;
     const factor = FRAME / Math.max(took, 8);
     if (this.busy?.moving) this.panel.pace(took);
@@ -162,19 +173,25 @@ class Viewer {
     if (canvas.width === width && canvas.height === height) return;
     canvas.width = width;
     canvas.height = height;
-    this.changed = true;
-    this.moved = performance.now();
+    this.restart();
   }
 
   drawCoarse(now) {
     const { canvas, scale } = this, width = Math.max(1, Math.round(canvas.width * scale)), height = Math.max(1, Math.round(canvas.height * scale));
     this.changed = false;
-    this.finished = false;
     this.picture.look(this.lens, width, height, this.shown);
     this.picture.draw("coarse", width, height);
     this.picture.spread("coarse");
     this.drawn(now, true);
-    if (!element("cover").className) element("cover").className = "gone";
+  }
+
+  // The still picture stands on the page's own background until the canvas holds a whole picture, and again while the
+  // graphics are lost: an empty canvas is black.
+  reveal(drawn) {
+    if (drawn === this.revealed) return;
+    this.revealed = drawn;
+    this.canvas.classList.toggle("drawn", drawn);
+    element("cover").classList.toggle("gone", drawn);
   }
 
   // A band of lines from the top: all of them with a ray for each pixel, then all with more.
@@ -260,27 +277,9 @@ class Viewer {
     this.showBackground();
   }
 
-  fullScreen() {
-    if (document.fullscreenElement) document.exitFullscreen();
-    else document.documentElement.requestFullscreen?.().catch(() => {});
-  }
-
   // This view alone as a transforms.json, for `nerfbake render --cameras`.
   capture() {
     return this.camera.capture(this.canvas.width, this.canvas.height, this.lens.focal);
-  }
-
-  async copy() {
-    const text = JSON.stringify(this.capture(), null, 1);
-    try {
-      await navigator.clipboard.writeText(text);
-      this.say("This camera is in the clipboard, as a transforms.json.");
-      setTimeout(() => this.say(""), 2500);
-    } catch {
-      element("frame").value = text;
-      element("camera").showModal();
-      element("frame").select();
-    }
   }
 
   // How far away what stands at a place of the page is, in world units; null: nothing.

@@ -98,6 +98,7 @@ def test_the_policy_lets_its_own_script_and_style_run_and_nothing_else(view: Pag
 def test_the_title_is_text(view: Page) -> None:
     page = page_of(view)
     assert "<title>A &lt;page&gt; &amp; more</title>" in page
+    assert '<meta property="og:title" content="A &lt;page&gt; &amp; more">' in page
     assert "<page>" not in page
 
 

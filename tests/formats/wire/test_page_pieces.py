@@ -14,6 +14,7 @@ def test_a_page_forbids_scripts_and_requests() -> None:
     page = beginning("Title") + END
     assert "<title>Title</title>" in page
     assert "default-src 'none'; img-src data:" in page
+    assert "base-uri 'none'; form-action 'none'" in page
     assert "<script" not in page
     assert page.endswith("</html>\n")
 
