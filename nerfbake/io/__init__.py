@@ -30,12 +30,15 @@ from nerfbake.io.sources import blame as blame
 from nerfbake.io.sources import reading_name as reading_name
 from nerfbake.io.streams import print_names as print_names
 from nerfbake.io.streams import print_text as print_text
-from nerfbake.io.targets import rejected_unless_good as rejected_unless_good
 from nerfbake.io.targets import replacing as replacing
 from nerfbake.io.targets import require_absent as require_absent
 from nerfbake.io.targets import require_no_folder as require_no_folder
+from nerfbake.io.targets import require_rejected_absent as require_rejected_absent
 from nerfbake.io.targets import require_room as require_room
+from nerfbake.io.writing import Saved as Saved
 from nerfbake.io.writing import format_for as format_for
 from nerfbake.io.writing import save as save
 from nerfbake.io.writing import save_files as save_files
 from nerfbake.io.writing import save_folder as save_folder
+from nerfbake.io.writing import saving as saving
+from nerfbake.io.writing import saving_folder as saving_folder

@@ -73,38 +73,55 @@ def require_no_folder(target: str | Path, *, force: bool) -> None:
     _require_place(path)
 
 
+def require_rejected_absent(target: str | Path, *, force: bool, folder: bool = False) -> None:
+    """Raises OutputError if TARGET.rejected is there and may not be replaced: asked before the work."""
+    (require_no_folder if folder else require_absent)(_rejected(Path(target)), force=force)
+
+
 @contextmanager
 def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
-    """A file that takes the target's place when the block ends well, and vanishes when it does not.
+    """A file that takes the target's place when the block ends well, and vanishes when it does not."""
+    with replacing_file(target, force=force) as part, open(part, "wb") as file:
+        yield file
 
-    What it replaces keeps its permissions. A pipe or a device is written to: renaming over it would be a disaster.
+
+@contextmanager
+def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
+    """The path of a new, empty file that takes the target's place when the block ends well.
+
+    It becomes TARGET.rejected if the block raises BudgetMissed, and vanishes with every other error. What it replaces
+    keeps its permissions. Where the target is a pipe or a device, the path is its own: renaming over it would be a
+    disaster.
     """
     require_absent(target, force=force)
-    target = Path(os.path.realpath(target))
+    rejected, target = _rejected(target), Path(os.path.realpath(target))
     if target.exists() and not _is_regular(target):
-        with open(target, "wb") as file:
-            yield file
+        yield target
         return
     _sweep(target)
     with _locked_part(target) as part:
         try:
-            with open(part, "wb") as file:
-                yield file
+            yield part
             _keep_mode(part, target)
             part.replace(target)
+        except BudgetMissed:
+            require_absent(rejected, force=force)
+            shutil.move(part, rejected)
+            raise
         finally:
             part.unlink(missing_ok=True)
 
 
 @contextmanager
 def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
-    """A new folder that takes the target's place when the block ends well, and vanishes when it does not.
+    """A new folder that takes the target's place when the block ends well.
 
-    Linux exchanges the two in one step. Elsewhere the old folder is moved aside first; if the process dies just then,
-    the next writer puts it back.
+    It becomes TARGET.rejected if the block raises BudgetMissed, and vanishes with every other error. Linux exchanges
+    the old and the new folder in one step. Elsewhere the old folder is moved aside first; if the process dies just
+    then, the next writer puts it back.
     """
     require_no_folder(target, force=force)
-    target = Path(os.path.realpath(target))
+    rejected, target = _rejected(target), Path(os.path.realpath(target))
     _sweep(target)
     with _locked_part(target, folder=True) as part:
         try:
@@ -118,21 +135,18 @@ def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
                     shutil.rmtree(old, ignore_errors=True)
             else:
                 part.replace(target)
+        except BudgetMissed:
+            require_no_folder(rejected, force=force)
+            if rejected.is_dir():
+                shutil.rmtree(rejected)
+            shutil.move(part, rejected)
+            raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
 
-@contextmanager
-def rejected_unless_good(path: str | Path) -> Iterator[None]:
-    """Moves a file or folder to PATH.rejected if the block finds that it costs too much."""
-    try:
-        yield
-    except BudgetMissed:
-        rejected = Path(f"{Path(path)}.rejected")
-        if Path(path).is_dir() and rejected.is_dir():
-            shutil.rmtree(rejected)  # of the last time; a file would be replaced, too
-        Path(path).replace(rejected)
-        raise
+def _rejected(target: Path) -> Path:
+    return target.with_name(target.name + ".rejected")
 
 
 @contextmanager

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from nerfbake.catalog import (
     COMPRESSED,
@@ -20,7 +21,7 @@ from nerfbake.catalog import (
 from nerfbake.errors import OutputError, UsageError
 from nerfbake.io.sources import STREAM, blame
 from nerfbake.io.streams import write_stdout
-from nerfbake.io.targets import replacing, replacing_folder
+from nerfbake.io.targets import replacing_file, replacing_folder
 
 
 def save(
@@ -45,18 +46,50 @@ def save(
     >>> print(load("small.svo.pb"))
     SH9 octree of 8x8x8, 205 nodes, float32, full
     """
+    if parents and str(target) != STREAM:
+        with blame(str(target), OutputError):
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
+    with saving(target, scene, to=to, force=force, **options) as saved:
+        return saved.size
+
+
+class Saved(NamedTuple):
+    """What is on the disk while it has no name of its own yet.
+
+    path   of the file or folder that takes the target's place when the block ends well
+    sizes  bytes of each file by its name; of a single file its name is ''
+    """
+
+    path: str
+    sizes: dict[str, int]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(self.sizes.values())
+
+
+@contextmanager
+def saving(
+    target: str | Path, scene: object, *, to: str | None = None, force: bool = False, **options: object
+) -> Iterator[Saved]:
+    """save(), with a block that looks at what was written before it takes the target's place.
+
+    If the block raises BudgetMissed, what was written becomes TARGET.rejected and the target stays as it was; with any
+    other error it vanishes.
+    """
     form = format_for(target, type(scene).__name__, to=to)
     form.require_options(options)
     pieces = form.load_module().encode(scene, **options)
     if form.suffix.endswith(COMPRESSED):
         pieces = load_compression().compress(pieces)
     if str(target) == STREAM:
-        return write_stdout(pieces)
-    with blame(str(target), OutputError):
-        if parents:
-            Path(target).parent.mkdir(parents=True, exist_ok=True)
-        with replacing(Path(target), force=force) as file:
-            return _write_all(file, pieces)
+        yield Saved(STREAM, {"": write_stdout(pieces)})
+        return
+    with blame(str(target), OutputError), replacing_file(Path(target), force=force) as path:
+        with open(path, "wb") as file:
+            size = _write_all(file, pieces)
+        yield Saved(str(path), {"": size})
 
 
 def save_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> dict[str, int]:
@@ -65,22 +98,26 @@ def save_folder(target: str | Path, scene: object, *, force: bool = False, **opt
     options are those of the kind of folder. Raises UsageError for one that it does not take. The folder appears whole
     or not at all. With `force` it replaces one that stands there, whatever is in that.
     """
+    with saving_folder(target, scene, force=force, **options) as saved:
+        return saved.sizes
+
+
+@contextmanager
+def saving_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> Iterator[Saved]:
+    """save_folder(), with a block that looks at the folder before it takes the target's place, as saving() has it."""
     kind = folder_to_write(type(scene).__name__)
     kind.require_options(options)
-    return save_files(target, kind.load_module().encode(scene, **options), force=force)
+    files = kind.load_module().encode(scene, **options)
+    with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
+        yield Saved(str(folder), _write_files(folder, files))
 
 
 def save_files(
     target: str | Path, files: Iterable[tuple[str, Iterable[bytes | memoryview]]], *, force: bool = False
 ) -> dict[str, int]:
     """Writes files, of which a name may lead into folders, as a folder, as save_folder() does; gives their sizes."""
-    sizes = {}
     with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
-        for name, pieces in files:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            with open(folder / name, "xb") as file:
-                sizes[name] = _write_all(file, pieces)
-    return sizes
+        return _write_files(folder, files)
 
 
 def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:
@@ -103,6 +140,15 @@ def _format_for(target: str, scene: str, to: str | None) -> Format:
     if target == STREAM:
         raise UsageError("stdout has no ending that names a format; allowed: --to FORMAT")
     return format_of_path(target, scene)
+
+
+def _write_files(folder: Path, files: Iterable[tuple[str, Iterable[bytes | memoryview]]]) -> dict[str, int]:
+    sizes = {}
+    for name, pieces in files:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        with open(folder / name, "xb") as file:
+            sizes[name] = _write_all(file, pieces)
+    return sizes
 
 
 def _write_all(file: IO[bytes], pieces: Iterable[bytes | memoryview]) -> int:

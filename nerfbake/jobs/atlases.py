@@ -38,19 +38,20 @@ def bake_atlas(
     source = source if isinstance(source, Stage1Source) else Stage1Source(str(source))
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
+    budget.require(target)
     stage1 = source.read(steps)
     if budget.min_psnr is not None:
         with source.blamed(steps, "framing"):
             nerfbake.orbit_cameras(stage1)  # raises, before any work is done, where there is no mesh to look at
     with source.blamed(steps, "baking"):
         baked = nerfbake.bake_stage1(stage1, **options)
-    sizes = target.write(steps, baked, up=up)
-    if report is not None:
-        report({**baked.facts, "files": sizes})
-    for error in baked.facts["errors"]:
-        figures = f"MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255"
-        steps.say(f"{target.path}: {baked}, {figures}, {sum(sizes.values()):,} bytes")
-    judge(target.path, stage1, budget, made_from=source.name, steps=steps)
+    with target.writing(steps, baked, up=up) as written:
+        if report is not None:
+            report({**baked.facts, "files": written.sizes})
+        for error in baked.facts["errors"]:
+            figures = f"MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255"
+            steps.say(f"{target.path}: {baked}, {figures}, {written.size:,} bytes")
+        judge(written.path, stage1, budget, made_from=source.name, name=target.path, steps=steps)
     return baked
 
 

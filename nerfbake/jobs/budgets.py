@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import io
-from nerfbake.errors import UsageError
-from nerfbake.jobs.files import Source, Target
+from nerfbake.errors import NerfbakeError, UsageError
+from nerfbake.jobs.files import FolderTarget, Source, Target
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import shown, views_of
 
@@ -28,10 +28,16 @@ class Budget(NamedTuple):
     cameras: str | None = None
     samples: int | None = None
 
-    def require(self, target: Target) -> None:
-        """Raises UsageError, before any work is done, if there would be no file to judge."""
-        if self.min_psnr is not None and target.path == io.STREAM:
+    def require(self, target: Target | FolderTarget) -> None:
+        """Raises, before any work is done, UsageError if there would be no file to judge, and OutputError if
+        OUT.rejected is there and may not be replaced.
+        """
+        if self.min_psnr is None:
+            return
+        if target.path == io.STREAM:
             raise UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
+        folder = isinstance(target, FolderTarget)
+        io.require_rejected_absent(target.path, force=target.force, folder=folder)
 
 
 UNLIMITED = Budget()
@@ -43,16 +49,18 @@ def judge(
     budget: Budget,
     *,
     made_from: str,
+    name: str | None = None,
     up: str = "z",
     read: Callable[[str], Any] = io.load,
     steps: Steps = SILENT,
 ) -> float | None:
     """Renders a file or folder as it was written beside the scene that it was made from: the mean PSNR between them.
 
-    Reads `written` and budget.cameras. Where the budget is missed, `written` is renamed to `written`.rejected and
-    BudgetMissed is raised, exit code 3. Gives None, and reads nothing, where the budget has no limit.
+    Reads `written` and budget.cameras. Raises BudgetMissed, exit code 3, where the budget is missed. Gives None, and
+    reads nothing, where the budget has no limit.
 
-    made_from: what words and errors call the scene. up: the axis of a volume's world that the scene's z became. read:
+    made_from: what words and errors call the scene. name: what they call `written`, which may not have its own name
+    yet; None: its path. up: the axis of a volume's world that the scene's z became. read:
     what makes a scene of `written` again, where that is not io.load().
 
     >>> tree = nerfbake.load("a.npz")
@@ -65,12 +73,16 @@ def judge(
         return None
     seen = shown(steps, scene, made_from)
     views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples)
-    file = Source(written)
-    with file.blamed(steps, "judging"), io.rejected_unless_good(written):
-        with steps.phase(f"reading {written}"):
-            made = read(written)
+    name = written if name is None else name
+    with Source(name).blamed(steps, "judging"):
+        with steps.phase(f"reading {name}"):
+            try:
+                made = read(written)
+            except NerfbakeError as error:
+                error.source = name
+                raise
         found = nerfbake.compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
         found.require(min_psnr=budget.min_psnr)
     decibels = float(found.means["a_b"]["psnr"])
-    steps.say(f"{written}: {decibels:.2f} dB against {made_from}{views.rays_told}")
+    steps.say(f"{name}: {decibels:.2f} dB against {made_from}{views.rays_told}")
     return decibels

@@ -109,9 +109,9 @@ def compress_file(
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, **coding)
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
-    target.write(steps, found.quantised, **coding)
-    steps.say(f"{target.path}: {found}")
-    if report is not None:
-        report(found)
-    judge(target.path, octree, budget, made_from=source.name, steps=steps)
+    with target.writing(steps, found.quantised, **coding) as written:
+        steps.say(f"{target.path}: {found}")
+        if report is not None:
+            report(found)
+        judge(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return found

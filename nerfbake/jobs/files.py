@@ -7,7 +7,7 @@ a file that exists may be replaced.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,9 +106,16 @@ class Target(NamedTuple):
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> None:
         """Options go to the format, but for those that are None."""
-        with steps.phase(f"writing {self.path}"):
-            size = io.save(self.path, scene, to=self.to, force=self.force, **self._given(options))
-        steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {size:,} bytes")
+        with self.writing(steps, scene, **options):
+            pass
+
+    @contextmanager
+    def writing(self, steps: Steps, scene: Any, **options: Any) -> Iterator[io.Saved]:
+        """write(), with a block that judges the file before it takes its name; see io.saving()."""
+        saving = io.saving(self.path, scene, to=self.to, force=self.force, **self._given(options))
+        with _written(steps, self.path, saving) as saved:
+            steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {saved.size:,} bytes")
+            yield saved
 
     def _given(self, options: dict[str, Any]) -> dict[str, Any]:
         own = {"profile": self.profile, "voxel_type": self.voxel_type}
@@ -127,8 +134,23 @@ class FolderTarget(NamedTuple):
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> dict[str, int]:
         """The size in bytes of each file; options go to the format's encode()."""
-        with steps.phase(f"writing {self.path}"):
-            return io.save_folder(self.path, scene, force=self.force, **options)
+        with self.writing(steps, scene, **options) as saved:
+            return saved.sizes
+
+    @contextmanager
+    def writing(self, steps: Steps, scene: Any, **options: Any) -> Iterator[io.Saved]:
+        """Writes a scene, with a block that judges the folder before it takes its name; see io.saving_folder()."""
+        with _written(steps, self.path, io.saving_folder(self.path, scene, force=self.force, **options)) as saved:
+            yield saved
+
+
+@contextmanager
+def _written(steps: Steps, path: str, saving: AbstractContextManager[io.Saved]) -> Iterator[io.Saved]:
+    """The phase ends when everything is on the disk, before the block."""
+    with ExitStack() as stack:
+        with steps.phase(f"writing {path}"):
+            saved = stack.enter_context(saving)
+        yield saved
 
 
 AnySource = Source | str | Path

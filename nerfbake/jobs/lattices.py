@@ -62,6 +62,7 @@ def bake_lattice(
     source = as_source(source)
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
+    budget.require(target)
     scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
     judged = None if budget.min_psnr is None else scene
     with source.blamed(steps, "building the octree"):
@@ -70,14 +71,14 @@ def bake_lattice(
         scene = compact_octree(scene, resolution, sigma_min)
     with source.blamed(steps, "fitting the lattice"):
         lattice = nerfbake.lattice_of_octree(scene, sigma_min=sigma_min, **options)
-    sizes = target.write(steps, lattice, merged=merged)
-    with source.blamed(steps, "measuring what the lattice loses"):
-        # What is not merged comes back as it is here, but dense.
-        written = io.load_folder(target.path, nerfbake.LatticeField) if merged else lattice
-        decibels, apart = _lost(written, nerfbake.field_of_octree(scene))
-    seen = f"{decibels:.1f} dB from the octree's own pictures; colours are {apart:.2g}/255 (RMS) from its own"
-    steps.say(f"{target.path}: {lattice}, {seen}, {sum(sizes.values()):,} bytes")
-    judge(target.path, judged, budget, made_from=source.name, steps=steps)
+    with target.writing(steps, lattice, merged=merged) as written:
+        with source.blamed(steps, "measuring what the lattice loses"):
+            # What is not merged comes back as it is here, but dense.
+            read = io.load_folder(written.path, nerfbake.LatticeField) if merged else lattice
+            decibels, apart = _lost(read, nerfbake.field_of_octree(scene))
+        seen = f"{decibels:.1f} dB from the octree's own pictures; colours are {apart:.2g}/255 (RMS) from its own"
+        steps.say(f"{target.path}: {lattice}, {seen}, {written.size:,} bytes")
+        judge(written.path, judged, budget, made_from=source.name, name=target.path, steps=steps)
     return lattice
 
 

@@ -49,8 +49,8 @@ def bake_octree(
             raise UsageError("a PlenOctree has its own basis and world; allowed: --basis and --scale with a lattice")
         with source.blamed(steps, "building the octree"):
             octree = nerfbake.build_octree(scene, **options)
-    target.write(steps, octree, no_child=no_child)
-    judge(target.path, scene, budget, made_from=source.name, steps=steps)
+    with target.writing(steps, octree, no_child=no_child) as written:
+        judge(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
     return octree
 
 
@@ -78,8 +78,8 @@ def bake_lod(
     octree = source.read(steps, nerfbake.SparseVoxelOctree)
     with source.blamed(steps, f"cutting at level {level}"):
         cut = nerfbake.cut_octree(octree, level=level)
-    target.write(steps, cut, no_child=no_child)
-    judge(target.path, octree, budget, made_from=source.name, steps=steps)
+    with target.writing(steps, cut, no_child=no_child) as written:
+        judge(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return cut
 
 

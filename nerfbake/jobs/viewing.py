@@ -102,8 +102,8 @@ def view_file(
             found = _compressed(steps, source, scene, shown, wish, form)
             steps.say(f"{file.path}: {found}")
             made = shown.page(found.quantised)
-        file.write(steps, made)
-        judge(file.path, shown.field, budget, made_from=source.name, read=_field_of, steps=steps)
+        with file.writing(steps, made) as written:
+            judge(written.path, shown.field, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps)
     return made
 
 

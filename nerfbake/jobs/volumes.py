@@ -59,8 +59,8 @@ def bake_volume(
         volume = nerfbake.build_vdb(scene, grids=wanted, half=half, up=up, sigma_min=sigma_min)
         volume = volume if own else _as_of_a_full_octree(volume)
     tell_of_halves(steps, form, volume)
-    target.write(steps, volume, codec=codec)
-    judge(target.path, judged, budget, made_from=source.name, up=up, steps=steps)
+    with target.writing(steps, volume, codec=codec) as written:
+        judge(written.path, judged, budget, made_from=source.name, name=target.path, up=up, steps=steps)
     return volume
 
 

@@ -165,13 +165,15 @@ def test_an_atlas_that_misses_its_budget_is_kept_as_rejected(
     save(sample / "cameras.json", orbit_cameras(load(sample / "in", Stage1), frames=2, width=40, height=40), force=True)
     arguments = ["atlas", str(sample / "in"), str(tmp_path / "out"), "--clusters", "2", "--map-size", "8"]
     arguments += ["--cameras", str(sample / "cameras.json")]
-    for _ in range(2):  # the second time there is a rejected one already
-        assert run([*arguments, "--min-psnr", "80"]) == 3
+    for force in ([], ["--force"]):  # the second time there is a rejected one already
+        assert run([*arguments, "--min-psnr", "80", *force]) == 3
         last = capsys.readouterr().err.splitlines()[-1]
         assert last.startswith(f"error: {tmp_path}/out: the picture has a mean PSNR of ")
         assert [path.name for path in tmp_path.iterdir()] == ["out.rejected"]
     assert (tmp_path / "out.rejected" / "atlas.json").exists()
-    assert run([*arguments, "--min-psnr", "10"]) == 0
+    assert run([*arguments, "--min-psnr", "10"]) == 4
+    assert f"{tmp_path}/out.rejected: exists already" in capsys.readouterr().err
+    assert run([*arguments, "--min-psnr", "10", "--force"]) == 0
     assert f"dB against {sample}/in" in capsys.readouterr().err
 
 

@@ -49,10 +49,14 @@ def test_without_a_limit_nothing_is_read() -> None:
     assert judge("none", None, Budget(), made_from="none") is None
 
 
-def test_what_is_missed_is_renamed(folder: Path) -> None:
-    with pytest.raises(BudgetMissed, match=r"a\.svo\.pb: the picture has a mean PSNR of"):
-        judge("a.svo.pb", load("a.npz", N3Tree), Budget(200, "cameras.json"), made_from="a.npz")
-    assert sorted(path.name for path in folder.glob("*.svo.pb*")) == ["a.svo.pb.rejected"]
+@pytest.mark.usefixtures("folder")
+def test_a_missed_budget_is_told_with_the_name_that_the_file_will_have() -> None:
+    tree = load("a.npz", N3Tree)
+    with pytest.raises(BudgetMissed, match=r"^b\.svo\.pb: the picture has a mean PSNR of"):
+        judge("a.svo.pb", tree, Budget(200, "cameras.json"), made_from="a.npz", name="b.svo.pb")
+    Path("a.svo.pb").write_bytes(b"broken")
+    with pytest.raises(InvalidFile, match=r"^b\.svo\.pb: "):
+        judge("a.svo.pb", tree, Budget(1), made_from="a.npz", name="b.svo.pb")
 
 
 @pytest.mark.usefixtures("folder")
