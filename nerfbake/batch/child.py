@@ -22,6 +22,7 @@ from nerfbake.errors import one_line
 from nerfbake.io.logs import end_of_log, opened_log
 
 PARENT = "NERFBAKE_BATCH"  # the variable that tells a child whose it is
+_NOT_STARTED = 126  # as a shell says it
 _PSNR = re.compile(r"(-?\d+\.\d+) dB(?:, SSIM [\d.]+)? (?:against|on) ")
 
 
@@ -57,14 +58,17 @@ class Children:
             with self._lock:
                 if self.stopped:
                     return None
-                process = subprocess.Popen(
-                    [*self._command, *argv],
-                    stdin=subprocess.DEVNULL,
-                    stdout=words,
-                    stderr=words,
-                    env=self._variables,
-                    start_new_session=True,
-                )
+                try:
+                    process = subprocess.Popen(
+                        [*self._command, *argv],
+                        stdin=subprocess.DEVNULL,
+                        stdout=words,
+                        stderr=words,
+                        env=self._variables,
+                        start_new_session=True,
+                    )
+                except OSError as error:  # a word that is too long for the system
+                    return Ended(_NOT_STARTED, False, f"cannot be started: {error.strerror}", None, 0.0, 0)
                 self._running.add(process.pid)
             if hasattr(os, "waitid"):  # its number is its own until it is reaped, so that nobody else is ever killed
                 os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)

@@ -14,6 +14,7 @@ from nerfbake.batch.state import DONE
 from nerfbake.batch.tables import as_csv, as_markdown
 from nerfbake.errors import NerfbakeError, OutputError, UsageError
 from nerfbake.io.journal import Journal, read_journal
+from nerfbake.io.own_files import require_no_link
 
 THUMBNAILS, EDGE, BYTES = 48, 192, 2_000_000  # of a page: at most so many pictures, of such edges, of so many bytes
 _NO_PICTURES = (".depth.png", ".alpha.png")
@@ -24,6 +25,7 @@ def save_plan(state: str | Path, items: Sequence[Item]) -> None:
     """Keeps the lines of a whole batch in its state, for whoever judges it when all shards are done."""
     path = Path(state) / "plan.txt"
     text = os.fsencode("".join(f"{item.line}\n" for item in items))
+    require_no_link(path)
     with io.blame(str(path), OutputError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with io.replacing(path, force=True) as file:
@@ -32,7 +34,9 @@ def save_plan(state: str | Path, items: Sequence[Item]) -> None:
 
 def load_plan(state: str | Path) -> str:
     """The lines that save_plan() has kept. Raises NerfbakeError."""
-    return io.load_lines(Path(state) / "plan.txt")
+    path = Path(state) / "plan.txt"
+    require_no_link(path)
+    return io.load_lines(path)
 
 
 def require_report(state: str | Path, path: str | Path | None) -> None:

@@ -92,9 +92,12 @@ def require_apart(items: Sequence[Item], keep: Sequence[str] = ()) -> None:
 
 
 def require_names(item: Item) -> None:
-    """Raises UsageError for a stream, which a batch has not."""
+    """Raises UsageError for a stream, which a batch has not, and for a word that no process can be given."""
     if STREAM in (*item.reads, *item.albums, *item.writes, *item.spare):
         raise UsageError(f"{item.pasteable}: reads or writes a stream; allowed in a batch: files and folders")
+    for word in (*item.argv, *item.reads, *item.albums, *item.writes, *item.spare):
+        if "\0" in word:
+            raise UsageError(f"{word!r} has a NUL; allowed: words and names without one")
 
 
 def _writer_of(path: str, writers: dict[str, int]) -> int | None:

@@ -83,6 +83,8 @@ def _open_at_end(line: str, quote: str) -> tuple[str, bool]:
 
 
 def _split(text: str, place: str) -> list[str]:
+    if "\0" in text:
+        raise _wrong(place, "a NUL")
     try:
         return shlex.split(text)
     except ValueError as error:

@@ -28,6 +28,7 @@ from nerfbake.io.journal import Event, Journal, journals, read_journal
 from nerfbake.io.photographs import is_picture
 
 DONE, FAILED, REJECTED, KILLED, WAITING = "done", "failed", "rejected", "killed", "waiting"
+_MOST = 1 << 62  # of bytes, seconds, or dB
 _INTERRUPTED = "the batch was killed while this ran"
 
 
@@ -70,6 +71,13 @@ class Attempt(NamedTuple):
         """Bytes of its outputs."""
         return sum(output.bytes for output in self.outputs)
 
+    @property
+    def is_possible(self) -> bool:
+        """False for numbers that no attempt can have, though a state file may say so."""
+        numbers = (self.code, self.seconds, self.peak, self.read, self.number, self.at)
+        sizes = (each.bytes for each in self.outputs)
+        return all(0 <= each < _MOST for each in (*numbers, *sizes)) and (self.psnr is None or abs(self.psnr) < _MOST)
+
 
 class Input(NamedTuple):
     """What an item reads, as it is now."""
@@ -80,10 +88,12 @@ class Input(NamedTuple):
 
 
 class Identity(NamedTuple):
-    """An item as its inputs are now."""
+    """An item as its inputs are now, and the paths that it may write."""
 
     id: str
     inputs: tuple[Input, ...]
+    writes: tuple[str, ...] = ()
+    spare: tuple[str, ...] = ()
 
     @property
     def read(self) -> int:
@@ -130,20 +140,28 @@ class State:
                 self._known[_placed(name)] = stamp, digest
             inputs.append(Input(name, stamp, digest))
         told = json.dumps([item.argv, [each.sha256 for each in inputs], nerfbake.__version__])
-        return Identity(hashlib.sha256(told.encode()).hexdigest()[:32], tuple(inputs))
+        return Identity(hashlib.sha256(told.encode()).hexdigest()[:32], tuple(inputs), item.writes, item.spare)
 
     def _digest_known(self, name: str, stamp: Stamp | None) -> str | None:
         known = self._known.get(_placed(name))
         return known[1] if known is not None and known[0] == stamp else None
 
     def last(self, identity: Identity) -> Attempt | None:
-        """What came of it the last time."""
-        return self._last.get(identity.id)
+        """What came of it the last time. Outputs that it could not have written are left out."""
+        attempt = self._last.get(identity.id)
+        if attempt is None:
+            return None
+        own = {*identity.writes, *identity.spare}
+        return attempt._replace(outputs=tuple(each for each in attempt.outputs if each.path in own))
 
     def done(self, identity: Identity, *, verify: bool = False) -> Attempt | None:
-        """The attempt that did it, if all that it wrote is there, as large as it was; verify: and holds the same."""
+        """The attempt that did it, if all that the item writes is there, as large as it was; verify: and holds the
+        same. A record of other outputs counts for nothing: whoever may have written it, no other file is looked at.
+        """
         attempt = self._done.get(identity.id)
-        return attempt if attempt is not None and all(_is_there(each, verify) for each in attempt.outputs) else None
+        if attempt is None or tuple(each.path for each in attempt.outputs) != identity.writes:
+            return None
+        return attempt if all(_is_there(each, verify) for each in attempt.outputs) else None
 
     def may_replace(self, item: Item) -> bool:
         """True if there are outputs of this item, all of which this state has recorded."""
@@ -199,11 +217,13 @@ class State:
             if kind == "run":
                 self.machines.add(_machine(event))
             elif kind == "start":
-                self._keep(event["id"], Attempt(KILLED, 137, _INTERRUPTED, at=float(event["at"])))
-                self._ours.update(map(str, event["claims"]))
+                attempt = Attempt(KILLED, 137, _INTERRUPTED, at=float(event["at"]))
+                if attempt.is_possible:
+                    self._keep(event["id"], attempt)
+                    self._ours.update(map(str, event["claims"]))
             elif kind == "end":
                 self._take_end(event)
-        except (KeyError, TypeError, ValueError, AttributeError):
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             return
 
     def _take_end(self, event: Event) -> None:
@@ -226,6 +246,8 @@ class State:
             int(event["number"]),
             float(event["at"]),
         )
+        if not attempt.is_possible:
+            return
         self._keep(event["id"], attempt)
         if attempt.status == DONE:
             self._done[event["id"]] = attempt

@@ -51,7 +51,7 @@ def runs(function: Command) -> Command:
     @click.option("--fail-fast", is_flag=True, help="Start no more items once one is not done.")
     @click.option("--memory", type=Size(), help="What all running items may take together, as far as that is known.")
     @click.option("--verify", is_flag=True, help="Read inputs and outputs, whatever their sizes and times say.")
-    @click.option("--take-over", is_flag=True, help="Go on where another batch has left its lock behind.")
+    @click.option("--take-over", is_flag=True, help="Take over the lock that a batch on another host left behind.")
     @wraps(function)
     def command(*args: Any, shard: tuple[int, int] | None, **others: Any) -> Any:
         names = ("jobs", "retries", "fail_fast", "memory", "verify", "take_over")

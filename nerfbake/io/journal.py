@@ -11,12 +11,14 @@ import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from nerfbake.errors import OutputError
+from nerfbake.io.own_files import open_own
 from nerfbake.io.sources import blame
 
 Event = dict[str, Any]
+_LONGEST = 16 << 20  # bytes of a line: a command line has at most 2 MiB
 
 
 class Journal:
@@ -26,7 +28,7 @@ class Journal:
         self._name, self._lock = str(path), threading.Lock()
         with blame(self._name, OutputError):
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(path, "a+b", buffering=0)  # noqa: SIM115
+            self._file = open(path, "a+b", buffering=0, opener=open_own)  # noqa: SIM115
             if self._file.seek(0, os.SEEK_END) and not self._ends_a_line():
                 self._file.write(b"\n")
 
@@ -49,16 +51,26 @@ class Journal:
 def read_journal(path: str | Path) -> Iterator[Event]:
     """The lines of a file, one at a time, but for those that are torn; none where there is no file."""
     with blame(str(path)):
-        if not Path(path).exists():
+        if not os.path.lexists(path):
             return
-        with open(path, "rb") as file:
-            for line in file:
+        with open(path, "rb", opener=open_own) as file:
+            for line in _lines(file):
                 try:
                     event = json.loads(line)
                 except (ValueError, RecursionError):
                     continue
                 if isinstance(event, dict):
                     yield event
+
+
+def _lines(file: IO[bytes]) -> Iterator[bytes]:
+    """Lines, without those that are too long to be ours."""
+    whole = True
+    while line := file.readline(_LONGEST):
+        ends = line.endswith(b"\n")
+        if whole and (ends or len(line) < _LONGEST):
+            yield line
+        whole = ends
 
 
 def journals(folder: str | Path, pattern: str) -> list[Path]:

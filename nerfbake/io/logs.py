@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from nerfbake.errors import OutputError
+from nerfbake.io.own_files import open_own, require_no_link
 from nerfbake.io.sources import blame
 
 KEPT = 64 << 10  # bytes of the end
@@ -18,15 +19,17 @@ KEPT = 64 << 10  # bytes of the end
 def opened_log(path: Path) -> Iterator[IO[bytes]]:
     """A new file for a process to print into. Raises OutputError."""
     with blame(str(path), OutputError):
+        require_no_link(path.parent)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "wb", buffering=0) as file:
+        path.unlink(missing_ok=True)  # of a link, what it leads to stays as it is
+        with open(path, "wb", buffering=0, opener=open_own) as file:
             yield file
 
 
 def end_of_log(path: Path) -> str:
     """The last bytes as text; the file is cut down to them. '' where it cannot be read."""
     try:
-        with open(path, "r+b", buffering=0) as file:
+        with open(path, "r+b", buffering=0, opener=open_own) as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - KEPT))
             end = file.read(KEPT)
@@ -34,6 +37,6 @@ def end_of_log(path: Path) -> str:
                 file.seek(0)
                 file.write(end)
                 file.truncate()
-    except OSError:
+    except (OSError, OutputError):
         return ""
     return end.decode(errors="replace")

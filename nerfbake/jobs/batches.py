@@ -153,4 +153,5 @@ def _run(state: State, items: Sequence[Item], run: Run, shard: str, steps: Steps
 
 def _say(steps: Steps, item: Item, attempt: Attempt) -> None:
     if attempt.status != DONE:
-        steps.say(f"{attempt.status} (exit {attempt.code}): {attempt.error}: {item.pasteable}")
+        steps.say(f"{attempt.status} (exit {attempt.code}): {attempt.error}")
+        steps.say(item.pasteable)

@@ -15,6 +15,7 @@ import pytest
 from nerfbake.batch import crew
 from nerfbake.batch.items import Item
 from nerfbake.batch.room import Room
+from nerfbake.batch.state import State
 from nerfbake.errors import OutputError, UsageError
 from nerfbake.jobs import Batch, Run, run_batch
 
@@ -258,3 +259,38 @@ def test_a_shard_that_there_is_not_is_refused(folder: Path) -> None:
         run([item("fine")], shard=(3, 3))
     with pytest.raises(UsageError, match="allowed: 1 or more"):
         run([item("fine")], jobs=0)
+
+
+def test_a_word_too_long_for_the_system_costs_its_item_alone(folder: Path) -> None:
+    items = [item("fine", "a"), item("fine", "b")]
+    batch = run([items[0]._replace(argv=(*items[0].argv, "x" * (1 << 18))), items[1]])
+    assert batch.rows[0].attempt is not None
+    assert batch.rows[0].attempt.code == 126
+    assert batch.rows[0].attempt.error == "cannot be started: Argument list too long"
+    assert statuses(batch) == ["failed", "done"]
+
+
+def test_a_word_with_a_nul_is_refused_before_anything_runs(folder: Path) -> None:
+    with pytest.raises(UsageError, match="has a NUL; allowed: words and names without one"):
+        run([item("fine", "a"), Item(("info", "a\0b"))])
+    assert not Path("run").exists()
+
+
+@pytest.mark.parametrize("place", ["log/ID", "log", "items.0-of-1.jsonl", "plan.txt", "lock.0-of-1", "reports.jsonl"])
+def test_a_link_in_the_state_folder_is_not_followed(folder: Path, place: str) -> None:
+    """Nothing outside the folder is written, whatever somebody has put into it."""
+    outside = folder / "outside"
+    outside.mkdir()
+    (outside / "mine").write_text("mine")
+    what = item("fine")
+    state = State("run")
+    link = Path("run") / place.replace("ID", state.identify(what).id)
+    link.parent.mkdir(parents=True)
+    link.symlink_to(outside if place == "log" else outside / "mine")
+    if place == "log/ID":
+        assert run([what]).exit_code == 0
+        assert not link.is_symlink()
+    else:
+        with pytest.raises(OutputError, match="is a symbolic link; allowed"):
+            run([what], report_to="report.md")
+    assert {path.name: path.read_text() for path in outside.iterdir()} == {"mine": "mine"}

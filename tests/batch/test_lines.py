@@ -70,3 +70,9 @@ def test_a_line_without_an_end_is_told_where_it_begins(text: str) -> None:
 def test_a_command_can_be_pasted_whatever_its_names_hold() -> None:
     assert Item(("svo", "a b", "it's")).pasteable == "nerfbake svo 'a b' 'it'\"'\"'s'"
     assert Item(("svo", "a\n'\\\udcff")).pasteable == r"nerfbake svo $'a\x0a\x27\x5c\xff'"
+
+
+@pytest.mark.parametrize("text", ["svo a b\nsvo a\0 b\n", "svo a b\nsvo 'a\n\0'\n"])
+def test_a_nul_is_told_with_the_number_of_its_line(text: str) -> None:
+    with pytest.raises(UsageError, match=r"^jobs.txt, line 2 has a NUL; allowed: a command line"):
+        list(parse_lines(text, "jobs.txt"))

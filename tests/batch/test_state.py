@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import Any
 import pytest
 
 from nerfbake.batch.items import Item
-from nerfbake.batch.state import DONE, FAILED, KILLED, Attempt, Identity, State, outputs_of
+from nerfbake.batch.state import DONE, FAILED, KILLED, REJECTED, Attempt, Identity, State, outputs_of
+from nerfbake.io.digests import stamp_of
 
 MACHINE = {"machine": "m", "python": "3", "nerfbake": "0"}
 ITEM = Item(("svo", "a", "b"), reads=("a",), writes=("b",))
@@ -165,6 +167,8 @@ def test_the_latest_attempt_counts_whichever_file_it_is_in(state: State) -> None
         b'{"event":"start","id":"x","at":"soon","claims":[]}\n',
         b'{"event":"start","id":{},"at":1,"claims":[]}\n',
         b'{"event":"end","id":"x","status":"done","outputs":[{"path":1}],"inputs":7}\n',
+        b'{"event":"start","id":"x","at":1e999,"claims":["a"]}\n',
+        b'{"event":"start","id":"x","at":1' + b"0" * 400 + b',"claims":["a"]}\n',
     ],
 )
 def test_lines_that_are_not_ours_count_for_nothing(line: bytes, state: State) -> None:
@@ -176,3 +180,43 @@ def test_lines_that_are_not_ours_count_for_nothing(line: bytes, state: State) ->
         assert again.done(identity) is not None
         do(again, Item(("svo", "a", "c"), reads=("a",), writes=("c",)))
     assert State("run").may_replace(Item((), writes=("c",)))  # what comes behind a torn line is read
+
+
+def test_numbers_that_no_attempt_can_have_count_for_nothing(state: State) -> None:
+    identity = do(state)
+    with open("run/items.0-of-1.jsonl") as file:
+        end = json.loads(file.readlines()[-1])
+    for name, value in (("peak", -1), ("peak", 1e999), ("seconds", float("nan")), ("psnr", 1e999), ("code", -(10**30))):
+        with open("run/items.9-of-10.jsonl", "w") as file:
+            file.write(json.dumps(end | {"at": 9, name: value}) + "\n")
+        last = State("run").last(identity)
+        assert last is not None
+        assert last.at == 2.0
+
+
+def test_outputs_that_the_item_does_not_write_are_neither_read_nor_taken_for_its_own(
+    state: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A state folder may come from anybody: what it names is looked at only where this batch writes, too."""
+    Path("secret.png").write_text("output")
+    identity = do(state, item := ITEM._replace(spare=("b.rejected",)), status=REJECTED)
+    with open("run/items.0-of-1.jsonl") as file:
+        end = json.loads(file.readlines()[-1])
+    (stolen,) = outputs_of(["secret.png"])
+    looked: list[str] = []
+
+    def watched(path: str, *more: object) -> object:
+        looked.append(str(path))
+        return stamp_of(path)
+
+    monkeypatch.setattr("nerfbake.batch.state.stamp_of", watched)
+    for status in (DONE, REJECTED):
+        with open("run/items.9-of-10.jsonl", "w") as file:
+            file.write(json.dumps(end | {"at": 9, "status": status, "outputs": [stolen._asdict()]}) + "\n")
+        found = State("run")
+        assert found.done(identity, verify=True) is None
+        last = found.last(identity)
+        assert last is not None
+        assert (last.status, last.outputs) == (status, ())
+        found.identify(item)
+    assert "secret.png" not in looked
