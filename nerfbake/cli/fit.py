@@ -148,6 +148,11 @@ def takes_recipe(function: Command) -> Command:
 @takes_recipe
 @takes_album
 @click.option(
+    "--dtype",
+    type=click.Choice(["float16", "float32"]),
+    help="Type of the values of a PlenOctree.  [default: float16]",
+)
+@click.option(
     "--state",
     metavar="DIR",
     type=Keeps(),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 import nerfbake
 from nerfbake import catalog, io
@@ -24,7 +24,19 @@ if TYPE_CHECKING:
     from nerfbake.scene.schedule import Schedule
     from nerfbake.stages.views_to_error import ViewError
 
+Dtype = Literal["float16", "float32"]
 _GRIDS = ("index",)  # all values in one grid: nothing is lost
+
+
+def _tree(field: nerfbake.BrickField, dtype: Dtype | None) -> nerfbake.N3Tree:
+    """A PlenOctree in this type; None: float16 where it can hold every value."""
+    if dtype is None:
+        from nerfbake.stages._half import LARGEST  # here, since the help loads no arrays
+
+        values = field.values
+        fits = not values.size or max(values.max(), -values.min()) <= LARGEST
+        dtype = "float16" if fits else "float32"
+    return nerfbake.n3tree_of_bricks(field, dtype=dtype)
 
 
 def _compressed(field: nerfbake.BrickField, target: Target, tell: Tell) -> nerfbake.QuantisedOctree:
@@ -39,8 +51,9 @@ _WAYS: dict[str, Callable[[nerfbake.BrickField, Target, Tell], Any]] = {
     "SparseVoxelOctree": lambda field, target, tell: nerfbake.octree_of_bricks(field),
     "QuantisedOctree": _compressed,
     "Volume": lambda field, target, tell: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
-    "N3Tree": lambda field, target, tell: nerfbake.n3tree_of_bricks(field),
+    "N3Tree": lambda field, target, tell: _tree(field, None),
 }
+_TREE_OPTIONS = {"packing": "deflated"}  # of a PlenOctree's file: as svox writes it
 PRESET = "balanced"
 FITTED = tuple(_WAYS)
 
@@ -130,6 +143,7 @@ def fit_file(
     *,
     album: Album = ALL,
     recipe: Recipe = BALANCED,
+    dtype: Dtype | None = None,
     state: str | None = None,
     steps: Steps = SILENT,
     report: Callable[[Fitted], None] | None = None,
@@ -140,6 +154,8 @@ def fit_file(
     checkpoints in the folder `state`. A run that was killed goes on from there, to the same bytes. Ctrl-C writes what
     there is as `target`.partial and raises Stopped, exit code 130. report gets what is returned. Raises NerfbakeError.
 
+    dtype: of a PlenOctree's values; None: float16, or float32 where a value is too large for float16.
+
     >>> fitted = fit_file("photographs", "fitted.npz", recipe=Recipe(preset="fast", resolution=32, basis="SH1"))
     >>> fitted.psnr > 15
     True
@@ -148,6 +164,8 @@ def fit_file(
     album.require()
     recipe.schedule()  # what contradicts itself is told before any picture is read
     kind = _require(target)
+    if dtype is not None and kind != "N3Tree":
+        raise UsageError(f"--dtype has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
     posed = read_photographs(steps, source, album)
@@ -159,11 +177,11 @@ def fit_file(
     with _interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = _WAYS[kind](field, target, tell)
+            scene = _WAYS[kind](field, target, tell) if dtype is None else _tree(field, dtype)
         del field, posed
         if asked:
             _write_partial(steps, target, kind, scene, state)
-        target.write(steps, scene)
+        target.write(steps, scene, **_options(kind))
     if asked:
         raise Stopped(f"stopped before it was judged: {target.path} is whole")
     del scene
@@ -171,6 +189,11 @@ def fit_file(
     if report is not None:
         report(fitted)
     return fitted
+
+
+def _options(kind: str) -> dict[str, str]:
+    """Of the file's format."""
+    return _TREE_OPTIONS if kind == "N3Tree" else {}
 
 
 def _require(target: Target) -> str:
@@ -239,7 +262,7 @@ def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: s
     """Writes what there is beside where it should have been, and raises Stopped."""
     ending = io.format_for(target.path, kind, to=target.to).name
     partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
-    partial.write(steps, scene)
+    partial.write(steps, scene, **_options(kind))
     goes_on = f"; the same command goes on from {state}" if state else ""
     raise Stopped(f"stopped before it was done: {partial.path} has what there was{goes_on}")
 

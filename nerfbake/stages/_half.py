@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 
-_LARGEST = 65504.0
+LARGEST = 65504.0  # that float16 can hold
 
 
 def rounded(values: npt.NDArray[Any], dtype: np.dtype[Any], *, what: str, asked: str) -> npt.NDArray[Any]:
@@ -17,6 +17,6 @@ def rounded(values: npt.NDArray[Any], dtype: np.dtype[Any], *, what: str, asked:
     who `asked` for float16."""
     if dtype == np.float16 and values.dtype != np.float16 and values.size:
         largest = float(np.abs(values).max())
-        if largest > _LARGEST:
-            raise InvalidScene(Problem(what, f"holds {largest:g}", f"up to {_LARGEST:g} for {asked}"))
+        if largest > LARGEST:
+            raise InvalidScene(Problem(what, f"holds {largest:g}", f"up to {LARGEST:g} for {asked}"))
     return values.astype(dtype, copy=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import zipfile
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -46,6 +47,25 @@ def test_the_file_is_judged_as_anybody_would_read_it(capture: Path, listener: Li
     assert fitted.bytes == Path("a.npz").stat().st_size
     assert listener.said[-1].startswith(f"a.npz: {fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on 4 pictures")
     assert "2x2 rays a pixel" in listener.said[-1]
+
+
+@pytest.mark.usefixtures("trainer")
+def test_a_plenoctree_is_written_as_svox_writes_it(capture: Path) -> None:
+    half, full = fit_file(capture, "half.npz"), fit_file(capture, "full.npz", dtype="float32")
+    assert [load(name, N3Tree).data.dtype for name in ("half.npz", "full.npz")] == [np.float16, np.float32]
+    assert half.psnr == pytest.approx(full.psnr, abs=0.01)
+    assert half.bytes < full.bytes
+    with zipfile.ZipFile("half.npz") as archive:
+        assert {member.compress_type for member in archive.infolist()} == {zipfile.ZIP_DEFLATED}
+    with pytest.raises(UsageError, match=r"--dtype has no effect on a\.svo\.pb; allowed: with a PlenOctree"):
+        fit_file(capture, "a.svo.pb", dtype="float32")
+
+
+@pytest.mark.usefixtures("trainer")
+def test_values_that_float16_cannot_hold_stay_float32(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.stages._half.LARGEST", 1e-3)
+    fit_file(capture, "a.npz")
+    assert load("a.npz", N3Tree).data.dtype == np.float32
 
 
 @pytest.mark.usefixtures("trainer")
@@ -205,7 +225,7 @@ def test_ctrl_c_writes_what_there_is(trainer: FakeFit, capture: Path, listener: 
     ("slow", "said", "left"),
     [
         ("nerfbake.n3tree_of_bricks", r"before it was done: a\.npz\.partial has what there was", "a.npz.partial"),
-        ("nerfbake.io.save", r"before it was judged: a\.npz is whole", "a.npz"),
+        ("nerfbake.io.saving", r"before it was judged: a\.npz is whole", "a.npz"),
     ],
 )
 def test_ctrl_c_loses_nothing_while_what_was_fitted_is_made_and_written(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -63,8 +63,11 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
     )
 
 
-def encode(tree: N3Tree) -> Iterator[bytes | memoryview]:
-    """The archive as svox writes it, stored; `quantised` and `legacy` trees become plain ones."""
+def encode(tree: N3Tree, *, packing: Literal["stored", "deflated"] = "stored") -> Iterator[bytes | memoryview]:
+    """The archive as svox writes it; `quantised` and `legacy` trees become plain ones.
+
+    packing: deflated is what svox itself writes; stored is larger, and faster to write and to read.
+    """
     parent_depth = np.zeros((tree.n, 2), np.int32)
     for depth, (rows, cells) in enumerate(zip(tree.levels, tree.parent_cells, strict=True)):
         parent_depth[rows, 0] = np.maximum(cells, 0)
@@ -84,7 +87,7 @@ def encode(tree: N3Tree) -> Iterator[bytes | memoryview]:
     }
     if tree.extra_data is not None:
         arrays["extra_data"] = tree.extra_data
-    yield from write_npz(arrays)
+    yield from write_npz(arrays, deflated=packing == "deflated")
 
 
 def _guess(data_dim: int) -> str:

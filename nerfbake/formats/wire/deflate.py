@@ -45,6 +45,12 @@ def deflate_all(pieces: Iterable[bytes | memoryview]) -> bytes:
     return b"".join([*packed, packer.flush()])
 
 
+def deflate_raw(pieces: Iterable[bytes | memoryview]) -> list[bytes]:
+    """One stream of all the pieces without zlib's header and checksum, as archives hold it."""
+    packer = zlib_ng.compressobj(LEVEL, wbits=-15)
+    return [*(packer.compress(piece) for piece in pieces), packer.flush()]
+
+
 def inflate(packed: memoryview, size: int, what: str) -> bytes | bytearray:
     """The `size` bytes of a zlib stream. Raises InvalidFile if it holds fewer or more, or is damaged."""
     if size > MAX_INFLATION * len(packed) + 64:
