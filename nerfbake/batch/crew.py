@@ -19,6 +19,7 @@ from nerfbake.errors import BudgetMissed, OutputError
 from nerfbake.io.journal import Event
 
 PATIENCE = 10.0  # seconds between SIGTERM and SIGKILL
+_POLL = 0.2  # seconds: a signal that arrives just before a wait begins does not end that wait
 _AGAIN = {OutputError.exit_code}  # beside what was killed: a full disk may have room again
 
 
@@ -66,10 +67,11 @@ class Crew:
             left, deadline, fault = len(work), 0.0, None
             while left:
                 try:
-                    event = self._events.get(timeout=max(0.0, deadline - time.monotonic()) if deadline else None)
+                    event = self._events.get(timeout=_POLL)
                 except Empty:
-                    self._children.stop(signal.SIGKILL)
-                    deadline = 0.0
+                    if deadline and time.monotonic() >= deadline:
+                        self._children.stop(signal.SIGKILL)
+                        deadline = 0.0
                     continue
                 if event is None:
                     left -= 1
