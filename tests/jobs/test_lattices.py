@@ -95,7 +95,7 @@ def test_pictures_are_the_lattices_own_and_with_a_mesh_the_octrees() -> None:
 
 
 def test_a_page_of_it_is_a_page_of_its_octree() -> None:
-    assert jobs.view_file("ckpt.npz", "a.html", data="exact").title == "ckpt.npz"
+    assert jobs.view_file("ckpt.npz", "a.html", data="exact").title == "ckpt"
 
 
 def test_an_octree_becomes_a_folder_whose_loss_is_told(tmp_path: Path) -> None:
