@@ -73,7 +73,9 @@ from nerfbake.jobs.files import FolderTarget, Stage1Source
 @as_json
 @speaks
 def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, words: Words, **options: Any) -> None:
-    """Bake the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, as OUT_DIR.
+    """Bake nerf2mesh highlights into octahedral maps.
+
+    Bakes the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, and writes them to OUT_DIR.
 
     \b
       nerfbake atlas mesh_stage1 atlas --clusters 256 --min-psnr 40

@@ -42,7 +42,9 @@ from nerfbake.jobs.atlases import measure_atlas
 @as_json
 @speaks
 def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options: Any) -> None:
-    """Print the mean absolute and squared error (0..255) of the atlas OUT_DIR against the MLP of STAGE1_DIR.
+    """Measure an atlas against the MLP that it replaces.
+
+    Prints the mean absolute and squared error (0..255) of the atlas OUT_DIR against the MLP of STAGE1_DIR.
 
     Over every used texel, direction and channel; OUT_DIR may also be what the K-means thesis' own code wrote.
 

@@ -103,7 +103,9 @@ def batch(
     as_json: bool,
     words: Words,
 ) -> int:
-    """Run a command for each of INPUTS, or the lines of --jobs-file: each in a process of its own, and none twice.
+    """Run a command for many files, and resume.
+
+    Runs TEMPLATE for each of INPUTS, or each line of --jobs-file, in a process of its own, and none twice.
 
     In TEMPLATE {in} is the input, {name} its last part, {stem} this without its ending, {dir} the folder it is in. What
     is done stands in the folder --state: the same command goes on where it was stopped, and tries again what failed.

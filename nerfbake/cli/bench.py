@@ -20,7 +20,7 @@ from nerfbake.jobs.views import read_cameras
 
 @click.group()
 def bench() -> None:
-    """Measure formats, atlases, reads, frames and pages on your own scene and machine."""
+    """Measure speed and size on your own files."""
 
 
 @bench.command()
@@ -45,7 +45,9 @@ def formats(
     destination: Destination,
     words: Words,
 ) -> None:
-    """Write each SCENE in every octree format, read it again, and report sizes and times.
+    """Measure size and speed of octree formats.
+
+    Writes each SCENE in every octree format, reads it again, and reports sizes and times.
 
     \b
       nerfbake bench formats chair.npz --resolution 128
@@ -69,7 +71,9 @@ def formats(
 @max_memory
 @speaks
 def atlas(folder: str, rounds: int, destination: Destination, words: Words) -> None:
-    """Bake STAGE1_DIR with every method in many sizes, beside table 2 of the K-means thesis and scikit-learn.
+    """Measure error and time of atlas methods.
+
+    Bakes STAGE1_DIR with every method in many sizes, beside table 2 of the K-means thesis and scikit-learn.
 
     \b
       nerfbake bench atlas mesh_stage1 --plot error.svg
@@ -98,7 +102,9 @@ def access(
     destination: Destination,
     words: Words,
 ) -> None:
-    """Time trilinear reads of IN as a dense array, an octree and a VDB, beside NanoVDB and Warp (PlenVDB's table 3).
+    """Measure trilinear reads of a volume.
+
+    Times reads of IN as a dense array, an octree and a VDB, beside NanoVDB and Warp (PlenVDB's table 3).
 
     \b
       nerfbake bench access chair.npz --plot access.svg
@@ -127,7 +133,9 @@ def access(
 @reports(rounds=3, chart="time a frame against memory")
 @speaks
 def render(source: Source, cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
-    """Time frames of the PlenOctree or octree IN in every structure that it can become, at 400x400 and 800x800.
+    """Measure frames of a scene in every structure.
+
+    Times frames of the PlenOctree or octree IN in every structure that it can become, at 400x400 and 800x800.
 
     \b
       nerfbake bench render chair.npz --cameras transforms.json --plot frames.svg
@@ -167,7 +175,9 @@ def render(source: Source, cameras: str | None, rounds: int, destination: Destin
 def fit(
     source: str, fits: str, resolution: int, samples: int, rounds: int, destination: Destination, words: Words
 ) -> None:
-    """Fit the photographs of SOURCE: PSNR over time, and the field as grids of its own, merged and in halves.
+    """Measure the quality of a fit over time.
+
+    Fits the photographs of SOURCE: PSNR over time, and the field as grids of its own, merged and in float16.
 
     \b
       nerfbake bench fit capture --plot curve.svg
@@ -201,7 +211,9 @@ def fit(
 @max_memory
 @speaks
 def view(scenes: tuple[str, ...], cameras: str | None, rounds: int, destination: Destination, words: Words) -> None:
-    """Time frames of each SCENE in a headless Chromium at 400x400. Playwright drives the browser.
+    """Measure frames of pages in a browser.
+
+    Times frames of each SCENE in a headless Chromium at 400x400, which Playwright drives.
 
     A PlenOctree or an octree: as `nerfbake view` shows it, and as an octree whose shader goes down from the root. A
     stage-1 folder of nerf2mesh: the MLP with its weights in textures and as constants, and an atlas of each method.
@@ -241,8 +253,10 @@ def compress(
     destination: Destination,
     words: Words,
 ) -> None:
-    """Draw the rate-distortion curve of `nerfbake compress` for the PlenOctree or octree IN, beside what general
-    compressors, palettes and PlenOctrees' median cut make of it.
+    """Measure size against loss of compression.
+
+    Draws the rate-distortion curve of `nerfbake compress` for the PlenOctree or octree IN, beside general compressors,
+    palettes and PlenOctrees' median cut.
 
     \b
       nerfbake bench compress chair.npz --plot curve.svg

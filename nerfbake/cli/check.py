@@ -17,7 +17,9 @@ from nerfbake.jobs.files import Source
 @as_json
 @speaks
 def check(source: Source, as_json: bool, words: Words) -> int:
-    """Print everything that is wrong with IN, one line each; exit with 1 if anything is.
+    """Check a file for errors.
+
+    Prints everything that is wrong with IN, one line each. The exit code is 1 if anything is.
 
     \b
       nerfbake check chair.npz && nerfbake svo chair.npz chair.svo.pb

@@ -76,7 +76,9 @@ def writes_pages(function: Command) -> Command:
 @as_json
 @speaks
 def compare(source: Source, other: str, as_json: bool, words: Words, **options: Any) -> None:
-    """Render the scenes IN and IN2 with the same cameras and print how far they are apart.
+    """Measure how different two scenes look.
+
+    Renders IN and IN2 with the same cameras and prints how far their pictures are apart.
 
     Scenes are files of fields or meshes, and the folders of nerf2mesh's stage 1 and of its atlases.
 

@@ -96,7 +96,9 @@ def measures(function: Command) -> Command:
 @as_json
 @speaks
 def compress(source: Source, target: Target, as_json: bool, words: Words, **options: Any) -> None:
-    """Compress the PlenOctree or octree IN to OUT, as small as a loss of quality allows.
+    """Compress a scene with little loss.
+
+    Compresses the PlenOctree or octree IN to OUT, as small as the allowed loss of quality permits.
 
     \b
       nerfbake compress chair.npz chair.svoq

@@ -26,7 +26,9 @@ from nerfbake.jobs.files import Source, Target
 @click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
 @speaks
 def convert(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Write the octree IN as OUT, in another format or layout; or the volume IN as .vdb, .nvdb or .vdb.npz. No loss.
+    """Convert between formats without loss.
+
+    Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz.
 
     A volume becomes an octree where `nerfbake vdb` wrote it with the grids `index` or `density,sh`; of any other fog
     the octree has the density alone.

@@ -163,7 +163,9 @@ def takes_recipe(function: Command) -> Command:
 @as_json
 @speaks
 def fit(source: str, target: Target, plot: str | None, as_json: bool, words: Words, **options: Any) -> None:
-    """Fit a sparse field to the photographs of SOURCE, and write it as OUT: a PlenOctree, an octree, or a volume.
+    """Fit a scene to photographs.
+
+    The photographs of SOURCE, and the cameras that took them, become OUT: a PlenOctree, an octree or a volume.
 
     \b
       nerfbake fit capture chair.npz

@@ -29,8 +29,10 @@ from nerfbake.jobs.hulls import LEVEL, bake_hull
 )
 @speaks
 def hull(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Write OUT, a mesh of boxes around all that can be seen of the PlenOctree, octree or volume IN: an engine draws
-    it, and marches the field's rays inside it.
+    """Make a tight mesh around a scene, for engines.
+
+    Writes OUT, a mesh of boxes around everything that can be seen of the PlenOctree, octree or volume IN. An engine
+    draws it, and marches the field's rays inside it.
 
     \b
       nerfbake hull chair.npz hull.glb

@@ -20,7 +20,9 @@ from nerfbake.jobs.files import Source
 @as_json
 @speaks
 def info(source: Source, as_json: bool, words: Words) -> None:
-    """Print what IN is: kind, basis, resolution, nodes and leaves by level, world box, value ranges, sizes.
+    """Describe a file or folder.
+
+    Prints kind, basis, resolution, nodes and leaves by level, world box, value ranges and sizes of IN.
 
     For a stage-1 folder of nerf2mesh or an atlas it prints textures, MLP, maps, clusters and errors. For cameras it
     prints their dialect, number, picture sizes, focal lengths, lenses, places and the axis that points up. For

@@ -35,7 +35,9 @@ from nerfbake.jobs.lattices import FINEST, bake_lattice
 @judges
 @speaks
 def lattice(source: Source, target: str, force: bool, words: Words, **options: Any) -> None:
-    """Write the PlenOctree or octree IN as a lattice with an MLP, the folder OUT_DIR, as PlenVDB trains and shows it.
+    """Convert a PlenOctree or octree to PlenVDB's folder.
+
+    OUT_DIR holds a lattice with an MLP, as PlenVDB trains and shows it.
 
     \b
       nerfbake lattice chair.npz chair_plenvdb

@@ -21,7 +21,9 @@ from nerfbake.jobs.octrees import bake_lod
 @judges
 @speaks
 def lod(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Write the octree IN down to a level as OUT; what is cut off is shown by its mean.
+    """Cut an octree at a coarser level of detail.
+
+    Writes the levels of IN down to --level as OUT. A node there has the mean of what was below it.
 
     \b
       nerfbake lod chair.svo.pb chair_lod.svo.pb --level 6

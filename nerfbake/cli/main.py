@@ -40,20 +40,37 @@ from nerfbake.cli.view import view
 from nerfbake.errors import NerfbakeError, OutputError, PipeClosed, one_line
 
 OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
+_SUMMARY = 50  # characters of a command's summary, so that none is cut at 80 columns
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
-class InOrder(click.Group):
-    """Lists the commands in the order in which people meet them."""
+GROUPS = {
+    "Make": (fit, refit, sample),
+    "Convert": (svo, vdb, lattice, atlas, convert, compress, lod, hull, shaders),
+    "Look": (view, render, info),
+    "Judge": (compare, check, atlas_error, bench),
+    "Run many": (batch,),
+}
+
+
+class Grouped(click.Group):
+    """Lists the commands under the headings of GROUPS."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        width = max(map(len, self.commands))
+        for title, commands in GROUPS.items():
+            rows = [(f"{command.name:{width}}", command.get_short_help_str(_SUMMARY + 1)) for command in commands]
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
-@click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+@click.group(cls=Grouped, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(nerfbake.__version__, prog_name="nerfbake")
 def cli() -> None:
-    """Bake trained radiance fields into what engines, DCC tools, web pages and shaders can use.
+    """Turn photographs and trained radiance fields into octrees, volumes, web pages and shaders.
 
     Formats follow the files' endings; '-' is stdin or stdout. Data are written to stdout, messages to stderr.
 
@@ -69,29 +86,9 @@ def cli() -> None:
     """
 
 
-for command in (
-    fit,
-    svo,
-    vdb,
-    lattice,
-    atlas,
-    atlas_error,
-    convert,
-    compress,
-    lod,
-    refit,
-    render,
-    view,
-    hull,
-    compare,
-    info,
-    check,
-    shaders,
-    sample,
-    batch,
-    bench,
-):
-    cli.add_command(command)
+for commands in GROUPS.values():
+    for command in commands:
+        cli.add_command(command)
 
 
 def main() -> NoReturn:

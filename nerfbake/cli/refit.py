@@ -81,7 +81,9 @@ def refit(
     words: Words,
     **options: Any,
 ) -> None:
-    """Fit the octree or PlenOctree IN to a finer scene or to photographs, and write it with the same nodes as OUT.
+    """Make a coarse scene look like a finer one.
+
+    Fits the values of the octree or PlenOctree IN to a finer scene or to photographs. OUT has the same nodes.
 
     \b
       nerfbake refit chair_128.svo.pb chair_better.svo.pb --like chair.npz

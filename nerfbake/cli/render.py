@@ -164,7 +164,9 @@ def places_mesh(function: Command) -> Command:
 @chooses_grids
 @speaks
 def render(source: Source, pictures: Pictures, shots: Shots, words: Words, **options: Any) -> None:
-    """Render the PlenOctree, octree or volume IN as PNG, or as a moving GIF. A density without colours is grey.
+    """Render pictures or a turntable.
+
+    Renders the PlenOctree, octree or volume IN as PNG, or as a moving GIF. A density without colours is grey.
 
     \b
       nerfbake render chair.npz --out chair.png

@@ -15,7 +15,7 @@ from nerfbake.jobs.samples import write_sample_capture, write_sample_n3tree, wri
 
 @click.group()
 def sample() -> None:
-    """Write a synthetic scene, to try things out without a download."""
+    """Write a synthetic scene to try things with."""
 
 
 @sample.command()
@@ -32,7 +32,9 @@ def sample() -> None:
 @max_memory
 @speaks
 def octree(target: Target, words: Words, **options: Any) -> None:
-    """Write a PlenOctree (svox .npz) of shiny shapes, with leaves at several depths, as OUT.
+    """Write a PlenOctree of shiny shapes.
+
+    OUT is a svox .npz with leaves at several depths.
 
     \b
       nerfbake sample octree sample.npz --resolution 256
@@ -48,7 +50,9 @@ def octree(target: Target, words: Words, **options: Any) -> None:
 @max_memory
 @speaks
 def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
-    """Write a nerf2mesh stage-1 folder of a glossy torus as OUT_DIR: mesh, textures, and an MLP fitted to its look.
+    """Write a nerf2mesh folder of a glossy torus.
+
+    OUT_DIR holds a mesh, textures, and an MLP that is fitted to the highlights.
 
     \b
       nerfbake sample nerf2mesh mesh_stage1 && nerfbake atlas mesh_stage1 atlas
@@ -65,7 +69,9 @@ def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
 @max_memory
 @speaks
 def capture(target: str, words: Words, **options: Any) -> None:
-    """Write photographs of shiny shapes from all sides into OUT_DIR, and their cameras as transforms.json.
+    """Write photographs of shiny shapes with cameras.
+
+    OUT_DIR holds pictures from all sides, and their cameras as transforms.json.
 
     \b
       nerfbake sample capture photographs && nerfbake info photographs

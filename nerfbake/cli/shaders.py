@@ -21,7 +21,9 @@ from nerfbake.jobs.shaders import LANGUAGES, NEEDS, write_shaders
 @max_memory
 @speaks
 def shaders(target: str, languages: tuple[str, ...], what: tuple[str, ...], force: bool, words: Words) -> None:
-    """Write shaders that read our files into OUT_DIR (shaders, unless told otherwise), with a page on how to feed them.
+    """Write shaders that read nerfbake's files.
+
+    Writes them to OUT_DIR (default: shaders), with a page that says how to feed them.
 
     Octrees, VDB indices, a marcher, spherical harmonics, atlases and world transforms, in GLSL (ES 3.00 and 3.30), HLSL
     and WGSL, with the same names in each; and .nvdb by NVIDIA's own PNanoVDB.h, in HLSL and C.

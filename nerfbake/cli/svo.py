@@ -51,7 +51,9 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
 @judges
 @speaks
 def svo(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Resample the PlenOctree IN, or the lattice that another program trained, to a sparse voxel octree OUT.
+    """Convert a PlenOctree or lattice to an octree.
+
+    Resamples IN, a PlenOctree or the lattice of another program, to the sparse voxel octree OUT.
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128

@@ -37,7 +37,9 @@ GRIDS = "Some of density, Cd (the mean colour over all directions), sh (SH coeff
 @judges
 @speaks
 def vdb(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Write the PlenOctree or octree IN as OpenVDB (.vdb), NanoVDB (.nvdb, one grid a file) or arrays (.vdb.npz).
+    """Convert a PlenOctree or octree to a VDB volume.
+
+    OUT is OpenVDB (.vdb), NanoVDB (.nvdb, one grid a file) or plain arrays (.vdb.npz).
 
     \b
       nerfbake vdb chair.npz chair.vdb

@@ -108,7 +108,9 @@ def measures(function: Command) -> Command:
 @chooses_grids
 @speaks
 def view(source: Source, target: Target | None, words: Words, **options: Any) -> None:
-    """Write OUT, one HTML page that shows IN in any browser, and can be mailed.
+    """Make a web page to look around in.
+
+    Writes OUT, one HTML page that shows IN in any browser and can be mailed.
 
     IN is a PlenOctree, an octree, a volume, or a folder with its mesh: nerf2mesh's stage 1, or an atlas. Without OUT
     the page is a temporary one, and opens at once.
