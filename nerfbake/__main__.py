@@ -1,5 +1,21 @@
-"""`python -m nerfbake`."""
+"""`python -m nerfbake`, and the `nerfbake` command."""
 
-from nerfbake.cli.main import main
+from __future__ import annotations
 
-main()
+import os
+import sys
+from typing import NoReturn
+
+
+def main() -> NoReturn:
+    """Runs the command line and exits; Ctrl-C while its modules are imported ends it in one line, too."""
+    try:
+        from nerfbake.cli.main import main as run
+    except KeyboardInterrupt:
+        os.write(2, b"error: stopped\n")
+        sys.exit(130)
+    run()
+
+
+if __name__ == "__main__":
+    main()

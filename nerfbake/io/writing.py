@@ -46,6 +46,8 @@ def save(
     >>> print(load("small.svo.pb"))
     SH9 octree of 8x8x8, 205 nodes, float32, full
     """
+    if isinstance(scene, str | Path):
+        raise TypeError(f"the path comes first: save({str(scene)!r}, scene), not save(scene, {str(scene)!r})")
     if parents and str(target) != STREAM:
         with blame(str(target), OutputError):
             Path(target).parent.mkdir(parents=True, exist_ok=True)

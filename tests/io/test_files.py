@@ -204,3 +204,8 @@ def test_a_git_lfs_pointer_in_a_folder_is_named(tmp_path: Path) -> None:
     (tmp_path / "mlp.json").write_bytes(POINTER)
     with pytest.raises(InvalidFile, match=r"mlp\.json: is a Git-LFS pointer"):
         load(tmp_path)
+
+
+def test_swapped_arguments_are_told(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"the path comes first: save\('a\.npz', scene\)"):
+        io.save(sample_n3tree(resolution=8), "a.npz")  # type: ignore[arg-type]
