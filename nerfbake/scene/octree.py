@@ -53,7 +53,7 @@ class SparseVoxelOctree(Scene):
                    it is made when it is first read; who writes a file takes node_rows, a part at a time
     data_format    scene.basis says how D is laid out; '' if nobody knows
     origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size, voxel (0, 0, 0) starts at origin
-    extra_data     the lobes of SG and ASG, else None
+    extra_data     the lobes of SG and ASG, (B, 4 or 11), else None; one row is taken as (B, -1)
 
     Nodes stand in breadth-first order, so that each level is contiguous and children are numbered 1, 2, 3, ...
     as they are met. c = n is the report's `full` layout; c = nodes above the last level is `compact`.
@@ -93,6 +93,12 @@ class SparseVoxelOctree(Scene):
         if self.data_format and (dim := parse_basis(self.data_format).data_dim) != self.data_dim:
             found = f"has {self.data_dim} values per node"
             raise InvalidScene(Problem("node_data", found, f"{dim} for data_format {self.data_format}"))
+        if self.extra_data is not None and self.extra_data.ndim == 1 and self.data_format:
+            # Files without a shape for it give one row a lobe back, so that is its shape from the start.
+            B, count = parse_basis(self.data_format).size, self.extra_data.size
+            if count % B:
+                raise InvalidScene(Problem("extra_data", f"has {count:,} numbers", f"a multiple of {B}"))
+            object.__setattr__(self, "extra_data", self.extra_data.reshape(B, -1))
         for name in ("origin", "voxel_size"):
             value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
             object.__setattr__(self, name, value)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nerfbake import build_octree, load, save
-from nerfbake.errors import InvalidFile
+from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.octrees import FORMATS, every_spelling, read, small_octree, written
@@ -102,6 +102,16 @@ def test_nan_is_told_apart_from_numbers_and_kept(name: str, profile: str) -> Non
     values[3, 2:4] = np.nan, -np.inf
     octree = replace(octree, node_data=values)
     assert_same_octree(read(name, written(name, profile, octree)), octree)
+
+
+@every_spelling
+def test_lobes_in_one_row_come_back_in_the_shape_that_they_have(name: str, profile: str | None) -> None:
+    octree = replace(small_octree(), data_format="SG4", extra_data=np.arange(16, dtype=np.float32))
+    assert octree.extra_data is not None
+    assert octree.extra_data.shape == (4, 4)
+    assert_same_octree(read(name, written(name, profile, octree)), octree)
+    with pytest.raises(InvalidScene, match="extra_data has 3 numbers; allowed: a multiple of 4"):
+        replace(octree, extra_data=np.zeros(3, np.float32))
 
 
 @pytest.mark.parametrize("suffix", ["", ".zst"])
