@@ -43,6 +43,12 @@ class Item(NamedTuple):
         """What a terminal calls it: its first input."""
         return one_line(PurePath((*self.reads, *self.albums, *self.argv)[0]).name, 40)
 
+    @property
+    def rejected(self) -> tuple[str, ...]:
+        """Of `spare`, what an output becomes that misses its budget."""
+        names = {f"{path.rstrip('/')}.rejected" for path in self.writes}
+        return tuple(path for path in self.spare if path in names)
+
     def forced(self) -> tuple[str, ...]:
         """argv, which replaces what it finds."""
         at = self.argv.index("--") if "--" in self.argv else len(self.argv)

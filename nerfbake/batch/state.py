@@ -164,8 +164,8 @@ class State:
         return attempt if all(_is_there(each, verify) for each in attempt.outputs) else None
 
     def may_replace(self, item: Item) -> bool:
-        """True if there are outputs of this item, all of which this state has recorded."""
-        there = [path for path in item.writes if os.path.lexists(path)]
+        """True if there are outputs of this item, rejected ones too, all of which this state has recorded."""
+        there = [path for path in (*item.writes, *item.rejected) if os.path.lexists(path)]
         return bool(there) and all(_placed(path) in self._ours for path in there)
 
     # -- adding ----------------------------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class State:
         What an attempt before has claimed stays that one's: its process may have outlived a batch that was killed, and
         may write it yet.
         """
-        absent = [_placed(path) for path in item.writes if not os.path.lexists(path)]
+        absent = [_placed(path) for path in (*item.writes, *item.rejected) if not os.path.lexists(path)]
         claims = [path for path in absent if path not in self._ours]
         self._add({"event": "start", "id": identity.id, "at": at, "claims": claims})
         return claims
@@ -196,11 +196,11 @@ class State:
             {"path": each.path, **(each.stamp._asdict() if each.stamp else {}), "sha256": each.sha256}
             for each in identity.inputs
         ]
-        kept = attempt.status in (DONE, KILLED)
+        unused = [path for path in claims if path in map(_placed, item.rejected)]
         event: Event = {"event": "end", "id": identity.id, "argv": item.argv, "folder": str(Path.cwd())}
         event |= {"nerfbake": nerfbake.__version__, "inputs": inputs, **attempt._asdict()}
         event["outputs"] = [output._asdict() for output in attempt.outputs]
-        event["returned"] = [] if kept else list(claims)
+        event["returned"] = {DONE: unused, KILLED: []}.get(attempt.status, list(claims))
         self._add(event)
         return event
 

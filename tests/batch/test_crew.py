@@ -24,6 +24,7 @@ def item(word: str, name: str = "a", **more: Any) -> Item:
     """An item whose input says what becomes of it."""
     path = Path("in") / name
     path.write_text(f"{word}\n{name}\n")
+    more = {"spare": (f"out/{name}.rejected",)} | more
     return Item(("svo", str(path), f"out/{name}"), (str(path),), (f"out/{name}",), **more)
 
 
@@ -49,7 +50,7 @@ def statuses(batch: Batch) -> list[str]:
     ],
 )
 def test_what_becomes_of_an_item(folder: Path, word: str, status: str, code: int, error: str) -> None:
-    batch = run([item(word, spare=("out/a.rejected",))])
+    batch = run([item(word)])
     attempt = batch.rows[0].attempt
     assert attempt is not None
     assert (attempt.status, attempt.code, attempt.error) == (status, code, error)
@@ -58,6 +59,17 @@ def test_what_becomes_of_an_item(folder: Path, word: str, status: str, code: int
     )
     assert batch.exit_code == {"done": 0, "rejected": 3}.get(status, 1)
     assert not Path("run/lock.0-of-1").exists()
+
+
+def test_what_was_rejected_is_rejected_again_and_somebody_elses_file_is_kept(folder: Path) -> None:
+    for _ in range(2):
+        assert statuses(run([item("poor")])) == ["rejected"]
+    assert statuses(run([item("fine")])) == ["done"]
+    assert statuses(run([item("fine", "b")])) == ["done"]
+    Path("out/b.rejected").write_text("mine")  # the batch has recorded none
+    assert statuses(run([item("poor", "b")])) == ["failed"]
+    assert Path("out/b.rejected").read_text() == "mine"
+    assert Path("out/b").read_text() == "fine\nb\n"
 
 
 def test_a_bad_item_costs_itself_alone_and_only_it_is_run_again(folder: Path) -> None:

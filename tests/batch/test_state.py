@@ -117,6 +117,18 @@ def test_what_outlives_a_killed_batch_may_be_replaced_whenever_it_is_written(sta
     assert State("run").may_replace(ITEM)
 
 
+def test_a_rejected_output_of_a_killed_batch_may_be_replaced_and_one_that_nobody_claims_may_not(state: State) -> None:
+    poor = Item(("svo", "a", "b"), reads=("a",), writes=("b",), spare=("b.rejected", "kept"))
+    assert poor.rejected == ("b.rejected",)
+    Path("kept").mkdir()
+    state.begin(poor, state.identify(poor), 2.0)  # and then the batch was killed
+    Path("b.rejected").write_text("output")
+    assert State("run").may_replace(poor)
+    Path("b").write_text("somebody's")
+    state.end(poor, state.identify(poor), Attempt(FAILED, 4, at=3.0), [str(Path("b").absolute())])
+    assert not State("run").may_replace(poor)
+
+
 def test_only_outputs_that_the_state_has_recorded_may_be_replaced(state: State) -> None:
     assert not state.may_replace(ITEM)  # there is nothing to replace
     do(state)

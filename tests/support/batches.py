@@ -12,7 +12,9 @@ read -r word rest < "$input"
 case $word in
 broken) echo "error: $input: is broken" >&2; exit 1 ;;
 usage) echo "error: no such option" >&2; exit 2 ;;
-poor) cp "$input" "$output.rejected"; echo "error: $output: has a mean PSNR of 20.00 dB" >&2; exit 3 ;;
+poor)
+    if [ -e "$output.rejected" ] && [ -z "$force" ]; then echo "error: $output.rejected: exists already" >&2; exit 4; fi
+    cp "$input" "$output.rejected"; echo "error: $output: has a mean PSNR of 20.00 dB" >&2; exit 3 ;;
 full) echo "error: $output: No space left on device" >&2; exit 4 ;;
 fault) echo "error: a fault of nerfbake's own" >&2; exit 70 ;;
 killed) kill -9 $$ ;;
