@@ -9,7 +9,7 @@ from pathlib import PurePath
 from typing import NamedTuple
 
 from nerfbake.errors import UsageError, one_line
-from nerfbake.io import STREAM
+from nerfbake.io import STREAM, rejected_path
 
 
 class Item(NamedTuple):
@@ -46,7 +46,7 @@ class Item(NamedTuple):
     @property
     def rejected(self) -> tuple[str, ...]:
         """Of `spare`, what an output becomes that misses its budget."""
-        names = {f"{path.rstrip('/')}.rejected" for path in self.writes}
+        names = {str(rejected_path(path)) for path in self.writes}
         return tuple(path for path in self.spare if path in names)
 
     def forced(self) -> tuple[str, ...]:

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 import click
 
+from nerfbake.io import rejected_path
+
 
 class Declared(NamedTuple):
     """What a line reads and writes.
@@ -77,7 +79,7 @@ class Output(Writes):
 
     def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
         judged = options.get("min_psnr") is not None
-        return Declared(writes=paths, spare=tuple(f"{path}.rejected" for path in paths) if judged else ())
+        return Declared(writes=paths, spare=tuple(str(rejected_path(path)) for path in paths) if judged else ())
 
 
 class Keeps(Place):

@@ -30,6 +30,7 @@ from nerfbake.io.sources import blame as blame
 from nerfbake.io.sources import reading_name as reading_name
 from nerfbake.io.streams import print_names as print_names
 from nerfbake.io.streams import print_text as print_text
+from nerfbake.io.targets import rejected_path as rejected_path
 from nerfbake.io.targets import replacing as replacing
 from nerfbake.io.targets import require_absent as require_absent
 from nerfbake.io.targets import require_no_folder as require_no_folder

@@ -75,7 +75,7 @@ def require_no_folder(target: str | Path, *, force: bool) -> None:
 
 def require_rejected_absent(target: str | Path, *, force: bool, folder: bool = False) -> None:
     """Raises OutputError if TARGET.rejected is there and may not be replaced: asked before the work."""
-    (require_no_folder if folder else require_absent)(_rejected(Path(target)), force=force)
+    (require_no_folder if folder else require_absent)(rejected_path(target), force=force)
 
 
 @contextmanager
@@ -94,7 +94,7 @@ def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
     disaster.
     """
     require_absent(target, force=force)
-    rejected, target = _rejected(target), Path(os.path.realpath(target))
+    rejected, target = rejected_path(target), Path(os.path.realpath(target))
     if target.exists() and not _is_regular(target):
         yield target
         return
@@ -121,7 +121,7 @@ def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
     then, the next writer puts it back.
     """
     require_no_folder(target, force=force)
-    rejected, target = _rejected(target), Path(os.path.realpath(target))
+    rejected, target = rejected_path(target), Path(os.path.realpath(target))
     _sweep(target)
     with _locked_part(target, folder=True) as part:
         try:
@@ -145,8 +145,9 @@ def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
             shutil.rmtree(part, ignore_errors=True)
 
 
-def _rejected(target: Path) -> Path:
-    return target.with_name(target.name + ".rejected")
+def rejected_path(target: str | Path) -> Path:
+    """What a result becomes that misses its budget."""
+    return Path(f"{Path(target)}.rejected")
 
 
 @contextmanager

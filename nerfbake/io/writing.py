@@ -48,10 +48,7 @@ def save(
     """
     if isinstance(scene, str | Path):
         raise TypeError(f"the path comes first: save({str(scene)!r}, scene), not save(scene, {str(scene)!r})")
-    if parents and str(target) != STREAM:
-        with blame(str(target), OutputError):
-            Path(target).parent.mkdir(parents=True, exist_ok=True)
-    with saving(target, scene, to=to, force=force, **options) as saved:
+    with saving(target, scene, to=to, force=force, parents=parents, **options) as saved:
         return saved.size
 
 
@@ -73,7 +70,13 @@ class Saved(NamedTuple):
 
 @contextmanager
 def saving(
-    target: str | Path, scene: object, *, to: str | None = None, force: bool = False, **options: object
+    target: str | Path,
+    scene: object,
+    *,
+    to: str | None = None,
+    force: bool = False,
+    parents: bool = False,
+    **options: object,
 ) -> Iterator[Saved]:
     """save(), with a block that looks at what was written before it takes the target's place.
 
@@ -88,10 +91,13 @@ def saving(
     if str(target) == STREAM:
         yield Saved(STREAM, {"": write_stdout(pieces)})
         return
-    with blame(str(target), OutputError), replacing_file(Path(target), force=force) as path:
-        with open(path, "wb") as file:
-            size = _write_all(file, pieces)
-        yield Saved(str(path), {"": size})
+    with blame(str(target), OutputError):
+        if parents:
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
+        with replacing_file(Path(target), force=force) as path:
+            with open(path, "wb") as file:
+                size = _write_all(file, pieces)
+            yield Saved(str(path), {"": size})
 
 
 def save_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> dict[str, int]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import nerfbake
 from nerfbake import io
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge, reporting
 from nerfbake.jobs.files import FolderTarget, Stage1Source
 from nerfbake.jobs.steps import SILENT, Steps
 
@@ -29,7 +29,7 @@ def bake_atlas(
 
     Reads `source` and the budget's cameras; writes the folder `target`, or `target`.rejected where the budget is
     missed. Options go to bake_stage1(). up: the mesh's axis that is up in scene.glb. report gets the atlas's facts,
-    errors and sizes as soon as it is written, before it is judged. Raises NerfbakeError.
+    errors and sizes when the folder has its name, that of a rejected one too. Raises NerfbakeError.
 
     >>> atlas = bake_atlas("mesh_stage1", "atlas_16", clusters=16, map_size=32)
     >>> atlas.atlases[0].K
@@ -45,9 +45,10 @@ def bake_atlas(
             nerfbake.orbit_cameras(stage1)  # raises, before any work is done, where there is no mesh to look at
     with source.blamed(steps, "baking"):
         baked = nerfbake.bake_stage1(stage1, **options)
-    with target.writing(steps, baked, up=up) as written:
-        if report is not None:
-            report({**baked.facts, "files": written.sizes})
+    sizes: dict[str, int] = {}
+    told = reporting(lambda: report({**baked.facts, "files": sizes}) if report is not None else None)
+    with told, target.writing(steps, baked, up=up) as written:
+        sizes = written.sizes
         for error in baked.facts["errors"]:
             figures = f"MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255"
             steps.say(f"{target.path}: {baked}, {figures}, {written.size:,} bytes")

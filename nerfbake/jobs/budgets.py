@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import nerfbake
 from nerfbake import io
-from nerfbake.errors import NerfbakeError, UsageError
+from nerfbake.errors import BudgetMissed, NerfbakeError, UsageError
 from nerfbake.jobs.files import FolderTarget, Source, Target
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import shown, views_of
@@ -41,6 +42,20 @@ class Budget(NamedTuple):
 
 
 UNLIMITED = Budget()
+
+
+@contextmanager
+def reporting(report: Callable[[], None]) -> Iterator[None]:
+    """Reports behind a block that writes and judges, also where the budget is missed.
+
+    By then the result has its name, so that a reader who closes the pipe does not lose it.
+    """
+    try:
+        yield
+    except BudgetMissed:
+        report()
+        raise
+    report()
 
 
 def judge(

@@ -9,7 +9,7 @@ from typing import Any
 import nerfbake
 from nerfbake import io
 from nerfbake.errors import UsageError
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.steps import SILENT, Steps
@@ -93,8 +93,8 @@ def compress_file(
     """Compresses a PlenOctree or an octree, and gives what was found; `nerfbake compress` is this.
 
     Reads `source`, the photographs and the budget's cameras; writes `target`, or `target`.rejected where the budget is
-    missed. basis: SHk of a lower degree. coding goes to the format. report gets what is returned as soon as it is
-    written, before it is judged. Raises NerfbakeError.
+    missed. basis: SHk of a lower degree. coding goes to the format. report gets what is returned when the file
+    has its name, that of a rejected one too. Raises NerfbakeError.
 
     >>> compress_file("a.npz", "small.svoq", goal=Goal(step=0.1)).quantised.colour_step
     0.1
@@ -109,9 +109,8 @@ def compress_file(
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, **coding)
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
-    with target.writing(steps, found.quantised, **coding) as written:
+    told = reporting(lambda: report(found) if report is not None else None)
+    with told, target.writing(steps, found.quantised, **coding) as written:
         steps.say(f"{target.path}: {found}")
-        if report is not None:
-            report(found)
         judge(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return found

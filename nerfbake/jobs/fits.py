@@ -28,7 +28,7 @@ Dtype = Literal["float16", "float32"]
 _GRIDS = ("index",)  # all values in one grid: nothing is lost
 
 
-def _tree(field: nerfbake.BrickField, dtype: Dtype | None) -> nerfbake.N3Tree:
+def _tree(field: nerfbake.BrickField, target: Target, tell: Tell, dtype: Dtype | None) -> nerfbake.N3Tree:
     """A PlenOctree in this type; None: float16 where it can hold every value."""
     if dtype is None:
         from nerfbake.stages._half import LARGEST  # here, since the help loads no arrays
@@ -39,21 +39,24 @@ def _tree(field: nerfbake.BrickField, dtype: Dtype | None) -> nerfbake.N3Tree:
     return nerfbake.n3tree_of_bricks(field, dtype=dtype)
 
 
-def _compressed(field: nerfbake.BrickField, target: Target, tell: Tell) -> nerfbake.QuantisedOctree:
+def _compressed(
+    field: nerfbake.BrickField, target: Target, tell: Tell, dtype: Dtype | None
+) -> nerfbake.QuantisedOctree:
     """As `nerfbake compress` has it without options."""
     octree, coded_size = nerfbake.octree_of_bricks(field), coded_size_of(target)
     options = {**LEAST_LOSS.options, "source_psnr": SOURCE_PSNR}
     return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
-# What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first.
-_WAYS: dict[str, Callable[[nerfbake.BrickField, Target, Tell], Any]] = {
-    "SparseVoxelOctree": lambda field, target, tell: nerfbake.octree_of_bricks(field),
+# What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first. A type of values
+# is asked for of a PlenOctree alone.
+_WAYS: dict[str, Callable[[nerfbake.BrickField, Target, Tell, Dtype | None], Any]] = {
+    "SparseVoxelOctree": lambda field, target, tell, dtype: nerfbake.octree_of_bricks(field),
     "QuantisedOctree": _compressed,
-    "Volume": lambda field, target, tell: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
-    "N3Tree": lambda field, target, tell: _tree(field, None),
+    "Volume": lambda field, target, tell, dtype: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
+    "N3Tree": _tree,
 }
-_TREE_OPTIONS = {"packing": "deflated"}  # of a PlenOctree's file: as svox writes it
+_OPTIONS = {"N3Tree": {"packing": "deflated"}}  # of its format: as svox writes it
 PRESET = "balanced"
 FITTED = tuple(_WAYS)
 
@@ -177,11 +180,11 @@ def fit_file(
     with _interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = _WAYS[kind](field, target, tell) if dtype is None else _tree(field, dtype)
+            scene = _WAYS[kind](field, target, tell, dtype)
         del field, posed
         if asked:
             _write_partial(steps, target, kind, scene, state)
-        target.write(steps, scene, **_options(kind))
+        target.write(steps, scene, **_OPTIONS.get(kind, {}))
     if asked:
         raise Stopped(f"stopped before it was judged: {target.path} is whole")
     del scene
@@ -189,11 +192,6 @@ def fit_file(
     if report is not None:
         report(fitted)
     return fitted
-
-
-def _options(kind: str) -> dict[str, str]:
-    """Of the file's format."""
-    return _TREE_OPTIONS if kind == "N3Tree" else {}
 
 
 def _require(target: Target) -> str:
@@ -262,7 +260,7 @@ def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: s
     """Writes what there is beside where it should have been, and raises Stopped."""
     ending = io.format_for(target.path, kind, to=target.to).name
     partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
-    partial.write(steps, scene, **_options(kind))
+    partial.write(steps, scene, **_OPTIONS.get(kind, {}))
     goes_on = f"; the same command goes on from {state}" if state else ""
     raise Stopped(f"stopped before it was done: {partial.path} has what there was{goes_on}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -102,3 +103,18 @@ def test_a_folder_in_the_place_of_the_rejected_file_is_never_removed(folder: Pat
     assert done.returncode == 4
     assert b"out.rejected: is a folder; allowed: a file" in done.stderr
     assert names(folder) == ["out.rejected"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["compress", "atlas"])
+@pytest.mark.parametrize(("least", "left"), [("0", "out"), ("300", "out.rejected")])
+def test_a_reader_that_closes_the_pipe_does_not_lose_the_result(
+    folder: Path, command: str, least: str, left: str
+) -> None:
+    line = [sys.executable, "-m", "nerfbake", *COMMANDS[command], "--min-psnr", least, "--json"]
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(line, stdout=writing, stderr=subprocess.PIPE, timeout=120, check=False)
+    os.close(writing)
+    assert done.returncode == 141
+    assert names(folder) == [left]
