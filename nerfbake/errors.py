@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+_ALLOWED = "; allowed: "  # between what was found and what is allowed
+
 
 class Problem(NamedTuple):
     """One thing that is wrong: where, what was found, what is allowed, and how often."""
@@ -26,7 +28,7 @@ class Problem(NamedTuple):
 
     def __str__(self) -> str:
         more = f" (and {self.times - 1:,} more)" if self.times > 1 else ""
-        return f"{self.place} {self.found}; allowed: {self.allowed}{more}"
+        return f"{self.place} {self.found}{_ALLOWED}{self.allowed}{more}"
 
     @property
     def line(self) -> str:
@@ -38,14 +40,21 @@ LONGEST_LINE = 300  # characters: a terminal's line or two
 
 
 def one_line(text: str, longest: int = LONGEST_LINE) -> str:
-    """Without line breaks and other characters that would move a terminal's cursor, and not too long to be read."""
+    """At most `longest` printable characters. What was found is shortened in its middle; `; allowed: ` stays."""
+    found, mark, allowed = text.rpartition(_ALLOWED)
+    allowed = _shortened(allowed, max(longest // 2, longest - len(found) - len(mark)) if mark else longest)
+    return _shortened(found, longest - len(mark + allowed)) + mark + allowed
+
+
+def _shortened(text: str, longest: int) -> str:
+    """Printable characters; the first two thirds and the end where there are too many."""
     if len(text) > 4 * longest:
         text = text[: 2 * longest] + text[-2 * longest :]
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
     if len(line) <= longest:
         return line
-    # What is allowed stands at the end, where it should stay.
-    return f"{line[: longest * 2 // 3]} ... {line[5 - longest // 3 :]}"
+    first = longest * 2 // 3
+    return f"{line[:first]} ... {line[len(line) - (longest - first - 5) :]}"
 
 
 class NerfbakeError(Exception):
@@ -73,7 +82,7 @@ class NerfbakeError(Exception):
         """The same as place, found and allowed, for scripts."""
         if isinstance(self.what, Problem):
             return self.what
-        found, _, allowed = self.what.partition("; allowed: ")
+        found, _, allowed = self.what.partition(_ALLOWED)
         return Problem("file", found, allowed or "a file that nerfbake reads")
 
     def __str__(self) -> str:
