@@ -14,6 +14,7 @@ from PIL import Image as Pillow
 
 from nerfbake import build_octree, build_vdb, sample_n3tree, save
 from nerfbake.formats.mesh.glb_writer import Part, encode_glb
+from nerfbake.formats.wire import zstd
 from nerfbake.scene.depth import Depth
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.n3tree import N3Tree
@@ -110,6 +111,13 @@ def mixed_json(path: Path) -> None:
     path.write_text(json.dumps(fields | {"node_data": [1] * 400_000}, separators=(",", ":")))
 
 
+def spaces(path: Path) -> None:
+    """A few kilobytes that unpack to 40 MB of JSON, most of it spaces."""
+    octree = path.with_name("octree.svo.json")
+    save(octree, chain(1000), profile="bulk")
+    path.write_bytes(b"".join(zstd.compress([octree.read_bytes(), b" " * 40_000_000])))
+
+
 def volume(**options: Any) -> Maker:
     grids = options.pop("grids")
 
@@ -154,6 +162,7 @@ FILES: dict[str, Maker] = {
     "report.svo.json": octree("svo.json", profile="report"),
     "bulk.svo.json": octree("svo.json", profile="bulk"),
     "mixed.svo.json": mixed_json,
+    "spaces.svo.json.zst": spaces,
     "report.svo.bson": octree("svo.bson", profile="report"),
     "bulk.svo.bson": octree("svo.bson", profile="bulk"),
     "report.svo.fb": octree("svo.fb", profile="report"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import zstandard
@@ -13,11 +14,11 @@ from nerfbake.errors import InvalidFile, Problem
 LEVEL = 3
 MAX_WINDOW = 1 << 27  # what zstd's own command line allows
 _CHUNK = 1 << 20
-# A block of 4 bytes may inflate to 128 KiB: so many bytes are at most 32 MiB before they are counted.
-_SIP = 1 << 10
+_PIECE = 1 << 20  # bytes that are unpacked before the next are asked for
+_BLOCK = 1 << 17  # the most that a block may become
 _HEAD = 18  # bytes of the longest frame header
-_REPEATED = 1  # the kind of a block that is one byte over and over
-_MOST_BLOCKS = 100_000
+_REPEATED, _COMPRESSED = 1, 2  # kinds of blocks: one byte over and over, packed
+_MOST_BLOCKS = 1_000_000  # 128 GB of content; finding them takes a second
 _SKIPPED = range(0x184D2A50, 0x184D2A60)  # magic numbers of frames that hold no content
 
 
@@ -35,61 +36,67 @@ def decompress(view: memoryview) -> memoryview:
     """All frames, one after the other. Raises InvalidFile, MemoryLimit before more is held than is allowed."""
     frames = list(_frames(view))
     memory.require("the decompressed file", sum(frame.size for frame in frames))
-    memory.require("zstd's window", min(max((frame.window for frame in frames), default=0), MAX_WINDOW))
-    out, at = bytearray(), 0
+    out = bytearray()
     context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-    while at < len(view):
-        frame = context.decompressobj()
-        while not frame.eof:
-            if at == len(view):
-                raise _unended(at)
-            sip = view[at : at + _SIP]
-            try:
-                piece = frame.decompress(sip)
-            except zstandard.ZstdError as error:
-                raise _damaged(at, error) from None
-            at += len(sip) - len(frame.unused_data)
+    for frame in frames:
+        window = min(frame.window, MAX_WINDOW)
+        memory.require("zstd's window", window)
+        content = context.decompressobj()
+        for first, end in pairwise(frame.cuts):
             # A growing buffer has an eighth to spare.
-            memory.require("the decompressed file", len(piece) + len(out) // 8)
+            memory.require("the decompressed file", window + _PIECE + len(out) // 8)
+            try:
+                piece = content.decompress(view[first:end])
+            except zstandard.ZstdError as error:
+                raise _damaged(first, error) from None
             memory.hold("the decompressed file", len(piece))
             out += piece
+        if not content.eof:
+            raise _unended(len(view))
     return memoryview(out).toreadonly()
 
 
 class _Frame(NamedTuple):
-    """What a frame says of itself, in bytes."""
+    """What a frame says of itself, in bytes, and where to cut it so that no part becomes more than _PIECE."""
 
     window: int
     size: int  # of its content; 0 where it does not say
+    cuts: list[int]  # offsets, from its first byte to its end
 
 
 def _frames(view: memoryview) -> Iterator[_Frame]:
-    """The frames, found by their blocks' sizes alone: so a bomb is known before anything of it is unpacked.
-
-    Of a file with more blocks than anybody's 12 GiB take the rest is left out: going through them would be slow.
-    """
+    """The frames, found by their blocks' sizes alone: a bomb is refused before anything of it is unpacked."""
     at = blocks = 0
-    while at < len(view) and blocks < _MOST_BLOCKS:
+    while at < len(view):
         head = view[at : at + _HEAD]
         if int.from_bytes(head[:4], "little") in _SKIPPED:
             at += 8 + int.from_bytes(head[4:8], "little")
+            if at > len(view):
+                raise _unended(len(view))
             continue
         try:
             found = zstandard.get_frame_parameters(head)
             end = at + zstandard.frame_header_size(head)
         except zstandard.ZstdError as error:
             raise _damaged(at, error) from None
-        last = 0
-        while not last and (blocks := blocks + 1) < _MOST_BLOCKS:
+        cuts, last, room = [at], 0, _PIECE
+        while not last:
+            blocks += 1
             block = int.from_bytes(view[end : end + 3], "little")
             last, kind, size = block & 1, block >> 1 & 3, block >> 3
+            if (room := room - (_BLOCK if kind == _COMPRESSED else size)) < 0:
+                cuts.append(end)
+                room = _PIECE - _BLOCK
             end += 3 + (1 if kind == _REPEATED else size)
             if end > len(view):
                 raise _unended(len(view))
-        yield _Frame(
-            found.window_size, 0 if found.content_size == zstandard.CONTENTSIZE_UNKNOWN else found.content_size
-        )
+            if blocks > _MOST_BLOCKS:
+                raise InvalidFile(Problem("zstd", f"has more than {_MOST_BLOCKS:,} blocks", f"{_MOST_BLOCKS:,}"))
         at = end + 4 * found.has_checksum
+        content = found.content_size
+        yield _Frame(
+            found.window_size, 0 if content == zstandard.CONTENTSIZE_UNKNOWN else content, [*cuts, min(at, len(view))]
+        )
 
 
 def _damaged(at: int, error: Exception) -> InvalidFile:

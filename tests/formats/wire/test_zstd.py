@@ -48,6 +48,24 @@ def test_a_frame_that_does_not_end_is_refused(size: int) -> None:
         unpacked(packed(b"some content")[:-size])
 
 
+def test_frames_without_content_are_left_out() -> None:
+    empty = (0x184D2A50).to_bytes(4, "little") + (3).to_bytes(4, "little") + b"abc"
+    assert unpacked(empty + packed(b"content") + empty) == b"content"
+    with pytest.raises(InvalidFile, match="does not end by byte"):
+        unpacked(packed(b"content") + empty[:-1])
+
+
+def test_small_blocks_are_unpacked_and_too_many_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of one byte, over and over: 20 times 'a' each, three of them in a frame."""
+    head = b"\x28\xb5\x2f\xfd\x00\x58"
+    block = (20 << 3 | 1 << 1).to_bytes(3, "little") + b"a"
+    last = (20 << 3 | 1 << 1 | 1).to_bytes(3, "little") + b"a"
+    assert unpacked(head + 2 * block + last) == b"a" * 60
+    monkeypatch.setattr(zstd, "_MOST_BLOCKS", 2)
+    with pytest.raises(InvalidFile, match=r"has more than 2 blocks; allowed: 2"):
+        unpacked(head + 2 * block + last)
+
+
 def test_a_wrong_checksum_is_refused() -> None:
     data = bytearray(packed(bytes(1000)))
     data[-1] ^= 1
