@@ -10,6 +10,7 @@ import numpy as np
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
 from nerfbake.scene.base import number_problems, require_shape
+from nerfbake.scene.specular import MAX_WEIGHT
 
 MAX_UNITS, MAX_LAYERS, MAX_FREQUENCY = 1024, 16, 4096.0  # of an MLP
 MAX_ANGLE = 1e6  # radians that sines are made of
@@ -110,7 +111,8 @@ class MlpColour:
     def problems(self) -> list[Problem]:
         numbers = np.concatenate([each.reshape(-1) for each in self.weights])
         frequencies = np.array(self.frequencies + self.feature_frequencies, np.float64)
-        return number_problems("the MLP", numbers) + number_problems("frequencies", frequencies, most=MAX_FREQUENCY)
+        found = number_problems("the MLP", numbers, most=MAX_WEIGHT)
+        return found + number_problems("frequencies", frequencies, most=MAX_FREQUENCY)
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,7 +161,9 @@ class QuantisedOctree(Scene):
         values, density = restore(self.values, self.steps, merges, mixing, leaf)
         for first in range(0, self.m, _CHUNK):
             part = slice(first, first + _CHUNK)
-            values[part, -1] = cast(self.density_scale * expm1(np.maximum(density[part], 0)), np.float32)
+            with np.errstate(over="ignore"):  # infinite then, which the octree's check refuses
+                dense = self.density_scale * expm1(np.maximum(density[part], 0))
+            values[part, -1] = cast(dense, np.float32)
         return values
 
     def restored(self) -> SparseVoxelOctree:

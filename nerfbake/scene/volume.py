@@ -157,8 +157,9 @@ class Volume(Scene):
 
 
 def edges_of(transform: Transform) -> npt.NDArray[np.float64]:
-    """(3,) lengths of a voxel's edges in the world."""
-    lengths: npt.NDArray[np.float64] = np.sqrt((transform[:, :3] ** 2).sum(axis=0))
+    """(3,) lengths of a voxel's edges in the world; infinite where float64 has no room for their squares."""
+    with np.errstate(over="ignore"):
+        lengths: npt.NDArray[np.float64] = np.sqrt((transform[:, :3] ** 2).sum(axis=0))
     return lengths
 
 

@@ -110,7 +110,7 @@ def _of_octree(octree: SparseVoxelOctree) -> dict[str, Any]:
         "occupied_leaves": int(occupied.sum()),
         "occupied_per_level": per_level(occupied),
         "world_box": _numbers(octree.origin + np.array([[0.0] * 3, octree.size]) * octree.voxel_size),
-        "voxel_size": octree.voxel_size.tolist(),
+        "voxel_size": _numbers(octree.voxel_size),
         "ranges": _ranges(extremes(octree.node_data, occupied), octree.data_format),
         "non_finite": extremes(octree.node_data).non_finite,
         "bytes_in_memory": octree.node_children.nbytes + octree.node_data.nbytes,
@@ -122,8 +122,8 @@ def _of_volume(volume: Volume) -> dict[str, Any]:
         "kind": "VDB volume",
         "checksum": volume.checksum,
         "data_format": volume.frame.data_format or None if volume.frame else None,
-        "voxel_size": volume.voxel_size.tolist(),
-        "transform": volume.transform.tolist(),
+        "voxel_size": _numbers(volume.voxel_size),
+        "transform": _numbers(volume.transform),
         "grid_names": [grid.name for grid in volume.grids],
         "grids": {
             label: _of_grid(grid, volume.transform_of(grid))
@@ -157,7 +157,7 @@ def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> d
         "active_tiles": list(active.tile_counts),
         "inactive_values": len(grid.values) - len(values),
         "nodes_per_level": [1, *grid.topology.node_counts],
-        "voxel_size": edges_of(transform).tolist(),
+        "voxel_size": _numbers(edges_of(transform)),
         "index_box": [corner.tolist() for corner in box] if box is not None else None,
         "world_box": world,
         "background": _numbers(grid.background),

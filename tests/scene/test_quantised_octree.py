@@ -51,6 +51,14 @@ def test_coefficients_out_of_bounds_are_told() -> None:
     assert [problem.place for problem in octree.problems()] == ["values"]
 
 
+def test_densities_that_float64_cannot_hold_are_infinite_and_told() -> None:
+    octree = replace(quantised([0], 1), density_step=1e9)
+    octree.values[0, -1] = 1
+    restored = octree.restored()
+    assert np.isposinf(restored.node_data[0, -1])
+    assert [problem.place for problem in restored.problems()] == ["node_data[0, 3]"]
+
+
 @pytest.mark.parametrize("field", ["mixing_scale", "colour_step", "density_step", "density_scale"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_steps_that_are_none_are_refused(field: str, value: float) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
@@ -9,6 +10,8 @@ from nerfbake import build_octree, summarise_scene
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.scenes import n3tree, n3trees, octrees
+from tests.support.vdb_readers import tree as voxels
+from tests.support.vdb_readers import volume
 
 
 def test_a_tree_by_hand() -> None:
@@ -38,6 +41,15 @@ def test_any_tree_fits_into_json(tree: N3Tree) -> None:
 @given(octrees())
 def test_any_octree_fits_into_json(octree: SparseVoxelOctree) -> None:
     assert json.loads(json.dumps(summarise_scene(octree), allow_nan=False)) == summarise_scene(octree)
+
+
+def test_a_volume_too_large_for_float64_still_has_a_summary() -> None:
+    one = volume(voxels([[0, 0, 0]]))
+    wide = replace(one, transform=one.transform * 1e300)
+    facts = summarise_scene(wide)
+    assert facts["grids"]["density"]["voxel_size"] is None
+    json.dumps(facts, allow_nan=False)
+    assert wide.problems()[0].place == "transform[0, 0]"
 
 
 def test_broken_values_are_counted() -> None:

@@ -16,6 +16,7 @@ from nerfbake.formats.wire.json import parse_object, table, whole
 from nerfbake.formats.wire.picture import opened
 from nerfbake.kernels.arrays import Singles
 from nerfbake.scene.lattice_colour import MlpColour
+from nerfbake.scene.specular import MAX_WEIGHT
 
 PARAMS = "scene_params.json"
 EMPTY = 255
@@ -25,7 +26,6 @@ _SMERF = "of SMERF, a field of many MLPs"
 SMERF = dict.fromkeys(("scene_scale_factor", "ranges", "submodel_idx", "deferred_rendering_mode"), _SMERF)
 _FREQUENCIES = (1.0, 2.0, 4.0, 8.0)
 _LAYERS, _COLOURS = 3, 3
-_MOST_WEIGHT = 1e6
 
 Bytes = npt.NDArray[np.uint8]
 Three = tuple[int, int, int]
@@ -113,8 +113,8 @@ def deferred_mlp(fields: Mapping[str, Any], *, direction_first: bool) -> MlpColo
 
 
 def _numbers(value: Any, place: str, shape: tuple[int | None, ...]) -> Singles:
-    """Of weights or biases, none so large that three layers of such are more than float32 holds."""
+    """Of weights or biases, within the bound that MlpColour also checks."""
     found = table(value, place, shape)
-    if found.size and (largest := float(np.abs(found).max())) > _MOST_WEIGHT:
-        raise InvalidFile(Problem(place, f"has a number as large as {largest:g}", f"up to {_MOST_WEIGHT:g}"))
+    if found.size and (largest := float(np.abs(found).max())) > MAX_WEIGHT:
+        raise InvalidFile(Problem(place, f"has a number as large as {largest:g}", f"up to {MAX_WEIGHT:g}"))
     return found.astype(np.float32)

@@ -199,6 +199,7 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "NaN threshold": (settings(fast_color_thres={0: float("nan")}), "fast_color_thres is no opacity"),
     "NaN shift": (state(act_shift=NAN[:1]), "activation[0] is nan"),
     "NaN weight": (state(**{"rgbnet__3__bias": NAN}), "the MLP["),
+    "a weight beyond bounds": (state(**{"rgbnet__3__bias": np.full(3, 1e38, np.float32)}), "the MLP["),
     "infinite density": (state(density__grid=GRID + np.inf), "density[0] is inf"),
     "a layer of another width": (state(**{"rgbnet__2__0__weight": GRID[0, 0, 0]}), "rgbnet.2 has weights"),
     "a last layer of four": (state(**{"rgbnet__3__weight": np.zeros((4, 8), np.float32)}), "the MLP's last has shape"),
