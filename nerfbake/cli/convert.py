@@ -6,10 +6,10 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import reads, speaks, writes_octree
-from nerfbake.cli.volumes import chooses_grids, codec_option
+from nerfbake.cli.params import reads, speaks, without_effect, writes_octree
+from nerfbake.cli.volumes import ALL, chooses_grids, codec_option
 from nerfbake.cli.words import Words
-from nerfbake.jobs.conversions import convert_file
+from nerfbake.jobs.conversions import convert_file, split_volume
 from nerfbake.jobs.files import Source, Target
 
 
@@ -31,13 +31,19 @@ def convert(source: Source, target: Target, words: Words, **options: Any) -> Non
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz.
 
     A volume becomes an octree where `nerfbake vdb` wrote it with the grids `index` or `density,sh`; of any other fog
-    the octree has the density alone.
+    the octree has the density alone. With --grid all each grid of a volume becomes a file: smoke.density.nvdb, ...
 
     \b
       nerfbake convert chair.svo.pb chair.svo.npz
       nerfbake convert chair.svo.pb - --to svo.npz --layout compact > chair.svo.npz
       nerfbake convert chair.nvdb chair.svo.pb
       nerfbake convert smoke.vdb smoke.nvdb --grid density
+      nerfbake convert smoke.vdb smoke.nvdb --grid all
       nerfbake convert smoke.vdb smoke.svo.npz --grid density --up y
     """
-    convert_file(source, target, steps=words, **options)
+    if options["choice"].grids != (ALL,):
+        convert_file(source, target, steps=words, **options)
+        return
+    for name in ("layout", "no_child"):
+        without_effect(name, here="where each grid is written as a volume", allowed="no --grid all")
+    split_volume(source, target, up=options["choice"].up, codec=options["codec"], half=options["half"], steps=words)

@@ -78,6 +78,8 @@ class Output(Writes):
     """What is judged where --min-psnr is given, and becomes OUT.rejected where it is worse."""
 
     def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
+        if options.get("grids") == ("all",):
+            raise click.UsageError("--grid all writes files that only IN names; allowed in a batch: --grid NAME")
         judged = options.get("min_psnr") is not None
         return Declared(writes=paths, spare=tuple(str(rejected_path(path)) for path in paths) if judged else ())
 

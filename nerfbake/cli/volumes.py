@@ -16,6 +16,7 @@ codec_option = click.option(
     help="How a .vdb or .nvdb is compressed.  [default: zip for .vdb, none for .nvdb]",
 )
 Command = Callable[..., Any]
+ALL = "all"
 
 
 def chooses_grids(function: Command) -> Command:
@@ -26,7 +27,7 @@ def chooses_grids(function: Command) -> Command:
         "grids",
         multiple=True,
         metavar="NAME",
-        help="Take only this grid of a volume: a name, or a number from 0.",
+        help="Take only this grid of a volume: a name, or a number from 0; for `convert` also all, a file for each.",
     )
     @click.option(
         "--up", type=click.Choice(["y", "z"]), help="The axis that points up in the volume; y is turned to z."

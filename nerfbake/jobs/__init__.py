@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.compressions import Photographs as Photographs
     from nerfbake.jobs.compressions import compress_file as compress_file
     from nerfbake.jobs.conversions import convert_file as convert_file
+    from nerfbake.jobs.conversions import split_volume as split_volume
     from nerfbake.jobs.descriptions import describe_file as describe_file
     from nerfbake.jobs.files import FolderTarget as FolderTarget
     from nerfbake.jobs.files import Source as Source
@@ -73,6 +74,7 @@ JOBS = {
     "compare_files": "comparisons",
     "compress_file": "compressions",
     "convert_file": "conversions",
+    "split_volume": "conversions",
     "describe_file": "descriptions",
     "fit_file": "fits",
     "judge": "budgets",

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Literal
 
 import nerfbake
-from nerfbake import catalog
+from nerfbake import catalog, io
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, Choice, tell_of_halves
 from nerfbake.jobs.lattices import octree_of
 from nerfbake.jobs.steps import SILENT, Steps
+
+_LONGEST_PART = 100  # characters of a grid's name in a file's name
 
 
 def convert_file(
@@ -65,16 +69,67 @@ def _is_volume(target: Target) -> bool:
     return catalog.is_ending(ending, "Volume")
 
 
+def split_volume(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    up: Literal["y", "z"] | None = None,
+    codec: str | None = None,
+    half: bool = False,
+    steps: Steps = SILENT,
+) -> dict[str, nerfbake.Volume]:
+    """Writes each grid of a volume to a file of its own, and gives them by their files' names; `convert --grid all`.
+
+    Reads `source`. Writes NAME.GRID.nvdb for each grid where `target` is NAME.nvdb; characters of GRID other than
+    letters, digits, `.`, `-` and `_` become `_`. Options as convert_file() has them. Raises NerfbakeError, before
+    anything is written if one of the files cannot be written.
+
+    >>> list(split_volume("a.vdb", "a.nvdb"))
+    ['a.density.nvdb', 'a.Cd.nvdb']
+    """
+    source, target = as_source(source), as_target(target)
+    if target.path == io.STREAM or not _is_volume(target):
+        endings = ", ".join(form.suffix for form in catalog.formats_of("Volume"))
+        raise UsageError(f"{target.path} is no place for each grid of a volume; allowed: a {endings}")
+    whole = Choice(up=up).whole(steps, source, source.read(steps, nerfbake.Volume))
+    names: list[str] = []
+    for number, label in enumerate(whole.labels):
+        name = _part_name(target, label)
+        names.append(_part_name(target, f"{number}.{label}") if name in names else name)
+        io.require_absent(names[-1], force=target.force)
+    volumes = {}
+    for number, name in enumerate(names):
+        volume = _rounded(steps, source, target, whole.only([str(number)]), half=half)
+        target._replace(path=name).write(steps, volume, codec=codec)
+        volumes[name] = volume
+    return volumes
+
+
+def _part_name(target: Target, label: str) -> str:
+    """NAME.GRID.nvdb of NAME.nvdb: what follows the name is the format's whole ending."""
+    path = Path(target.path)
+    stem = catalog.scene_name(target.path)
+    part = re.sub(r"[^A-Za-z0-9._-]+", "_", label)[:_LONGEST_PART].strip("._") or "grid"
+    return str(path.with_name(f"{stem}.{part}{path.name.removeprefix(stem)}"))
+
+
 def _write_volume(
     steps: Steps, source: Source, target: Target, choice: Choice, codec: str | None, *, half: bool
 ) -> nerfbake.Volume:
-    form = target.require("Volume", codec=codec)
-    volume: nerfbake.Volume = choice.whole(steps, source, source.read(steps, nerfbake.Volume))
+    target.require("Volume", codec=codec)
+    whole: nerfbake.Volume = choice.whole(steps, source, source.read(steps, nerfbake.Volume))
+    volume = _rounded(steps, source, target, whole, half=half)
+    target.write(steps, volume, codec=codec)
+    return volume
+
+
+def _rounded(steps: Steps, source: Source, target: Target, volume: nerfbake.Volume, *, half: bool) -> nerfbake.Volume:
+    """The volume in the precision that the target's format keeps."""
+    form = io.format_for(target.path, "Volume", to=target.to)
     if half or not form.load_volume_module().KEEPS_HALVES:
         with source.blamed(steps, "rounding"):
             volume = nerfbake.cast_volume(volume, dtype="float16" if half else "float32")
     tell_of_halves(steps, form, volume)
-    target.write(steps, volume, codec=codec)
     return volume
 
 
@@ -85,9 +140,20 @@ def _octree_of(
     if not foreign and choice.up:
         raise UsageError("the octree in IN stands where it stood; allowed: no --up, or --grid for a density alone")
     with source.blamed(steps, "making the octree"):
-        if foreign and len(volume.grids) + len(volume.unread) > 1:
-            found = f"has the grids {', '.join(volume.labels)}"
-            raise InvalidScene(Problem("the volume", found, "--grid NAME for an octree of that density alone"))
+        if foreign:
+            _tell_of_others(steps, source, volume)
         if half:
             volume = nerfbake.cast_volume(volume, dtype="float16")
         return nerfbake.octree_of_density(volume) if foreign else nerfbake.octree_of_volume(volume)
+
+
+def _tell_of_others(steps: Steps, source: Source, volume: nerfbake.Volume) -> None:
+    """Says which grids an octree of `density` leaves out. Raises InvalidScene where several grids have no such name."""
+    labels = [*volume.labels, *(problem.place for problem in volume.unread)]
+    if len(labels) == 1:
+        return
+    if "density" not in labels:
+        found = f"has the grids {', '.join(labels)}"
+        raise InvalidScene(Problem("the volume", found, "--grid NAME for an octree of that density alone"))
+    others = ", ".join(label for label in labels if label != "density")
+    steps.say(f"{source.name}: an octree of density alone, without {others}")

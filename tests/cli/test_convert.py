@@ -6,16 +6,20 @@ import io
 import json
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 import zstandard
 
 from nerfbake import load, save
+from nerfbake.cli.convert import convert
 from nerfbake.cli.main import run
+from nerfbake.cli.paths import declared
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
 from tests.support.octrees import FORMATS, small_octree
 from tests.support.scenes import assert_same_octree, n3tree
+from tests.support.vdb_readers import tree, volume
 
 
 @pytest.mark.usefixtures("tree_file")
@@ -135,3 +139,19 @@ def test_a_plenoctree_is_told_what_makes_an_octree_of_it(shell: Shell) -> None:
     done = shell("convert", "a.npz", "b.svo.pb")
     assert done.returncode == 1
     assert b"(`nerfbake svo` makes an octree of it); allowed: an octree or a volume or a lattice field\n" in done.stderr
+
+
+def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(tmp_path / "smoke.vdb", volume(tree([[0, 0, 0]], name="heat"), tree([[0, 0, 0]])))
+    line = ["convert", str(tmp_path / "smoke.vdb"), str(tmp_path / "smoke.nvdb")]
+    assert run(line) == 1
+    assert "2 grids: heat, density; allowed: --grid NAME for one of them, --grid all" in capsys.readouterr().err
+    assert run([*line, "--grid", "all"]) == 0
+    assert sorted(path.name for path in tmp_path.glob("*.nvdb")) == ["smoke.density.nvdb", "smoke.heat.nvdb"]
+    assert run([*line, "--grid", "all", "--layout", "full"]) == 2
+    assert "--layout has no effect" in capsys.readouterr().err
+
+
+def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
+    with pytest.raises(click.UsageError, match="--grid all writes files that only IN names"):
+        declared(convert, ["smoke.vdb", "smoke.nvdb", "--grid", "all"])

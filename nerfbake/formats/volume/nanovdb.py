@@ -49,7 +49,11 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
     """The file in pieces. Raises InvalidScene for more than one grid: some readers lose the second."""
     if len(volume.grids) != 1:
         raise InvalidScene(
-            Problem("a .nvdb", f"would hold {len(volume.grids)} grids", f"one of {', '.join(volume.labels)}")
+            Problem(
+                "a .nvdb",
+                f"would hold {len(volume.grids)} grids: {', '.join(volume.labels)}",
+                "--grid NAME for one of them, --grid all for a file of each",
+            )
         )
     first = volume.grids[0]
     if codec == "zip" and isinstance(first, IndexGrid) and not isinstance(first.table_rows, np.ndarray):

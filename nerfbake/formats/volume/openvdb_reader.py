@@ -78,7 +78,8 @@ def read_file(view: memoryview) -> Volume:
             unread.append(problem)
             stream.at = header.end
             continue
-        grid = _read_grid(stream, header, read.get(header.parent), seekable=bool(offsets))
+        parent = read[header.parent] if header.parent else None  # '' is none, even where a grid before has no name
+        grid = _read_grid(stream, header, parent, seekable=bool(offsets))
         # Grids of one name without numbers are told apart by their places.
         read[unique if unique not in read else f"{unique}{SEPARATOR}{len(read)}"] = grid
     if not read:

@@ -65,6 +65,13 @@ def test_backgrounds_names_and_transforms_are_kept() -> None:
     assert_array_equal(decoded(encoded(Volume((grid,), turned))).transform, turned)
 
 
+def test_a_grid_without_a_name_is_no_parent_of_the_next() -> None:
+    """A grid whose parent is '' has voxels of its own; OpenVDB names the grid whose voxels it shares."""
+    made = volume(tree([[0, 0, 0]], name=""), tree([[5, 6, 7], [9, 9, 9]], name="density"))
+    back = decoded(encoded(made))
+    assert [grid.topology.m for grid in back.grids] == [1, 2]
+
+
 def test_the_octree_comes_back_from_density_and_sh() -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     for half in (False, True):
