@@ -42,7 +42,7 @@ LONGEST_LINE = 300  # characters: a terminal's line or two
 def one_line(text: str, longest: int = LONGEST_LINE) -> str:
     """At most `longest` printable characters. What was found is shortened in its middle; `; allowed: ` stays."""
     found, mark, allowed = text.rpartition(_ALLOWED)
-    allowed = _shortened(allowed, max(longest // 2, longest - len(found) - len(mark)) if mark else longest)
+    allowed = _shortened(allowed, max(longest * 2 // 5, longest - len(found) - len(mark)) if mark else longest)
     return _shortened(found, longest - len(mark + allowed)) + mark + allowed
 
 

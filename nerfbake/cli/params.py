@@ -13,7 +13,7 @@ from click.types import FloatParamType
 
 from nerfbake import catalog, memory
 from nerfbake.cli.paths import Capture, Output, Reads, Stage1AndFolder
-from nerfbake.cli.words import Words
+from nerfbake.cli.words import Mode, Words
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
@@ -221,15 +221,23 @@ def judges(function: Command) -> Command:
 
 
 def speaks(function: Command) -> Command:
-    """Adds -q and -v; the command gets `words`."""
+    """Adds -q, -v and --progress; the command gets `words`."""
 
     @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
     @click.option("-v", "--verbose", is_flag=True, help="Print how long each step took.")
+    @click.option(
+        "--progress",
+        type=click.Choice(["auto", "plain", "json"]),
+        default="auto",
+        show_default=True,
+        help="How long steps are shown on stderr: auto: a bar on a terminal, nothing elsewhere; plain: a line every ten"
+        " seconds; json: an object a line, every second.",
+    )
     @functools.wraps(function)
-    def command(*args: Any, quiet: bool, verbose: bool, **others: Any) -> Any:
+    def command(*args: Any, quiet: bool, verbose: bool, progress: Mode, **others: Any) -> Any:
         if quiet:
-            without_effect("verbose", here="with --quiet", allowed="one of them")
-        return function(*args, words=Words(quiet=quiet, verbose=verbose), **others)
+            without_effect("verbose", "progress", here="with --quiet", allowed="one of them")
+        return function(*args, words=Words(quiet=quiet, verbose=verbose, mode=progress), **others)
 
     return command
 

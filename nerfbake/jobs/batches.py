@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import nerfbake
+from nerfbake import progress
 from nerfbake.batch.child import Children, nerfbake_command
 from nerfbake.batch.crew import Crew, Plan, Told
 from nerfbake.batch.files import require_report, save_plan, write_report
@@ -129,7 +130,7 @@ def _run(state: State, items: Sequence[Item], run: Run, shard: str, steps: Steps
     tried: set[int] = set()
     running: dict[int, str] = {}
 
-    with state.opened(shard, facts, time.time()), steps.progress(f"{len(items):,} items") as show:
+    with state.opened(shard, facts, time.time()), steps.phase(f"{len(items):,} items"):
 
         def tell(told: Told) -> None:
             if told.attempt is None:
@@ -143,7 +144,7 @@ def _run(state: State, items: Sequence[Item], run: Run, shard: str, steps: Steps
                     report(told.event or {"event": "skip", "argv": items[told.number].argv})
             bad = sum(attempt.status != DONE for attempt in found.values())
             shown = ", ".join(islice(running.values(), _SHOWN))
-            show(len(found) / len(items), f"{len(found) - bad} done, {bad} not: {shown}")
+            progress.report(len(found) / len(items), f"{len(found) - bad} done, {bad} not: {shown}")
 
         crew.run(items, range(len(items)), tell)
     missed = _recorded(state, (item for number, item in enumerate(items) if number not in found), read=False)

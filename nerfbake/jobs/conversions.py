@@ -84,8 +84,10 @@ def split_volume(
     letters, digits, `.`, `-` and `_` become `_`. Options as convert_file() has them. Raises NerfbakeError, before
     anything is written if one of the files cannot be written.
 
-    >>> list(split_volume("a.vdb", "a.nvdb"))
-    ['a.density.nvdb', 'a.Cd.nvdb']
+    >>> volume = nerfbake.build_vdb(nerfbake.load("octree.svo.npz"), grids=("density", "Cd"))
+    >>> _ = nerfbake.save("smoke.vdb", volume)
+    >>> list(split_volume("smoke.vdb", "smoke.nvdb"))
+    ['smoke.density.nvdb', 'smoke.Cd.nvdb']
     """
     source, target = as_source(source), as_target(target)
     if target.path == io.STREAM or not _is_volume(target):

@@ -11,7 +11,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 import nerfbake
-from nerfbake import catalog, io
+from nerfbake import catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
 from nerfbake.jobs.compressions import LEAST_LOSS, SOURCE_PSNR, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
@@ -224,13 +224,14 @@ def _fit(
     from nerfbake.stages.views_to_field import fit_field
 
     now = start = _start(keeper, course)
-    with steps.progress("fitting") as tell, io.blame(source.name):
+    with steps.phase("fitting"), io.blame(source.name):
         box = None if recipe.box is None else world_box(recipe.box)
         for now in fit_field(views, schedule=schedule, basis=recipe.basis, box=box, seed=recipe.seed, start=start):
-            ended = course.follow(now)
+            with progress.listening(None):  # what judges a stage has no share of its own
+                ended = course.follow(now)
             if keeper is not None and (ended or asked or keeper.is_due):
                 _keep(keeper, now, course)
-            tell(course.share(now), course.told(now))
+            progress.report(course.share(now), course.told(now))
             if asked:
                 break
         field: nerfbake.BrickField = now.field()

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import nerfbake
-from nerfbake import io
+from nerfbake import io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_course import Clock
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, Album, Posed, read_photographs
-from nerfbake.jobs.steps import SILENT, Steps, Tell
+from nerfbake.jobs.steps import SILENT, Steps
 
 if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
@@ -46,11 +46,11 @@ class Model(NamedTuple):
             return read_photographs(steps, Source(self.views), self.album)
         bigger = Source(str(self.like))
         scene = bigger.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
-        with bigger.blamed(steps, f"taking pictures of {bigger.name}") as tell:
+        with bigger.blamed(steps, f"taking pictures of {bigger.name}"):
             field = nerfbake.build_field(scene)
             around = nerfbake.sphere_cameras(field, frames=self.frames, edge=self.edge)
             judges = nerfbake.orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
-            return Posed(*(_taken(field, cameras, samples, tell) for cameras in (around, judges)))
+            return Posed(*(_taken(field, cameras, samples) for cameras in progress.each((around, judges))))
 
 
 class Again(NamedTuple):
@@ -138,13 +138,12 @@ def _require(target: Target, no_child: int | None) -> None:
     target.require("SparseVoxelOctree", no_child=no_child)
 
 
-def _taken(field: nerfbake.RadianceField, cameras: nerfbake.Cameras, samples: int, tell: Tell) -> nerfbake.Views:
+def _taken(field: nerfbake.RadianceField, cameras: nerfbake.Cameras, samples: int) -> nerfbake.Views:
     """Pictures of a field."""
     cameras.require_memory()
 
     def pictures() -> Iterator[Any]:
-        for i, camera in enumerate(cameras.cameras):
-            tell(f"{i + 1} of {len(cameras.cameras)}")
+        for camera in progress.each(cameras.cameras):
             yield nerfbake.render_field(field, camera, background=None, samples=samples).pixels
 
     return nerfbake.build_views(cameras, pictures())
@@ -157,9 +156,9 @@ def _fit(
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
 
     clock, count = Clock(), again.epochs * len(posed.trained.pictures)
-    with steps.progress("refitting") as tell, io.blame(source.name):
+    with steps.phase("refitting"), io.blame(source.name):
         for done, now in enumerate(refit_bricks(cells, posed.trained, **again._asdict())):
-            tell(min(1, done / count), f"epoch {now.epoch + 1} of {again.epochs}")
+            progress.report(done / count, f"epoch {now.epoch + 1} of {again.epochs}")
         return now.field(), clock.worked
 
 

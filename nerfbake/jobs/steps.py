@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
 Tell = Callable[[str], None]
-TellShare = Callable[[float, str], None]  # how much of the work is done, 0 to 1, and where it is
 
 
 class Steps(Protocol):
@@ -17,10 +16,8 @@ class Steps(Protocol):
         """A line about something that was found or written."""
 
     def phase(self, text: str) -> AbstractContextManager[Tell]:
-        """A step of the work that may take a while: it lasts as long as the block, which may tell how far it is."""
-
-    def progress(self, text: str) -> AbstractContextManager[TellShare]:
-        """A long step of which it is known how much is done: it lasts as long as the block, which tells it."""
+        """A step of the work: it lasts as long as the block, which may tell where it is. nerfbake.progress.report()
+        says how much of it is done."""
 
 
 class _Silent:
@@ -32,10 +29,6 @@ class _Silent:
     @contextmanager
     def phase(self, text: str) -> Iterator[Tell]:
         yield lambda text: None
-
-    @contextmanager
-    def progress(self, text: str) -> Iterator[TellShare]:
-        yield lambda share, text: None
 
 
 SILENT: Steps = _Silent()

@@ -46,6 +46,11 @@ class _Stopwatch(event.Listener):
             self._start = Compiling(time.thread_time(), time.perf_counter())
         self._depth += 1
 
+    @property
+    def seconds(self) -> float:
+        """Since the kernel that is being compiled was begun; 0 where there is none."""
+        return time.perf_counter() - self._start.passed if self._depth else 0.0
+
     def on_end(self, event: object) -> None:
         self._depth -= 1
         if not self._depth:
@@ -62,6 +67,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiling() -> Compiling:
     """What this process has spent on compiling kernels: only a first run does."""
     return _stopwatch.total
+
+
+def compiling_for() -> float:
+    """For how many seconds a kernel has been compiled by now; 0 where none is."""
+    return _stopwatch.seconds
 
 
 def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.kernels.picture.metrics import psnr
@@ -58,7 +58,7 @@ class Judge:
         return self.source_error * (float(exp(loss * _LN_10 / 10)) - 1)
 
     def cost(self, field: RadianceField) -> Cost:
-        pictures = [_picture(field, camera) for camera in self.cameras]
+        pictures = [_picture(field, camera) for camera in progress.each(self.cameras)]
         pairs = zip(pictures, self.references, strict=True)
         squares = sum(float(np.square(picture - reference).sum()) for picture, reference in pairs)
         error = squares / sum(reference.size for reference in self.references)
@@ -72,7 +72,7 @@ def predicting_judge(field: RadianceField, *, source_psnr: float) -> Judge:
     cameras = sphere_cameras(field, frames=_FRAMES, edge=_EDGE, zoom=_ZOOM)
     looks = [[camera] for camera in cameras.cameras]
     _require_memory(looks, 1)
-    references = [_picture(field, each) for each in looks]
+    references = [_picture(field, camera) for camera in progress.each(looks)]
     return Judge(looks, references, None, source_psnr, len(references))
 
 

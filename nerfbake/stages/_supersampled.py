@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import Image
@@ -32,7 +32,7 @@ def supersampled(render: Callable[[Camera], Image], camera: Camera, samples: int
     with memory.lent(f"a picture of {W}x{H} pixels", _PIXEL_BYTES * W * H):
         colour = np.empty((H, W, 3), np.float32)
         alpha, depth = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
-        for y, x in product(range(0, H, down), range(0, W, across)):
+        for y, x in progress.each(list(product(range(0, H, down), range(0, W, across)))):
             rows, columns = slice(y, min(y + down, H)), slice(x, min(x + across, W))
             part = _means(render(camera.part(columns, rows, finer=N)), N)
             colour[rows, columns], alpha[rows, columns], depth[rows, columns] = part.colour, part.alpha, part.depth

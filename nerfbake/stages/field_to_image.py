@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import placed
 from nerfbake.scene.camera import Camera
@@ -13,6 +14,7 @@ from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.stages._supersampled import supersampled
 
+_RAYS = 1 << 17  # at a time, so that a large picture can say how much of it is done
 _RAY_BYTES, _BASIS_BYTES = 130, 5  # a pixel, and a pixel and coefficient, while rays are marched (129 and 4.8 measured)
 
 
@@ -103,5 +105,18 @@ def _marched(
         # Positions from centre to centre; what is occupied reaches one further on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
     # A whole number would be another type, for which all of it would be compiled anew.
-    march(field.cells, field.values, field.densities, box, place, ways, stop, basis, float(cut), out)
+    for first in progress.each(range(0, len(looks), _RAYS)):
+        some = slice(first, first + _RAYS)
+        march(
+            field.cells,
+            field.values,
+            field.densities,
+            box,
+            place,
+            ways[some],
+            stop[some],
+            basis[some],
+            float(cut),
+            out[some],
+        )
     return out

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.kernels.march.importance import collect_maxima
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.affine import placed, turned
@@ -69,6 +69,7 @@ def weigh_leaves(field: RadianceField, cameras: Cameras) -> Importance:
                 hit = np.flatnonzero(alpha > 0)[::_EVERY]
                 seen[i] = looks[hit], alpha[hit].astype(np.float64)
             spare.append(largest)
+            progress.report(end / len(views))
 
         over_chunks(work, len(views), 1)
         largest = spare[0]

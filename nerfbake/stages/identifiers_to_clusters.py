@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.cluster import colours, lloyd, planes
 from nerfbake.stages.specular_to_identifiers import Identifiers
@@ -63,7 +64,7 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
         raise InvalidScene(Problem("clusters", f"is {clusters:,}", allowed))
     cells = lloyd.bound_cells(points, _cells(identifiers.codes, _CELL_BITS))
     centres = _coarse_centres(identifiers, clusters, np.random.default_rng(seed))
-    for _ in range(ROUNDS):
+    for _ in progress.each(range(ROUNDS)):
         centres = lloyd.move(points, weight, lloyd.nearest_centres(points, cells, centres)[0], centres)
     members = lloyd.nearest_members(*lloyd.nearest_centres(points, cells, centres), clusters)
     members = np.unique(members[members >= 0])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import BudgetMissed, InvalidScene, Problem
 from nerfbake.kernels.march.cells import EMPTY, with_rows
 from nerfbake.kernels.maths.elementary import exp, log
@@ -33,6 +33,8 @@ _MOST_PRUNED, _HALVINGS = 0.95, 7
 _NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # of what is allowed: near enough
 _TRIALS, _SHARES = 16, 4  # at most; and after how many the share that goes stays, so that sizes fall with the step
 _AIM, _STRIDE = 0.985, 2.0  # of what is allowed; of a step's logarithm where only one side is known
+_WEIGHED, _SHARED = 0.15, 0.5  # of the work is done when the leaves are weighed, and when their share is found
+_USUAL = 3  # trials
 _FIRST = 22.0  # steps for the root of the squared error that is allowed: of the real chair
 
 
@@ -72,12 +74,14 @@ def compress_octree(
         require_lower(octree, basis)  # before the work, not after it
     rows = visible_leaves(octree)
     own = field_of_octree(octree)
-    importance = weigh_leaves(own, sphere_cameras(own, frames=_FRAMES, edge=_EDGE))
+    with progress.part(0, _WEIGHED):
+        importance = weigh_leaves(own, sphere_cameras(own, frames=_FRAMES, edge=_EDGE))
     tell(f"{len(rows):,} leaves weighed")
-    if cameras is not None and truth is not None:
-        judge = measuring_judge(own, cameras, truth)
-    else:
-        judge = predicting_judge(own, source_psnr=source_psnr)
+    with progress.listening(None):
+        if cameras is not None and truth is not None:
+            judge = measuring_judge(own, cameras, truth)
+        else:
+            judge = predicting_judge(own, source_psnr=source_psnr)
     if basis is not None:
         octree = lower_basis(octree, basis, importance.gram)
         own, size = field_of_octree(octree), octree.data_dim // 3
@@ -110,7 +114,9 @@ class _Search:
         self._octree, self._own, self._rows, self._importance = octree, own, rows, importance
         self._judge, self._coded_size, self._tell = judge, coded_size, tell
         # The squared error by share: what a lower basis costs is there from the first.
-        self._pruning = {0.0: judge.cost(own).error}
+        with progress.listening(None):
+            self._pruning = {0.0: judge.cost(own).error}
+        self._trials = 0
         self._coefficients: tuple[float, Coefficients] | None = None  # of this share
 
     # -- the three goals ---------------------------------------------------------------------------------------
@@ -170,6 +176,12 @@ class _Search:
 
     # -- parts of a trial --------------------------------------------------------------------------------------
     def _trial(self, share: float, step: float) -> Compression:
+        self._trials += 1
+        begin = _SHARED if len(self._pruning) > 1 else _WEIGHED
+        with progress.part(_done(self._trials - 1, begin), _done(self._trials, begin)):
+            return self._tried(share, step)
+
+    def _tried(self, share: float, step: float) -> Compression:
         keep = most_important(self._importance, share)
         if self._coefficients is None or self._coefficients[0] != share:
             self._coefficients = None  # lets go of the old ones before there are new ones
@@ -185,7 +197,7 @@ class _Search:
         """The largest share that adds no more than this squared error, by halving; the error rises with the share."""
         low, high = 0.0, _MOST_PRUNED
         allowed += self._pruning[low]
-        for _ in range(_HALVINGS):
+        for _ in self._halvings():
             middle = (low + high) / 2
             if middle not in self._pruning:
                 keep = most_important(self._importance, middle)
@@ -193,12 +205,23 @@ class _Search:
             low, high = (middle, high) if self._pruning[middle] <= allowed else (low, middle)
         return low
 
+    def _halvings(self) -> Iterator[int]:
+        """The rounds that find the first share are a step of their own; later ones know most of the errors."""
+        first = len(self._pruning) == 1 and not self._trials
+        with progress.part(_WEIGHED, _SHARED) if first else progress.listening(None):
+            yield from progress.each(range(_HALVINGS))
+
     def _cost(self, keep: Rows, values: npt.NDArray[np.float32]) -> Cost:
         """Of the field with only these leaves, which hold these values."""
         own = self._own
         slot = np.full(len(own.values), EMPTY, np.int32)
         slot[keep] = np.where(values[:, -1] > 0, -2 - np.arange(len(keep)), EMPTY)
         return self._judge.cost(replace(own, cells=with_rows(own.cells, slot), values=values))
+
+
+def _done(trials: int, begin: float) -> float:
+    """The share of the work that is done after so many trials: nobody knows how many there will be."""
+    return begin + (1 - begin) * trials / (trials + max(1, _USUAL - trials))
 
 
 def next_step(points: list[tuple[float, float]], *, slope: float) -> float:

@@ -8,7 +8,7 @@ from math import prod
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Points, Singles
 from nerfbake.kernels.dilation import dilated
@@ -27,6 +27,7 @@ _NOTHING = 1e-4  # that of a voxel whose raw value is 0: less than LEAST in a st
 # between the two. Pictures of the real chair at 256^3 are 35.3 dB from its own with 8 (which is nearly nothing), 36.3
 # with 4, 36.7 with 3, 37.1 with 2, 37.2 with 1 and a rim around it, 36.3 with 0.
 _LOWER = 2.0
+_WEIGHED = 0.1  # of the work is done when it is known which leaves are seen
 _FRAMES, _EDGE = 48, 256  # of the cameras that tell which leaves there are to be seen
 _ASTRAY = 0.01  # of a voxel: how far float32 may move the box
 _CHUNK = 1 << 16  # nodes at a time
@@ -62,8 +63,10 @@ def lattice_of_octree(
     voxels, values = _voxels(octree, sigma_min)
     low, shape = _extent(voxels)
     box = _box(octree, low, shape)
-    seen = weigh_leaves(field, sphere_cameras(field, frames=_FRAMES, edge=_EDGE)).largest
-    code, colour = fit_mlp(field, seen, rounds=rounds, seed=seed)
+    with progress.part(0, _WEIGHED):
+        seen = weigh_leaves(field, sphere_cameras(field, frames=_FRAMES, edge=_EDGE)).largest
+    with progress.part(_WEIGHED, 1):
+        code, colour = fit_mlp(field, seen, rounds=rounds, seed=seed)
     links, held = _numbered(voxels - low, shape)
     voxel = _voxel_of(box, shape)
     table = np.zeros((int(links.max()) + 1, FEATURES + 1), np.float32)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.camera import Cameras
@@ -51,9 +52,10 @@ def compare_scenes(
     cameras.require_covered()
     one, other = visible(a), visible(b)
     views, pictures, samples = [], [], cameras.samples
-    for i, camera in enumerate(cameras.cameras):
+    for i, camera in progress.each(list(enumerate(cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
-        seen = {"a": picture(one, camera, samples=samples), "b": picture(other, camera, samples=samples)}
+        both = progress.each([("a", one), ("b", other)])
+        seen = {name: picture(scene, camera, samples=samples) for name, scene in both}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.maths.sphere import fibonacci
@@ -18,6 +18,7 @@ from nerfbake.stages.identifiers_to_clusters import Clusters, cluster_identifier
 from nerfbake.stages.specular_to_identifiers import Identifiers, identify_colours
 
 MAX_CUBE_NODES = 16
+_IDENTIFIED = 0.6  # of the work is done when colours have identifiers
 _TEXEL_BYTES = 3 * 4 * 8  # a texel's channels, in up to four float64 copies at a time
 # A texel of the texture, while its colour is looked up and, for affine, its distance from a centre taken (72 measured).
 _LABEL_BYTES = {"kmeans": 32, "affine": 96, "grid": 32}
@@ -65,13 +66,15 @@ def bake_atlas(
     memory.require(f"{count:,} maps of {map_size}x{map_size}", count * map_size**2 * _TEXEL_BYTES)
     memory.require("the texture's labels", field.used.size * _LABEL_BYTES[method])
     directions = fibonacci(100) if directions is None else directions
-    identifiers = identify_colours(field, directions=directions, direction_weights=direction_weights)
+    with progress.part(0, _IDENTIFIED):
+        identifiers = identify_colours(field, directions=directions, direction_weights=direction_weights)
     if method == "grid":
         maps = bake_grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
         labels = np.zeros(field.used.shape, np.uint16)
         return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
     find = cluster_planes if method == "affine" else cluster_identifiers
-    found = find(identifiers, clusters=clusters, seed=seed)
+    with progress.part(_IDENTIFIED, 1):
+        found = find(identifiers, clusters=clusters, seed=seed)
     labels = label_texels(field, identifiers, found)
     if method == "affine":
         affine = bake_affine_maps(field, identifiers, found, map_size=map_size)

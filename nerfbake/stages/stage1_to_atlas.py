@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.kernels.surface.octahedron import TexelLookup
@@ -19,6 +19,8 @@ from nerfbake.stages.specular_to_atlas import bake_atlas
 
 DirectionSet = Literal["fibonacci", "cameras"]
 HELD_OUT = 617  # directions: a prime, so that the spiral meets none of the usual sets again
+
+_BAKED = 0.75  # of the work is done when atlases are to be measured
 
 
 def bake_stage1(
@@ -39,10 +41,12 @@ def bake_stage1(
     kmeans atlas of 4 maps of 8x8
     """
     evenly = fibonacci(directions)
-    atlases = tuple(
-        memory.kept(bake_atlas(field, directions=evenly, direction_weights=weights, **options))
-        for field, weights in zip(stage1.fields, _weights(stage1, direction_set, evenly), strict=True)
-    )
+    weights = _weights(stage1, direction_set, evenly)
+    with progress.part(0, _BAKED):
+        atlases = tuple(
+            memory.kept(bake_atlas(field, directions=evenly, direction_weights=own, **options))
+            for field, own in progress.each(list(zip(stage1.fields, weights, strict=True)))
+        )
     errors = [
         measure_atlas_error(atlas, field, directions=evenly)._asdict()
         for atlas, field in zip(atlases, stage1.fields, strict=True)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nerfbake import progress
 from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.views import Views
@@ -38,7 +39,7 @@ def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tu
     """
     views.cameras.require_covered()
     errors = []
-    for i, camera in enumerate(views.cameras.cameras):
+    for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
         made = render_field(field, camera, background=views.background, samples=samples).colour.astype(np.float64)
         truth = views.photograph(i).astype(np.float64)

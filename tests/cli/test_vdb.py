@@ -84,7 +84,7 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
         (["vdb", "a.npz", "b.vdb.npz", "--codec", "zip"], 2, "vdb.npz takes no option 'codec'; allowed: none"),
         (["vdb", "a.svo.npz", "b.vdb", "--resolution", "8"], 2, "an octree has its own resolution"),
         (["convert", "a.vdb", "b.svo.npz"], 1, "a.vdb: the volume has the grids density, Cd; allowed: density,sh or"),
-        (["convert", "a.vdb", "b.nvdb"], 1, "b.nvdb: a .nvdb would hold 2 grids; allowed: one of density, Cd"),
+        (["convert", "a.vdb", "b.nvdb"], 1, "b.nvdb: a .nvdb would hold 2 grids: density, Cd; allowed: --grid NAME"),
         (["convert", "a.vdb", "b.vdb", "--grid", "2"], 1, "a.vdb: the volume has no grid '2'; allowed: density, Cd"),
         (["convert", "a.vdb", "b.vdb", "--layout", "full"], 2, "a volume has no child slots; allowed: no --layout"),
         (["convert", "a.vdb", "b.vdb", "--no-child=-1"], 2, "a volume has no child slots"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from nerfbake import progress
+
 
 class Listener:
     """phases, in order of their start; said, line by line; told and shares, how far they were."""
@@ -21,9 +23,5 @@ class Listener:
     @contextmanager
     def phase(self, text: str) -> Iterator[Callable[[str], None]]:
         self.phases.append(text)
-        yield self.told.append
-
-    @contextmanager
-    def progress(self, text: str) -> Iterator[Callable[[float, str], None]]:
-        self.phases.append(text)
-        yield lambda share, text: self.shares.append((share, text))
+        with progress.listening(lambda share, detail: self.shares.append((share, detail))):
+            yield self.told.append

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
+from nerfbake import progress
 from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.lattice.mlp import LANES, cut, dense
@@ -56,7 +57,7 @@ def fitted(pairs: Pairs, units: int, *, rounds: int, seed: int) -> Weights:
     flat = [np.zeros_like(each) for each in weights]
     means, squares = [each.copy() for each in flat], [each.copy() for each in flat]
     left_mean = left_square = 1.0
-    for number in range(rounds):
+    for number in progress.each(range(rounds)):
         row = random.integers(0, len(pairs.features), BATCH)
         way = random.integers(0, len(pairs.code), BATCH)
         slopes = _slopes(pairs, weights, row, way)

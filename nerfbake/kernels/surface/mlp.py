@@ -15,11 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from nerfbake import progress
 from nerfbake.kernels.arrays import Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.maths.products import product
 
+_ROWS = 1 << 16  # colours at a time, so that it can be said how many are done
 _LOG2_E = f32(1.4426950408889634)
 # (2^r - 1) / r for r in [-1/2, 1/2], interpolated at Chebyshev points: 2^r to 1.4e-7, and 2^0 is 1, so that where all
 # hidden units are off a colour is exactly 1/2.
@@ -68,7 +70,9 @@ def project(features: npt.NDArray[Any], mlp: Split, basis: Singles, shift: Singl
     features (m, 3), basis (3n, p), shift (p,). Sums are in an order that no number of threads changes.
     """
     out = np.empty((len(features), len(shift)), np.float32)
-    _project(features.astype(np.float32), *mlp, basis, shift, out)
+    for first in progress.each(range(0, len(features), _ROWS)):
+        rows = slice(first, first + _ROWS)
+        _project(features[rows].astype(np.float32), *mlp, basis, shift, out[rows])
     return out
 
 
