@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import subprocess
 import sys
 from importlib import import_module
@@ -28,6 +27,7 @@ from nerfbake.scene.atlas import METHODS
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
+from tests.support.outputs import read_output
 
 SHARED = {"__init__", "__main__", "aims", "scenes", "suite"}
 
@@ -117,7 +117,7 @@ def test_formats(scenes: Scenes) -> None:
     aims = tables(files, "formats.md")["Aims"]
     assert len(aims) == 2 * 9
     assert {row[1] for row in aims} == {"at most 2", "at most 0.2", "below 1", "at least 20", "at least 50"}
-    whole = json.loads(files["formats.json"])
+    whole = read_output("bench", files["formats.json"])["reports"]
     assert [report["head"]["scene"].partition(":")[0] for report in whole] == ["sample SH16", "chair_sh9.npz at 128^3"]
     assert files["formats.csv"].startswith(b"table,format,MB")
     assert b"svo.pb bulk" in files["formats.svg"]
