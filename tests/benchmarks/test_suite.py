@@ -110,6 +110,11 @@ def test_inputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[0] for row in found["Aims"]] == told
 
 
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.name)
+def test_kept_reports_are_what_their_schema_says(path: Path) -> None:
+    assert read_output("bench", path.read_text())["version"] == 1
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_this_process")
 def test_formats(scenes: Scenes) -> None:
