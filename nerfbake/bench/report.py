@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from nerfbake.bench.measure import Statistics
+from nerfbake.io import versioned
 
 
 class Table(NamedTuple):
@@ -48,20 +49,26 @@ def as_csv(report: Report) -> str:
 
 def as_json(report: Report) -> str:
     """For scripts: everything."""
-    tables = [{"title": table.title, "rows": _records(table)} for table in report.tables]
-    whole = {"title": report.title, "head": report.head, "tables": tables, "notes": report.notes}
-    return json.dumps(whole, indent=1) + "\n"
+    return _written(_facts(report))
 
 
 WRITERS: dict[str, Callable[[Report], str]] = {"md": markdown, "csv": as_csv, "json": as_json}
 
 
 def document(reports: Sequence[Report], kind: str) -> str:
-    """One or more reports in one of WRITERS' kinds; several in JSON are a list."""
-    texts = [WRITERS[kind](report) for report in reports]
-    if kind == "json" and len(texts) > 1:
-        return f"[{','.join(texts)}]\n"
-    return "\n".join(texts)
+    """One or more reports in one of WRITERS' kinds; several in JSON are its `reports`."""
+    if kind == "json" and len(reports) > 1:
+        return _written({"reports": [_facts(report) for report in reports]})
+    return "\n".join(WRITERS[kind](report) for report in reports)
+
+
+def _written(facts: dict[str, Any]) -> str:
+    return json.dumps(versioned(facts), indent=1) + "\n"
+
+
+def _facts(report: Report) -> dict[str, Any]:
+    tables = [{"title": table.title, "rows": _records(table)} for table in report.tables]
+    return {"title": report.title, "head": report.head, "tables": tables, "notes": report.notes}
 
 
 def _records(table: Table) -> list[dict[str, Any]]:

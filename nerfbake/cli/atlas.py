@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
@@ -90,9 +89,5 @@ def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, words: Word
         without_effect("centres", here=f"with --method {method}", allowed="--centres with --method kmeans")
     if even:
         without_effect("transforms", here="where all directions count the same", allowed="--direction-set cameras")
-    report = _print if as_json else None
+    report = io.print_json if as_json else None
     bake_atlas(source, target, steps=words, report=report, **options)
-
-
-def _print(facts: dict[str, Any]) -> None:
-    io.print_text(json.dumps(facts))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
@@ -56,7 +55,7 @@ def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options:
         without_effect("directions", here="with --held-out, which has its own", allowed="one of them")
     errors = measure_atlas(atlas, stage1, steps=words, **options)
     if as_json:
-        io.print_text(json.dumps([error._asdict() for error in errors]))
+        io.print_json({"errors": [error._asdict() for error in errors]})
         return
     for cascade, error in enumerate(errors):
         io.print_text(f"cascade {cascade}: MAE {error.mae:.9f}, MSE {error.mse:.9f} as 8-bit pictures hold them")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from functools import wraps
 from typing import TYPE_CHECKING, Any
@@ -145,7 +144,7 @@ def batch(
     if plan or state is None:
         _print_plan(items, run["shard"], as_json=as_json)
         return 0
-    tell = _print_json if as_json else None
+    tell = io.print_json if as_json else None
     how = Run(**run) if named else None
     found = run_batch(items, state=state, run=how, report_to=report, steps=words, report=tell)
     words.say(found.told)
@@ -183,13 +182,9 @@ def _print_plan(items: list[Item], shard: tuple[int, int], *, as_json: bool) -> 
     require_apart(items)
     for item in items[shard[0] :: shard[1]]:
         if as_json:
-            io.print_text(json.dumps(item._asdict()))
+            io.print_json(item._asdict())
             continue
         io.print_names(item.line)
         for what, paths in item._asdict().items():
             if what != "argv" and paths:
                 io.print_names(f"#   {what}: {', '.join(map(repr, paths))}")
-
-
-def _print_json(event: dict[str, Any]) -> None:
-    io.print_text(json.dumps(event))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
 from nerfbake import io
@@ -28,7 +26,7 @@ def check(source: Source, as_json: bool, words: Words) -> int:
         problems = io.check(source.path)
     if as_json:
         found = [{**problem._asdict(), "message": str(problem)} for problem in problems]
-        io.print_text(json.dumps({"file": source.path, "ok": not problems, "problems": found}))
+        io.print_json({"file": source.path, "ok": not problems, "problems": found})
     else:
         for problem in problems:
             io.print_text(f"{source.path}: {problem.line}")

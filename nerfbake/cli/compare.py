@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial, wraps
 from typing import Any
 
@@ -94,7 +93,7 @@ def compare(source: Source, other: str, as_json: bool, words: Words, **options: 
 def _print_json(a: str, b: str, compared: Compared) -> None:
     found, sizes = compared.found, {"a": compared.a["bytes"], "b": compared.b["bytes"]}
     facts = {"a": a, "b": b, "mean": found.means, "values": found.values, "views": found.views}
-    io.print_text(json.dumps({**facts, "bytes": sizes, "samples": found.samples}))
+    io.print_json({**facts, "bytes": sizes, "samples": found.samples})
 
 
 def _print(compared: Compared) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial, wraps
 from typing import Any
 
@@ -112,4 +111,4 @@ def compress(source: Source, target: Target, as_json: bool, words: Words, **opti
 
 
 def _print_json(source: str, target: str, found: Any) -> None:
-    io.print_text(json.dumps({"in": source, "out": target, **found.facts}))
+    io.print_json({"in": source, "out": target, **found.facts})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import wraps
 from pathlib import Path
 from typing import Any, ClassVar
@@ -178,7 +177,7 @@ def fit(source: str, target: Target, plot: str | None, as_json: bool, words: Wor
     if plot:
         save_bytes(plot, _chart(source, fitted, Path(plot).suffix), force=target.force)
     if as_json:
-        io.print_text(json.dumps(_facts(source, fitted)))
+        io.print_json(_facts(source, fitted))
 
 
 def _facts(source: str, fitted: Fitted) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
@@ -36,7 +35,7 @@ def info(source: Source, as_json: bool, words: Words) -> None:
     """
     facts = describe_file(source, steps=words)
     if as_json:
-        io.print_text(json.dumps(facts))
+        io.print_json(facts)
         return
     _table(facts)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import wraps
 from typing import Any
 
@@ -95,4 +94,4 @@ def refit(
         facts = {"in": source.path, "file": found.path, "content": found.content, "bytes": found.bytes}
         facts |= {"psnr_before": before, "psnr": after, "cpu_seconds": found.worked}
         facts |= {"views": [view._asdict() for view in found.after]}
-        io.print_text(json.dumps(facts))
+        io.print_json(facts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 import time
@@ -12,7 +11,7 @@ from typing import Any, Literal
 
 import click
 
-from nerfbake import progress
+from nerfbake import io, progress
 from nerfbake.errors import one_line
 
 LONGEST_TOLD = 2000  # characters: what is said may be meant to be pasted, as a schedule is
@@ -67,7 +66,6 @@ class Step:
     def facts(self) -> dict[str, Any]:
         left = self.seconds_left
         return {
-            "version": 1,
             "event": "progress",
             "step": self.name,
             "detail": self.detail,
@@ -141,7 +139,7 @@ class Words:
         while not done.wait(EVERY[mode]):
             step = self._innermost()
             with suppress(OSError):
-                click.echo(json.dumps(step.facts) if mode == "json" else step.plain, err=True)
+                click.echo(io.json_line(step.facts) if mode == "json" else step.plain, err=True)
 
     def _innermost(self) -> Step:
         """The last step that has been going on for a while, or that knows its share; else the outermost."""

@@ -28,8 +28,11 @@ from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.sources import STREAM as STREAM
 from nerfbake.io.sources import blame as blame
 from nerfbake.io.sources import reading_name as reading_name
+from nerfbake.io.streams import json_line as json_line
+from nerfbake.io.streams import print_json as print_json
 from nerfbake.io.streams import print_names as print_names
 from nerfbake.io.streams import print_text as print_text
+from nerfbake.io.streams import versioned as versioned
 from nerfbake.io.targets import rejected_path as rejected_path
 from nerfbake.io.targets import replacing as replacing
 from nerfbake.io.targets import require_absent as require_absent

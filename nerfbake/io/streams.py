@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 from nerfbake.errors import OutputError, PipeClosed, UsageError
 
@@ -17,6 +19,21 @@ def print_text(text: str = "") -> None:
     with _blamed():
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
+
+
+def versioned(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """An output for scripts, its version first. schemas/json describes its keys, schemas/README.md what raises it."""
+    return {"version": 1, **facts}
+
+
+def print_json(facts: Mapping[str, Any]) -> None:
+    """Prints an output for scripts as one line of JSON, with its version. Raises OutputError, PipeClosed."""
+    print_text(json_line(facts))
+
+
+def json_line(facts: Mapping[str, Any]) -> str:
+    """An output for scripts as one line of JSON, with its version."""
+    return json.dumps(versioned(facts))
 
 
 def print_names(text: str) -> None:

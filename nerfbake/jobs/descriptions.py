@@ -10,7 +10,7 @@ from nerfbake.jobs.steps import SILENT, Steps
 
 
 def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]:
-    """What a file or folder of any kind holds, its format and its size; `nerfbake info --json` prints this.
+    """What a file or folder of any kind holds, its format and its size; `nerfbake info --json` adds a version.
 
     Reads `source`, writes nothing. Raises NerfbakeError.
 

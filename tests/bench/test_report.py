@@ -6,7 +6,8 @@ import json
 
 from nerfbake.bench.measure import Statistics
 from nerfbake.bench.plot import Mark, lines, scatter
-from nerfbake.bench.report import Report, Table, as_csv, as_json, markdown
+from nerfbake.bench.report import Report, Table, as_csv, as_json, document, markdown
+from tests.support.outputs import read_output
 
 TABLE = Table(
     "Formats",
@@ -42,11 +43,16 @@ def test_csv_has_a_column_for_each_end_of_a_spread() -> None:
 
 
 def test_json_has_everything() -> None:
-    whole = json.loads(as_json(REPORT))
+    whole = read_output("bench", as_json(REPORT))
     assert whole["head"] == REPORT.head
     assert whole["notes"] == REPORT.notes
     assert whole["tables"][0]["rows"][0]["ms max"] == 3.0
     assert whole["tables"][0]["rows"][2]["ms"] is None
+
+
+def test_several_reports_in_json_are_one_object() -> None:
+    several = read_output("bench", document([REPORT, REPORT], "json"))
+    assert [{"version": 1, **report} for report in several["reports"]] == [json.loads(as_json(REPORT))] * 2
 
 
 def test_a_chart_names_every_mark_and_is_the_same_each_time() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import subprocess
 import sys
 from importlib import import_module
@@ -28,6 +27,7 @@ from nerfbake.scene.atlas import METHODS
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
+from tests.support.outputs import read_output
 
 SHARED = {"__init__", "__main__", "aims", "scenes", "suite"}
 
@@ -110,6 +110,11 @@ def test_inputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[0] for row in found["Aims"]] == told
 
 
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.name)
+def test_kept_reports_are_what_their_schema_says(path: Path) -> None:
+    assert read_output("bench", path.read_text())["version"] == 1
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_this_process")
 def test_formats(scenes: Scenes) -> None:
@@ -117,7 +122,7 @@ def test_formats(scenes: Scenes) -> None:
     aims = tables(files, "formats.md")["Aims"]
     assert len(aims) == 2 * 9
     assert {row[1] for row in aims} == {"at most 2", "at most 0.2", "below 1", "at least 20", "at least 50"}
-    whole = json.loads(files["formats.json"])
+    whole = read_output("bench", files["formats.json"])["reports"]
     assert [report["head"]["scene"].partition(":")[0] for report in whole] == ["sample SH16", "chair_sh9.npz at 128^3"]
     assert files["formats.csv"].startswith(b"table,format,MB")
     assert b"svo.pb bulk" in files["formats.svg"]

@@ -10,6 +10,7 @@ import pytest
 
 from nerfbake.cli.main import run
 from nerfbake.formats.wire.texture import encode_texture
+from tests.cli.telling import told
 from tests.support.atlas_scenes import stage1_folder, texture
 
 WHOLE = encode_texture(texture())
@@ -23,11 +24,8 @@ def test_the_error_that_is_printed_is_the_error_that_was_written(
     for method in ("kmeans", "affine", "grid"):
         assert run(["atlas", source, out, "--method", method, "--map-size", "32", "--force"]) == 0
         written = json.loads((tmp_path / "out" / "atlas.json").read_text())["errors"]
-        capsys.readouterr()
-        assert run(["atlas-error", out, source, "--json"]) == 0
-        assert json.loads(capsys.readouterr().out) == written
-        assert run(["atlas-error", out, source, "--json", "--held-out"]) == 0
-        held_out = json.loads(capsys.readouterr().out)[0]["mae"]
+        assert told(["atlas-error", out, source], capsys) == {"version": 1, "errors": written}
+        held_out = told(["atlas-error", out, source, "--held-out"], capsys)["errors"][0]["mae"]
         assert held_out != written[0]["mae"]
         assert held_out == pytest.approx(written[0]["mae"], rel=0.2)
 

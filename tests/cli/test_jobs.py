@@ -113,7 +113,7 @@ FACTS: dict[str, tuple[list[str], Callable[[], Any]]] = {
     "info": (["a.svo.pb"], lambda: jobs.describe_file("a.svo.pb")),
     "atlas-error": (
         ["baked", "in", "--directions", "9"],
-        lambda: [error._asdict() for error in jobs.measure_atlas("baked", "in", directions=9)],
+        lambda: {"errors": [error._asdict() for error in jobs.measure_atlas("baked", "in", directions=9)]},
     ),
 }
 # Those whose work is a stage's, io's or the benchmarks' own, a call between the words.
@@ -173,7 +173,7 @@ def test_a_command_prints_what_its_job_finds(
     monkeypatch.chdir(folder)
     arguments, job = FACTS[command]
     assert main.run([command, *arguments, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(job()))
+    assert json.loads(capsys.readouterr().out) == {"version": 1, **json.loads(json.dumps(job()))}
 
 
 def commands(group: click.Group, prefix: str = "") -> dict[str, click.Command]:

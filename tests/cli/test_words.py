@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import pty
 import re
@@ -19,6 +18,7 @@ import pytest
 
 from nerfbake.cli.words import Step
 from tests.conftest import Shell
+from tests.support.outputs import read_output
 
 
 @pytest.mark.usefixtures("tree_file")
@@ -85,7 +85,7 @@ def test_plain_lines_have_a_share_and_a_time_left() -> None:
 
 
 def test_json_lines_have_shares_and_seconds() -> None:
-    events = [json.loads(line) for line in in_a_pipe(SLOW_STEP, "json")]
+    events = [read_output("progress", line) for line in in_a_pipe(SLOW_STEP, "json")]
     assert len(events) >= 3
     last = events[-1]
     assert (last["version"], last["event"], last["step"], last["compiling"]) == (1, "progress", "thinking hard", False)

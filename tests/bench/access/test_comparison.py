@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from tests.bench.access.conftest import POINTS
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
 from tests.support.octrees import small_octree
+from tests.support.outputs import read_output
 from tests.support.scenes import n3tree
 
 NANOVDB = ("NanoVDB C++", "NanoVDB C++, no stencil cache")
@@ -98,7 +98,7 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, plot = tmp_path / "out.json", tmp_path / "out.svg"
     arguments = [str(tmp_path / "a.npz"), "--resolution", "4", "--rounds", "1", "--rays", str(tmp_path / "rays.json")]
     assert run(["bench", "access", *arguments, "--format", "json", "-o", str(out), "--plot", str(plot)]) == 0
-    reads, rays, _ = json.loads(out.read_text())["tables"]
+    reads, rays, _ = read_output("bench", out.read_text())["tables"]
     names = [row["structure"].partition(":")[0] for row in reads["rows"]]
     assert names[: len(READERS)] == [row.name for row in READERS]
     assert "no g++ here" in reads["rows"][6]["structure"]

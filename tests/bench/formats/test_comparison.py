@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
 from tests.support.octrees import small_octree
+from tests.support.outputs import read_output
 from tests.support.scenes import n3tree
 
 
@@ -66,7 +66,7 @@ def test_the_command(tmp_path: Path, shell: Shell) -> None:
     options = ["--formats", "svo.fb", "--rounds", "1"]
     done = shell("bench", "formats", "a.npz", "b.svo.pb", "--resolution", "2", *options, "--format", "json")
     assert (done.returncode, done.stderr) == (0, b"")
-    reports = json.loads(done.stdout)
+    reports = read_output("bench", done.stdout)["reports"]
     assert [report["head"]["scene"].partition(",")[0] for report in reports] == [
         "a.npz: SH1 octree of 2x2x2",
         "b.svo.pb: SH4 octree of 4x4x4",

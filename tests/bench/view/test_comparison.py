@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +31,7 @@ from nerfbake.errors import NerfbakeError
 from nerfbake.scene.page_field import grid_of
 from tests.bench.conftest import quiet
 from tests.support.browser import with_a_browser_of_its_own
+from tests.support.outputs import read_output
 
 EDGE = 48
 
@@ -149,5 +149,5 @@ def test_the_command_prints_a_report(
     monkeypatch.chdir(tmp_path)
     save("a.npz", sample_n3tree(resolution=16, basis="SH1"))
     assert run(["bench", "view", "a.npz", "--rounds", "1", "--format", "json", "-q"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = read_output("bench", capsys.readouterr().out)
     assert [row["page"] for row in report["tables"][0]["rows"]] == [comparison.OCTREE, comparison.CHOSEN]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from nerfbake.cli.main import run
 from nerfbake.io import save_folder
 from nerfbake.scene.atlas import METHODS
 from tests.support.browser import with_a_browser_of_its_own
+from tests.support.outputs import read_output
 
 pytestmark = [pytest.mark.tools, pytest.mark.slow]
 
@@ -31,7 +31,7 @@ def test_every_way_to_the_highlights_is_drawn_compared_and_timed(
     monkeypatch.chdir(tmp_path)
     save_folder(tmp_path / "stage1", sample_stage1(resolution=32))
     assert run(["bench", "view", "stage1", "--rounds", "2", "--format", "json", "--plot", "a.svg", "-q"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = read_output("bench", capsys.readouterr().out)
     frames, thesis = report["tables"]
     rows = {row["highlights"]: row for row in frames["rows"]}
     assert list(rows) == [*surfaces.MLPS, *METHODS, "none"]
