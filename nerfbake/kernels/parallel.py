@@ -10,6 +10,22 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 
+def cores() -> int:
+    """How many threads share the work: as many as numba's own loops have, so that a batch bounds both."""
+    bound = os.environ.get("NUMBA_NUM_THREADS", "")
+    return max(1, int(bound) if bound.isdecimal() else os.cpu_count() or 1)
+
+
+def on_every_core(work: Callable[[int, int], None]) -> None:
+    """work(first, step) on every core at once: each does every step-th of some tasks, from `first` on.
+
+    Threads take a kernel that is compiled without parallel loops: of one with many arrays in tuples, numba takes 14 s
+    to compile such a loop, which does nothing but call another kernel.
+    """
+    threads = cores()
+    over_chunks(lambda first, _: work(first, threads), threads, 1)
+
+
 def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> None:
     """work(begin, end) for every chunk of 0 .. count, shared out among the cores.
 
@@ -17,7 +33,7 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
     first error ends the other threads' work and is raised here.
     """
     starts = range(0, count, chunk)
-    threads = min(len(starts), os.cpu_count() or 1)
+    threads = min(len(starts), cores())
     errors: list[BaseException] = []
 
     def run(own: range) -> None:

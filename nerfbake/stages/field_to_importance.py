@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from nerfbake.kernels.march.importance import collect_maxima
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.affine import placed, turned
 from nerfbake.kernels.maths.products import product
-from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.parallel import cores, over_chunks
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.radiance_field import RadianceField
 
@@ -47,7 +46,7 @@ def weigh_leaves(field: RadianceField, cameras: Cameras) -> Importance:
     """
     views = cameras.cameras
     cameras.require_covered()
-    threads = min(len(views), os.cpu_count() or 1)
+    threads = min(len(views), cores())
     pixels = max(view.width * view.height for view in views)
     need = 4 * len(field.values) * threads + threads * pixels * _RAY_BYTES
     with memory.lent("weighing leaves", need + sum(view.width * view.height for view in views) * 32 // _EVERY):

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import (
@@ -25,8 +24,9 @@ from nerfbake.kernels.fit.bricks import (
 from nerfbake.kernels.fit.colours import enter, new_room
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.traversal import shuffled, within
+from nerfbake.kernels.march.traversal import within
 from nerfbake.kernels.maths.elementary import exp
+from nerfbake.kernels.parallel import on_every_core
 
 OPAQUE = 0.01  # of the light: a ray ends where less gets through
 _PER = 64  # steps of the table of exponentials to one unit
@@ -63,15 +63,18 @@ class Own(NamedTuple):
     place: Floats
 
 
-@compiled(parallel=True)
 def march_view(bricks: Bricks, batch: Batch, view: View, errors: Floats) -> None:
     """Fills the batch with what the pixels ask of the cells.
 
     errors (tasks,): the sum of squares of what colours are off.
     """
-    tasks = batch.base.shape[0]
-    for turn in prange(tasks):
-        task = shuffled(turn, tasks)
+    on_every_core(lambda first, step: _march_parts(bricks, batch, view, errors, first, step))
+
+
+@compiled()
+def _march_parts(bricks: Bricks, batch: Batch, view: View, errors: Floats, first: int, step: int) -> None:
+    """Every step-th task, which are spread over the picture, so that all cores have as much to do."""
+    for task in range(first, batch.base.shape[0], step):
         errors[task] = _march_part(bricks, batch, task, view)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import (
@@ -22,6 +21,7 @@ from nerfbake.kernels.fit.bricks import (
 )
 from nerfbake.kernels.fit.colours import look, new_room
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 DECAY = 0.9  # of the moving means
 FADE = 0.95  # of the largest weight, at every view that meets the cell
@@ -42,16 +42,30 @@ class Steps(NamedTuple):
     rays: float
 
 
-@compiled(parallel=True)
 def take_steps(bricks: Bricks, batch: Batch, eye: Floats, means: Singles, seen: Singles, steps: Steps) -> None:
     """Moves the values of all cells that the batch has met. Source of the steps: docs/fitting.md, "How it is fitted".
 
     means (n, 2): moving means of curvature and of weight, 0 for cells that were never met. seen (n, 2): the largest
     weight that a ray gave the cell, and the sum of weight times what its pixels are off; both go on.
     """
+    on_every_core(lambda first, step: _step_blocks(bricks, batch, eye, means, seen, steps, first, step))
+
+
+@compiled()
+def _step_blocks(
+    bricks: Bricks,
+    batch: Batch,
+    eye: Floats,
+    means: Singles,
+    seen: Singles,
+    steps: Steps,
+    first: int,
+    step: int,
+) -> None:
+    """Every step-th block."""
     r = bricks.top.shape[0]
-    for turn in prange((r * r * r + _BLOCK - 1) // _BLOCK):
-        _step_block(bricks, batch, turn * _BLOCK, min((turn + 1) * _BLOCK, r * r * r), eye, means, seen, steps)
+    for block in range(first, (r * r * r + _BLOCK - 1) // _BLOCK, step):
+        _step_block(bricks, batch, block * _BLOCK, min((block + 1) * _BLOCK, r * r * r), eye, means, seen, steps)
 
 
 @compiled()

@@ -94,7 +94,7 @@ def march(
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def fetch(values: Singles, row: int) -> None:
     """Asks for all of a leaf's coefficients."""
     last = values.shape[1] - 1
@@ -103,7 +103,7 @@ def fetch(values: Singles, row: int) -> None:
     prefetch(values, row, last)
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def coloured(
     values: Singles,
     basis: Singles,
@@ -132,14 +132,14 @@ def coloured(
     return red, green, blue
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def sums(values: Singles, row: int, basis: Singles, ray: int) -> Any:
     """A leaf's coefficients times the basis in a ray's direction, summed up: red, green, blue."""
     B = basis.shape[1]
     return _sum(values, row, 0, basis, ray), _sum(values, row, B, basis, ray), _sum(values, row, 2 * B, basis, ray)
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _sum(values: Singles, row: int, first: int, basis: Singles, ray: int) -> Any:
     """Four sums at a time, always the same four: as fast as fastmath, and the same bits on every CPU."""
     B, zero = basis.shape[1], np.float32(0)
@@ -154,13 +154,13 @@ def _sum(values: Singles, row: int, first: int, basis: Singles, ray: int) -> Any
     return (s0 + s1) + (s2 + s3)
 
 
-@compiled()
+@compiled(merged=True)
 def sigmoid_of(x: Any) -> Any:
     whole, rest = compiled_exp_parts(-np.float64(x))
     return np.float32(1 / (1 + (whole + whole * rest)))
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def beyond(
     l0: float,
     l1: float,
@@ -192,13 +192,13 @@ def beyond(
     return within(o0 + t * d0, l0, l0 + last), within(o1 + t * d1, l1, l1 + last), z, 2
 
 
-@compiled()
+@compiled(merged=True)
 def within(place: float, low: float, high: float) -> int:
     """The cell of the last level around a place, or the nearest of those from low to high."""
     return int(min(max(np.floor(place), low), high))
 
 
-@compiled()
+@compiled(merged=True)
 def span(box: Floats, origin: Floats, directions: Floats, ray: int, stop: float) -> Any:
     """Where a ray enters the box and leaves it, or stops, in cells; and how many cells are one world unit."""
     d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]

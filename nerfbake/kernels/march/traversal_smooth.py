@@ -98,14 +98,14 @@ def march_smooth(
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _slot(cells: Cells, x: int, y: int, z: int) -> Any:
     if 0 <= x < cells.edge and 0 <= y < cells.edge and 0 <= z < cells.edge:
         return descend(cells, x, y, z)
     return np.int64(EMPTY), np.int64(0)
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _fetch(
     cells: Cells,
     values: Singles,
@@ -140,7 +140,7 @@ def _fetch(
         corners[number, 2], corners[number, 3] = sigma * g, sigma * b
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _between(corners: Floats, f0: float, f1: float, f2: float) -> Any:
     """The corners' four values at a place in their cube, 0 to 1 along each axis."""
     sigma, r, g, b = 0.0, 0.0, 0.0, 0.0
