@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from nerfbake.catalog import SCENES, STAGES
 
 if TYPE_CHECKING:
+    from nerfbake.cli.python import fit as fit
     from nerfbake.io import load as load
     from nerfbake.io import save as save
     from nerfbake.memory import memory_limit as memory_limit
@@ -105,6 +106,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "NerfbakeError": "nerfbake.errors",
+    "fit": "nerfbake.cli.python",
     "load": "nerfbake.io",
     "memory_limit": "nerfbake.memory",
     "save": "nerfbake.io",

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.fits import Fitted as Fitted
     from nerfbake.jobs.fits import Recipe as Recipe
     from nerfbake.jobs.fits import fit_file as fit_file
+    from nerfbake.jobs.fits import fit_scene as fit_scene
     from nerfbake.jobs.grids import Choice as Choice
     from nerfbake.jobs.hulls import bake_hull as bake_hull
     from nerfbake.jobs.lattices import bake_lattice as bake_lattice
@@ -77,6 +78,7 @@ JOBS = {
     "split_volume": "conversions",
     "describe_file": "descriptions",
     "fit_file": "fits",
+    "fit_scene": "fits",
     "judge": "budgets",
     "measure_atlas": "atlases",
     "refit_file": "refits",

@@ -28,7 +28,7 @@ Dtype = Literal["float16", "float32"]
 _GRIDS = ("index",)  # all values in one grid: nothing is lost
 
 
-def _tree(field: nerfbake.BrickField, target: Target, tell: Tell, dtype: Dtype | None) -> nerfbake.N3Tree:
+def _tree(field: nerfbake.BrickField, dtype: Dtype | None) -> nerfbake.N3Tree:
     """A PlenOctree in this type; None: float16 where it can hold every value."""
     if dtype is None:
         from nerfbake.stages._half import LARGEST  # here, since the help loads no arrays
@@ -54,7 +54,7 @@ _WAYS: dict[str, Callable[[nerfbake.BrickField, Target, Tell, Dtype | None], Any
     "SparseVoxelOctree": lambda field, target, tell, dtype: nerfbake.octree_of_bricks(field),
     "QuantisedOctree": _compressed,
     "Volume": lambda field, target, tell, dtype: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
-    "N3Tree": _tree,
+    "N3Tree": lambda field, target, tell, dtype: _tree(field, dtype),
 }
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # of its format: as svox writes it
 PRESET = "balanced"
@@ -138,6 +138,32 @@ class Fitted(NamedTuple):
     def ssim(self) -> float:
         """The mean over the views."""
         return sum(view.ssim for view in self.views) / len(self.views)
+
+
+def fit_scene(
+    source: AnySource,
+    *,
+    album: Album = ALL,
+    recipe: Recipe = BALANCED,
+    dtype: Dtype | None = None,
+    steps: Steps = SILENT,
+) -> nerfbake.N3Tree:
+    """The PlenOctree that fit_file() would write as .npz, without a file and without judging it.
+
+    The views that fit_file() keeps for judging are kept here, too, so that the scene is the same. Raises NerfbakeError.
+
+    >>> tree = fit_scene("photographs", recipe=Recipe(preset="fast", resolution=32, basis="SH1"))
+    >>> tree.data_format
+    'SH1'
+    """
+    source = as_source(source)
+    album.require()
+    recipe.schedule()
+    posed = read_photographs(steps, source, album)
+    schedule = recipe.schedule(len(posed.trained.pictures))
+    field = _fit(steps, source, posed.trained, schedule, recipe, Course(posed, schedule), None, [])
+    with steps.phase("putting the field together"):
+        return _tree(field, dtype)
 
 
 def fit_file(

@@ -9,7 +9,7 @@ from nerfbake.scene.base import Scene
 from nerfbake.scene.image import Image
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Animation(Scene):
     """frames: pictures of one size, all transparent or none; after the last comes the first.
 

@@ -15,6 +15,7 @@ from nerfbake.kernels.surface import octahedron
 from nerfbake.kernels.surface.octahedron import TexelLookup
 from nerfbake.scene.base import Scene
 from nerfbake.scene.mesh import Mesh
+from nerfbake.scene.shown import Shown
 
 Method = Literal["kmeans", "affine", "grid"]
 METHODS: tuple[Method, ...] = ("kmeans", "affine", "grid")
@@ -24,8 +25,8 @@ ZERO_SLOPE = 128  # the byte of an affine map that means 0
 ZERO_OFFSET = 127  # the byte of an affine feature that means 0
 
 
-@dataclass(frozen=True, eq=False)
-class OctahedralAtlas:
+@dataclass(frozen=True, eq=False, repr=False)
+class OctahedralAtlas(Shown):
     """Specular colour = sum over a few maps of weight x map(direction); the method says which maps and weights.
 
     kmeans  one map, tile `label`, weight 1
@@ -184,7 +185,7 @@ def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int3
     return nodes, edges[:, :-1] - edges[:, 1:]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BakedAtlas(Scene):
     """Atlases of all cascades of a scene with what an engine needs beside them; cascade c is entry c.
 

@@ -9,12 +9,17 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import all_within, count_problem
+from nerfbake.scene.shown import Shown, described
 
 MAX_WORLD = 1e15  # world units of a place or an edge, and of what one over an edge is: their squares are numbers, too
 
 
-class Scene:
+class Scene(Shown):
     """Shapes and dtypes are checked as a scene is made; a structure or values that cannot be right are told here."""
+
+    def _repr_html_(self) -> str | None:
+        """Facts and a thumbnail, in the cell of a notebook; None where it is a picture itself."""
+        return None if hasattr(self, "_repr_png_") else described(self)
 
     def structure_problems(self) -> list[Problem]:
         """What keeps the scene from being read at all."""

@@ -20,7 +20,7 @@ MAX_RESOLUTION = 4096
 EMPTY = -1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BrickField(Scene):
     """A radiance field over a lattice of cells, of which only bricks of 8^3 that hold something are there.
 

@@ -17,6 +17,7 @@ from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.lens import Lens, Raster, blind_rim, pixel_looks
+from nerfbake.scene.shown import Shown
 
 FOCAL_LENGTHS = (1e-6, 1e9)  # pixels
 MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
@@ -27,8 +28,8 @@ MAX_SAMPLES = 8  # rays along an edge of a pixel
 PICTURE_BYTES = 72  # a pixel of a picture that is kept, put into a sheet, and made into bytes (72 measured)
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(Shown):
     """width, height in pixels; pose (4, 4) float64 is camera to world; name is the frame's.
 
     focal   in pixels: one for both axes, or (fx, fy)
@@ -147,7 +148,7 @@ class Camera:
         return Problem(f"camera {self.name}".strip(), found, "a lens that covers the picture", times)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Cameras(Scene):
     """The cameras of a capture, in order.
 

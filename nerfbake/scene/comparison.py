@@ -30,7 +30,7 @@ class Verdict(NamedTuple):
     problem: Problem
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Scene):
     """views: for each camera its name and {psnr, ssim, max_error} of a against b, and of both against the truth.
 

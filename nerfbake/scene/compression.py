@@ -7,10 +7,11 @@ from typing import Any
 
 from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.shown import Shown
 
 
-@dataclass(frozen=True, eq=False)
-class Compression:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compression(Shown):
     """What a search found.
 
     pruned       the share of leaves, of those with a density, that were left out

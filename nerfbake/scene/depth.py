@@ -13,7 +13,7 @@ from nerfbake.kernels.soundness import MAX_EDGE, count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Depth(Scene):
     """distance (H, W) float32: along each pixel's ray, in world units; 0 where it meets nothing.
 

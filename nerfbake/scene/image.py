@@ -17,7 +17,7 @@ WHITE = (1.0, 1.0, 1.0)
 GAP = 4  # pixels between the pictures of a contact sheet
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Image(Scene):
     """What a camera sees.
 

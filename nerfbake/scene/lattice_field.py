@@ -40,7 +40,7 @@ class Activation(NamedTuple):
     scale: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LatticeField(Scene):
     """A radiance field over a lattice of nodes. Source: docs/formats/checkpoints.md, "What is read".
 

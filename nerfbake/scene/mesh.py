@@ -13,6 +13,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import turned
 from nerfbake.kernels.soundness import count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
+from nerfbake.scene.shown import Shown
 
 Composite = Literal["stop", "ztest"]  # how meshes and a field are seen together
 MAX_MESHES = 10_000
@@ -20,8 +21,8 @@ MAX_UV = 1e6  # float32 has no digits for texels beyond it
 UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for a writer's rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Mesh:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh(Shown):
     """Triangles over vertices that carry their texture coordinates, as glTF has them.
 
     positions  (v, 3) float32, in the field's own world
@@ -93,7 +94,7 @@ def require_few(count: int) -> None:
         raise InvalidScene(Problem("the scene", f"shows {count:,} meshes or more", f"{MAX_MESHES:,}, one a material"))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Meshes(Scene):
     """Everything that a mesh file shows, a mesh for each material.
 

@@ -19,7 +19,7 @@ from nerfbake.scene.basis import parse_basis
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class N3Tree(Scene):
     """A sparse N^3 tree over the cube [0, 1]^3. Source: docs/formats/n3tree.md, "Keys"; svox.
 

@@ -43,7 +43,7 @@ class _Order(NamedTuple):
     ends: list[int]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SparseVoxelOctree(Scene):
     """A sparse octree over a grid of W x H x D voxels. Source: docs/formats/octree.md, "Structure".
 

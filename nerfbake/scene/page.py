@@ -13,13 +13,13 @@ from nerfbake.scene.page_field import PageField
 from nerfbake.scene.page_surface import PageSurface
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.scene.shown import encoded, framed
+from nerfbake.scene.shown import Shown, encoded, framed
 
 COVER = 320  # pixels along an edge of the cover, as we make it
 
 
-@dataclass(frozen=True, eq=False)
-class Page:
+@dataclass(frozen=True, eq=False, repr=False)
+class Page(Shown):
     """A scene to look around in.
 
     content  what the page carries: a PageField or a PageSurface as it is, a QuantisedOctree in the bytes of a .svoq, or

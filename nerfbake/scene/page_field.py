@@ -11,6 +11,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import placed
 from nerfbake.scene.basis import Basis
+from nerfbake.scene.shown import Shown
 
 CELL, BLOCK = 8, 4  # voxels along an edge of a top cell, and of the eight blocks in it
 WHOLE = 1 << 30  # a top cell from here on is one row
@@ -19,8 +20,8 @@ FARTHEST = 15  # top cells that a distance reaches
 LARGEST = float(np.finfo(np.float16).max)
 
 
-@dataclass(frozen=True, eq=False)
-class PageField:
+@dataclass(frozen=True, eq=False, repr=False)
+class PageField(Shown):
     """Voxels in a grid of top cells of 8^3, which hold eight blocks of 4^3 each, and a row of colours for each voxel.
 
     top     (X, Y, Z) int32. Below 0: empty, and so is every cell that is nearer (along all three axes) than minus this

@@ -8,11 +8,12 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.mesh import Mesh
+from nerfbake.scene.shown import Shown
 from nerfbake.scene.specular import SpecularField
 
 
-@dataclass(frozen=True, eq=False)
-class PageSurface:
+@dataclass(frozen=True, eq=False, repr=False)
+class PageSurface(Shown):
     """A mesh for each cascade, and what is added to its diffuse colour: an atlas, an MLP, or both to choose from.
 
     meshes   with texture coordinates, and the diffuse colour as their texture

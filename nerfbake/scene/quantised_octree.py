@@ -34,7 +34,7 @@ def _ones() -> npt.NDArray[np.float64]:
     return np.ones(3)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class QuantisedOctree(Scene):
     """The m leaves of an octree over a grid of W x H x D voxels, transformed and rounded to whole numbers.
 

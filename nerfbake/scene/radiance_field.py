@@ -17,10 +17,11 @@ from nerfbake.kernels.march.cells import EMPTY, Cells, rows_at
 from nerfbake.kernels.maths.affine import inverse, placed, turned
 from nerfbake.scene.base import require_shape
 from nerfbake.scene.basis import Basis, shown_basis
+from nerfbake.scene.shown import Shown
 
 
-@dataclass(frozen=True, eq=False)
-class RadianceField:
+@dataclass(frozen=True, eq=False, repr=False)
+class RadianceField(Shown):
     """A radiance field over a tree of cells, ready to be looked at as often as wanted.
 
     cells   the tree (kernels.march.cells); a leaf's slot says which row of the values is its own

@@ -1,9 +1,81 @@
-"""How scenes show themselves where somebody asks them to, as notebooks do with what a cell gives."""
+"""How scenes show themselves: as text in an interpreter, and in the cells of notebooks."""
 
 from __future__ import annotations
 
+import base64
+from dataclasses import fields, is_dataclass
 from html import escape
 from importlib import import_module
+from typing import Any
+
+from nerfbake.errors import NerfbakeError, format_size, one_line
+
+LONGEST = 240  # characters of a repr: three lines of 80
+_FACTS, _FACT = 10, 80  # rows of a notebook's table, and characters of each
+_EDGE = 160  # pixels of its thumbnail
+_LARGEST = 512 << 20  # bytes of a scene whose thumbnail is worth the wait
+
+
+class Shown:
+    """A repr that fits on three lines, whatever arrays there are: the scene's own words, or its fields' shapes."""
+
+    def __repr__(self) -> str:
+        if type(self).__str__ is object.__str__:
+            return one_line(f"{type(self).__name__}({', '.join(_fields(self))})", LONGEST)
+        return f"<{one_line(f'{type(self).__name__}: {self}', LONGEST - 2)}>"
+
+
+def _fields(scene: Any) -> list[str]:
+    """Its fields: of an array its dtype and shape, of a long list how many it holds."""
+    found = []
+    for field in fields(scene):
+        value = getattr(scene, field.name)
+        if hasattr(value, "shape"):
+            text = f"{value.dtype} {value.shape}"
+        elif isinstance(value, tuple | list | dict) and len(value) > 4:
+            text = f"{len(value)} of {type(value).__name__}"
+        elif is_dataclass(value) and not isinstance(value, Shown):
+            text = type(value).__name__
+        else:
+            text = repr(value)
+        found.append(f"{field.name}={text}")
+    return found
+
+
+def described(scene: Any) -> str:
+    """A table of facts beside a thumbnail, in the cell of a notebook; all of it text that cannot be anything else."""
+    house = import_module("nerfbake")
+    try:
+        facts = house.summarise_scene(scene)
+    except (NerfbakeError, AttributeError):  # it has no summary, or is broken
+        facts = {}
+    rows = {"scene": str(scene)} | {name: _told(name, value) for name, value in facts.items()}
+    cells = "".join(
+        f"<tr><th>{escape(name.replace('_', ' '))}</th><td>{escape(one_line(text, _FACT))}</td></tr>"
+        for name, text in list(rows.items())[: _FACTS + 1]
+    )
+    return f"<div>{_thumbnail(scene, facts)}<table>{cells}</table></div>"
+
+
+def _told(name: str, value: Any) -> str:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return format_size(value) if name.startswith("bytes") else f"{value:,}"
+    return "-" if value is None else str(value)
+
+
+def _thumbnail(scene: Any, facts: dict[str, Any]) -> str:
+    """A picture of a scene that has one and is not too large to wait for."""
+    if facts.get("bytes_in_memory", _LARGEST) >= _LARGEST:
+        return ""
+    parts, cameras = import_module("nerfbake.stages._picture"), import_module("nerfbake.stages.scene_to_cameras")
+    try:
+        seen = parts.visible(scene)
+        (camera,) = cameras.orbit_cameras(seen, width=_EDGE, height=_EDGE).cameras
+        png = encoded(parts.picture(seen, camera))
+    except NerfbakeError:  # nothing to be seen
+        return ""
+    source = f"data:image/png;base64,{base64.b64encode(png).decode()}"
+    return f'<img src="{source}" width="{_EDGE}" height="{_EDGE}" alt="thumbnail" style="float: left">'
 
 
 def encoded(scene: object) -> bytes:

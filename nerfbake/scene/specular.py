@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import count_problem
+from nerfbake.scene.shown import Shown
 
 MAX_WEIGHT = 1e6  # keeps every sum of the MLP finite in float32
 MAX_WIDTH = 1024
 
 
-@dataclass(frozen=True, eq=False)
-class SpecularField:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpecularField(Shown):
     """specular(f, d) = sigmoid(relu([d, f] W0) W1), added to the diffuse colour.
 
     features  (H, W, 3) uint8, f = features / 255; row 0 is the image's top

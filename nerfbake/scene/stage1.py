@@ -13,7 +13,7 @@ from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.specular import SpecularField
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Stage1(Scene):
     """Cascades (nested boxes, each twice as wide) of one scene; cascade c is entry c of each tuple.
 

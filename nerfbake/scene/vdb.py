@@ -17,6 +17,7 @@ from nerfbake.kernels.vdb.slots import FAR
 from nerfbake.scene.base import number_problems
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.rows import MadeOnce, Rows
+from nerfbake.scene.shown import Shown
 from nerfbake.scene.vdb_topology import VdbTopology
 
 MOST_DENSE = 16  # a leaf's voxels for each active one, up to which all of them are kept to be read
@@ -37,8 +38,8 @@ class TableRows(NamedTuple):
     table: npt.NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
-class VdbTree:
+@dataclass(frozen=True, eq=False, repr=False)
+class VdbTree(Shown):
     """A grid of values at voxels and tiles; everywhere else it is the background.
 
     values (count, c) float32 or float16, c = 1 (a density) or 3 (a colour), in the topology's order
@@ -139,8 +140,8 @@ class VdbTree:
         return out.reshape(*array.shape[:-1], table.shape[1])
 
 
-@dataclass(frozen=True, eq=False)
-class IndexGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class IndexGrid(Shown):
     """One topology for any number of channels: voxel i of the order of VdbTopology has row i + 1 of the table.
 
     table (m + 1, C) float32 or float16; row 0 is the background.  Source: PlenVDB, 4.2 (its M_vdb). Given as Rows it is

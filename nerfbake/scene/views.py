@@ -16,7 +16,7 @@ from nerfbake.scene.camera import Cameras
 PLAIN = 16  # of 255: a pixel of a plain background differs from its colour by no more in any channel
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Views(Scene):
     """Cameras with what they saw.
 

@@ -33,7 +33,7 @@ class OctreeFrame:
     extra_data: npt.NDArray[np.float32] | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Volume(Scene):
     """Grids of one world.
 

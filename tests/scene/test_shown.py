@@ -2,16 +2,43 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import re
+from html import escape
 from html.parser import HTMLParser
+from importlib import import_module
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image as Pillow
 
-from nerfbake import build_field, compare_scenes, orbit_cameras, render_field, sample_n3tree, view
+from nerfbake import (
+    Depth,
+    Meshes,
+    bake_stage1,
+    bricks_of_octree,
+    build_field,
+    build_octree,
+    build_vdb,
+    build_views,
+    catalog,
+    compare_scenes,
+    orbit_cameras,
+    render_field,
+    sample_n3tree,
+    sample_stage1,
+    view,
+)
 from nerfbake.formats.page import comparison as comparison_page
 from nerfbake.formats.page import view as view_page
+from nerfbake.scene.base import Scene
+from nerfbake.scene.shown import Shown
+from tests.support.lattices import some_lattice
+from tests.support.meshes import sphere
+from tests.support.quantised import random_quantised
+from tests.support.vdb_readers import tree, volume
 
 
 class Frames(HTMLParser):
@@ -58,3 +85,73 @@ def test_a_view_is_its_page_in_a_frame_that_may_run_its_own_script_alone() -> No
     frame = framed(page._repr_html_())
     assert frame["sandbox"] == "allow-scripts"  # and not same-origin: it cannot reach the notebook
     assert frame["srcdoc"].encode() == b"".join(view_page.encode(page))
+
+
+def scenes() -> dict[str, Any]:
+    """One of each kind that a notebook is likely to hold."""
+    tree, stage1 = sample_n3tree(resolution=16), sample_stage1(resolution=16)
+    octree, field = build_octree(tree), build_field(tree)
+    volume, cameras = build_vdb(octree), orbit_cameras(field, frames=3, width=12, height=10)
+    pictures = [render_field(field, camera, background=None).pixels for camera in cameras.cameras]
+    found = [tree, octree, field, volume, volume.grids[0], build_vdb(octree, grids=("index",)).grids[0], cameras]
+    found += [cameras.cameras[0], build_views(cameras, pictures), stage1, stage1.fields[0], bricks_of_octree(octree)]
+    found += [bake_stage1(stage1, clusters=3, map_size=8), compare_scenes(tree, octree, cameras), view(tree)]
+    found += [
+        render_field(field, cameras.cameras[0]),
+        Meshes((sphere(),)),
+        sphere(),
+        Depth(np.ones((3, 4), np.float32)),
+    ]
+    found += [some_lattice(), random_quantised(0)]
+    return {type(scene).__name__: scene for scene in found}
+
+
+SCENES = scenes()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_repr_fits_on_three_lines_of_80_characters(name: str) -> None:
+    text = repr(SCENES[name])
+    assert name in text
+    assert "\n" not in text
+    assert len(text) <= 240
+    assert "array(" not in text
+
+
+def test_every_type_of_scene_has_a_short_repr() -> None:
+    for name, module in catalog.SCENES.items():
+        assert issubclass(getattr(import_module(module), name), Shown), name
+
+
+@pytest.mark.parametrize("name", [name for name, scene in SCENES.items() if isinstance(scene, Scene)])
+def test_a_notebook_gets_a_small_table(name: str) -> None:
+    html = SCENES[name]._repr_html_()
+    if name == "Image":
+        assert html is None  # a notebook shows the picture itself
+        return
+    assert len(html) < 100_000 or name == "Page"
+    assert name in ("Comparison", "Page") or f"<th>scene</th><td>{escape(str(SCENES[name]))}</td>" in html
+
+
+@pytest.mark.parametrize("name", ["N3Tree", "SparseVoxelOctree", "Volume", "Meshes", "LatticeField"])
+def test_a_table_has_a_thumbnail_of_what_can_be_seen(name: str) -> None:
+    (data,) = re.findall(r'<img src="data:image/png;base64,([^"]+)" width="160"', SCENES[name]._repr_html_())
+    with Pillow.open(io.BytesIO(base64.b64decode(data))) as picture:
+        assert picture.size == (160, 160)
+        assert len(np.unique(np.asarray(picture))) > 10
+
+
+def test_names_in_a_table_are_text() -> None:
+    html = volume(tree([[0, 0, 0]], name="<script>alert(1)</script>"))._repr_html_()
+    assert html is not None
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+
+
+def test_a_broken_scene_has_a_table_without_a_thumbnail() -> None:
+    broken = sample_n3tree(resolution=8)
+    broken.data[:] = np.nan
+    html = broken._repr_html_()
+    assert html is not None
+    assert "<img" not in html
+    assert "PlenOctree" in html
