@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 _ALLOWED = "; allowed: "  # between what was found and what is allowed
@@ -57,10 +58,27 @@ def _shortened(text: str, longest: int) -> str:
     return f"{line[:first]} ... {line[len(line) - (longest - first - 5) :]}"
 
 
-class NerfbakeError(Exception):
-    """The parent of every error that nerfbake raises on purpose; str() is the one line a user reads.
+_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)(?: ([A-Z0-9](?:[\w.,]*\w)?))?")
+_ARGUMENTS = {"max-memory": "memory_limit"}  # options of the command line that Python names otherwise
 
-    `io` adds the name of the file that is to blame.
+
+def _named_for_python(text: str) -> str:
+    """The same with `force` for --force and `grid=NAME` for --grid NAME. Command lines in backticks stay."""
+
+    def argument(option: re.Match[str]) -> str:
+        name = _ARGUMENTS.get(option[1], option[1].replace("-", "_"))
+        return f"`{name}={option[2]}`" if option[2] else f"`{name}`"
+
+    parts = text.split("`")
+    parts[::2] = (_OPTION.sub(argument, part) for part in parts[::2])
+    return "`".join(parts)
+
+
+class NerfbakeError(Exception):
+    """The parent of every error that nerfbake raises on purpose.
+
+    Texts name options as a shell does (`--force`). str() turns them into arguments of Python (`force`); `line` keeps
+    them. `io` adds the name of the file that is to blame.
 
     >>> from nerfbake import NerfbakeError, load
     >>> try:
@@ -86,7 +104,14 @@ class NerfbakeError(Exception):
         return Problem("file", found, allowed or "a file that nerfbake reads")
 
     def __str__(self) -> str:
-        line = one_line(str(self.what))
+        return self._after_source(one_line(_named_for_python(str(self.what))))
+
+    @property
+    def line(self) -> str:
+        """The one line that a shell shows, with `--options`."""
+        return self._after_source(one_line(str(self.what)))
+
+    def _after_source(self, line: str) -> str:
         return f"{self.source}: {line}" if self.source else line
 
 

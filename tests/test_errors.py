@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
+import ast
+import re
+from pathlib import Path
+
 import pytest
 
-from nerfbake.errors import LONGEST_LINE, InvalidFile, Problem, one_line
+import nerfbake
+from nerfbake.errors import (
+    LONGEST_LINE,
+    InvalidFile,
+    MemoryLimit,
+    NerfbakeError,
+    OutputError,
+    Problem,
+    UsageError,
+    one_line,
+)
+
+PACKAGE = Path(nerfbake.__file__).parent
 
 
 def test_a_short_line_stays_as_it_is() -> None:
@@ -36,3 +52,54 @@ def test_a_text_without_what_is_allowed_keeps_its_start_and_its_end() -> None:
     assert len(line) == LONGEST_LINE
     assert line.startswith("start x")
     assert line.endswith("x end")
+
+
+@pytest.mark.parametrize(
+    ("error", "for_python", "for_shell"),
+    [
+        (
+            OutputError("exists already; allowed: a new file, or --force", source="my--file.npz"),
+            "my--file.npz: exists already; allowed: a new file, or `force`",
+            "my--file.npz: exists already; allowed: a new file, or --force",
+        ),
+        (
+            UsageError("has 2 grids; allowed: --grid NAME, no --no-child"),
+            "has 2 grids; allowed: `grid=NAME`, no `no_child`",
+            "has 2 grids; allowed: --grid NAME, no --no-child",
+        ),
+        (
+            UsageError("--half is for volumes; allowed: `nerfbake svo --dtype float16`"),
+            "`half` is for volumes; allowed: `nerfbake svo --dtype float16`",
+            "--half is for volumes; allowed: `nerfbake svo --dtype float16`",
+        ),
+        (
+            MemoryLimit("the tree", 2 << 20, 1 << 20),
+            "the tree needs 2.0 MiB; allowed: 1.0 MiB (`memory_limit`)",
+            "the tree needs 2.0 MiB; allowed: 1.0 MiB (--max-memory)",
+        ),
+        (InvalidFile("ends in -- or --3; allowed: a---b"), *["ends in -- or --3; allowed: a---b"] * 2),
+    ],
+)
+def test_python_reads_of_arguments_and_a_shell_of_options(
+    error: NerfbakeError, for_python: str, for_shell: str
+) -> None:
+    assert str(error) == for_python
+    assert error.line == for_shell
+
+
+def test_every_option_in_a_text_of_the_library_is_an_argument_there() -> None:
+    """Texts below `nerfbake.cli` name options, and str() turns them into arguments."""
+    arguments, options = {"memory_limit"}, set()
+    for path in PACKAGE.rglob("*.py"):
+        if path.relative_to(PACKAGE).parts[0] in ("cli", "bench", "batch"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.arg):
+                arguments.add(node.arg)
+            elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                arguments.add(node.target.id)
+            elif isinstance(node, ast.Raise):
+                for text in (part for part in ast.walk(node) if isinstance(part, ast.Constant)):
+                    options |= set(re.findall(r"`([a-z_]+)`", str(UsageError(str(text.value)))))
+    assert len(options) > 20
+    assert options - {"float32", "float16"} <= arguments

@@ -95,7 +95,7 @@ def measure_here(module: str, function: str, arguments: dict[str, Any]) -> Resul
     except ImportError as error:
         return Result(error="; ".join(filter(None, (f"not installed: {error.name}", command_for(error.name or "")))))
     except NerfbakeError as error:
-        return Result(error=str(error))
+        return Result(error=error.line)
 
 
 def _reset_peak() -> int:

@@ -123,7 +123,7 @@ def run(arguments: list[str]) -> int:
             return PipeClosed.exit_code
         raise
     except NerfbakeError as error:
-        return _fail(str(error), error.exit_code)
+        return _fail(error.line, error.exit_code)
     except MemoryError:
         return _fail("out of memory; a lower --resolution or --max-memory may help", 1)
     except (click.Abort, KeyboardInterrupt):

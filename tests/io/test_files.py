@@ -39,7 +39,7 @@ def test_what_is_saved_is_loaded(octree: SparseVoxelOctree, suffix: str, tmp_pat
 def test_an_existing_file_is_replaced_only_with_force(octree: SparseVoxelOctree, tmp_path: Path) -> None:
     path = tmp_path / "a.svo.pb"
     path.write_bytes(b"old")
-    with pytest.raises(OutputError, match=r"a\.svo\.pb: exists already; allowed: .*--force"):
+    with pytest.raises(OutputError, match=r"a\.svo\.pb: exists already; allowed: .*`force`"):
         save(path, octree)
     assert path.read_bytes() == b"old"
     save(path, octree, force=True)

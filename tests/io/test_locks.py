@@ -26,7 +26,7 @@ def test_no_other_process_gets_in_while_one_is_at_work(tmp_path: Path) -> None:
         for _ in range(2):  # a refusal must not give the lock back
             with pytest.raises(OutputError) as caught, occupied(lock):
                 pass
-        said = f"process {os.getpid()} on {socket.gethostname()} is at work; allowed: to wait for it, or --take-over"
+        said = f"process {os.getpid()} on {socket.gethostname()} is at work; allowed: to wait for it, or `take_over`"
         assert str(caught.value) == f"{lock}: {said}"
     assert not lock.exists()
 
@@ -54,7 +54,7 @@ def test_a_living_process_that_has_the_number_of_a_dead_one_is_not_taken_for_it(
 def test_a_lock_of_another_host_has_to_be_taken_over(tmp_path: Path) -> None:
     lock = tmp_path / "lock"
     lock.write_text(owner(4_000_000, "elsewhere"))
-    with pytest.raises(OutputError, match=r"process 4000000 on elsewhere is at work; allowed: .*--take-over"):
+    with pytest.raises(OutputError, match=r"process 4000000 on elsewhere is at work; allowed: .*`take_over`"):
         occupied(lock).__enter__()
     assert lock.read_text() == owner(4_000_000, "elsewhere")
     with occupied(lock, take_over=True):

@@ -61,7 +61,9 @@ def test_photographs_count_in_the_allowance_all_together() -> None:
     with memory_limit(6_000_000):
         for name in ("0000", "0001", "0002"):
             load(f"truth/{name}.png", Image)
-        with pytest.raises(MemoryLimit, match=r"^truth/000[12]\.png: .* beside .* that are taken; .*\(--max-memory\)"):
+        with pytest.raises(
+            MemoryLimit, match=r"^truth/000[12]\.png: .* beside .* that are taken; .*\(`memory_limit`\)"
+        ):
             compare_files("a.npz", "a.npz", seen=small)
 
 

@@ -24,9 +24,9 @@ def test_what_is_found_is_what_is_written_and_told(folder: Path, listener: Liste
 
 @pytest.mark.usefixtures("folder")
 def test_wrong_arguments_are_told_before_anything_is_read() -> None:
-    with pytest.raises(UsageError, match="--max-loss and --max-size are two goals"):
+    with pytest.raises(UsageError, match="`max_loss` and `max_size` are two goals"):
         compress_file("none", "a.svoq", goal=Goal(max_loss=1, max_size=1))
-    with pytest.raises(UsageError, match="--truth has no cameras"):
+    with pytest.raises(UsageError, match="`truth` has no cameras"):
         compress_file("none", "a.svoq", photographs=Photographs(truth="."))
     with pytest.raises(UsageError, match=r"allowed: \.svoq"):
         compress_file("none", "a.svo.pb")

@@ -47,7 +47,7 @@ def test_a_volume_in_another_format(listener: Listener) -> None:
 def test_what_does_not_go_together_is_told(folder: Path) -> None:
     with pytest.raises(UsageError, match="a volume has no child slots"):
         convert_file("none", "b.vdb", layout="full")
-    with pytest.raises(UsageError, match="--half is for volumes"):
+    with pytest.raises(UsageError, match="`half` is for volumes"):
         convert_file("a.svo.pb", "b.svo.npz", half=True)
     bake_volume("a.npz", "a.vdb", grids="density,Cd")
     with pytest.raises(NerfbakeError, match=r"^a\.vdb: "):
@@ -68,7 +68,7 @@ def test_an_octree_is_made_of_the_density_wherever_it_stands(tmp_path: Path, lis
 
 def test_a_density_must_be_named_where_none_has_the_name(tmp_path: Path) -> None:
     smoke(tmp_path / "smoke.vdb", "soot", "temperature")
-    with pytest.raises(InvalidScene, match=r"has the grids velocity, soot, temperature; allowed: --grid NAME"):
+    with pytest.raises(InvalidScene, match=r"has the grids velocity, soot, temperature; allowed: `grid=NAME`"):
         convert_file(tmp_path / "smoke.vdb", tmp_path / "smoke.svo.npz")
 
 

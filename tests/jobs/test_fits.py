@@ -57,7 +57,7 @@ def test_a_plenoctree_is_written_as_svox_writes_it(capture: Path) -> None:
     assert half.bytes < full.bytes
     with zipfile.ZipFile("half.npz") as archive:
         assert {member.compress_type for member in archive.infolist()} == {zipfile.ZIP_DEFLATED}
-    with pytest.raises(UsageError, match=r"--dtype has no effect on a\.svo\.pb; allowed: with a PlenOctree"):
+    with pytest.raises(UsageError, match=r"`dtype` has no effect on a\.svo\.pb; allowed: with a PlenOctree"):
         fit_file(capture, "a.svo.pb", dtype="float32")
 
 
@@ -95,16 +95,16 @@ def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit
     Path("there.npz").touch()
     for target, said in (
         ("-", "fit judges the file that it wrote; allowed: an OUT other than '-'"),
-        ("a.png", r"'a\.png' names nothing that a field is written as; allowed: \.svo\.npz, .*, or --to FORMAT"),
+        ("a.png", r"'a\.png' names nothing that a field is written as; allowed: \.svo\.npz, .*, or `to=FORMAT`"),
         ("a.vdb", "index"),
     ):
         with pytest.raises(UsageError, match=said):
             fit_file("none", target)
     with pytest.raises(OutputError, match="exists already"):
         fit_file("none", "there.npz")
-    with pytest.raises(UsageError, match="--preset and --minutes each choose a schedule; allowed: one of them"):
+    with pytest.raises(UsageError, match="`preset` and `minutes` each choose a schedule; allowed: one of them"):
         fit_file("none", "a.npz", recipe=Recipe(preset="fast", minutes=1.0))
-    with pytest.raises(UsageError, match="--test has the views to judge by"):
+    with pytest.raises(UsageError, match="`test` has the views to judge by"):
         fit_file("none", "a.npz", album=Album(test="a", holdout=3))
     with pytest.raises(OutputError, match=r"there\.npz: File exists"):
         fit_file("none", "a.npz", state="there.npz")
@@ -164,7 +164,7 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
 @pytest.mark.parametrize(
     ("album", "recipe", "said"),
     [
-        (Album(), Recipe(seed=1), r"the fit's seed was 0; allowed: the same as now \(1\), or another --state"),
+        (Album(), Recipe(seed=1), r"the fit's seed was 0; allowed: the same as now \(1\), or another `state`"),
         (Album(), Recipe(basis="SH4"), r"the fit's basis was SH9; allowed: the same as now \(SH4\)"),
         (Album(), Recipe(box=(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)), r"the fit's box was None"),
         (Album(holdout=4), Recipe(), r"the fit's schedule was cells=64"),

@@ -23,5 +23,5 @@ def test_grids_by_name_and_an_axis() -> None:
     assert (Choice(up="y").of(SILENT, source, volume).transform != volume.transform).any()
     with pytest.raises(NerfbakeError, match=r"^a.vdb: "):
         Choice(("nothing",)).of(SILENT, source, volume)
-    with pytest.raises(UsageError, match=r"a\.vdb is no volume; allowed: no --grid and no --up"):
+    with pytest.raises(UsageError, match=r"a\.vdb is no volume; allowed: no `grid` and no `up`"):
         Choice(("Cd",)).of(SILENT, source, octree)

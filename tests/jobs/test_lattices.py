@@ -131,10 +131,10 @@ def test_only_what_has_voxels_becomes_a_lattice(tmp_path: Path) -> None:
 
 
 def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--resample is about leaves"):
+    with pytest.raises(UsageError, match="`resample` is about leaves"):
         jobs.bake_octree("ckpt.npz", "e.svo.npz", resample="nearest")
     jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=8)
-    with pytest.raises(UsageError, match="--basis and --scale with a lattice"):
+    with pytest.raises(UsageError, match="`basis` and `scale` with a lattice"):
         jobs.bake_octree(tmp_path / "tree.npz", "e.svo.npz", basis="SH4")
     with pytest.raises(InvalidFile, match=r"holds a lattice field \(`nerfbake svo` makes an octree of it\)"):
         jobs.bake_lod("ckpt.npz", "e.svo.npz", level=1)

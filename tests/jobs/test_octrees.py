@@ -37,7 +37,7 @@ def test_an_output_that_cannot_be_is_told_before_anything_is_read(folder: Path) 
         bake_octree("none", Target("b.svo.npz", profile="bulk"))
     with pytest.raises(OutputError, match="exists already"):
         bake_lod("none", "a.svo.pb", level=1)
-    with pytest.raises(UsageError, match="--min-psnr judges a file"):
+    with pytest.raises(UsageError, match="`min_psnr` judges a file"):
         bake_octree("none", Target("-", to="svo.pb"), budget=Budget(min_psnr=1))
     assert sorted(path.name for path in folder.iterdir()) == ["a.npz", "a.svo.pb", "cameras.json"]
 

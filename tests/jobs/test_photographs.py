@@ -102,16 +102,16 @@ def test_a_capture_with_views_to_judge_by_is_judged_by_them(tmp_path: Path, list
     assert len(read(tmp_path / "transforms_train.json").trained.pictures) == 4
     posed = read(tmp_path / "transforms_train.json", test=str(tmp_path / "transforms_test.json"))
     assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (5, 5)
-    with pytest.raises(UsageError, match="--test has the views to judge by; allowed: it or --holdout"):
+    with pytest.raises(UsageError, match="`test` has the views to judge by; allowed: it or `holdout`"):
         Album(test="a", holdout=3).require()
-    with pytest.raises(UsageError, match="--holdout is 1; allowed: 2 or more"):
+    with pytest.raises(UsageError, match="`holdout` is 1; allowed: 2 or more"):
         Album(holdout=1).require()
 
 
 def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
     scenery = np.random.default_rng(0).integers(0, 256, (10, 14, 3), np.uint8)
     capture = photographed(write_nerfstudio, tmp_path / "capture", many(5), lambda pixels: scenery)
-    with pytest.raises(InvalidScene, match=r"capture: the pictures show scenery behind the object: .* --masks DIR"):
+    with pytest.raises(InvalidScene, match=r"capture: the pictures show scenery behind the object: .* `masks=DIR`"):
         read(capture)
     masks = tmp_path / "masks"
     mask = np.repeat(spot(14, 10)[..., 3:], 3, axis=2)

@@ -48,7 +48,7 @@ def test_one_of_the_cameras_is_what_the_stage_renders() -> None:
     camera = load("cameras.json", Cameras).cameras[2]
     save("c.png", render_field(build_field(load("a.npz", N3Tree)), camera, transmittance_cut=0.5))
     assert Path("b.png").read_bytes() == Path("c.png").read_bytes()
-    with pytest.raises(UsageError, match="--frame is 3; allowed: 0 to 2"):
+    with pytest.raises(UsageError, match="`frame` is 3; allowed: 0 to 2"):
         render_views("a.npz", "d.png", Shots("cameras.json", frame=3))
 
 
@@ -81,7 +81,7 @@ def test_a_level_a_grid_and_a_mesh_change_what_is_seen() -> None:
     render_views("a.npz", "mesh.png", shot, mesh=PlacedMesh("m.obj", how="ztest"))
     for one, other in (("whole", "grey"), ("alone", "mesh")):
         assert np.abs(load(f"{one}.png", Image).colour - load(f"{other}.png", Image).colour).max() > 0.1
-    with pytest.raises(UsageError, match=r"a\.npz is no volume; allowed: no --grid and no --up"):
+    with pytest.raises(UsageError, match=r"a\.npz is no volume; allowed: no `grid` and no `up`"):
         render_views("a.npz", "b.png", shot, choice=Choice(up="y"))
 
 
@@ -89,10 +89,10 @@ def test_a_level_a_grid_and_a_mesh_change_what_is_seen() -> None:
     ("pictures", "shots", "said"),
     [
         ("-", Shots(turntable=3), "stdout takes one picture"),
-        (Pictures("-", alpha=True), Shots(), "--depth and --alpha write files beside a picture"),
-        (Pictures("a.gif", depth="png"), Shots(turntable=3), "--depth and --alpha write files beside a picture"),
+        (Pictures("-", alpha=True), Shots(), "`depth` and `alpha` write files beside a picture"),
+        (Pictures("a.gif", depth="png"), Shots(turntable=3), "`depth` and `alpha` write files beside a picture"),
         ("a.gif", Shots(), "has no ending that a picture is written with"),
-        ("a.png", Shots(cameras="c.json", turntable=3), "--turntable goes around the scene"),
+        ("a.png", Shots(cameras="c.json", turntable=3), "`turntable` goes around the scene"),
         (Pictures("there.png", depth="npy"), Shots(), "there.depth.npy: exists already"),
     ],
 )

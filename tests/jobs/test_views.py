@@ -43,7 +43,7 @@ def test_where_cameras_are_from_and_what_was_taken_for_granted_is_said(tmp_path:
 @pytest.mark.usefixtures("folder")
 def test_cameras_count_in_the_allowance() -> None:
     Path("cameras.json").write_text(Path("cameras.json").read_text() + " " * 1_000_000)
-    with memory_limit(1_000_000), pytest.raises(MemoryLimit, match=r"cameras.json: the file needs .*--max-memory"):
+    with memory_limit(1_000_000), pytest.raises(MemoryLimit, match=r"cameras.json: the file needs .*`memory_limit`"):
         read_cameras(SILENT, "cameras.json")
     with pytest.raises(InvalidFile, match=r"none\.json"):
         read_cameras(SILENT, "none.json")

@@ -206,7 +206,7 @@ def test_a_resolution_out_of_range_is_refused(resolution: int | tuple[int, int, 
 
 def test_memory_is_bounded_before_it_is_taken() -> None:
     # Cells of a third of the cube against 4096 voxels: millions of voxels lie along the boundaries.
-    with pytest.raises(MemoryLimit, match="--max-memory"), memory_limit(32 << 20):
+    with pytest.raises(MemoryLimit, match="`memory_limit`"), memory_limit(32 << 20):
         build_octree(n3tree(N=3), resolution=4096)
 
 

@@ -83,7 +83,7 @@ def test_a_size_is_never_exceeded_and_nearly_used(octree: SparseVoxelOctree, mos
 
 
 def test_a_size_that_cannot_be_reached_is_told(octree: SparseVoxelOctree) -> None:
-    with pytest.raises(BudgetMissed, match="bytes at the least; allowed: --max-size 50"):
+    with pytest.raises(BudgetMissed, match="bytes at the least; allowed: `max_size=50`"):
         compressed(octree, max_size=50)
 
 

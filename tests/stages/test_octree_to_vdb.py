@@ -78,7 +78,7 @@ def test_half_rounds_and_refuses_what_it_cannot_hold() -> None:
     assert isinstance(grid, IndexGrid)
     assert grid.table.dtype == np.float16
     octree.node_data[:, -1] = 70_000
-    with pytest.raises(InvalidScene, match="holds 70000; allowed: up to 65504 for --half"):
+    with pytest.raises(InvalidScene, match="holds 70000; allowed: up to 65504 for `half`"):
         build_vdb(octree, half=True)
 
 

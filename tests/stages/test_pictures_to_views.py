@@ -66,7 +66,7 @@ def test_an_object_that_is_cut_off_leaves_the_background_plain() -> None:
 def test_scenery_behind_the_object_is_one_line_that_tells_of_masks() -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (9, 12, 4), np.uint8)
     pixels[..., 3] = 255
-    with pytest.raises(InvalidScene, match=r"show scenery behind the object: only \d+ % .* or --masks DIR"):
+    with pytest.raises(InvalidScene, match=r"show scenery behind the object: only \d+ % .* or `masks=DIR`"):
         build_views(cameras(), [pixels])
     with pytest.raises(InvalidScene, match=r"only 0 % of their edges are near 255,0,255; allowed"):
         build_views(cameras(), [opaque(over(spot(12, 9), (255, 255, 255)))], background=(1.0, 0.0, 1.0))

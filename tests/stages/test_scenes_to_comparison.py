@@ -45,9 +45,9 @@ def test_budgets() -> None:
     found = compare_scenes(a, b, orbit_cameras(build_field(a), width=20, height=16))
     psnr, error = found.means["a_b"]["psnr"], found.means["a_b"]["max_error"]
     found.require(min_psnr=psnr, max_error=error)
-    with pytest.raises(BudgetMissed, match=r"mean PSNR of .* dB; allowed: --min-psnr"):
+    with pytest.raises(BudgetMissed, match=r"mean PSNR of .* dB; allowed: `min_psnr=29.8"):
         found.require(min_psnr=psnr + 0.01)
-    with pytest.raises(BudgetMissed, match=r"is off by .*; allowed: --max-error"):
+    with pytest.raises(BudgetMissed, match=r"is off by .*; allowed: `max_error="):
         found.require(max_error=error - 0.001)
 
 

@@ -72,7 +72,7 @@ def compare_access(
                 tree = build_octree(scene, resolution=R) if isinstance(scene, N3Tree) else scene
                 density, index = (build_vdb(tree, grids=(g,)) for g in ("density", "index"))
         except MemoryLimit as error:
-            reads.append([f"all: {error}", R, *[None] * (len(COLUMNS) - 2)])
+            reads.append([f"all: {error.line}", R, *[None] * (len(COLUMNS) - 2)])
             continue
         with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
             with progress(f"R = {R}: writing"):

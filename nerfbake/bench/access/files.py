@@ -23,14 +23,14 @@ def file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, in
         try:
             return [what, R, io.save(path, scene, to=to, force=True, **options) / 1e6]
         except NerfbakeError as error:
-            return [f"{what}: {str(error).removeprefix(f'{path}: ')}", R, None]
+            return [f"{what}: {error.line.removeprefix(f'{path}: ')}", R, None]
 
     rows = [row(f"octree .{to}", tree, to) for to in ("svo.npz", "svo.pb")]
     for what, volume, endings in (("density", density, ("nvdb", "vdb")), ("index", index, ("nvdb",))):
         try:
             half = build_vdb(tree, grids=(what,), half=True)
         except InvalidScene as error:
-            rows.append([f"{what} half: {error}", R, None])
+            rows.append([f"{what} half: {error.line}", R, None])
             half = None
         for to, codec in product(endings, ("none", "zip")):
             packed = " zip" if codec == "zip" else ""

@@ -72,7 +72,7 @@ def structure_rows(fitted: Path, judges: Judges, folder: Path, *, rounds: int, p
                     size = _written(structure, tree, path)
                     rows.append([structure.name, edge, *_figures(path, size, own, judges, rounds)])
                 except NerfbakeError as error:
-                    rows.append([f"{structure.name}: {error}", edge, *[None] * (len(COLUMNS) - 2)])
+                    rows.append([f"{structure.name}: {error.line}", edge, *[None] * (len(COLUMNS) - 2)])
     return rows
 
 

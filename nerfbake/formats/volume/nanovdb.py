@@ -52,7 +52,7 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
             Problem(
                 "a .nvdb",
                 f"would hold {len(volume.grids)} grids: {', '.join(volume.labels)}",
-                "--grid NAME for one of them, --grid all for a file of each",
+                "--grid NAME for one of them; all of them with --grid all, a file each",
             )
         )
     first = volume.grids[0]

@@ -28,7 +28,7 @@ NANOVDB = ("NanoVDB C++", "NanoVDB C++, no stencil cache")
 
 
 def test_what_does_not_fit_is_a_row_that_says_so(folder: Path) -> None:
-    with pytest.raises(MemoryLimit, match=r"it needs 877.5 KiB; allowed: 500.0 KiB \(--max-memory\)"):
+    with pytest.raises(MemoryLimit, match=r"it needs 877.5 KiB; allowed: 500.0 KiB \(`memory_limit`\)"):
         structure_named("dense array", folder, 13, 500 << 10)
     tree = sample_n3tree(resolution=32)
     tree.require_sound()  # which takes memory of its own, once
