@@ -41,7 +41,7 @@ class Item(NamedTuple):
     @property
     def name(self) -> str:
         """What a terminal calls it: its first input."""
-        return one_line(PurePath((*self.reads, *self.albums, *self.argv)[0]).name, 40)
+        return one_line(PurePath(*(*self.reads, *self.albums, *self.argv)[:1]).name, 40)
 
     @property
     def rejected(self) -> tuple[str, ...]:

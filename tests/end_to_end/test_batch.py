@@ -47,7 +47,7 @@ with open("log", "a") as log:
     log.write(f"{begin} {time.monotonic()} {peak}\n")
 target.write_text("done")
 """
-LINES = ("--jobs-file", "jobs.txt", "--state", "run", "-q", "--take-over")
+LINES = ("--jobs-file", "jobs.txt", "--state", "run", "-q")
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:

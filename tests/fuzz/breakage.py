@@ -11,7 +11,7 @@ import zstandard
 from nerfbake import catalog
 from tests.fuzz import corpus, hostile_values
 from tests.fuzz.breaking_bytes import break_bytes, break_words
-from tests.fuzz.breaking_json import break_json
+from tests.fuzz.breaking_json import break_json, break_json_lines
 from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_svoq, break_vdb
 from tests.fuzz.breaking_torch import break_torch
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
@@ -26,6 +26,7 @@ _BREAKERS: dict[str, Breaker] = {
     "th": break_torch,
     "svo.pb": break_protobuf,
     "json": break_json,
+    "jsonl": break_json_lines,
     "bson": break_bson,
     "fb": break_flatbuffers,
     "capnp": break_capnp,

@@ -44,6 +44,20 @@ def break_json(random: Random, data: bytes, other: bytes = b"") -> bytes:
     return spell(tree).encode("utf-8", "surrogatepass")
 
 
+def break_json_lines(random: Random, data: bytes, other: bytes = b"") -> bytes:
+    """A line of it broken, taken out, or said twice."""
+    lines = data.split(b"\n")
+    at = random.randrange(len(lines))
+    match random.randrange(8):
+        case 0:
+            del lines[at]
+        case 1:
+            lines.insert(at, random.choice((lines[at], *other.split(b"\n"))))
+        case _:
+            lines[at] = break_json(random, lines[at], other)
+    return b"\n".join(lines)
+
+
 def break_tree(random: Random, tree: Any) -> Any:
     """One place in it changed, found by walking down at random."""
     holder, at, value = None, 0, tree

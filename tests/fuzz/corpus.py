@@ -14,9 +14,13 @@ from typing import Any
 import numpy as np
 
 from nerfbake import build_octree, build_vdb, catalog, fit_field
+from nerfbake.batch.files import save_plan
+from nerfbake.batch.items import Item
+from nerfbake.batch.state import Attempt, Identity, Input, Output, State
 from nerfbake.formats.octree.svoq import CODINGS
 from nerfbake.formats.wire.checkpoint import encode_checkpoint
 from nerfbake.formats.wire.texture import encode_texture
+from nerfbake.io.digests import Stamp
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
 from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.depth import Depth
@@ -44,13 +48,16 @@ _NO_CHECKSUM = struct.pack("<Q", (1 << 64) - 1)
 _CHECKSUM_AT = slice(8, 16)  # in NanoVDB's GridData
 
 
-CHECKPOINT = "checkpoint.npz"  # of a fit: no format, but a file that may come from anybody
+# No formats of scenes, but files and folders that may come from anybody.
+CHECKPOINT = "checkpoint.npz"  # of a fit
+LINES = "jobs.txt"  # of a batch
+STATE = "state"  # of a batch that has run
 
 
 def names() -> list[str]:
-    """The formats that are read, folders after them, and a fit's checkpoint."""
+    """The formats that are read, folders after them, a fit's checkpoint, a batch's lines and its state."""
     forms = [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
-    return [*forms, CHECKPOINT]
+    return [*forms, CHECKPOINT, LINES, STATE]
 
 
 @cache
@@ -58,6 +65,8 @@ def files_of(name: str) -> tuple[bytes, ...]:
     """Files of a format."""
     if name == CHECKPOINT:
         return tuple(_checkpoints())
+    if name == LINES:
+        return (_JOBS.encode(), _JOBS.replace("\n", "\r\n").encode())
     scene = next(form.scene for form in catalog.FORMATS if form.name == name)
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
@@ -81,12 +90,13 @@ def folders_of(name: str) -> tuple[Files, ...]:
         "plenvdb": _plenvdbs,
         "merf": _merfs,
         "snerg": _snergs,
+        STATE: _states,
     }
     return tuple(makers[name]() if name in makers else _captures(name))
 
 
 def is_folder(name: str) -> bool:
-    return name in [form.name for form in catalog.FOLDERS]
+    return name in [STATE, *(form.name for form in catalog.FOLDERS)]
 
 
 def sound(name: str) -> tuple[bytes, ...] | tuple[Files, ...]:
@@ -123,6 +133,32 @@ def _checkpoints() -> Iterator[bytes]:
     for number, state in enumerate(states):
         if number in (0, 4, 8):
             yield b"".join(encode_checkpoint({"worked": 1.5, "curve": [[1, 2, 3, 4, 5, 6]]}, state.arrays()))
+
+
+_JOBS = """# made by hand
+svo scenes/chair.npz baked/chair.svo.pb --resolution 128
+nerfbake vdb 'scenes/a tree.npz' \\
+  baked/tree.vdb
+render "scenes/x
+y.npz" --out 'baked/x y.png'
+"""
+
+
+def _states() -> Iterator[Files]:
+    """One with an item done and one that has failed, one that waits: as they come from a batch."""
+    names = [(f"{name}.npz", f"{name}.svo.pb") for name in "abc"]
+    items = [Item(("svo", read, written), (read,), (written,)) for read, written in names]
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        state = State(folder)
+        save_plan(folder, items)
+        with state.opened("0-of-1", {"machine": "a machine", "python": "3.11", "nerfbake": "0.1.0"}, 1.0):
+            for number, (item, status) in enumerate(zip(items, ("done", "failed"), strict=False)):
+                identity = Identity(f"{number:032x}", (Input(item.reads[0], Stamp(3, 4, None), f"{number:064x}"),))
+                outputs = (Output(item.writes[0], 5, "0" * 64),)[: status == "done"]
+                claims = state.begin(item, identity, 2.0)
+                state.end(item, identity, Attempt(status, number, "no\n"[:number], 1.5, 9, 3, outputs, 31.5), claims)
+        yield {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def _n3trees() -> Iterator[bytes]:

@@ -20,13 +20,16 @@ from typing import Any
 
 import nerfbake
 from nerfbake import catalog, io
+from nerfbake.batch.files import write_report
+from nerfbake.batch.lines import parse_lines
 from nerfbake.errors import NerfbakeError
+from nerfbake.jobs.batches import Batch, Item, run_batch
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
 from nerfbake.stages._picture import picture, visible
 from nerfbake.stages.views_to_field import FitState
 from tests.fuzz.breakage import Case
-from tests.fuzz.corpus import CHECKPOINT
+from tests.fuzz.corpus import CHECKPOINT, LINES, STATE
 from tests.support.octrees import small_octree
 from tests.support.peaks import peak, resident
 from tests.support.views import sample_views
@@ -94,7 +97,7 @@ class Trial:
             self._note(f"takes {most >> 20} MiB to load, allowed {LIMIT >> 20}")
         if scene is None:
             return None
-        if isinstance(scene, FitState):  # whose soundness is settled as it is made
+        if isinstance(scene, (FitState, Batch)):  # whose soundness is settled as they are made
             return scene
         problems = self._try("check", scene.problems)
         for problem in problems or []:
@@ -140,12 +143,22 @@ class Trial:
 
 
 def _read(form: str, path: Path) -> Any:
-    """The scene in a file or folder; of a checkpoint, where the fit stands."""
+    """The scene in a file or folder; of a checkpoint, where the fit stands; of lines and a state, the batch."""
+    if form == LINES:
+        return run_batch(_items(path), state=path.parent / "none", run=None)
+    if form == STATE:
+        return run_batch(_items(path / "plan.txt"), state=path, run=None)
     if form != CHECKPOINT:
         return io.load(path, sound=False)
     path.replace(io.checkpoint_path(path.parent))
     found = io.load_checkpoint(path.parent)
     return None if found is None else FitState.of_arrays(found[1])
+
+
+def _items(path: Path) -> list[Item]:
+    """As if the first two words of each were what it reads and writes."""
+    lines = parse_lines(io.load_lines(path), path.name)
+    return [Item(line.argv, line.argv[1:2], line.argv[2:3]) for line in lines]
 
 
 def put(case: Case, place: Path) -> Path:
@@ -166,6 +179,11 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     if isinstance(scene, FitState):
         views = sample_views(frames=3, width=16, height=16)
         yield "go on", lambda: next(nerfbake.fit_field(views, schedule=scene.schedule, start=scene), None)
+        return
+    if isinstance(scene, Batch):
+        yield "told", lambda: [*scene.told.split(), scene.exit_code, scene.totals]
+        for ending in (".html", ".md", ".csv"):
+            yield f"report {ending}", partial(write_report, scene, place / f"report{ending}", state=place / "reports")
         return
     yield "words", lambda: str(scene)
     kind = type(scene).__name__
