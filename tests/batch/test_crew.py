@@ -159,7 +159,7 @@ def test_a_second_batch_on_the_same_shard_is_refused_until_it_takes_over(folder:
     Path("run/lock.0-of-1").write_text('{"pid": 4000000, "host": "elsewhere"}')
     with pytest.raises(OutputError) as caught:
         run([item("fine")])
-    said = "process 4000000 on elsewhere is at work; allowed: to wait for it, or --take-over"
+    said = "process 4000000 on elsewhere is at work; allowed: to wait for it, or `take_over`"
     assert str(caught.value) == f"run/lock.0-of-1: {said}"
     assert not Path("out").exists()
     assert run([item("fine")], take_over=True).exit_code == 0

@@ -75,8 +75,8 @@ def test_halves_and_the_layout_stay() -> None:
 @pytest.mark.parametrize(
     ("model", "target", "error", "message"),
     [
-        (Model(), "a.svo.npz", UsageError, "--like and --views: neither says what IN is to look like; allowed: one"),
-        (Model("fine.npz", "capture"), "a.svo.npz", UsageError, "--like and --views: both say"),
+        (Model(), "a.svo.npz", UsageError, "`like` and `views`: neither says what IN is to look like; allowed: one"),
+        (Model("fine.npz", "capture"), "a.svo.npz", UsageError, "`like` and `views`: both say"),
         (LIKE, "-", UsageError, "refit judges the file that it wrote"),
         (LIKE, "a.png", UsageError, "'a.png' has no ending that an octree is written with"),
         (LIKE, "coarse.svo.npz", OutputError, "coarse.svo.npz"),
