@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from nerfbake.scene.comparison import Comparison as Comparison
     from nerfbake.scene.compression import Compression as Compression
     from nerfbake.scene.depth import Depth as Depth
+    from nerfbake.scene.held_out import HeldOut as HeldOut
     from nerfbake.scene.image import Image as Image
     from nerfbake.scene.lattice_field import LatticeField as LatticeField
     from nerfbake.scene.mesh import Mesh as Mesh

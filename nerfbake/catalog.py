@@ -142,6 +142,7 @@ SCENES = {
     "Depth": "nerfbake.scene.depth",
     "Image": "nerfbake.scene.image",
     "IndexGrid": "nerfbake.scene.vdb",
+    "HeldOut": "nerfbake.scene.held_out",
     "LatticeField": "nerfbake.scene.lattice_field",
     "Mesh": "nerfbake.scene.mesh",
     "Meshes": "nerfbake.scene.mesh",

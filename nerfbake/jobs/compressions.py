@@ -11,7 +11,7 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
-from nerfbake.jobs.octrees import read_octree
+from nerfbake.jobs.octrees import read_octree_and_held_out
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
 
@@ -44,7 +44,8 @@ class Goal:
 @dataclass(frozen=True)
 class Photographs:
     """What the loss is measured against: cameras, a capture, and truth, a folder with a photograph NAME.png for each of
-    them. Without both, the loss is predicted for a source that is as near to its photographs as source_psnr, in dB.
+    them. Without both, the loss is measured on what the file of a fitted PlenOctree has of its photographs, else
+    predicted for a source that is as near to its photographs as source_psnr, in dB.
     samples: rays along each edge of a pixel; None: as the cameras have it, or 1."""
 
     cameras: str | None = None
@@ -59,14 +60,16 @@ class Photographs:
         if self.truth and self.source_psnr is not None:
             raise UsageError("--source-psnr has no effect where --truth measures it; allowed: one of them")
 
-    def read(self, steps: Steps) -> dict[str, Any]:
-        """As compress_octree() takes them; cameras in their photographs' size."""
+    def read(self, steps: Steps, held_out: nerfbake.HeldOut | None) -> dict[str, Any]:
+        """As compress_octree() takes them; held_out: what the scene's file says itself, where nothing else is named."""
         if not (self.truth and self.cameras):
+            if held_out is not None and self.source_psnr is None:
+                return {"held_out": held_out}
             return {"source_psnr": SOURCE_PSNR if self.source_psnr is None else self.source_psnr}
         read = read_cameras(steps, self.cameras).chosen(samples=self.samples)
         truth = io.Truth(self.truth, read.names, nerfbake.Image)
         with steps.phase(f"reading {self.truth}"):
-            return {"cameras": read.fitting(truth), "truth": truth}
+            return {"held_out": nerfbake.HeldOut.of_images(read.fitting(truth), truth)}
 
 
 LEAST_LOSS, PREDICTED = Goal(), Photographs()
@@ -104,8 +107,8 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", **coding)
     budget.require(target)
-    octree = read_octree(steps, source)
-    options |= photographs.read(steps)
+    octree, held_out = read_octree_and_held_out(steps, source)
+    options |= photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, **coding)
         found = nerfbake.compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)

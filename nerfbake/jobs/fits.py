@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 import nerfbake
 from nerfbake import catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
-from nerfbake.jobs.compressions import LEAST_LOSS, SOURCE_PSNR, coded_size_of
+from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_course import Course, Point
 from nerfbake.jobs.fit_state import Keeper
@@ -28,33 +28,40 @@ Dtype = Literal["float16", "float32"]
 _GRIDS = ("index",)  # all values in one grid: nothing is lost
 
 
-def _tree(field: nerfbake.BrickField, dtype: Dtype | None) -> nerfbake.N3Tree:
-    """A PlenOctree in this type; None: float16 where it can hold every value."""
+def _tree(field: nerfbake.BrickField, dtype: Dtype | None, held_out: nerfbake.HeldOut) -> nerfbake.N3Tree:
+    """A PlenOctree in this type; None: float16 where it can hold every value. It keeps what measures it later."""
     if dtype is None:
         from nerfbake.stages._half import LARGEST  # here, since the help loads no arrays
 
         values = field.values
         fits = not values.size or max(values.max(), -values.min()) <= LARGEST
         dtype = "float16" if fits else "float32"
-    return nerfbake.n3tree_of_bricks(field, dtype=dtype)
+    return replace(nerfbake.n3tree_of_bricks(field, dtype=dtype), held_out=held_out)
 
 
 def _compressed(
-    field: nerfbake.BrickField, target: Target, tell: Tell, dtype: Dtype | None
+    field: nerfbake.BrickField, held_out: nerfbake.HeldOut, target: Target, tell: Tell, dtype: Dtype | None
 ) -> nerfbake.QuantisedOctree:
     """As `nerfbake compress` has it without options."""
     octree, coded_size = nerfbake.octree_of_bricks(field), coded_size_of(target)
-    options = {**LEAST_LOSS.options, "source_psnr": SOURCE_PSNR}
+    options = {**LEAST_LOSS.options, "held_out": held_out}
     return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
+
+
+def _held_out(judges: nerfbake.Views, schedule: Schedule) -> nerfbake.HeldOut:
+    """Of the photographs that judge, pixels to go with the scene; with the rays a pixel that it was fitted for."""
+    cameras = replace(judges.cameras, samples=schedule[-1].rays)
+    photographs = map(judges.photograph, range(len(judges.pictures)))
+    return nerfbake.HeldOut.of(cameras, photographs, background=judges.background)
 
 
 # What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first. A type of values
 # is asked for of a PlenOctree alone.
-_WAYS: dict[str, Callable[[nerfbake.BrickField, Target, Tell, Dtype | None], Any]] = {
-    "SparseVoxelOctree": lambda field, target, tell, dtype: nerfbake.octree_of_bricks(field),
+_WAYS: dict[str, Callable[[nerfbake.BrickField, nerfbake.HeldOut, Target, Tell, Dtype | None], Any]] = {
+    "SparseVoxelOctree": lambda field, *_: nerfbake.octree_of_bricks(field),
     "QuantisedOctree": _compressed,
-    "Volume": lambda field, target, tell, dtype: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
-    "N3Tree": lambda field, target, tell, dtype: _tree(field, dtype),
+    "Volume": lambda field, *_: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
+    "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out),
 }
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # of its format: as svox writes it
 PRESET = "balanced"
@@ -163,7 +170,7 @@ def fit_scene(
     schedule = recipe.schedule(len(posed.trained.pictures))
     field = _fit(steps, source, posed.trained, schedule, recipe, Course(posed, schedule), None, [])
     with steps.phase("putting the field together"):
-        return _tree(field, dtype)
+        return _tree(field, dtype, _held_out(posed.judges, schedule))
 
 
 def fit_file(
@@ -206,7 +213,7 @@ def fit_file(
     with _interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = _WAYS[kind](field, target, tell, dtype)
+            scene = _WAYS[kind](field, _held_out(judges, schedule), target, tell, dtype)
         del field, posed
         if asked:
             _write_partial(steps, target, kind, scene, state)

@@ -85,10 +85,17 @@ def bake_lod(
 
 def read_octree(steps: Steps, source: Source) -> nerfbake.SparseVoxelOctree:
     """The octree of a file, that of a PlenOctree at its own resolution, or that of a lattice."""
+    return read_octree_and_held_out(steps, source)[0]
+
+
+def read_octree_and_held_out(
+    steps: Steps, source: Source
+) -> tuple[nerfbake.SparseVoxelOctree, nerfbake.HeldOut | None]:
+    """The same, and the pixels of photographs that a fitted PlenOctree has."""
     scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.LatticeField)
     if isinstance(scene, nerfbake.SparseVoxelOctree):
-        return scene
+        return scene, None
     if isinstance(scene, nerfbake.LatticeField):
-        return octree_of(steps, source, scene)
+        return octree_of(steps, source, scene), None
     with source.blamed(steps, "building the octree"):
-        return nerfbake.build_octree(scene)
+        return nerfbake.build_octree(scene), scene.held_out

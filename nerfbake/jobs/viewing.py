@@ -99,7 +99,7 @@ def view_file(
             steps.say(f"{source.name}: it is compressed already, so that the page carries it as it is")
             made = shown.page(form.load_page_module().carried(read.data))
         else:
-            found = _compressed(steps, source, scene, shown, wish, form)
+            found = _compressed(steps, source, scene, getattr(read.scene, "held_out", None), shown, wish, form)
             steps.say(f"{file.path}: {found}")
             made = shown.page(found.quantised)
         with file.writing(steps, made) as written:
@@ -171,10 +171,16 @@ def _exact(steps: Steps, source: Source, shown: _Shown) -> nerfbake.Page:
 
 
 def _compressed(
-    steps: Steps, source: Source, octree: nerfbake.SparseVoxelOctree, shown: _Shown, wish: _Wish, form: catalog.Format
+    steps: Steps,
+    source: Source,
+    octree: nerfbake.SparseVoxelOctree,
+    held_out: nerfbake.HeldOut | None,
+    shown: _Shown,
+    wish: _Wish,
+    form: catalog.Format,
 ) -> nerfbake.Compression:
     """An octree, compressed to its goals: max_size is the page's."""
-    goals = wish.goals | wish.photographs.read(steps)
+    goals = wish.goals | wish.photographs.read(steps, held_out)
     sized = form if "max_size" in goals else catalog.formats_of("QuantisedOctree")[0]
     module = sized.load_packed_module()
 

@@ -15,6 +15,7 @@ from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.soundness import place, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.held_out import HeldOut
 
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
 
@@ -29,6 +30,7 @@ class N3Tree(Scene):
     data_format  'SH9', 'RGBA', 'SG25', ...: scene.basis says how D is laid out; sigma (1/world unit) is last
     extra_data   the lobes of SG and ASG (B, 4 or 11) float32, else None
     dialect  how the file spelled it: 'svox', 'legacy', 'quantised', 'quantised+retained'
+    held_out pixels of photographs that the tree was not fitted to, by which compress_octree() measures; None: unknown
     ndc      True for a forward-facing scene, whose cube is not a box of the world
     Rows that the root does not reach (freed ones) are junk and never read.
 
@@ -48,6 +50,7 @@ class N3Tree(Scene):
     extra_data: npt.NDArray[np.float32] | None = None
     dialect: str = "svox"
     ndc: bool = False
+    held_out: HeldOut | None = None
 
     def __post_init__(self) -> None:
         shape = self.child.shape

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,10 +12,13 @@ from nerfbake.kernels.maths.affine import length
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.maths.sphere import fibonacci
 from nerfbake.scene.camera import Camera, Cameras, look_at, look_from
+from nerfbake.scene.radiance_field import RadianceField, leaves_of
 from nerfbake.stages._picture import Visible, frame
 
 FIELD_OF_VIEW = np.radians(40)
 _MARGIN = 1.05
+_CENTRES = 1 << 17  # leaves that tell where most of them are
+_STRAYS = 0.005  # of them at each end of an axis
 AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
@@ -46,6 +51,18 @@ def sphere_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0)
     centre, distance, axes = _stand(scene, frames)
     poses = [look_from(centre, away, distance, axes) for away in fibonacci(frames)]
     return _cameras(poses, edge, edge, zoom)
+
+
+def without_strays(field: RadianceField) -> RadianceField:
+    """The same field whose box holds, along each axis, all but the outermost leaves: cameras that frame it are not kept
+    away by a few leaves far from the object, which fits to photographs leave behind."""
+    every = -(-len(field.values) // _CENTRES)
+    centres = np.concatenate([(corners + width / 2)[::every] for corners, width in leaves_of(field.cells)])
+    centres.sort(axis=0)
+    out = int(_STRAYS * len(centres))
+    corners = np.stack([centres[out], centres[-1 - out]])
+    middle, half = corners.mean(axis=0), (corners[1] - corners[0]) / (2 - 4 * _STRAYS)
+    return replace(field, box=np.stack([middle - half, middle + half]).clip(*field.box))
 
 
 def _stand(scene: Visible, frames: int) -> tuple[npt.NDArray[np.float64], float, npt.NDArray[np.float64]]:

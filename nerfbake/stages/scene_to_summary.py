@@ -86,6 +86,7 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
         "world_box": _numbers(corners),
         "ranges": _ranges(extremes(cells, occupied.reshape(-1)), tree.data_format),
         "non_finite": extremes(cells, leaves.reshape(-1)).non_finite,
+        "held_out": None if tree.held_out is None else str(tree.held_out),
         "bytes_in_memory": tree.child.nbytes + tree.data.nbytes,
     }
 

@@ -145,7 +145,8 @@ def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pyt
     save(tmp_path / "smoke.vdb", volume(tree([[0, 0, 0]], name="heat"), tree([[0, 0, 0]])))
     line = ["convert", str(tmp_path / "smoke.vdb"), str(tmp_path / "smoke.nvdb")]
     assert run(line) == 1
-    assert "2 grids: heat, density; allowed: --grid NAME for one of them, --grid all" in capsys.readouterr().err
+    said = "2 grids: heat, density; allowed: --grid NAME for one of them; all of them with --grid all, a file each"
+    assert said in capsys.readouterr().err
     assert run([*line, "--grid", "all"]) == 0
     assert sorted(path.name for path in tmp_path.glob("*.nvdb")) == ["smoke.density.nvdb", "smoke.heat.nvdb"]
     assert run([*line, "--grid", "all", "--layout", "full"]) == 2

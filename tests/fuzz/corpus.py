@@ -32,7 +32,7 @@ from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, te
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
 from tests.support.meshes import cube, square
-from tests.support.n3trees import archive, quantised, svox
+from tests.support.n3trees import archive, held_out, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
@@ -166,6 +166,7 @@ def _n3trees() -> Iterator[bytes]:
     yield archive(svox(tree))
     yield archive(svox(n3tree(splits=[(0, (2, 1, 0))], N=3, dtype=np.float32)), deflated=False)
     yield archive(quantised(), deflated=False)
+    yield _encoded("npz", n3tree(held_out=held_out()))
 
 
 def _lattices(name: str) -> Iterator[bytes]:

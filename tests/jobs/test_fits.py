@@ -15,6 +15,7 @@ import pytest
 from nerfbake import N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
 from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, OutputError, Stopped, UsageError
 from nerfbake.jobs import Album, Fitted, Recipe, Seen, Source, Target, compare_files, fit_file
+from nerfbake.jobs.compressions import Goal, Photographs, compress_file
 from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.schedule import preset_schedule
@@ -47,6 +48,20 @@ def test_the_file_is_judged_as_anybody_would_read_it(capture: Path, listener: Li
     assert fitted.bytes == Path("a.npz").stat().st_size
     assert listener.said[-1].startswith(f"a.npz: {fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on 4 pictures")
     assert "2x2 rays a pixel" in listener.said[-1]
+
+
+@pytest.mark.usefixtures("trainer")
+def test_what_judged_a_fit_measures_its_compression(capture: Path) -> None:
+    fitted = fit_file(capture, "a.npz")
+    found = compress_file("a.npz", "a.svoq", goal=Goal(step=0.5))
+    assert found.measured
+    assert found.views == len(fitted.views)
+    assert found.source_psnr == pytest.approx(fitted.psnr, abs=0.02)  # of photographs in 8 bits
+    judges = read_photographs(SILENT, Source(str(capture))).judges
+    lost = measure_views(build_field(load("a.svoq")), judges, samples=2)
+    assert found.loss == pytest.approx(fitted.psnr - np.mean([view.psnr for view in lost]), abs=0.02)
+    predicted = compress_file("a.npz", "b.svoq", goal=Goal(step=0.5), photographs=Photographs(source_psnr=30))
+    assert not predicted.measured
 
 
 @pytest.mark.usefixtures("trainer")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from nerfbake.scene.camera import Camera, Cameras, look_at
+from nerfbake.scene.held_out import HeldOut
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.n3tree import N3Tree
 from tests.support.scenes import n3tree
 
@@ -37,6 +41,16 @@ def svox(tree: N3Tree) -> dict[str, Any]:
 def sound() -> dict[str, Any]:
     """Three nodes, each below the one before it."""
     return svox(n3tree(splits=[(0, (0, 0, 0)), (1, (1, 1, 1))]))
+
+
+def held_out() -> HeldOut:
+    """Every second pixel of two photographs, one of them through a lens."""
+    front, side = (Camera(6, 5, 7.0, look_at(np.zeros(3), turn, 0.4, 3.0), name) for turn, name in ((0, "a"), (1, "b")))
+    bent = replace(side, lens=Lens("polynomial", k=(0.01, -0.002), p=(0.001, 0.0)))
+    random = np.random.default_rng(4)
+    photographs = [random.integers(0, 256, (5, 6, 3)) / 255 for _ in range(2)]
+    whole = HeldOut.of(Cameras((front, bent), samples=2), photographs, background=(0.25, 0.5, 1.0))
+    return replace(whole, every=2, pixels=tuple(pixels[::2, ::2] for pixels in whole.pixels))
 
 
 def quantised() -> dict[str, Any]:

@@ -133,7 +133,8 @@ def _costs(
     if cameras and truth:
         views = io.load(cameras, nerfbake.Cameras)
         seen = io.Truth(truth, views.names, nerfbake.Image)
-        measured = measuring_judge(own, views.fitting(seen), seen).cost(field).loss
+        held_out = nerfbake.HeldOut.of_images(views.fitting(seen), seen)
+        measured = measuring_judge(own, held_out).cost(field).loss
     return {"predicted": cost.loss, "measured": measured, "psnr": psnr}
 
 

@@ -10,16 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, Problem
+from nerfbake.formats.camera import transforms
 from nerfbake.formats.wire.npz_names import npz_keys
 from nerfbake.formats.wire.npz_reader import NpzReader
 from nerfbake.formats.wire.npz_writer import write_npz
 from nerfbake.kernels.maths.casting import cast
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.basis import guess_data_format, parse_basis
+from nerfbake.scene.held_out import MAX_EVERY, HeldOut, thinned_size
 from nerfbake.scene.n3tree import N3Tree
 
 _TOLD_BY = {"child", "data_dim", "invradius", "invradius3"}
+_HELD_OUT = "held_out"
 _CHUNK = 1 << 13  # cells dequantised at a time: all coefficients of these stay in the cache
 
 
@@ -60,6 +63,7 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
         extra_data=extra if extra is not None and extra.size else None,
         dialect=dialect,
         ndc=companion,
+        held_out=_held_out(npz),
     )
 
 
@@ -87,6 +91,8 @@ def encode(tree: N3Tree, *, packing: Literal["stored", "deflated"] = "stored") -
     }
     if tree.extra_data is not None:
         arrays["extra_data"] = tree.extra_data
+    if tree.held_out is not None:
+        arrays |= _held_out_arrays(tree.held_out)
     yield from write_npz(arrays, deflated=packing == "deflated")
 
 
@@ -96,6 +102,44 @@ def _guess(data_dim: int) -> str:
     raise InvalidScene(
         Problem("data", f"has {data_dim} values per cell and no data_format", "4 (RGBA), or 3 k + 1 (SHk)")
     )
+
+
+def _held_out_arrays(held_out: HeldOut) -> dict[str, npt.ArrayLike]:
+    """Keys of this tool's own, which svox passes over."""
+    return {
+        f"{_HELD_OUT}_cameras": np.frombuffer(b"".join(transforms.encode(held_out.cameras)), np.uint8),
+        f"{_HELD_OUT}_pixels": np.concatenate([pixels.reshape(-1, 3) for pixels in held_out.pixels]),
+        f"{_HELD_OUT}_every": np.int64(held_out.every),
+        f"{_HELD_OUT}_background": np.array(held_out.background),
+    }
+
+
+def _held_out(npz: NpzReader) -> HeldOut | None:
+    names = [f"{_HELD_OUT}_{part}" for part in ("cameras", "pixels", "every", "background")]
+    if names[0] not in npz:
+        return None
+    npz.require(*names)
+    text, pixels, every = npz.array(names[0]), npz.array(names[1]), npz.scalar(names[2])
+    if text.dtype != np.uint8 or text.ndim != 1:
+        raise InvalidFile(Problem(names[0], f"has dtype {text.dtype}, shape {text.shape}", "uint8 (bytes,)"))
+    try:
+        cameras = transforms.decode(memoryview(text.tobytes()))
+    except NerfbakeError as error:
+        error.what = error.problem._replace(place=f"{names[0]}: {error.problem.place}")
+        raise
+    if not isinstance(every, (int, np.integer)) or not 1 <= every <= MAX_EVERY:
+        raise InvalidFile(Problem(names[2], f"is {every}", f"1 to {MAX_EVERY:,}"))
+    sizes = [thinned_size(camera, int(every)) for camera in cameras.cameras]
+    ends = np.cumsum([height * width for height, width in sizes])
+    if pixels.dtype != np.uint8 or pixels.shape != (ends[-1], 3):
+        raise InvalidFile(
+            Problem(names[1], f"has dtype {pixels.dtype}, shape {pixels.shape}", f"uint8 ({ends[-1]}, 3)")
+        )
+    parts = [part.reshape(*size, 3) for part, size in zip(np.split(pixels, ends[:-1]), sizes, strict=True)]
+    background = _floats(npz, names[3])
+    if background.shape != (3,) or not ((background >= 0) & (background <= 1)).all():
+        raise InvalidFile(Problem(names[3], f"is {background.tolist()!r:.60}", "three numbers, 0 to 1"))
+    return HeldOut(cameras, tuple(parts), int(every), tuple(background.tolist()))
 
 
 def _floats(npz: NpzReader, key: str) -> npt.NDArray[Any]:

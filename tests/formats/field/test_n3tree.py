@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake.formats.field import n3tree as n3tree_npz
 from nerfbake.scene.n3tree import N3Tree
-from tests.support.n3trees import archive, svox
+from tests.support.n3trees import archive, held_out, svox
 from tests.support.scenes import n3tree, n3trees
 
 
@@ -98,3 +98,20 @@ def test_big_endian_and_fortran_order_are_read() -> None:
 
 def test_a_companion_marks_a_forward_facing_scene() -> None:
     assert read(archive(svox(n3tree())), companion=True).ndc
+
+
+def test_pixels_of_photographs_come_back_and_svox_finds_its_own_keys() -> None:
+    tree = n3tree(held_out=held_out())
+    data = b"".join(n3tree_npz.encode(tree))
+    back = read(data).held_out
+    assert back is not None
+    assert tree.held_out is not None
+    assert (back.every, back.background, back.cameras.samples) == (2, (0.25, 0.5, 1.0), 2)
+    for a, b in zip(back.looks(), tree.held_out.looks(), strict=True):
+        for one, other in zip(a, b, strict=True):
+            assert_array_equal(one.rays()[1], other.rays()[1])
+    for found, meant in zip(back.pixels, tree.held_out.pixels, strict=True):
+        assert_array_equal(found, meant)
+    with np.load(io.BytesIO(data)) as npz:
+        assert {name for name in npz.files if not name.startswith("held_out_")} == set(svox(tree))
+    assert read(archive(svox(tree))).held_out is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nerfbake.formats.field import n3tree as n3tree_npz
 from tests.support.hostile import refused
-from tests.support.n3trees import archive, quantised, sound
+from tests.support.n3trees import archive, held_out, quantised, sound
+from tests.support.scenes import n3tree
 
 Arrays = dict[str, Any]
 
@@ -33,6 +36,10 @@ def drop(*keys: str) -> Callable[[Arrays], None]:
             del arrays[key]
 
     return change
+
+
+def put_pixels(count: int) -> Callable[[Arrays], None]:
+    return replace("held_out_pixels", np.zeros((count, 3), np.uint8))
 
 
 # n3tree.md's last section, line by line: what is changed, and what the one line has to name.
@@ -80,6 +87,29 @@ QUANTISED_LIES = {
     "too much retained": (replace("data_retained", np.zeros((3, 3, 2, 2, 2, 3), np.float16)), "1 codebooks beside 3"),
     "codes are floats": (replace("quant_map", np.zeros((1, 3, 2, 2, 2), np.float32)), "quant_map has dtype float32"),
 }  # fmt: skip
+
+
+HELD_OUT_LIES = {
+    "no pixels": (drop("held_out_pixels"), "npz has no held_out_pixels; allowed"),
+    "cameras of nothing": (replace("held_out_cameras", np.zeros(0, np.uint8)), "held_out_cameras"),
+    "cameras of floats": (replace("held_out_cameras", np.zeros(9)), "held_out_cameras has dtype float64, shape (9,)"),
+    "cameras of no JSON": (replace("held_out_cameras", np.full(9, 65, np.uint8)), "held_out_cameras: "),
+    "a pixel too few": (put_pixels(17), "held_out_pixels has dtype uint8, shape (17, 3); allowed: uint8 (18, 3)"),
+    "every none": (replace("held_out_every", np.int64(0)), "held_out_every is 0; allowed: 1 to 65,536"),
+    "every half": (replace("held_out_every", np.float64(0.5)), "held_out_every is 0.5; allowed: 1 to 65,536"),
+    "no colour": (replace("held_out_background", np.full(3, np.nan)), "held_out_background is [nan, nan, nan]"),
+    "two colours": (replace("held_out_background", np.zeros(2)), "held_out_background is [0.0, 0.0]; allowed"),
+    "whole colours": (replace("held_out_background", np.zeros(3, int)), "held_out_background has dtype int64"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", HELD_OUT_LIES)
+def test_lying_pixels_of_photographs_are_refused(lie: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    change, expected = HELD_OUT_LIES[lie]
+    with np.load(io.BytesIO(b"".join(n3tree_npz.encode(n3tree(held_out=held_out()))))) as npz:
+        arrays = dict(npz)
+    change(arrays)
+    assert expected in refused(tmp_path, archive(arrays), capfd)
 
 
 @pytest.mark.parametrize("lie", LIES)
