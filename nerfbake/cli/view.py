@@ -40,7 +40,8 @@ def carries(function: Command) -> Command:
     @click.option(
         "--max-loss",
         type=NumberRange(min=0.001, max=20),
-        help="The most PSNR that pictures may lose against photographs, in dB.  [default: 0.1]",
+        help="The most PSNR that pictures may lose against photographs, in dB.  "
+        "[default: 0.1, or more where OUT would take more than 6 MB]",
     )
     @click.option("--max-size", type=Size(), help="The most bytes that OUT may have, for example 2MB.")
     @wraps(function)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, Literal, NamedTuple
 
 import nerfbake
 from nerfbake import catalog, io
-from nerfbake.errors import UsageError
+from nerfbake.errors import BudgetMissed, UsageError
 from nerfbake.jobs.browsers import written_or_opened
 from nerfbake.jobs.budgets import Budget, judge
-from nerfbake.jobs.compressions import LEAST_LOSS, Goal, Photographs
+from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, Goal, Photographs
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
 from nerfbake.jobs.grids import AS_IT_IS, Choice
 from nerfbake.jobs.lattices import octree_of
@@ -19,6 +20,9 @@ from nerfbake.jobs.surfaces import Beside, Look, surface_page
 from nerfbake.jobs.views import page_views
 
 _FRAMES, _EDGE = 4, 200  # of the pictures that tell what float16 loses
+# Of the compressed data of a page that has no goal of its own. The page is a third larger, as it spells them in base64,
+# and a quarter of a megabyte: it can be mailed.
+_MOST_BYTES = 4_300_000
 
 Data = Literal["compressed", "exact"]
 
@@ -49,8 +53,9 @@ def view_file(
     reader's browser.
 
     data        compressed, as compress_file() does it; exact, float16; None: exact for a volume, else compressed
-    goal        of the compression; its max_size is that of the page. What is compressed already is carried as it is,
-                where neither a goal nor truth is named
+    goal        of the compression; its max_size is that of the page. By default a loss of 0.1 dB, or more where the
+                page would take more than 6 MB. What is compressed already is carried as it is, where neither a goal
+                nor truth is named
     choice      which grids of a volume
     cameras     a capture to look from, and to judge by; None: the page opens with the front of the scene, which turns
                 slowly, and 8 views around it judge
@@ -72,14 +77,14 @@ def view_file(
     """
     source = as_source(source)
     photographs, budget = Photographs(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)
-    wish = _Wish(data, goal.options, photographs, anew=goal != LEAST_LOSS or truth is not None)
+    wish = _Wish(data, goal, photographs, anew=goal != LEAST_LOSS or truth is not None)
     photographs.require()
     if data == "exact" and wish.anew:
         raise UsageError("exact data have no goal; allowed: --max-loss, --max-size and --truth with --data compressed")
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        read, scene = _read(steps, source, wish, choice)
+        content, scene, held_out = _read(steps, source, wish, choice)
         if stage1 is not None and not isinstance(scene, nerfbake.BakedAtlas):
             raise UsageError(f"--stage1 goes with an atlas, which {source.name} is not; allowed: an atlas folder")
         look = Look(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
@@ -95,12 +100,15 @@ def view_file(
         shown = _framed(steps, source, scene, mesh, look)
         if data == "exact" or isinstance(scene, nerfbake.Volume):
             made = _exact(steps, source, shown)
-        elif read.data is not None and not wish.anew:
+        elif content is not None and not wish.anew:
             steps.say(f"{source.name}: it is compressed already, so that the page carries it as it is")
-            made = shown.page(form.load_page_module().carried(read.data))
+            made = shown.page(form.load_page_module().carried(content))
         else:
-            found = _compressed(steps, source, scene, getattr(read.scene, "held_out", None), shown, wish, form)
+            found = _compressed(steps, source, scene, held_out, shown, wish, form)
             steps.say(f"{file.path}: {found}")
+            if goal == LEAST_LOSS and found.loss > MAX_LOSS:
+                most = f"has {_MOST_BYTES / 1e6:g} MB of compressed data at most, unless you say otherwise"
+                steps.say(f"{file.path}: {most}; --max-loss {MAX_LOSS:g} takes more")
             made = shown.page(found.quantised)
         with file.writing(steps, made) as written:
             judge(written.path, shown.field, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps)
@@ -112,7 +120,7 @@ class _Wish(NamedTuple):
     compressed already is compressed again."""
 
     data: Data | None
-    goals: dict[str, Any]
+    goal: Goal
     photographs: Photographs
     anew: bool
 
@@ -134,8 +142,11 @@ class _Shown(NamedTuple):
         )
 
 
-def _read(steps: Steps, source: Source, wish: _Wish, choice: Choice) -> tuple[io.Loaded[Any], Any]:
-    """What was read, and the scene as it is shown: an octree, where it is to be compressed."""
+def _read(
+    steps: Steps, source: Source, wish: _Wish, choice: Choice
+) -> tuple[memoryview | None, Any, nerfbake.HeldOut | None]:
+    """The content of a file that is compressed already, the scene as it is shown (an octree, where it is to be
+    compressed), and the pixels of photographs that it has."""
     fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField
     read = source.read_with_format(steps, *fields, nerfbake.Stage1, nerfbake.BakedAtlas)
     scene = octree_of(steps, source, read.scene) if isinstance(read.scene, nerfbake.LatticeField) else read.scene
@@ -147,8 +158,8 @@ def _read(steps: Steps, source: Source, wish: _Wish, choice: Choice) -> tuple[io
             steps.say(f"{source.name}: a volume is not compressed, so that the page carries it as it is, in float16")
     elif wish.data != "exact" and isinstance(scene, nerfbake.N3Tree):
         with source.blamed(steps, "building the octree"):
-            return read, nerfbake.build_octree(scene)
-    return read, scene
+            return None, nerfbake.build_octree(scene), scene.held_out
+    return read.data, scene, None
 
 
 def _framed(steps: Steps, source: Source, scene: Any, mesh: PlacedMesh | None, look: Look) -> _Shown:
@@ -180,15 +191,19 @@ def _compressed(
     form: catalog.Format,
 ) -> nerfbake.Compression:
     """An octree, compressed to its goals: max_size is the page's."""
-    goals = wish.goals | wish.photographs.read(steps, held_out)
-    sized = form if "max_size" in goals else catalog.formats_of("QuantisedOctree")[0]
+    sized = form if wish.goal.max_size is not None else catalog.formats_of("QuantisedOctree")[0]
     module = sized.load_packed_module()
 
     def coded_size(quantised: nerfbake.QuantisedOctree) -> int:
         return module.coded_size(shown.page(quantised) if sized is form else quantised)
 
+    options = wish.goal.options | wish.photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
-        return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **goals)
+        options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
+        if wish.goal == LEAST_LOSS:
+            with suppress(BudgetMissed):  # there are so many leaves that they do not fit, however coarse they are
+                return nerfbake.compress_octree(octree, max_size=_MOST_BYTES, **options)
+        return nerfbake.compress_octree(octree, **options)
 
 
 def _field_of(path: str) -> nerfbake.RadianceField:

@@ -32,13 +32,13 @@ _ROUNDING = 32767  # the largest entry of the mixing matrix
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """points (m, 3B + 1) float64, not rounded, of which order (m,) makes the rows of QuantisedOctree.values; rows (m,)
+    """points (m, 3B + 1) float32, not rounded, of which order (m,) makes the rows of QuantisedOctree.values; rows (m,)
     the octree's row of each leaf, breadth-first; the rest is the quantised octree's."""
 
     octree: SparseVoxelOctree
     rows: Rows
     masks: npt.NDArray[np.uint8]
-    points: Floats
+    points: npt.NDArray[np.float32]
     order: npt.NDArray[np.int32]
     mixing: npt.NDArray[np.int16]
     mixing_scale: float
@@ -89,14 +89,14 @@ def transform(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> Coefficien
     gram (B, B): stages.field_to_importance.
     """
     width = octree.data_dim
-    memory.require("the transformed leaves", len(rows) * width * 8 + _SAMPLE * width * 16)
+    memory.require("the transformed leaves", len(rows) * width * 4 + _SAMPLE * width * 16)
     masks = _masks(octree, rows)
     levels = haar.levels_of(masks, octree.grid_level)
     codes, leaf = haar.leaf_codes(levels, octree.grid_level)
     merges = haar.merges_of(codes, octree.grid_level)
     mixing, mixing_scale, unmixing = _channels(octree, rows, gram)
     density_scale = 1 / (_DEPTH * mean_edge(octree.voxel_size))
-    points = np.empty((len(rows), width))
+    points = np.empty((len(rows), width), np.float32)
     for first in range(0, len(rows), _CHUNK):
         values = octree.node_data[rows[leaf[first : first + _CHUNK]]].astype(np.float64)
         points[first : first + _CHUNK, :-1] = product(values[:, :-1], unmixing.T)

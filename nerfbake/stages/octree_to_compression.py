@@ -22,7 +22,7 @@ from nerfbake.stages._loss import Cost, Judge, measuring_judge, predicting_judge
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.octree_to_field import field_of_octree
 from nerfbake.stages.octree_to_octree import lower_basis, require_lower
-from nerfbake.stages.octree_to_quantised import most_important
+from nerfbake.stages.octree_to_quantised import by_importance, most_important
 from nerfbake.stages.scene_to_cameras import sphere_cameras, without_strays
 
 STEPS = (1e-4, 16.0)  # what is tried
@@ -32,6 +32,7 @@ _FRAMES, _EDGE, _VOXELS = 64, 200, 256
 _PRUNED = 0.12  # of the squared error that is allowed may come from leaves that are left out
 _MOST_PRUNED, _HALVINGS = 0.95, 7
 _NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # of what is allowed: near enough
+_SIZE_SLOPE = 0.8  # of the logarithm of bytes, falling with that of the step
 _TRIALS, _SHARES = 16, 4  # at most; and after how many the share that goes stays, so that sizes fall with the step
 _AIM, _STRIDE = 0.985, 2.0  # of what is allowed; of a step's logarithm where only one side is known
 _WEIGHED, _SHARED = 0.15, 0.5  # of the work is done when the leaves are weighed, and when their share is found
@@ -49,17 +50,20 @@ def compress_octree(
     basis: str | None = None,
     held_out: HeldOut | None = None,
     source_psnr: float = 35.0,
+    field: RadianceField | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Compression:
     """The octree with as few leaves and as coarse a step as one of these allows:
 
     max_loss  dB against photographs, above 0
-    max_size  bytes, as coded_size() finds them; never exceeded, and at least 95 % of it used where quality rises
+    max_size  bytes, as coded_size() finds them; never exceeded, and at least 95 % of it used where quality rises.
+              Beside max_loss: only where that takes more bytes
     step      of colour, as it is; only which leaves are left out is searched
 
     basis: SHk of a lower degree, whose cost is part of the loss. Leaves are left out while that makes an eighth of the
     squared error. The loss is measured on held_out, pixels of photographs, else predicted
-    for a source of source_psnr (Judge). tell() hears what was tried. Raises InvalidScene for what cannot be shown,
+    for a source of source_psnr (Judge). field: build_field() of the octree, where it is
+    there already. tell() hears what was tried. Raises InvalidScene for what cannot be shown,
     BudgetMissed where the goal is out of reach, MemoryLimit.
 
     >>> from nerfbake import build_octree, compress_octree, sample_n3tree
@@ -68,12 +72,12 @@ def compress_octree(
     >>> found.loss <= 0.5, found.measured
     (True, False)
     """
-    if [max_loss, max_size, step].count(None) != 2:
-        raise InvalidScene(Problem("the goal", "is not one", "one of max_loss, max_size and step"))
+    if (step is None) == (max_loss is None and max_size is None):
+        raise InvalidScene(Problem("the goal", "is not one", "max_loss, max_size or both of them, or step"))
     if basis is not None:
         require_lower(octree, basis)  # before the work, not after it
     rows = visible_leaves(octree)
-    own = field_of_octree(octree)
+    own = field_of_octree(octree) if field is None else field
     with progress.part(0, _WEIGHED):
         importance = weigh_leaves(own, sphere_cameras(without_strays(own), frames=_FRAMES, edge=_edge(octree)))
     tell(f"{len(rows):,} leaves weighed")
@@ -88,7 +92,7 @@ def compress_octree(
         importance = importance._replace(gram=importance.gram[:size, :size])
     search = _Search(octree, own, rows, importance, judge, coded_size, tell)
     if max_loss is not None:
-        found = search.within_loss(max_loss)
+        found = search.within_loss(max_loss, max_size)
     elif max_size is not None:
         found = search.within_size(max_size)
     else:
@@ -111,7 +115,8 @@ class _Search:
         coded_size: Callable[[QuantisedOctree], int],
         tell: Callable[[str], None],
     ) -> None:
-        self._octree, self._own, self._rows, self._importance = octree, own, rows, importance
+        self._octree, self._own, self._rows = octree, own, rows
+        self._gram, self._order = importance.gram, by_importance(importance)
         self._judge, self._coded_size, self._tell = judge, coded_size, tell
         # The squared error by share: what a lower basis costs is there from the first.
         with progress.listening(None):
@@ -120,7 +125,7 @@ class _Search:
         self._coefficients: tuple[float, Coefficients] | None = None  # of this share
 
     # -- the three goals ---------------------------------------------------------------------------------------
-    def within_loss(self, most: float) -> Compression:
+    def within_loss(self, most: float, size: int | None) -> Compression:
         allowed = self._judge.allowed_error(most)
         allowed = max(allowed - self._pruning[0.0], 0.01 * allowed)
         share, step = self._share_for(_PRUNED * allowed), _FIRST * float(np.sqrt(allowed))
@@ -133,6 +138,8 @@ class _Search:
             points.append((step, made.loss / most))
             if made.loss <= most and (best is None or made.size < best.size):
                 best = made
+            if size is not None and made.size > size and made.loss >= _NEAR_LOSS * most:
+                return self.within_size(size, made)
             if best is not None and best.loss >= _NEAR_LOSS * most:
                 break
             step = next_step(points, slope=2.0)
@@ -140,13 +147,20 @@ class _Search:
                 break
         found = best or made
         assert found is not None
+        if size is not None and found.size > size:
+            return self.within_size(size, found)
         found.require(most)
         return found
 
-    def within_size(self, most: int) -> Compression:
+    def within_size(self, most: int, near: Compression | None = None) -> Compression:
+        """near: what was tried before, which is too large."""
         share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
+        if near is not None:
+            step = near.quantised.colour_step * (near.size / most) ** (1 / _SIZE_SLOPE)
+            share = self._share_for_rounding(near, step)
         best: Compression | None = None
         made: Compression | None = None
+        near = None
         points: list[tuple[float, float]] = []
         for count in range(_TRIALS):
             made = None
@@ -156,12 +170,11 @@ class _Search:
                 best = made
             if best is not None and best.size >= _NEAR_SIZE * most:
                 break
-            step = next_step(points, slope=-0.8)
+            step = next_step(points, slope=-_SIZE_SLOPE)
             if step == points[-1][0]:
                 break
             if count < _SHARES:
-                rounding = max(made.error - self._pruning[share], 0.0) * (step / made.quantised.colour_step) ** 2
-                share = self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
+                share = self._share_for_rounding(made, step)
                 points = points if share == made.pruned else points[-1:]
         if best is None:
             assert made is not None
@@ -182,16 +195,21 @@ class _Search:
             return self._tried(share, step)
 
     def _tried(self, share: float, step: float) -> Compression:
-        keep = most_important(self._importance, share)
+        keep = most_important(self._order, share)
         if self._coefficients is None or self._coefficients[0] != share:
             self._coefficients = None  # lets go of the old ones before there are new ones
-            self._coefficients = share, transform(self._octree, self._rows[keep], self._importance.gram)
+            self._coefficients = share, transform(self._octree, self._rows[keep], self._gram)
         quantised = self._coefficients[1].rounded(step)
         cost, size = self._cost(keep, quantised.leaf_values()), self._coded_size(quantised)
         judge = self._judge
         self._tell(f"step {step:.4g}, {100 * share:.1f} % pruned: {size:,} bytes, {cost.loss:.3f} dB")
         measured = judge.truth is not None
         return Compression(quantised, share, size, *cost, measured, judge.source_psnr, judge.views)
+
+    def _share_for_rounding(self, made: Compression, step: float) -> float:
+        """The share for another step, given what was lost with one."""
+        rounding = max(made.error - self._pruning[made.pruned], 0.0) * (step / made.quantised.colour_step) ** 2
+        return self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
 
     def _share_for(self, allowed: float) -> float:
         """The largest share that adds no more than this squared error, by halving; the error rises with the share."""
@@ -200,7 +218,7 @@ class _Search:
         for _ in self._halvings():
             middle = (low + high) / 2
             if middle not in self._pruning:
-                keep = most_important(self._importance, middle)
+                keep = most_important(self._order, middle)
                 self._pruning[middle] = self._cost(keep, self._own.values[keep]).error
             low, high = (middle, high) if self._pruning[middle] <= allowed else (low, middle)
         return low

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
-from nerfbake.stages._coefficients import transform, visible_leaves
+from nerfbake.stages._coefficients import Rows, transform, visible_leaves
 from nerfbake.stages.field_to_importance import Importance
 
 
@@ -32,10 +31,17 @@ def quantise_octree(
     if not 0 <= prune <= 1:
         raise InvalidScene(Problem("prune", f"is {prune:g}", "a share of 0 to 1"))
     rows = visible_leaves(octree)
-    return memory.kept(transform(octree, rows[most_important(importance, prune)], importance.gram).rounded(step))
+    keep = most_important(by_importance(importance), prune)
+    return memory.kept(transform(octree, rows[keep], importance.gram).rounded(step))
 
 
-def most_important(importance: Importance, prune: float) -> npt.NDArray[np.int64]:
-    """Which of the field's leaves stay where this share goes, the least important first, of equal ones the first."""
-    order = np.argsort(importance.largest, kind="stable")
-    return np.sort(order[min(int(prune * len(order)), len(order) - 1) :])
+def by_importance(importance: Importance) -> Rows:
+    """The field's leaves, the least important first, of equal ones the first."""
+    return np.argsort(importance.largest, kind="stable")
+
+
+def most_important(order: Rows, prune: float) -> Rows:
+    """Which of these leaves stay, in rising order, where this share goes, the first of them first."""
+    stays = np.zeros(len(order), bool)
+    stays[order[min(int(prune * len(order)), len(order) - 1) :]] = True
+    return np.flatnonzero(stays)

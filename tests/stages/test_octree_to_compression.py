@@ -84,6 +84,14 @@ def test_a_size_is_never_exceeded_and_nearly_used(octree: SparseVoxelOctree, mos
     assert 0.95 * most <= found.size <= most
 
 
+def test_a_loss_gives_way_to_a_size_where_both_are_given(octree: SparseVoxelOctree) -> None:
+    free = compressed(octree, max_loss=0.1)
+    assert compressed(octree, max_loss=0.1, max_size=free.size).facts == free.facts
+    tight = compressed(octree, max_loss=0.1, max_size=free.size // 2)
+    assert 0.95 * (free.size // 2) <= tight.size <= free.size // 2
+    assert tight.loss > 0.1
+
+
 def test_a_size_that_cannot_be_reached_is_told(octree: SparseVoxelOctree) -> None:
     with pytest.raises(BudgetMissed, match="bytes at the least; allowed: `max_size=50`"):
         compressed(octree, max_size=50)
@@ -159,7 +167,7 @@ def test_the_same_octree_is_the_same_file(octree: SparseVoxelOctree) -> None:
 
 @pytest.mark.parametrize("goals", [{}, {"max_loss": 0.1, "step": 0.1}])
 def test_one_goal_is_needed(octree: SparseVoxelOctree, goals: dict[str, Any]) -> None:
-    with pytest.raises(InvalidScene, match="one of max_loss, max_size and step"):
+    with pytest.raises(InvalidScene, match="max_loss, max_size or both of them, or step"):
         compressed(octree, **goals)
 
 

@@ -10,7 +10,8 @@ its lower bits and no neighbour in its cube, so that it enters at its own level 
     low  = p sum - q difference      high = q sum + p difference
 
 The sum goes on to the next level and the difference is a coefficient: the transform is orthonormal. Every term is
-rounded to float64 in the order that is written here, so that all CPUs make the same numbers.
+rounded to float64 in the order that is written here, and forward() rounds what it writes to the type of its points, so
+that all CPUs make the same numbers.
 Source: de Queiroz and Chou, "Compression of 3D point clouds using a region-adaptive hierarchical transform", 2016,
 with the weight 1 for every leaf.
 """
@@ -28,6 +29,7 @@ from nerfbake.kernels.octree.pyramid import INNER, Level
 Ints = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int32]
 Floats = npt.NDArray[np.float64]
+Points = npt.NDArray[np.floating]
 
 
 class Merges(NamedTuple):
@@ -97,7 +99,7 @@ def merges_of(codes: Ints, height: int) -> Merges:
     )
 
 
-def forward(points: Floats, merges: Merges) -> None:
+def forward(points: Points, merges: Merges) -> None:
     """(m, C) values of points become coefficients, in place: each pair's difference stands where its upper half did."""
     _forward(points, merges.low, merges.high, merges.low_count, merges.high_count)
 
@@ -137,7 +139,7 @@ def _pair_up(codes: Ints, level: Ints, low: Counts, high_count: Counts) -> None:
 
 
 @compiled()
-def _forward(points: Floats, low: Counts, high: Counts, low_count: Counts, high_count: Counts) -> None:
+def _forward(points: Points, low: Counts, high: Counts, low_count: Counts, high_count: Counts) -> None:
     for pair in range(len(low) - 1, -1, -1):
         p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
         q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
