@@ -105,7 +105,7 @@ def _cell_sums(points: Singles, weight: npt.NDArray[np.float64], start: Ints, to
             total[c, p] += weight[i]
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def squares(point: Singles, others: Singles, out: Singles) -> None:
     """(n,) squared distances of a point (p,) to others (p, n): a vector register holds several others, and each sum
     runs from the first dimension to the last, whatever the register's width.

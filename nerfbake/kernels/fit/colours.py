@@ -69,7 +69,8 @@ def look(
     if B <= 9:
         _low_basis(room, count, B)
     else:
-        compiled_fill_basis(room[_X, :count], room[_Y, :count], room[_Z, :count], B, room[_BASIS:, :count])
+        for cell in range(count):
+            compiled_fill_basis(room[_X, cell], room[_Y, cell], room[_Z, cell], B, room[_BASIS:, cell])
 
 
 @compiled()
@@ -139,7 +140,7 @@ def _fill(
             rows[task, into + cell, k] = np.float32(0)
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def squash(x: Any) -> Any:
     """1 / (1 + e^-x) of a float32, to five digits: (e^(-x / 64))^64."""
     y = min(max(x, np.float32(-16)), np.float32(16)) * np.float32(-1 / 64)

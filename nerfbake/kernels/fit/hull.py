@@ -83,7 +83,7 @@ def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark
             z += 1 if d2 > 0 else -1
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def part_between(origin: float, inverse: float, edge: float, start: float, end: float) -> Any:
     """The part of a ray from start to end that is between 0 and an edge; inverse: one over its direction."""
     if inverse == np.inf or inverse == -np.inf:

@@ -71,20 +71,13 @@ def march_view(bricks: Bricks, batch: Batch, view: View, errors: Floats) -> None
     on_every_core(lambda first, step: _march_parts(bricks, batch, view, errors, first, step))
 
 
+# What rays take is in tuples and read from there: of an array that is an argument, or part of another, each call counts
+# references, and threads wait for each other at every count. The tasks' loop is no kernel of its own: all that it calls
+# would be compiled twice.
 @compiled()
 def _march_parts(bricks: Bricks, batch: Batch, view: View, errors: Floats, first: int, step: int) -> None:
-    """Every step-th task, which are spread over the picture, so that all cores have as much to do."""
-    for task in range(first, batch.base.shape[0], step):
-        errors[task] = _march_part(bricks, batch, task, view)
-
-
-# What rays take is in tuples and read from there: of an array that is an argument, or part of another, each call counts
-# references, and threads wait for each other at every count.
-@compiled()
-def _march_part(bricks: Bricks, batch: Batch, task: Whole, view: View) -> float:
-    """One task's pixels, and its rows of the batch."""
-    batch.used[task] = 0
-    batch.base[task, :] = UNMET
+    """The pixels and the rows of the batch of every step-th task, which are spread over the picture, so that all cores
+    have as much to do."""
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
     most = 4 * 8 * bricks.top.shape[0] * rays
@@ -96,17 +89,21 @@ def _march_part(bricks: Bricks, batch: Batch, task: Whole, view: View) -> float:
         new_room((len(bricks.values) // bricks.first[-1] - 1) // 3),
         (view.eye - bricks.low) / bricks.size,
     )
-    ends, error = np.zeros(rays + 1, np.int64), 0.0
-    for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
-        own.seen[:] = 0
-        for ray in range(rays):
-            ends[ray + 1] = _forth(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
-        for k in range(4):
-            own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
-        error += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
-        for ray in range(rays):
-            _back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
-    return error
+    ends = np.zeros(rays + 1, np.int64)
+    for task in range(first, tasks, step):
+        batch.used[task] = 0
+        batch.base[task, :] = UNMET
+        error = 0.0
+        for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
+            own.seen[:] = 0
+            for ray in range(rays):
+                ends[ray + 1] = _forth(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
+            for k in range(4):
+                own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
+            error += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
+            for ray in range(rays):
+                _back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
+        errors[task] = error
 
 
 @compiled(merged=True)

@@ -62,50 +62,41 @@ def _step_blocks(
     first: int,
     step: int,
 ) -> None:
-    """Every step-th block."""
-    r = bricks.top.shape[0]
-    for block in range(first, (r * r * r + _BLOCK - 1) // _BLOCK, step):
-        _step_block(bricks, batch, block * _BLOCK, min((block + 1) * _BLOCK, r * r * r), eye, means, seen, steps)
-
-
-@compiled()
-def _step_block(
-    bricks: Bricks, batch: Batch, begin: int, end: int, eye: Floats, means: Singles, seen: Singles, steps: Steps
-) -> None:
-    """The bricks at some places of the top grid."""
+    """The bricks at every step-th block of places of the top grid."""
     r, B = bricks.top.shape[0], len(steps.ridge)
     sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_room(B)
-    for place in range(begin, end):
-        at = place // (r * r), place // r % r, place % r
-        brick = np.int64(bricks.top[at])
-        if brick < 0:
-            continue
-        first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
-        if not _add(batch, brick, count, sums):
-            continue
-        start = (3 * B + 1) * first
-        _move_density(
-            bricks.values, start + 3 * B * count, bricks.places, bricks.width, first, count, sums, means, steps
-        )
-        _see(sums, seen, first, count, np.float32(1 / steps.rays))
-        x = np.float32(bricks.low[0] + 8 * at[0] * bricks.size[0] - eye[0])
-        y = np.float32(bricks.low[1] + 8 * at[1] * bricks.size[1] - eye[1])
-        z = np.float32(bricks.low[2] + 8 * at[2] * bricks.size[2] - eye[2])
-        dx, dy, dz = np.float32(bricks.size[0]), np.float32(bricks.size[1]), np.float32(bricks.size[2])
-        look(bricks.places, first, count, x, y, z, dx, dy, dz, room)
-        _weigh(first, count, sums, means, np.float32(1 / steps.rays), np.float32(steps.colour), room, steps.parts)
-        for channel in range(3):
-            _move_colour(
-                bricks.values,
-                start + channel * B * count,
-                count,
-                sums,
-                channel,
-                steps.parts,
-                steps.ridge,
-                np.float32(steps.colour),
-                room,
+    for block in range(first, (r * r * r + _BLOCK - 1) // _BLOCK, step):
+        for place in range(block * _BLOCK, min((block + 1) * _BLOCK, r * r * r)):
+            at = place // (r * r), place // r % r, place % r
+            brick = np.int64(bricks.top[at])
+            if brick < 0:
+                continue
+            begin, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
+            if not _add(batch, brick, count, sums):
+                continue
+            start = (3 * B + 1) * begin
+            _move_density(
+                bricks.values, start + 3 * B * count, bricks.places, bricks.width, begin, count, sums, means, steps
             )
+            _see(sums, seen, begin, count, np.float32(1 / steps.rays))
+            x = np.float32(bricks.low[0] + 8 * at[0] * bricks.size[0] - eye[0])
+            y = np.float32(bricks.low[1] + 8 * at[1] * bricks.size[1] - eye[1])
+            z = np.float32(bricks.low[2] + 8 * at[2] * bricks.size[2] - eye[2])
+            dx, dy, dz = np.float32(bricks.size[0]), np.float32(bricks.size[1]), np.float32(bricks.size[2])
+            look(bricks.places, begin, count, x, y, z, dx, dy, dz, room)
+            _weigh(begin, count, sums, means, np.float32(1 / steps.rays), np.float32(steps.colour), room, steps.parts)
+            for channel in range(3):
+                _move_colour(
+                    bricks.values,
+                    start + channel * B * count,
+                    count,
+                    sums,
+                    channel,
+                    steps.parts,
+                    steps.ridge,
+                    np.float32(steps.colour),
+                    room,
+                )
 
 
 @compiled()

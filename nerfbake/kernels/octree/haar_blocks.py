@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.octree.haar import Counts, Floats, Ints, Merges, inverse
+from nerfbake.kernels.parallel import on_every_core
 
 _BITS = 12  # binary levels of a block: up to 4096 leaves
 
@@ -54,11 +54,13 @@ def restore(
     low, high = (np.searchsorted(blocks.heads, each[: b - 1]).astype(np.int32) for each in (merges.low, merges.high))
     sums = inverse(rows[:b], steps, merges._replace(low=low, high=high))
     values, last = np.zeros(rows.shape, np.float32), np.empty(len(rows))
-    _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last)
+    on_every_core(
+        lambda first, step: _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last, first, step)
+    )
     return values, last
 
 
-@compiled(parallel=True)
+@compiled()
 def _restore(
     rows: npt.NDArray[Any],
     steps: Floats,
@@ -69,43 +71,32 @@ def _restore(
     leaf: Ints,
     values: npt.NDArray[np.float32],
     last: Floats,
+    first: int,
+    step: int,
 ) -> None:
-    for block in prange(len(sums)):
-        _restore_block(block, rows, steps, merges, blocks, sums, mixing, leaf, values, last)
-
-
-@compiled()
-def _restore_block(
-    block: int,
-    rows: npt.NDArray[Any],
-    steps: Floats,
-    merges: Merges,
-    blocks: Blocks,
-    sums: Floats,
-    mixing: Floats,
-    leaf: Ints,
-    values: npt.NDArray[np.float32],
-    last: Floats,
-) -> None:
-    begin, C = blocks.heads[block], len(steps)
-    points, own = np.empty((blocks.heads[block + 1] - begin, C)), np.empty(C - 1)
+    """Every step-th block."""
+    C = len(steps)
+    own = np.empty(C - 1)
     low, high, low_count, high_count = merges.low, merges.high, merges.low_count, merges.high_count
-    points[0] = sums[block]
-    for i in range(blocks.first[block], blocks.first[block + 1]):
-        pair = blocks.pairs[i]
-        p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
-        q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
-        a, b = low[pair] - begin, high[pair] - begin
-        for c in range(C):
-            total, difference = points[a, c], rows[pair + 1, c] * steps[c]
-            points[a, c] = p * total - q * difference
-            points[b, c] = q * total + p * difference
-    for point in range(len(points)):
-        row = leaf[begin + point]
-        own[:] = 0
-        for s in range(C - 1):
+    for block in range(first, len(sums), step):
+        begin = blocks.heads[block]
+        points = np.empty((blocks.heads[block + 1] - begin, C))
+        points[0] = sums[block]
+        for i in range(blocks.first[block], blocks.first[block + 1]):
+            pair = blocks.pairs[i]
+            p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
+            q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
+            a, b = low[pair] - begin, high[pair] - begin
+            for c in range(C):
+                total, difference = points[a, c], rows[pair + 1, c] * steps[c]
+                points[a, c] = p * total - q * difference
+                points[b, c] = q * total + p * difference
+        for point in range(len(points)):
+            row = leaf[begin + point]
+            own[:] = 0
+            for s in range(C - 1):
+                for c in range(C - 1):
+                    own[c] += points[point, s] * mixing[s, c]
             for c in range(C - 1):
-                own[c] += points[point, s] * mixing[s, c]
-        for c in range(C - 1):
-            values[row, c] = own[c]
-        last[row] = points[point, C - 1]
+                values[row, c] = own[c]
+            last[row] = points[point, C - 1]

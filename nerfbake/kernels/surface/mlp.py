@@ -105,7 +105,7 @@ def exact_differences(
     return out
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _show(feature: Singles, by_direction: Singles, by_feature: Singles, w1: Singles, out: Singles) -> None:
     """One colour in every direction: (3n,)."""
     n, zero = by_direction.shape[1], f32(0)
@@ -128,7 +128,7 @@ def _show(feature: Singles, by_direction: Singles, by_feature: Singles, w1: Sing
     _sigmoid(out)
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _sigmoid(x: Singles) -> None:
     """1 / (1 + e^-x) in place. e^-x = 2^k 2^r, k whole: 2^k is k + 127 in a float's exponent bits, 2^r a polynomial."""
     bits = np.empty(x.size, np.int32)
@@ -194,7 +194,7 @@ def _project(
                 out[i, q] += output[j] * basis[j, q]
 
 
-@compiled(inline=True)
+@compiled(merged=True)
 def _apart(
     truth: npt.NDArray[Any],
     table: Singles,
