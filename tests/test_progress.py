@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from nerfbake import progress
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from nerfbake import bake_stage1, load, octree_of_lattice, progress, sample_stage1
+from nerfbake.scene.atlas import METHODS, Method
+from nerfbake.scene.lattice_field import LatticeField
+from tests.support.lattices import svox2, svox2_file
 
 
 def heard() -> tuple[list[tuple[float, str]], progress.Listener]:
@@ -50,3 +59,26 @@ def test_a_loop_that_ends_early_leaves_the_listener_as_it_was() -> None:
                 break
         progress.report(0.9)
     assert shares[-1] == (0.9, "")
+
+
+def _sampled(folder: Path) -> None:
+    (folder / "a.npz").write_bytes(svox2_file(svox2(plain=False)))
+    octree_of_lattice(load(folder / "a.npz", LatticeField), resolution=(64, 64, 64), basis="SH1")
+
+
+def _baked(folder: Path, method: Method) -> None:
+    bake_stage1(sample_stage1(resolution=16), method=method, clusters=4, map_size=8, nodes=3, directions=20)
+
+
+@pytest.mark.parametrize("work", [_sampled, *(partial(_baked, method=method) for method in METHODS)])
+def test_shares_of_a_long_step_rise_to_its_end(
+    work: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerfbake.stages.lattice_to_octree._TESTED", 1 << 14)
+    monkeypatch.setattr("nerfbake.stages.lattice_to_octree._FITTED", 1 << 10)
+    shares: list[float] = []
+    with progress.listening(lambda share, _: shares.append(share)):
+        work(tmp_path)
+    assert len(set(shares)) > 4
+    assert shares == sorted(shares)
+    assert shares[-1] == 1

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Coords, Floats, Ints, Singles
 from nerfbake.kernels.lattice.means import weighted_means
@@ -132,7 +132,7 @@ def _near(samples: _Samples) -> Iterator[Ints]:
     held = samples.nodes.links >= 0
     blocks = [samples.blocks_along(axis) for axis in range(3)]
     planes = max(1, _TOGETHER // (samples.size[1] * samples.size[2]))
-    for begin in range(0, samples.size[0], planes):
+    for begin in progress.each(range(0, samples.size[0], planes)):
         near = held
         for axis, each in enumerate((blocks[0][begin : begin + planes], *blocks[1:])):
             found = near.take(each[:, 0], axis)
@@ -153,7 +153,7 @@ def colour_blocks(lattice: LatticeField, held: Held, B: int, sigma_min: float, v
     fit, looked = fit_of_bare(colour, B), features_of(lattice)
     length = mean_edge((lattice.box[1] - lattice.box[0]) / held.size) / samples.times
     step = min(samples.at_once, _FITTED)
-    for begin in range(0, len(held.cells), step):
+    for begin in progress.each(range(0, len(held.cells), step)):
         memory.require("the voxels' samples", min(step, len(held.cells)) * samples.in_voxel * _SAMPLE_BYTES)
         places = samples.places(held.cells[begin : begin + step])
         sigma = densities(samples.nodes, places)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import progress
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.cluster import colours
 from nerfbake.kernels.maths.equations import solve_banded, solve_each
@@ -66,7 +67,7 @@ def bake_affine_maps(
     np.maximum.at(box[1], clusters.labels, bytes_)
     centres = np.clip(_means(identifiers, clusters), box[1] - (255 - ZERO_OFFSET), box[0] + ZERO_OFFSET)
     maps = np.empty((clusters.K, 4, 3 * map_size**2))
-    for k, (features, weight) in enumerate(_group(identifiers, clusters.labels)):
+    for k, (features, weight) in progress.each(list(enumerate(_group(identifiers, clusters.labels)))):
         design = np.insert(features - centres[k] / 255, 0, 1, axis=1)
         left, right = _moments(field, features, weight, design, map_size)
         left += weight.sum() * FLATNESS * np.diag([0, 1, 1, 1])
@@ -93,7 +94,7 @@ def bake_grid_maps(field: SpecularField, identifiers: Identifiers, *, nodes: int
     left[:, 0] = pull
     low, high = np.tril_indices(len(steps))
     cubes, labels = np.unique(tetrahedron(colours.colours_of(identifiers.codes), nodes)[0][:, 0], return_inverse=True)
-    for cube, (features, weight) in zip(cubes, _group(identifiers, labels), strict=True):
+    for cube, (features, weight) in progress.each(list(zip(cubes, _group(identifiers, labels), strict=True))):
         index, share = tetrahedron(255 * features, nodes)
         corners = cube + steps
         design = np.zeros((len(features), 8))

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Coords, Ints, Singles
 from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
@@ -24,6 +24,7 @@ from nerfbake.stages.octree_to_octree import cut_octree
 
 _TESTED = 1 << 18  # voxels whose density is asked at a time
 _FITTED = 1 << 15  # voxels whose colours are made at a time
+_FOUND = 0.3  # of the work is done when the voxels that hold something are found
 _FOUND_BYTES = 16  # a voxel's place and density, while colours are not made yet
 
 
@@ -65,21 +66,23 @@ def octree_of_lattice(
     wanted = parse_basis(basis)
     if wanted.kind != "SH":
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
-    if lattice.blocks is not None:
-        held, levels = held_of_blocks(lattice, resolution, wanted.size, sigma_min or 0.0), 0
-    else:
-        size, levels = _sizes(lattice, resolution)
-        held = Held(size, *_held(lattice, size, sigma_min or 0.0))
+    with progress.part(0, _FOUND):
+        if lattice.blocks is not None:
+            held, levels = held_of_blocks(lattice, resolution, wanted.size, sigma_min or 0.0), 0
+        else:
+            size, levels = _sizes(lattice, resolution)
+            held = Held(size, *_held(lattice, size, sigma_min or 0.0))
     size, cells = held.size, held.cells
     if not len(cells):
         raise InvalidScene(Problem("the lattice", "holds nothing", f"a density above {sigma_min or 0:g} somewhere"))
     memory.require("the voxels' values", len(cells) * wanted.data_dim * 4)
     values = np.empty((len(cells), wanted.data_dim), np.float32)
     values[:, -1] = held.sigma
-    if lattice.blocks is not None:
-        colour_blocks(lattice, held, wanted.size, sigma_min or 0.0, values)
-    else:
-        _colour(lattice, size, cells, wanted.size, values)
+    with progress.part(_FOUND, 1):
+        if lattice.blocks is not None:
+            colour_blocks(lattice, held, wanted.size, sigma_min or 0.0, values)
+        else:
+            _colour(lattice, size, cells, wanted.size, values)
     data = rounded(values, np.dtype(dtype), what="the lattice", asked="float16")
     edges = (lattice.box[1] - lattice.box[0]) / size
     frame = OctreeFrame(size, basis, layout, lattice.box[0].copy(), edges)
@@ -122,7 +125,7 @@ def _near(lattice: LatticeField, size: tuple[int, int, int]) -> Iterator[Ints]:
     low = [_node_below(lattice, size, axis) for axis in range(3)]
     planes = max(1, _TESTED // (size[1] * size[2]))
     rows = max(1, _TESTED // (planes * size[2]))  # of a plane: all of them, unless one alone has too many voxels
-    for begin in range(0, size[0], planes):
+    for begin in progress.each(range(0, size[0], planes)):
         x = low[0][begin : begin + planes]
         for first in range(0, size[1], rows):
             y = low[1][first : first + rows]
@@ -141,7 +144,7 @@ def _node_below(lattice: LatticeField, size: tuple[int, int, int], axis: int) ->
 def _colour(lattice: LatticeField, size: tuple[int, int, int], cells: Coords, B: int, values: Singles) -> None:
     """Writes the coefficients of all cells into the values (m, 3 B + 1)."""
     fit = fit_of(lattice, B)
-    for begin in range(0, len(cells), _FITTED):
+    for begin in progress.each(range(0, len(cells), _FITTED)):
         at = in_nodes((cells[begin : begin + _FITTED] + 0.5) / size, lattice.shape, lattice.at_corners)
         # Only the nodes of some planes, whose links lead into a table of their own.
         first = int(at[0, 0])

@@ -18,7 +18,7 @@ from nerfbake.stages.identifiers_to_clusters import Clusters, cluster_identifier
 from nerfbake.stages.specular_to_identifiers import Identifiers, identify_colours
 
 MAX_CUBE_NODES = 16
-_IDENTIFIED = 0.6  # of the work is done when colours have identifiers
+_IDENTIFIED, _CLUSTERED = 0.6, 0.9  # of the work is done when colours have identifiers, and clusters
 _TEXEL_BYTES = 3 * 4 * 8  # a texel's channels, in up to four float64 copies at a time
 # A texel of the texture, while its colour is looked up and, for affine, its distance from a centre taken (72 measured).
 _LABEL_BYTES = {"kmeans": 32, "affine": 96, "grid": 32}
@@ -69,15 +69,17 @@ def bake_atlas(
     with progress.part(0, _IDENTIFIED):
         identifiers = identify_colours(field, directions=directions, direction_weights=direction_weights)
     if method == "grid":
-        maps = bake_grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
+        with progress.part(_IDENTIFIED, 1):
+            maps = bake_grid_maps(field, identifiers, nodes=nodes, map_size=map_size)
         labels = np.zeros(field.used.shape, np.uint16)
         return OctahedralAtlas("grid", _bytes(255 * maps), labels, field.features, border)
     find = cluster_planes if method == "affine" else cluster_identifiers
-    with progress.part(_IDENTIFIED, 1):
+    with progress.part(_IDENTIFIED, _CLUSTERED):
         found = find(identifiers, clusters=clusters, seed=seed)
     labels = label_texels(field, identifiers, found)
     if method == "affine":
-        affine = bake_affine_maps(field, identifiers, found, map_size=map_size)
+        with progress.part(_CLUSTERED, 1):
+            affine = bake_affine_maps(field, identifiers, found, map_size=map_size)
         offsets = _bytes(field.features - affine.centres[labels] + ZERO_OFFSET)
         tiles, slope, slopes = _encode_affine(affine.maps)
         return OctahedralAtlas("affine", tiles, labels, offsets, border, slope, slopes)

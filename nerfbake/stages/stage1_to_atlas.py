@@ -47,10 +47,11 @@ def bake_stage1(
             memory.kept(bake_atlas(field, directions=evenly, direction_weights=own, **options))
             for field, own in progress.each(list(zip(stage1.fields, weights, strict=True)))
         )
-    errors = [
-        measure_atlas_error(atlas, field, directions=evenly)._asdict()
-        for atlas, field in zip(atlases, stage1.fields, strict=True)
-    ]
+    with progress.part(_BAKED, 1):
+        errors = [
+            measure_atlas_error(atlas, field, directions=evenly)._asdict()
+            for atlas, field in progress.each(list(zip(atlases, stage1.fields, strict=True)))
+        ]
     facts = {"bake": {"directions": directions, "direction_set": direction_set, **options}, "errors": errors}
     return BakedAtlas(atlases, stage1.meshes, stage1.files, facts)
 
