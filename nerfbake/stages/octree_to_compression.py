@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -102,6 +103,19 @@ def compress_octree(
     return found
 
 
+class _Tried(NamedTuple):
+    """What came of a step and a share of leaves that were left out."""
+
+    step: float
+    share: float
+    size: int
+    error: float
+
+    @classmethod
+    def of(cls, made: Compression) -> _Tried:
+        return cls(made.quantised.colour_step, made.pruned, made.size, made.error)
+
+
 class _Search:
     """Trials of a share of leaves that are left out and a step; the best that is allowed is kept."""
 
@@ -139,7 +153,8 @@ class _Search:
             if made.loss <= most and (best is None or made.size < best.size):
                 best = made
             if size is not None and made.size > size and made.loss >= _NEAR_LOSS * most:
-                return self.within_size(size, made)
+                near, made, best = _Tried.of(made), None, None  # whose leaves would be in the way
+                return self.within_size(size, near)
             if best is not None and best.loss >= _NEAR_LOSS * most:
                 break
             step = next_step(points, slope=2.0)
@@ -148,19 +163,18 @@ class _Search:
         found = best or made
         assert found is not None
         if size is not None and found.size > size:
-            return self.within_size(size, found)
+            return self.within_size(size, _Tried.of(found))
         found.require(most)
         return found
 
-    def within_size(self, most: int, near: Compression | None = None) -> Compression:
+    def within_size(self, most: int, near: _Tried | None = None) -> Compression:
         """near: what was tried before, which is too large."""
         share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
         if near is not None:
-            step = near.quantised.colour_step * (near.size / most) ** (1 / _SIZE_SLOPE)
+            step = near.step * (near.size / most) ** (1 / _SIZE_SLOPE)
             share = self._share_for_rounding(near, step)
         best: Compression | None = None
         made: Compression | None = None
-        near = None
         points: list[tuple[float, float]] = []
         for count in range(_TRIALS):
             made = None
@@ -174,7 +188,7 @@ class _Search:
             if step == points[-1][0]:
                 break
             if count < _SHARES:
-                share = self._share_for_rounding(made, step)
+                share = self._share_for_rounding(_Tried.of(made), step)
                 points = points if share == made.pruned else points[-1:]
         if best is None:
             assert made is not None
@@ -206,9 +220,9 @@ class _Search:
         measured = judge.truth is not None
         return Compression(quantised, share, size, *cost, measured, judge.source_psnr, judge.views)
 
-    def _share_for_rounding(self, made: Compression, step: float) -> float:
+    def _share_for_rounding(self, near: _Tried, step: float) -> float:
         """The share for another step, given what was lost with one."""
-        rounding = max(made.error - self._pruning[made.pruned], 0.0) * (step / made.quantised.colour_step) ** 2
+        rounding = max(near.error - self._pruning[near.share], 0.0) * (step / near.step) ** 2
         return self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
 
     def _share_for(self, allowed: float) -> float:
