@@ -105,7 +105,7 @@ def test_lobes_come_back_with_the_octree() -> None:
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda: volume(tree([]), tree([])), "would hold 2 grids: density[0], density[1]; allowed: --grid NAME"),
+        (lambda: volume(tree([]), tree([])), "would hold 2 grids: density[0], density[1]; allowed: `grid=NAME`"),
         (lambda: volume(tree([], name="x" * 256)), "the grid's name is 256 bytes long; allowed: 255 at most"),
         (lambda: volume(tree([], channels=3, dtype=np.float16)), "is float16; allowed: float32"),
     ],
