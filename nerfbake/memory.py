@@ -1,14 +1,13 @@
-"""The allowance of memory: one number for all that is held at once, whoever holds it.
+"""The memory limit: one number for all data that the process holds at once.
 
     with memory_limit(1 << 30):
         octree = build_octree(load("chair.npz"))
 
-Whoever is about to allocate asks first: every reader before it believes what a file declares, every stage before it
-makes what was asked for. The allowance is ambient, as NumPy's errstate is: an argument has to be handed on from call to
-call, and the one place that forgets it is the place that a hostile file finds.
+Code asks before it allocates: a reader before it trusts a size in a file, a stage before it makes its result. The limit
+is a context variable, like NumPy's errstate, so that no call can forget to pass it on.
 
-What counts is the bytes of data: files while they are read, what they become, what stages make of it. The interpreter
-and its libraries do not count.
+Bytes of data count: files while they are read, what is decoded from them, and results of stages. The interpreter and
+its libraries do not count.
 """
 
 from __future__ import annotations

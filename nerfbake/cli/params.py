@@ -39,7 +39,7 @@ def _told(
     kind: click.ParamType[float], number: float, param: click.Parameter | None, ctx: click.Context | None
 ) -> float:
     if math.isnan(number):
-        kind.fail("nan is no number; allowed: one", param, ctx)
+        kind.fail("NaN is not allowed; allowed: a number", param, ctx)
     return number
 
 

@@ -46,7 +46,7 @@ RESAMPLE = "What a voxel over several leaves holds: their mean, or the leaf at i
 @click.option(
     "--scale",
     type=NumberRange(1e-6, 1e6),
-    help="Of a lattice: how many times larger the world is to be than that of IN.",
+    help="Scale factor for world coordinates (lattices only).",
 )
 @judges
 @speaks

@@ -77,7 +77,7 @@ def test_nan_is_no_number(name: str, option: str, capsys: pytest.CaptureFixture[
     """It is not outside of any range: --max-loss nan worked for seconds, and then blamed the input's colour_step."""
     assert run([name, option, "nan"]) == 2
     (said,) = capsys.readouterr().err.splitlines()
-    assert f"'{option}': nan is no number" in said
+    assert f"'{option}': NaN is not allowed" in said
 
 
 @pytest.mark.parametrize(("text", "size"), [("100", 100), ("1.5KiB", 1536), ("2 MB", 2_000_000), ("4gib", 4 << 30)])

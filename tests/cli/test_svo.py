@@ -52,7 +52,7 @@ def test_options_of_svo(shell: Shell, tmp_path: Path) -> None:
         (["svo", "a.npz", "b.svo.pb", "--resolutoin", "4"], 2, "No such option"),
         (["svo", "a.npz", "b.svo.pb", "--resolution", "4x4"], 2, "'4x4' is no resolution; allowed: R or WxHxD"),
         (["svo", "a.npz", "b.svo.pb", "--resolution", "4097"], 2, "'4097' is no resolution"),
-        (["svo", "a.npz", "b.svo.pb", "--sigma-min", "nan"], 2, "'--sigma-min': nan is no number; allowed: one"),
+        (["svo", "a.npz", "b.svo.pb", "--sigma-min", "nan"], 2, "'--sigma-min': NaN is not allowed; allowed: a number"),
         (["svo", "a.npz", "b.svo.pb", "--max-memory", "many"], 2, "'many' is no size; allowed: 4GiB"),
         (["svo", "a.npz", "b.svo.pb", "--max-memory", "100"], 1, "B; allowed: 100 B (--max-memory)"),
     ],

@@ -73,7 +73,7 @@ def _numbers(parts: tuple[str, ...] | list[str], number: int, name: str) -> tupl
     except ValueError:
         numbers = (math.nan,)
     if not all(map(math.isfinite, numbers)):
-        raise InvalidFile(Problem(f"{name}: line {number:,}", "holds what is no number", "finite numbers"))
+        raise InvalidFile(Problem(f"{name}: line {number:,}", "holds a value that is not a number", "finite numbers"))
     return numbers
 
 

@@ -74,7 +74,7 @@ def _rows(files: Folder, name: str) -> _Rows:
     try:
         rows = [list(map(float, line.split())) for line in bytes(view).decode().splitlines()]
     except ValueError:
-        raise InvalidFile(Problem(name, "holds what is no number", "lines of numbers")) from None
+        raise InvalidFile(Problem(name, "holds a value that is not a number", "lines of numbers")) from None
     if not all(abs(value) <= MAX_WORLD for row in rows for value in row):
         raise InvalidFile(Problem(name, "holds a number that is not finite or too large", f"up to {MAX_WORLD:g}"))
     return [row for row in rows if len(row) not in (0, 2)]

@@ -165,7 +165,7 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
             flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")
         except (TypeError, ValueError, OverflowError):
             raise InvalidFile(
-                Problem(name, "holds what is no number", f"a flat list of {_KINDS[dtype.kind]}")
+                Problem(name, "holds a value that is not a number", f"a flat list of {_KINDS[dtype.kind]}")
             ) from None
     else:
         raise InvalidFile(Problem(name, f"is {type(value).__name__}", f"a flat list of {_KINDS[dtype.kind]}"))

@@ -24,8 +24,8 @@ COLMAP_TEXT = {
     "thin prisms": ("1 THIN_PRISM_FISHEYE 4 3 5 5 2 1 0 0 0 0 0 0 0 0\n", SHOT, "has the model THIN_PRISM_FISHEYE"),
     "too few parameters": ("1 PINHOLE 4 3 5\n", SHOT, "line 1 has 1 parameters; allowed: 4 for PINHOLE"),
     "a short line": ("1 PINHOLE\n", SHOT, "line 1 has 2 entries; allowed: 5 or more"),
-    "no number": (MODEL.replace("1.5", "nan"), SHOT, "line 1 holds what is no number"),
-    "text for a number": (MODEL.replace("1.5", "x"), SHOT, "line 1 holds what is no number"),
+    "no number": (MODEL.replace("1.5", "nan"), SHOT, "line 1 holds a value that is not a number"),
+    "text for a number": (MODEL.replace("1.5", "x"), SHOT, "line 1 holds a value that is not a number"),
     "half a pixel": (MODEL.replace("4 3", "4.5 3"), SHOT, "line 1 has 4.5; allowed: a whole number"),
     "too large": (MODEL.replace("4 3", "99999 3"), SHOT, "camera 1 has 99,999x3 pixels"),
     "nobody's camera": (MODEL, SHOT.replace("1 a.png", "7 a.png"), "image a was taken by camera 7"),
@@ -106,14 +106,14 @@ def test_lying_poses_are_refused(name: str, tmp_path: Path) -> None:
 
 
 NSVF = {
-    "no number": ("intrinsics.txt", "a b c", "intrinsics.txt holds what is no number"),
+    "no number": ("intrinsics.txt", "a b c", "intrinsics.txt holds a value that is not a number"),
     "skew": ("intrinsics.txt", "5 1 2\n0 5 2\n0 0 1\n", "intrinsics.txt: skew is 1; allowed: 0"),
     "two numbers": ("intrinsics.txt", "5 5\n", "intrinsics.txt has lines of [] numbers"),
     "NaN": ("intrinsics.txt", "nan 1 2 3\n", "holds a number that is not finite or too large"),
     "a negative focal length": ("intrinsics.txt", "-5 1 2 3\n", "has focal length -5"),
     "a short pose": ("pose/r_1.txt", "1 0 0 0\n", "pose/r_1.txt has 4 numbers; allowed: 4 x 4"),
     "a large file": ("pose/r_1.txt", "1 " * 99_999, "pose/r_1.txt has 199,998 bytes"),
-    "no text": ("pose/r_1.txt", "\udcff", "pose/r_1.txt holds what is no number"),
+    "no text": ("pose/r_1.txt", "\udcff", "pose/r_1.txt holds a value that is not a number"),
 }  # fmt: skip
 
 
