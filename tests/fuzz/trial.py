@@ -131,7 +131,7 @@ class Trial:
             raise _Found from None
 
     def _hold_to_a_line(self, line: str) -> None:
-        text = line.removeprefix(f"{self.place / self.case.name}: ")
+        text = re.sub(rf"^{re.escape(str(self.place))}/[^:]*: ", "", line)  # a checkpoint has a name of its own
         if not line.isprintable():
             self._note(f"message with unprintable characters: {text[:100]!r}")
         if len(text) > LONGEST_LINE:
