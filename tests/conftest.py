@@ -18,7 +18,8 @@ from tests.support.forks import Forks
 REPOSITORY = Path(__file__).parents[1]
 DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data"))
 
-hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
+EXAMPLES = int(os.environ.get("NERFBAKE_EXAMPLES", "25"))  # of each hypothesis; the long run takes 60
+hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=EXAMPLES)
 hypothesis.settings.load_profile("repeatable")
 
 # Processes that tests start find Python's modules compiled, also where the environment has none of them kept.

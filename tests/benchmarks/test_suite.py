@@ -178,7 +178,7 @@ def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert b"N3Tree 8x8" in files["render.svg"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.tools
 @pytest.mark.usefixtures("commands_as_forks")
 @with_a_browser_of_its_own
