@@ -239,7 +239,7 @@ NOUNS = {
     "Volume": "a volume",
 }
 ADVICE = {
-    "Cameras": "--cameras takes them",
+    "Cameras": "`cameras` takes them",
     "LatticeField": "`nerfbake svo` makes an octree of it",
     "N3Tree": "`nerfbake svo` makes an octree of it",
     "SparseVoxelOctree": "`nerfbake convert` writes it in other formats",
@@ -295,7 +295,7 @@ def format_of_path(path: str, scene: str) -> Format:
         if path.lower().endswith(form.suffix):
             return form
     endings = ", ".join(form.suffix for form in known)
-    raise UsageError(f"{path!r} has no ending that {NOUNS[scene]} is written with; allowed: {endings}, or --to FORMAT")
+    raise UsageError(f"{path!r} has no ending that {NOUNS[scene]} is written with; allowed: {endings}, or `to=FORMAT`")
 
 
 def is_ending(path: str, scene: str) -> bool:

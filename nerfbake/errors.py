@@ -58,27 +58,25 @@ def _shortened(text: str, longest: int) -> str:
     return f"{line[:first]} ... {line[len(line) - (longest - first - 5) :]}"
 
 
-_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)(?: ([A-Z0-9](?:[\w.,]*\w)?))?")
-_ARGUMENTS = {"max-memory": "memory_limit"}  # options of the command line that Python names otherwise
+_ARGUMENT = re.compile(r"`([a-z][a-z0-9_]*)(?:=([^`]*))?`")
+_OPTIONS = {"memory_limit": "max-memory"}  # arguments that the command line names otherwise
 
 
-def _named_for_python(text: str) -> str:
-    """The same with `force` for --force and `grid=NAME` for --grid NAME. Command lines in backticks stay."""
+def for_shell(text: str) -> str:
+    """The same with --force for `force`, and with --grid NAME for `grid=NAME`."""
 
-    def argument(option: re.Match[str]) -> str:
-        name = _ARGUMENTS.get(option[1], option[1].replace("-", "_"))
-        return f"`{name}={option[2]}`" if option[2] else f"`{name}`"
+    def option(argument: re.Match[str]) -> str:
+        name = _OPTIONS.get(argument[1], argument[1].replace("_", "-"))
+        return f"--{name}" if argument[2] is None else f"--{name} {argument[2]}"
 
-    parts = text.split("`")
-    parts[::2] = (_OPTION.sub(argument, part) for part in parts[::2])
-    return "`".join(parts)
+    return _ARGUMENT.sub(option, text)
 
 
 class NerfbakeError(Exception):
     """The parent of every error that nerfbake raises on purpose.
 
-    Texts name options as a shell does (`--force`). str() turns them into arguments of Python (`force`); `line` keeps
-    them. `io` adds the name of the file that is to blame.
+    str() is one line, which names arguments in backticks. `line` names the command line's options instead. `io` adds
+    the name of the file that is to blame.
 
     >>> from nerfbake import NerfbakeError, load
     >>> try:
@@ -104,12 +102,12 @@ class NerfbakeError(Exception):
         return Problem("file", found, allowed or "a file that nerfbake reads")
 
     def __str__(self) -> str:
-        return self._after_source(one_line(_named_for_python(str(self.what))))
+        return self._after_source(one_line(str(self.what)))
 
     @property
     def line(self) -> str:
         """The one line that a shell shows, with `--options`."""
-        return self._after_source(one_line(str(self.what)))
+        return self._after_source(one_line(for_shell(str(self.what))))
 
     def _after_source(self, line: str) -> str:
         return f"{self.source}: {line}" if self.source else line
@@ -134,7 +132,7 @@ class MemoryLimit(NerfbakeError):
 
     def __init__(self, what: str, need: int, limit: int, *, beside: int = 0) -> None:
         others = f" beside {format_size(beside)} that are taken" if beside else ""
-        super().__init__(Problem(what, f"needs {format_size(need)}{others}", f"{format_size(limit)} (--max-memory)"))
+        super().__init__(Problem(what, f"needs {format_size(need)}{others}", f"{format_size(limit)} (`memory_limit`)"))
 
 
 class BudgetMissed(NerfbakeError):

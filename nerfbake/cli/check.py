@@ -7,6 +7,7 @@ import click
 from nerfbake import io
 from nerfbake.cli.params import as_json, reads, speaks
 from nerfbake.cli.words import Words
+from nerfbake.errors import for_shell
 from nerfbake.jobs.files import Source
 
 
@@ -29,7 +30,7 @@ def check(source: Source, as_json: bool, words: Words) -> int:
         io.print_json({"file": source.path, "ok": not problems, "problems": found})
     else:
         for problem in problems:
-            io.print_text(f"{source.path}: {problem.line}")
+            io.print_text(f"{source.path}: {for_shell(problem.line)}")
         if not problems:
             words.say(f"{source.path}: ok")
     return 1 if problems else 0

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import click
 
 from nerfbake import io, progress
-from nerfbake.errors import one_line
+from nerfbake.errors import for_shell, one_line
 
 LONGEST_TOLD = 2000  # characters: what is said may be meant to be pasted, as a schedule is
 PATIENCE = 1.0  # seconds before a step is shown
@@ -92,7 +92,7 @@ class Words:
     def say(self, text: str) -> None:
         if not self._quiet:
             with suppress(OSError):  # a full stderr costs no data
-                click.echo(one_line(text, LONGEST_TOLD), err=True)
+                click.echo(one_line(for_shell(text), LONGEST_TOLD), err=True)
 
     @contextmanager
     def phase(self, text: str) -> Iterator[Callable[[str], None]]:

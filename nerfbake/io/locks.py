@@ -96,8 +96,8 @@ def _told(owner: bytes) -> str:
     """What is wrong: which process is at work, or may be."""
     found = _parsed(owner)
     if found is None:
-        return "another process is at work; allowed: to wait for it, or --take-over"
-    return f"process {found[0]} on {found[1]} is at work; allowed: to wait for it, or --take-over"
+        return "another process is at work; allowed: to wait for it, or `take_over`"
+    return f"process {found[0]} on {found[1]} is at work; allowed: to wait for it, or `take_over`"
 
 
 def _parsed(owner: bytes) -> tuple[int, str] | None:

@@ -41,7 +41,7 @@ def require_absent(target: str | Path, *, force: bool, parents: bool = False) ->
     if Path(target).is_dir():
         raise OutputError("is a folder; allowed: a file", source=str(target))
     if not force and os.path.lexists(target) and _is_regular(Path(target)):
-        raise OutputError("exists already; allowed: a new file, or --force", source=str(target))
+        raise OutputError("exists already; allowed: a new file, or `force`", source=str(target))
     if not parents:
         _require_place(target)
 
@@ -69,7 +69,7 @@ def require_no_folder(target: str | Path, *, force: bool) -> None:
     if os.path.lexists(path) and not path.is_dir():
         raise OutputError("is no folder; allowed: a new folder", source=str(target))
     if path.is_dir() and any(path.iterdir()) and not force:
-        raise OutputError("exists already; allowed: a new or empty folder, or --force", source=str(target))
+        raise OutputError("exists already; allowed: a new or empty folder, or `force`", source=str(target))
     _require_place(path)
 
 

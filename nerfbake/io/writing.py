@@ -146,7 +146,7 @@ def _format_for(target: str, scene: str, to: str | None) -> Format:
     if target == STREAM and len(only := formats_of(scene)) == 1:
         return only[0]
     if target == STREAM:
-        raise UsageError("stdout has no ending that names a format; allowed: --to FORMAT")
+        raise UsageError("stdout has no ending that names a format; allowed: `to=FORMAT`")
     return format_of_path(target, scene)
 
 

@@ -36,7 +36,7 @@ class Budget(NamedTuple):
         if self.min_psnr is None:
             return
         if target.path == io.STREAM:
-            raise UsageError("--min-psnr judges a file; allowed: an OUT other than '-'")
+            raise UsageError("`min_psnr` judges a file; allowed: an OUT other than '-'")
         folder = isinstance(target, FolderTarget)
         io.require_rejected_absent(target.path, force=target.force, folder=folder)
 

@@ -50,7 +50,7 @@ class Pages(NamedTuple):
         """Raises, before any work is done, if one of them could not be written."""
         for target, kind in ((self.sheet, "Image"), (self.html, "Comparison")):
             if target == io.STREAM:
-                raise UsageError("stdout has the figures; allowed for --sheet and --html: a file")
+                raise UsageError("stdout has the figures; allowed for `sheet` and `html`: a file")
             if target:
                 io.format_for(target, kind)
                 io.require_absent(target, force=self.force)

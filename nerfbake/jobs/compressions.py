@@ -36,8 +36,8 @@ class Goal:
         """As compress_octree() takes them. Raises UsageError for two goals at once."""
         given = {name: value for name, value in vars(self).items() if value is not None}
         if len(given) > 1:
-            names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
-            raise UsageError(f"{names} are two goals; allowed: one of --max-loss, --max-size and --step")
+            names = " and ".join(f"`{name}`" for name in given)
+            raise UsageError(f"{names} are two goals; allowed: one of `max_loss`, `max_size` and `step`")
         return given or {"max_loss": MAX_LOSS}
 
 
@@ -56,9 +56,9 @@ class Photographs:
     def require(self) -> None:
         """Raises UsageError for one without the other."""
         if self.truth and not self.cameras:
-            raise UsageError("--truth has no cameras; allowed: --truth with --cameras")
+            raise UsageError("`truth` has no cameras; allowed: `truth` with `cameras`")
         if self.truth and self.source_psnr is not None:
-            raise UsageError("--source-psnr has no effect where --truth measures it; allowed: one of them")
+            raise UsageError("`source_psnr` has no effect where `truth` measures it; allowed: one of them")
 
     def read(self, steps: Steps, held_out: nerfbake.HeldOut | None) -> dict[str, Any]:
         """As compress_octree() takes them; held_out: what the scene's file says itself, where nothing else is named."""

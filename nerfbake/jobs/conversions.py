@@ -48,14 +48,14 @@ def convert_file(
     source, target = as_source(source), as_target(target)
     if _is_volume(target):
         if layout or no_child:
-            raise UsageError("a volume has no child slots; allowed: no --layout and no --no-child")
+            raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
     target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
     read = source.read(steps, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField)
     if isinstance(read, nerfbake.LatticeField):
         read = octree_of(steps, source, read)
     if half and not isinstance(read, nerfbake.Volume):
-        raise UsageError("--half is for volumes; allowed: `nerfbake svo --dtype float16`")
+        raise UsageError("`half` is for volumes; allowed: `nerfbake svo --dtype float16`")
     octree: nerfbake.SparseVoxelOctree | nerfbake.Volume = choice.of(steps, source, read)
     if isinstance(octree, nerfbake.Volume):
         octree = _octree_of(steps, source, octree, choice, half=half)
@@ -140,7 +140,7 @@ def _octree_of(
 ) -> nerfbake.SparseVoxelOctree:
     foreign = volume.frame is None or bool(choice.grids)
     if not foreign and choice.up:
-        raise UsageError("the octree in IN stands where it stood; allowed: no --up, or --grid for a density alone")
+        raise UsageError("the octree in IN stands where it stood; allowed: no `up`, or `grid` for a density alone")
     with source.blamed(steps, "making the octree"):
         if foreign:
             _tell_of_others(steps, source, volume)
@@ -156,6 +156,6 @@ def _tell_of_others(steps: Steps, source: Source, volume: nerfbake.Volume) -> No
         return
     if "density" not in labels:
         found = f"has the grids {', '.join(labels)}"
-        raise InvalidScene(Problem("the volume", found, "--grid NAME for an octree of that density alone"))
+        raise InvalidScene(Problem("the volume", found, "`grid=NAME` for an octree of that density alone"))
     others = ", ".join(label for label in labels if label != "density")
     steps.say(f"{source.name}: an octree of density alone, without {others}")

@@ -62,10 +62,10 @@ class Keeper:
             if key.get(name) != value:
                 was = str(key.get(name, "nothing"))[:80]
                 if name == "pictures":
-                    problem = Problem("the fit", "had other pictures or cameras", "the same, or another --state")
+                    problem = Problem("the fit", "had other pictures or cameras", "the same, or another `state`")
                 else:
                     problem = Problem(
-                        f"the fit's {name}", f"was {was}", f"the same as now ({value}), or another --state"
+                        f"the fit's {name}", f"was {was}", f"the same as now ({value}), or another `state`"
                     )
                 raise InvalidFile(problem)
 

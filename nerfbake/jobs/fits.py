@@ -94,7 +94,7 @@ class Recipe(NamedTuple):
         """The stages, for so many views if it is known how many. Raises UsageError for what contradicts itself."""
         given = [name for name in ("preset", "minutes", "epochs") if getattr(self, name) is not None]
         if len(given) > 1:
-            names = " and ".join(f"--{name}" for name in given)
+            names = " and ".join(f"`{name}`" for name in given)
             raise UsageError(f"{names} each choose a schedule; allowed: one of them")
         from nerfbake.scene.schedule import parse_schedule, preset_schedule, schedule_for  # the help loads no arrays
 
@@ -201,13 +201,13 @@ def fit_file(
     recipe.schedule()  # what contradicts itself is told before any picture is read
     kind = _require(target)
     if dtype is not None and kind != "N3Tree":
-        raise UsageError(f"--dtype has no effect on {target.path}; allowed: with a PlenOctree")
+        raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
     posed = read_photographs(steps, source, album)
     judges, schedule = posed.judges, recipe.schedule(len(posed.trained.pictures))
     steps.say(f"{source.name}: {posed.trained} to fit to, {judges} to judge by")
-    steps.say(f"{source.name}: --epochs {schedule}")
+    steps.say(f"{source.name}: `epochs={schedule}`")
     keeper = None if state is None else Keeper(state, recipe.told(schedule), posed.trained)
     course = Course(posed, schedule)
     with _interrupts() as asked:
@@ -235,7 +235,7 @@ def _require(target: Target) -> str:
     kind = next((kind for kind in _WAYS if catalog.is_ending(ending, kind)), None)
     if kind is None:
         endings = ", ".join(form.suffix for kind in _WAYS for form in catalog.formats_of(kind))
-        raise UsageError(f"{ending!r} names nothing that a field is written as; allowed: {endings}, or --to FORMAT")
+        raise UsageError(f"{ending!r} names nothing that a field is written as; allowed: {endings}, or `to=FORMAT`")
     form = target.require(kind)
     if kind == "Volume":
         form.load_volume_module().require_grids(_GRIDS, half=False)

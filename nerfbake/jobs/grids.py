@@ -25,7 +25,7 @@ class Choice(NamedTuple):
     def of(self, steps: Steps, source: Source, scene: Any) -> Any:
         """The scene as it was asked for. Raises UsageError where it is no volume and something was asked."""
         if self and not isinstance(scene, nerfbake.Volume):
-            raise UsageError(f"{source.name} is no volume; allowed: no --grid and no --up")
+            raise UsageError(f"{source.name} is no volume; allowed: no `grid` and no `up`")
         if self:
             with source.blamed(steps, "choosing grids"):
                 scene = scene.only(self.grids) if self.grids else scene
@@ -37,7 +37,7 @@ class Choice(NamedTuple):
         chosen = self.of(steps, source, scene)
         if isinstance(chosen, nerfbake.Volume) and chosen.unread:
             problem = chosen.unread[0]
-            raise InvalidFile(problem._replace(allowed=f"{problem.allowed}; --grid for the others"), source=source.path)
+            raise InvalidFile(problem._replace(allowed=f"{problem.allowed}; `grid` for the others"), source=source.path)
         return chosen
 
 
@@ -52,7 +52,7 @@ def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tup
     module = form.load_volume_module()
     wanted = tuple(grids.split(",")) if grids else module.DEFAULT_GRIDS
     if not set(wanted) <= set(GRIDS) or len(set(wanted)) < len(wanted) or ("index" in wanted and len(wanted) > 1):
-        raise UsageError(f"--grids are {','.join(wanted)!r}; allowed: some of density, Cd, sh, or index alone")
+        raise UsageError(f"`grids` are {','.join(wanted)!r}; allowed: some of density, Cd, sh, or index alone")
     module.require_grids(wanted, half=half)
     return wanted
 

@@ -92,7 +92,7 @@ def compact_octree(
     if isinstance(scene, nerfbake.N3Tree):
         return nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
     if resolution is not None:
-        raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
+        raise UsageError("an octree has its own resolution; allowed: `resolution` with a PlenOctree")
     return scene
 
 

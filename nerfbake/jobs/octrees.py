@@ -41,12 +41,12 @@ def bake_octree(
     scene = source.read(steps, nerfbake.N3Tree, nerfbake.LatticeField)
     if isinstance(scene, nerfbake.LatticeField):
         if options.pop("resample", "mean") != "mean":
-            raise UsageError("--resample is about leaves, which a lattice has none of; allowed: a PlenOctree")
+            raise UsageError("`resample` is about leaves, which a lattice has none of; allowed: a PlenOctree")
         scene = scene if scale is None else scene.scaled(scale)
         octree = octree_of(steps, source, scene, basis=basis or "SH9", **options)
     else:
         if basis is not None or scale is not None:
-            raise UsageError("a PlenOctree has its own basis and world; allowed: --basis and --scale with a lattice")
+            raise UsageError("a PlenOctree has its own basis and world; allowed: `basis` and `scale` with a lattice")
         with source.blamed(steps, "building the octree"):
             octree = nerfbake.build_octree(scene, **options)
     with target.writing(steps, octree, no_child=no_child) as written:

@@ -40,9 +40,9 @@ class Album(NamedTuple):
     def require(self) -> None:
         """Raises UsageError, before any work is done, for what contradicts itself."""
         if self.test is not None and self.holdout is not None:
-            raise UsageError("--test has the views to judge by; allowed: it or --holdout")
+            raise UsageError("`test` has the views to judge by; allowed: it or `holdout`")
         if self.holdout is not None and self.holdout < 2:
-            raise UsageError(f"--holdout is {self.holdout}; allowed: 2 or more")
+            raise UsageError(f"`holdout` is {self.holdout}; allowed: 2 or more")
 
 
 ALL = Album()

@@ -46,7 +46,7 @@ class Shots(NamedTuple):
     def require(self) -> None:
         """Raises UsageError, before any work is done, for what contradicts itself."""
         if self.turntable and self.cameras:
-            raise UsageError("--turntable goes around the scene; allowed: it or --cameras")
+            raise UsageError("`turntable` goes around the scene; allowed: it or `cameras`")
 
     def of(self, steps: Steps, field: Field, name: str) -> nerfbake.Cameras:
         """The cameras; name: the scene's, for errors. Raises UsageError where there is no such frame."""
@@ -56,7 +56,7 @@ class Shots(NamedTuple):
         )
         if not self.several:
             if not 0 <= self.frame < len(views.cameras):
-                raise UsageError(f"--frame is {self.frame}; allowed: 0 to {len(views.cameras) - 1}")
+                raise UsageError(f"`frame` is {self.frame}; allowed: 0 to {len(views.cameras) - 1}")
             views = nerfbake.Cameras(views.cameras[self.frame : self.frame + 1], samples=views.samples)
         with io.blame(self.cameras or name):
             views.require_covered()
@@ -90,7 +90,7 @@ class Pictures(NamedTuple):
         if several and self.out == io.STREAM:
             raise UsageError("stdout takes one picture; allowed for several: a .gif, a .png or a folder")
         if (self.depth or self.alpha) and (together or self.out == io.STREAM):
-            raise UsageError("--depth and --alpha write files beside a picture; allowed: a .png of one, or a folder")
+            raise UsageError("`depth` and `alpha` write files beside a picture; allowed: a .png of one, or a folder")
         if together or not several:
             io.format_for(self.out, together or "Image")
             for path in (self.out, *self.beside(self.out)):

@@ -37,7 +37,7 @@ class Model(NamedTuple):
         """Raises UsageError, before any work is done, unless there is one of them."""
         if (self.like is None) == (self.views is None):
             given = "both say" if self.like else "neither says"
-            raise UsageError(f"--like and --views: {given} what IN is to look like; allowed: one of them")
+            raise UsageError(f"`like` and `views`: {given} what IN is to look like; allowed: one of them")
         self.album.require()
 
     def posed(self, steps: Steps, samples: int) -> Posed:

@@ -80,13 +80,13 @@ def view_file(
     wish = _Wish(data, goal, photographs, anew=goal != LEAST_LOSS or truth is not None)
     photographs.require()
     if data == "exact" and wish.anew:
-        raise UsageError("exact data have no goal; allowed: --max-loss, --max-size and --truth with --data compressed")
+        raise UsageError("exact data have no goal; allowed: `max_loss`, `max_size` and `truth` with `data=compressed`")
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
         content, scene, held_out = _read(steps, source, wish, choice)
         if stage1 is not None and not isinstance(scene, nerfbake.BakedAtlas):
-            raise UsageError(f"--stage1 goes with an atlas, which {source.name} is not; allowed: an atlas folder")
+            raise UsageError(f"`stage1` goes with an atlas, which {source.name} is not; allowed: an atlas folder")
         look = Look(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
         if isinstance(scene, nerfbake.Stage1 | nerfbake.BakedAtlas):
             if mesh or wish.anew or min_psnr is not None:
@@ -108,7 +108,7 @@ def view_file(
             steps.say(f"{file.path}: {found}")
             if goal == LEAST_LOSS and found.loss > MAX_LOSS:
                 most = f"has {_MOST_BYTES / 1e6:g} MB of compressed data at most, unless you say otherwise"
-                steps.say(f"{file.path}: {most}; --max-loss {MAX_LOSS:g} takes more")
+                steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` takes more")
             made = shown.page(found.quantised)
         with file.writing(steps, made) as written:
             judge(written.path, shown.field, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps)
@@ -153,7 +153,7 @@ def _read(
     scene = choice.of(steps, source, scene)
     if isinstance(scene, nerfbake.Volume):
         if wish.data == "compressed" or wish.anew:
-            raise UsageError(f"{source.name} is a volume, which is not compressed; allowed: --data exact")
+            raise UsageError(f"{source.name} is a volume, which is not compressed; allowed: `data=exact`")
         if wish.data is None:
             steps.say(f"{source.name}: a volume is not compressed, so that the page carries it as it is, in float16")
     elif wish.data != "exact" and isinstance(scene, nerfbake.N3Tree):

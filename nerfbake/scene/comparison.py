@@ -21,9 +21,9 @@ TITLES |= {pair: f"{AMPLIFIED} X {TITLES[pair[0]]}-{TITLES[pair[2:]]}" for pair 
 
 
 class Verdict(NamedTuple):
-    """A budget (an option's name), what was found, what is allowed, and whether it holds."""
+    """A budget (an argument's name), what was found, what is allowed, and whether it holds."""
 
-    option: str
+    budget: str
     found: float
     allowed: float
     holds: bool
@@ -71,11 +71,11 @@ class Comparison(Scene):
         verdicts = []
         psnr, error = self.means["a_b"]["psnr"], self.means["a_b"]["max_error"]
         if min_psnr is not None:
-            problem = Problem("the picture", f"has a mean PSNR of {psnr:.2f} dB", f"--min-psnr {min_psnr:g}")
-            verdicts.append(Verdict("--min-psnr", psnr, min_psnr, psnr >= min_psnr, problem))
+            problem = Problem("the picture", f"has a mean PSNR of {psnr:.2f} dB", f"`min_psnr={min_psnr:g}`")
+            verdicts.append(Verdict("min_psnr", psnr, min_psnr, psnr >= min_psnr, problem))
         if max_error is not None:
-            problem = Problem("the picture", f"is off by {error:.4f}", f"--max-error {max_error:g}")
-            verdicts.append(Verdict("--max-error", error, max_error, error <= max_error, problem))
+            problem = Problem("the picture", f"is off by {error:.4f}", f"`max_error={max_error:g}`")
+            verdicts.append(Verdict("max_error", error, max_error, error <= max_error, problem))
         return verdicts
 
     def require(self, *, min_psnr: float | None = None, max_error: float | None = None) -> None:

@@ -50,5 +50,5 @@ class Compression(Shown):
     def require(self, max_loss: float) -> None:
         """Raises BudgetMissed where it loses more."""
         if self.loss > max_loss:
-            problem = Problem("the octree", f"loses {self.loss:.3f} dB at the finest step", f"--max-loss {max_loss:g}")
+            problem = Problem("the octree", f"loses {self.loss:.3f} dB at the finest step", f"`max_loss={max_loss:g}`")
             raise BudgetMissed(problem)

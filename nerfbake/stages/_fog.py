@@ -13,7 +13,7 @@ def density_of(volume: Volume) -> VdbTree:
     named = [grid for grid in scalars if grid.name == "density"]
     fogs = [grid for grid in scalars if grid.grid_class != "level set"]
     if not named and len(fogs) != 1 and len(scalars) != 1:
-        allowed = "density among them, or index; --grid NAME for one of them"
+        allowed = "density among them, or index; `grid=NAME` for one of them"
         raise InvalidScene(Problem("the volume", f"has the grids {', '.join(volume.labels)}", allowed))
     grid = (named or fogs or scalars)[0]
     if grid.grid_class == "level set":

@@ -147,7 +147,7 @@ def _picked(data: RowsOfNodes, node: NodeNumbers, columns: list[int]) -> npt.NDA
 
 
 def _rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    return rounded(values, dtype, what=f"grid {name!r}", asked="--half")
+    return rounded(values, dtype, what=f"grid {name!r}", asked="`half`")
 
 
 def _transform(frame: OctreeFrame, up: Up) -> npt.NDArray[np.float64]:

@@ -92,7 +92,7 @@ def _grid_size(tree: N3Tree, resolution: int | tuple[int, int, int] | None) -> t
     if resolution is None:
         if tree.resolution > MAX_SIZE:
             raise InvalidScene(
-                Problem("the tree", f"has {tree.resolution} cells an axis", f"a --resolution of 1 to {MAX_SIZE}")
+                Problem("the tree", f"has {tree.resolution} cells an axis", f"a `resolution` of 1 to {MAX_SIZE}")
             )
         resolution = tree.resolution
     w, h, d = (resolution,) * 3 if isinstance(resolution, int) else resolution

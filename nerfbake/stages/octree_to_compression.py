@@ -192,7 +192,7 @@ class _Search:
                 points = points if share == made.pruned else points[-1:]
         if best is None:
             assert made is not None
-            raise BudgetMissed(Problem("the octree", f"takes {made.size:,} bytes at the least", f"--max-size {most:,}"))
+            raise BudgetMissed(Problem("the octree", f"takes {made.size:,} bytes at the least", f"`max_size={most:,}`"))
         return best
 
     def at_step(self, step: float) -> Compression:

@@ -95,7 +95,7 @@ def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
     if alike < PLAIN_SHARE * total:
         words = ",".join(str(round(255 * value)) for value in colour)
         found = f"show scenery behind the object: only {100 * alike // total} % of their edges are near {words}"
-        allowed = f"alpha, a plain background ({100 * PLAIN_SHARE:.0f} % or more), or --masks DIR"
+        allowed = f"alpha, a plain background ({100 * PLAIN_SHARE:.0f} % or more), or `masks=DIR`"
         raise InvalidScene(Problem("the pictures", found, allowed))
     return colour
 

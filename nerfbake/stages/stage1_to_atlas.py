@@ -63,11 +63,11 @@ def _weights(
     if direction_set == "fibonacci":
         return [None] * len(stage1.fields)
     if stage1.cameras is None:
-        raise InvalidScene(Problem("transforms.json", "is missing", "one, with --direction-set cameras"))
+        raise InvalidScene(Problem("transforms.json", "is missing", "one, with `direction_set=cameras`"))
     weights: list[npt.NDArray[np.float64] | None] = []
     for cascade, mesh in enumerate(stage1.meshes):
         if mesh is None:
-            raise InvalidScene(Problem(f"mesh_{cascade}.obj", "is missing", "one, with --direction-set cameras"))
+            raise InvalidScene(Problem(f"mesh_{cascade}.obj", "is missing", "one, with `direction_set=cameras`"))
         weights.append(weigh_directions(mesh, stage1.cameras, directions))
     return weights
 

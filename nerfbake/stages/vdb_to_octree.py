@@ -103,7 +103,7 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
     density = volume.grid("density")
     coefficients = [volume.grid(f"sh_{k}") for k in range(len(volume.grids) - 1) if f"sh_{k}" in _names(volume)]
     if not coefficients:
-        allowed = "density,sh or index; --grid NAME for an octree of that density alone"
+        allowed = "density,sh or index; `grid=NAME` for an octree of that density alone"
         raise InvalidScene(Problem("the volume", f"has the grids {', '.join(volume.labels)}", allowed))
     for grid in coefficients:
         same = grid.topology.same_as(density.topology)

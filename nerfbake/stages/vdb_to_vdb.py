@@ -30,9 +30,9 @@ def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volu
             return (
                 grid
                 if dtype == "float32"
-                else replace(grid, table=rounded(grid.table, wanted, what=what, asked="--half"))
+                else replace(grid, table=rounded(grid.table, wanted, what=what, asked="`half`"))
             )
-        background = rounded(grid.background, wanted, what=what, asked="--half").astype(np.float32)
-        return replace(grid, values=rounded(grid.values, wanted, what=what, asked="--half"), background=background)
+        background = rounded(grid.background, wanted, what=what, asked="`half`").astype(np.float32)
+        return replace(grid, values=rounded(grid.values, wanted, what=what, asked="`half`"), background=background)
 
     return memory.kept(replace(volume, grids=tuple(map(cast, volume.grids))))

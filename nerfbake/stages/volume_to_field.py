@@ -77,7 +77,7 @@ def _colours(volume: Volume, density: VdbTree) -> tuple[npt.NDArray[np.float32],
 def _values_at(volume: Volume, grid: VdbTree, density: VdbTree) -> npt.NDArray[np.float32]:
     """(count, 3) of another grid where the density has values. Raises InvalidScene where it has more than one."""
     if not np.array_equal(volume.transform_of(grid), volume.transform_of(density)):
-        allowed = "one transform; --grid for the density alone"
+        allowed = "one transform; `grid` for the density alone"
         raise InvalidScene(Problem(f"grid {grid.name!r}", "stands elsewhere than the density", allowed))
     if grid.topology.same_as(density.topology):
         return grid.values.astype(np.float32, copy=False)
@@ -88,7 +88,7 @@ def _values_at(volume: Volume, grid: VdbTree, density: VdbTree) -> npt.NDArray[n
         if finer.any():
             place = ", ".join(map(str, low[int(np.argmax(finer))]))
             text = f"has voxels where the density has one tile, at ({place})"
-            raise InvalidScene(Problem(f"grid {grid.name!r}", text, "tiles there, too; --grid for the density alone"))
+            raise InvalidScene(Problem(f"grid {grid.name!r}", text, "tiles there, too; `grid` for the density alone"))
         parts.append(grid.sample(low))
         first += len(low)
     return np.concatenate(parts)

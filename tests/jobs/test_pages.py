@@ -23,7 +23,7 @@ def test_a_page_without_a_goal_has_a_most_and_says_what_that_loses(
     view_file("a.npz", "a.html", steps=listener)
     assert 0.95 * most <= svoq_size(folder / "a.html") <= most
     told = f"a.html: has {most / 1e6:g} MB of compressed data at most, unless you say otherwise; "
-    assert f"{told}--max-loss 0.1 takes more" in listener.said
+    assert f"{told}`max_loss=0.1` takes more" in listener.said
     view_file("a.npz", "b.html", goal=Goal(max_loss=0.1))
     assert (folder / "b.html").stat().st_size == (folder / "free.html").stat().st_size
 

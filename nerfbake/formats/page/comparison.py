@@ -24,8 +24,8 @@ Sides = Mapping[str, Mapping[str, Any]]
 _PAIRS = {"a_b": "A and B", "a_truth": "A and truth", "b_truth": "B and truth"}
 _MEASURES = {"psnr": ("PSNR, dB", ".2f"), "ssim": ("SSIM", ".4f"), "max_error": ("largest error", ".4f")}
 _BUDGETS = {
-    "--min-psnr": ("mean PSNR", ".2f", "&nbsp;dB", "at least"),
-    "--max-error": ("largest error", ".4f", "", "at most"),
+    "min_psnr": ("mean PSNR", ".2f", "&nbsp;dB", "at least"),
+    "max_error": ("largest error", ".4f", "", "at most"),
 }
 _VALUES = {"sigma": "density, 1/world unit", "dc": "colour, first coefficient", "higher": "colour, higher bands"}
 _PICTURES = {"truth": "truth"} | {
@@ -80,7 +80,7 @@ def _headline(verdicts: list[Verdict]) -> str:
     kind, words = ("holds", "Within budget") if kept else ("missed", "Budget missed")
     lines = [f'<p class="verdict {kind}">{words}</p>', "<ul>"]
     for verdict in verdicts:
-        name, digits, unit, bound = _BUDGETS[verdict.option]
+        name, digits, unit, bound = _BUDGETS[verdict.budget]
         found, allowed = figure(verdict.found, digits), figure(verdict.allowed, "g")
         end = "holds" if verdict.holds else "missed"
         lines.append(f"<li>{name} {found}{unit}, allowed {bound} {allowed}{unit}: {end}</li>")

@@ -42,7 +42,7 @@ def require_grids(grids: tuple[str, ...], *, half: bool) -> None:
     if len(grids) > 1 or "sh" in grids:
         raise UsageError(f"a .nvdb would hold the grids {','.join(grids)}; allowed: one of density, Cd, index")
     if half and "Cd" in grids:
-        raise UsageError("a .nvdb has no half colours; allowed: no --half, or another grid")
+        raise UsageError("a .nvdb has no half colours; allowed: no `half`, or another grid")
 
 
 def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryview]:
@@ -52,7 +52,7 @@ def encode(volume: Volume, *, codec: Codec = "none") -> Iterator[bytes | memoryv
             Problem(
                 "a .nvdb",
                 f"would hold {len(volume.grids)} grids: {', '.join(volume.labels)}",
-                "--grid NAME for one of them; all of them with --grid all, a file each",
+                "`grid=NAME` for one of them; all of them with `grid=all`, a file each",
             )
         )
     first = volume.grids[0]

@@ -63,7 +63,7 @@ def write_struct(numbers: Sequence[int], fields: Sequence[Field]) -> list[bytes 
             item = np.frombuffer(item.encode() + b"\0", np.uint8)
         if isinstance(item, np.ndarray):
             if item.size > MAX_COUNT:
-                allowed = f"{MAX_COUNT:,}, a Cap'n Proto list's limit (bytes, or numbers with --profile report)"
+                allowed = f"{MAX_COUNT:,}, a Cap'n Proto list's limit (bytes, or numbers with `profile=report`)"
                 raise InvalidScene(Problem("svo.capnp", f"would need a list of {item.size:,} elements", allowed))
             found = add(blob_of(item).data)
             description = item.size << 3 | _ELEMENT_SIZES[item.itemsize]
