@@ -25,11 +25,12 @@ if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
 
 Dtype = Literal["float16", "float32"]
+Pixels = Callable[[], "nerfbake.HeldOut"]  # made only for a scene that keeps or uses them
 _GRIDS = ("index",)  # all values in one grid: nothing is lost
 
 
 def _tree(field: nerfbake.BrickField, dtype: Dtype | None, held_out: nerfbake.HeldOut) -> nerfbake.N3Tree:
-    """A PlenOctree in this type; None: float16 where it can hold every value. It keeps what measures it later."""
+    """A PlenOctree in this type; None: float16 where it can hold every value. It keeps the pixels for later."""
     if dtype is None:
         from nerfbake.stages._half import LARGEST  # here, since the help loads no arrays
 
@@ -40,16 +41,16 @@ def _tree(field: nerfbake.BrickField, dtype: Dtype | None, held_out: nerfbake.He
 
 
 def _compressed(
-    field: nerfbake.BrickField, held_out: nerfbake.HeldOut, target: Target, tell: Tell, dtype: Dtype | None
+    field: nerfbake.BrickField, held_out: Pixels, target: Target, tell: Tell, dtype: Dtype | None
 ) -> nerfbake.QuantisedOctree:
     """As `nerfbake compress` has it without options."""
     octree, coded_size = nerfbake.octree_of_bricks(field), coded_size_of(target)
-    options = {**LEAST_LOSS.options, "held_out": held_out}
+    options = {**LEAST_LOSS.options, "held_out": held_out()}
     return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
 def _held_out(judges: nerfbake.Views, schedule: Schedule) -> nerfbake.HeldOut:
-    """Of the photographs that judge, pixels to go with the scene; with the rays a pixel that it was fitted for."""
+    """Pixels of the photographs that judge, with the rays a pixel that the scene was fitted for."""
     cameras = replace(judges.cameras, samples=schedule[-1].rays)
     photographs = map(judges.photograph, range(len(judges.pictures)))
     return nerfbake.HeldOut.of(cameras, photographs, background=judges.background)
@@ -57,11 +58,11 @@ def _held_out(judges: nerfbake.Views, schedule: Schedule) -> nerfbake.HeldOut:
 
 # What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first. A type of values
 # is asked for of a PlenOctree alone.
-_WAYS: dict[str, Callable[[nerfbake.BrickField, nerfbake.HeldOut, Target, Tell, Dtype | None], Any]] = {
+_WAYS: dict[str, Callable[[nerfbake.BrickField, Pixels, Target, Tell, Dtype | None], Any]] = {
     "SparseVoxelOctree": lambda field, *_: nerfbake.octree_of_bricks(field),
     "QuantisedOctree": _compressed,
     "Volume": lambda field, *_: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
-    "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out),
+    "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out()),
 }
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # of its format: as svox writes it
 PRESET = "balanced"
@@ -213,7 +214,7 @@ def fit_file(
     with _interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = _WAYS[kind](field, _held_out(judges, schedule), target, tell, dtype)
+            scene = _WAYS[kind](field, lambda: _held_out(judges, schedule), target, tell, dtype)
         del field, posed
         if asked:
             _write_partial(steps, target, kind, scene, state)

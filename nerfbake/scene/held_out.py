@@ -13,7 +13,7 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.shown import Shown
 
-RAYS = 500_000  # are enough to tell 0.1 dB to a hundredth
+RAYS = 500_000  # enough to measure 0.1 dB to a hundredth
 MAX_EVERY = 1 << 16
 
 
@@ -44,7 +44,8 @@ class HeldOut(Shown):
         if len(self.background) != 3 or not all(0 <= part <= 1 for part in self.background):
             raise InvalidScene(Problem("background", f"is {self.background}", "three numbers, 0 to 1"))
         if len(self.pixels) != len(self.cameras.cameras):
-            raise InvalidScene(Problem("truth", f"has {len(self.pixels)} pictures", self._one_a_camera))
+            allowed = f"{len(self.cameras.cameras)}, one a camera"
+            raise InvalidScene(Problem("truth", f"has {len(self.pixels)} pictures", allowed))
         for camera, pixels in zip(self.cameras.cameras, self.pixels, strict=True):
             if pixels.shape != (*thinned_size(camera, self.every), 3) or pixels.dtype != np.uint8:
                 found, allowed = f"are {pixels.shape} {pixels.dtype}", f"{(*thinned_size(camera, self.every), 3)} uint8"
@@ -55,10 +56,6 @@ class HeldOut(Shown):
         count = sum(pixels.size // 3 for pixels in self.pixels)
         return f"{count:,} pixels of {views:,} view{'s' * (views != 1)}"
 
-    @property
-    def _one_a_camera(self) -> str:
-        return f"{len(self.cameras.cameras)}, one a camera"
-
     @classmethod
     def of(
         cls,
@@ -67,8 +64,9 @@ class HeldOut(Shown):
         *,
         background: tuple[float, float, float] = WHITE,
     ) -> HeldOut:
-        """Of photographs (H, W, 3), sRGB in 0..1 over the background, so many pixels that all of them together take
-        about RAYS rays. Raises InvalidScene for photographs of another number or size than the cameras'.
+        """Pixels of photographs (H, W, 3), sRGB in 0..1 over the background: all of them where these take up to RAYS
+        rays, else as many as take RAYS to 4 RAYS. Raises InvalidScene for photographs of another number or size than
+        the cameras'.
         """
         total = sum(camera.width * camera.height for camera in cameras.cameras)
         every = min(max(1, int(cameras.samples * np.sqrt(total / RAYS))), MAX_EVERY)

@@ -27,8 +27,8 @@ from nerfbake.stages.octree_to_quantised import by_importance, most_important
 from nerfbake.stages.scene_to_cameras import sphere_cameras, without_strays
 
 STEPS = (1e-4, 16.0)  # what is tried
-# Cameras that importance is collected from, and their pixels along an edge: in finer octrees as many more as there are
-# voxels, or else most leaves are hit by no ray (at 512^3 10 % fewer bytes for the same loss).
+# Cameras that importance is collected from, and their pixels along an edge for octrees of up to so many voxels an axis.
+# Finer octrees need more pixels, or no ray hits most of their leaves: 10 % fewer bytes at 512^3 for the same loss.
 _FRAMES, _EDGE, _VOXELS = 64, 200, 256
 _PRUNED = 0.12  # of the squared error that is allowed may come from leaves that are left out
 _MOST_PRUNED, _HALVINGS = 0.95, 7
@@ -58,14 +58,13 @@ def compress_octree(
 
     max_loss  dB against photographs, above 0
     max_size  bytes, as coded_size() finds them; never exceeded, and at least 95 % of it used where quality rises.
-              Beside max_loss: only where that takes more bytes
+              Together with max_loss: the loss is exceeded where it would take more bytes
     step      of colour, as it is; only which leaves are left out is searched
 
     basis: SHk of a lower degree, whose cost is part of the loss. Leaves are left out while that makes an eighth of the
-    squared error. The loss is measured on held_out, pixels of photographs, else predicted
-    for a source of source_psnr (Judge). field: build_field() of the octree, where it is
-    there already. tell() hears what was tried. Raises InvalidScene for what cannot be shown,
-    BudgetMissed where the goal is out of reach, MemoryLimit.
+    squared error. The loss is measured on held_out, pixels of photographs, or else predicted for a source of
+    source_psnr (Judge). field: build_field() of the octree, if the caller has it. tell() gets a line for each trial.
+    Raises InvalidScene for what cannot be shown, BudgetMissed where the goal is out of reach, MemoryLimit.
 
     >>> from nerfbake import build_octree, compress_octree, sample_n3tree
     >>> octree = build_octree(sample_n3tree(resolution=16))
@@ -252,6 +251,7 @@ class _Search:
 
 
 def _edge(octree: SparseVoxelOctree) -> int:
+    """Pixels along an edge, in proportion to the octree's voxels, up to four times _EDGE."""
     return _EDGE * min(max(_VOXELS, *octree.size), 4 * _VOXELS) // _VOXELS
 
 

@@ -54,8 +54,10 @@ def sphere_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0)
 
 
 def without_strays(field: RadianceField) -> RadianceField:
-    """The same field whose box holds, along each axis, all but the outermost leaves: cameras that frame it are not kept
-    away by a few leaves far from the object, which fits to photographs leave behind."""
+    """The same field with a box that leaves out the outermost 0.5 % of the leaves at each end of each axis.
+
+    Fits to photographs leave a few leaves far from the object, which would keep cameras that frame it far away.
+    """
     every = -(-len(field.values) // _CENTRES)
     centres = np.concatenate([(corners + width / 2)[::every] for corners, width in leaves_of(field.cells)])
     centres.sort(axis=0)
