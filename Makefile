@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup tools demo test test-quick test-slow test-cpus fuzz lint schemas golden api bench clean
+.PHONY: help setup tools demo ruff mypy pytest test test-quick test-rest test-all test-cpus cpus-here fuzz lint schemas golden api bench clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -77,32 +77,46 @@ demo: $(VENV)/program  ## synthetic scenes, converted, fitted, rendered, inspect
 		'  atlas/scene.glb       the mesh for any viewer of glTF' \
 		"Next: '$(BIN)/nerfbake --help', README.md."
 
-lint: setup  ## ruff and mypy --strict
+lint: ruff mypy  ## ruff and mypy --strict
+
+ruff: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy: setup
 	$(BIN)/mypy
 
-PYTEST := $(BIN)/pytest -n 2 --dist loadfile
+# Compiled modules are kept, also where the environment asks for none.
+PYTEST := PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(CURDIR)/build/modules $(BIN)/pytest -n 2 --dist loadfile
 
-test: lint tools  ## linters and all tests but the long ones, on two cores
-	$(PYTEST) -m 'not long'
+test: ruff  ## linters and the tests that need nothing but Python packages, on two cores
+	$(MAKE) --no-print-directory -j2 mypy pytest
 
-test-quick: setup  ## what is over in two minutes
+pytest: setup
+	$(PYTEST) -m 'not long and not tools'
+
+test-quick: setup  ## the fast ones of these, without linters
 	$(PYTEST) -m 'not long and not slow and not tools'
 
-test-slow: tools test-cpus  ## the long ones: two other CPUs, fuzzing, random kills
-	$(PYTEST) -m long
+test-rest: tools test-cpus  ## the tests that `make test` leaves out: other programs, other CPUs, fuzzing, random kills
+	$(PYTEST) -m 'long or tools'
+
+test-all: test test-rest  ## every test; none is skipped where $$CI is set
 
 CPUS := $(BIN)/python -m tests.support.cpus
-ON_A_CPU := $(PYTEST) -p no:cacheprovider -m 'not slow and not long' tests/kernels tests/stages
+ON_A_CPU := env $(PYTEST) -p no:cacheprovider -m 'not slow and not long and not tools' tests/kernels tests/stages
 
 test-cpus: setup  ## the same bytes as two other CPUs would write, and the tests of kernels and stages on the older one
 	mkdir -p build/cpus
-	$(CPUS) write build/cpus/here.json >build/cpus/log
-	$(CPUS) as old $(CPUS) write build/cpus/old.json >build/cpus/log
-	$(CPUS) as haswell $(CPUS) write build/cpus/haswell.json >build/cpus/log
+	$(MAKE) --no-print-directory -j2 cpus-here cpus-old cpus-haswell
 	$(CPUS) compare build/cpus/here.json build/cpus/old.json build/cpus/haswell.json
 	NERFBAKE_EXAMPLES=60 $(CPUS) as old $(ON_A_CPU)
+
+cpus-here:
+	$(CPUS) write build/cpus/here.json >build/cpus/here.log
+
+cpus-%:
+	$(CPUS) as $* $(CPUS) write build/cpus/$*.json >build/cpus/$*.log
 
 MINUTES ?= 30
 fuzz: setup  ## hostile files of every format for MINUTES=30, each a case that can be made again

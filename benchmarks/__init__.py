@@ -1,1 +1,1 @@
-"""The suite behind every published figure: `python -m benchmarks [NAME ...]`, from the root of the repository."""
+"""The benchmark suite for all published figures: run `python -m benchmarks [NAME ...]` in the repository's root."""

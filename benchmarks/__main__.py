@@ -1,9 +1,9 @@
-"""Runs the whole suite, or the benchmarks that are named, and rewrites their files in benchmarks/results.
+"""Run the whole suite or selected benchmarks, and rewrite their files in benchmarks/results.
 
-    python -m benchmarks                   all of them: hours
+    python -m benchmarks                   all benchmarks: hours
     python -m benchmarks svo atlas         these two
 
-NERFBAKE_DATA names the folder of the real scenes, where it is not ../shared/data.
+The environment variable NERFBAKE_DATA sets the folder of the real scenes; the default is ../shared/data.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nerfbake.errors import NerfbakeError
 
 
 def main(names: Sequence[str]) -> int:
-    """The exit code; each benchmark writes its files when it is done, all of them or none."""
+    """Run the benchmarks and return the exit code. Each benchmark writes all of its files when it ends, or none."""
     known = [benchmark.name for benchmark in SUITE]
     if unknown := [name for name in names if name not in known]:
         print(f"error: no benchmark is called {unknown[0]!r}; allowed: {', '.join(known)}", file=sys.stderr)

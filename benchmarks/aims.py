@@ -1,4 +1,4 @@
-"""What the project aims for: every aim that a benchmark holds its figures to. All figures are of one run's own rows."""
+"""The project's aims for the figures of its benchmarks. Both sides of a ratio are from the same run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OPERATORS = {"at most": operator.le, "below": operator.lt, "at least": operator.
 
 
 class Aim(NamedTuple):
-    """A bound, spelled as reports show it: word is one of OPERATORS."""
+    """A bound. word: one of OPERATORS, as in reports."""
 
     word: str
     bound: float
@@ -24,7 +24,7 @@ class Aim(NamedTuple):
         return bool(OPERATORS[self.word](figure, self.bound))
 
 
-# formats: times and sizes of a row by those of `raw`, the arrays' bytes one after the other
+# formats: ratios of times and sizes to those of `raw`, the bytes of both arrays
 BULK_ENCODE = Aim("at most", 2)
 BULK_DECODE = Aim("at most", 0.2)
 PROTOBUF_SIZE = Aim("below", 1)
@@ -33,14 +33,14 @@ FASTER_THAN = {
     ("svo.fb report", "flatbuffers, by element"): Aim("at least", 50),
 }
 
-# access: a read on the surface by NanoVDB's
+# access: ratio of a read on the surface to NanoVDB's
 SURFACE_READ = Aim("at most", 0.6)
 
-# vdb: our time by that of OpenVDB's own program
+# vdb: ratio of nerfbake's time to that of OpenVDB's program
 NANOVDB_BUILD_AND_WRITE = Aim("at most", 1)
 OPENVDB_WRITE = Aim("at most", 1)
 
-# fit: seconds of two cores and PSNR in dB from the written file, by the fit's preset or minutes; MB of a process
+# fit, by preset or minutes: seconds on two cores, and PSNR in dB from the written file; MB of the process
 FIT = {
     "fast": (Aim("at most", 40), Aim("at least", 34.8)),
     "1": (Aim("at most", 60), Aim("at least", 35.8)),
@@ -49,9 +49,9 @@ FIT = {
 }
 FIT_ONE_RAY = (Aim("at most", 100), Aim("at least", 35.0))  # "balanced" with one ray a pixel
 FIT_MEMORY = Aim("below", 2000)
-REFIT = Aim("at least", 1.0)  # dB that an octree of 128^3 gains
+REFIT = Aim("at least", 1.0)  # gain in dB of an octree of 128^3
 
-# render: milliseconds a frame of 400x400, and seconds of a process that shows one picture
+# render: milliseconds a frame of 400x400, and seconds of a process that renders one picture
 FRAME = {"chair_sh9.npz": Aim("at most", 80), "chair_sh9_128.npz": Aim("at most", 60)}
 FIRST_PICTURE = Aim("below", 1.5)
 
@@ -65,8 +65,8 @@ COMPRESS = {
     "encoding's peak, x the octree": Aim("at most", 4),
 }
 
-# view: pages of the real chair at 256^3. Frames are by those of an octree that is descended from its root; those of the
-# MLP, with its weights in textures, by those of the kmeans atlas
+# view: pages of the real chair at 256^3. Frame times are ratios to those of an octree that is traversed from its root;
+# those of the MLP, with its weights in textures, are ratios to those of the kmeans atlas
 VIEW = {
     "compressed: MB": Aim("at most", 2.9),
     "exact: MB": Aim("at most", 36),
@@ -80,18 +80,18 @@ VIEW = {
     "frames of the MLP, llvmpipe: x atlas": Aim("at least", 4),
 }
 
-# inputs: whole commands on two cores, their reports included
+# inputs: whole commands on two cores, including their reports
 INPUTS = {
     ("ckpt.npz", "s"): Aim("at most", 30),
     ("fine_last.tar", "s"): Aim("at most", 120),
     ("fine_last.tar", "peak MB"): Aim("below", 2000),
 }
-# and the chair as 64^3 nodes of Plenoxels: dB of its voxels' pictures, by voxels an axis for each node
+# inputs: the chair as 64^3 nodes of Plenoxels: PSNR in dB of its voxels, by voxels an axis for each node
 FINER = {2: Aim("at least", 42), 3: Aim("at least", 48)}
 
 
 def aims_table(rows: Iterable[tuple[str, Aim, float | None]]) -> Table:
-    """What is aimed for and what was measured: (what, its aim, its figure or None where nothing was measured)."""
+    """Return the table of aims and figures; rows: (label, aim, figure or None if nothing was measured)."""
     cells: list[list[Any]] = [
         [what, str(aim), figure, figure is not None and aim.holds(figure)] for what, aim, figure in rows
     ]

@@ -1,7 +1,7 @@
-"""Many scenes at once: nerfbake batch beside a shell's loop, make and Snakemake, with one job and with two.
+"""Compare nerfbake batch with a shell loop, make and Snakemake on many scenes, with one job and with two.
 
-Every engine starts the same commands on the same files, in turns. `again` is the same once more, when nothing is left
-to do. A loop knows nothing of what is done.
+Every engine runs the same commands on the same files; the engines take turns. `again` is a second run, when all outputs
+exist. The shell loop bakes all scenes again.
 """
 
 from __future__ import annotations
@@ -16,22 +16,20 @@ from typing import Any, NamedTuple
 
 from benchmarks.scenes import Scenes
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Statistics
-from nerfbake.bench.process import measure_process
-from nerfbake.bench.progress import told
+from nerfbake.bench.measure import Statistics, announced, measure_process
 from nerfbake.bench.report import Report, Table
 
 SCENES = 16
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COLUMNS = ["engine", "jobs", "s", "scenes a minute", "again s", "the loop's bytes"]
 NOTES = [
-    "s: from the start to the end of all scenes, each of which is a process of its own.",
-    "Snakemake runs the package's Snakefile, a shard for each job.",
+    "s: from the start to the end of all scenes; each scene is a separate process.",
+    "Snakemake runs the package's Snakefile, with a shard for each job.",
 ]
 
 
 class Engine(NamedTuple):
-    """A shell's command line that bakes all scenes, and the module that has to be there."""
+    """A shell command that bakes all scenes, and the module that it needs."""
 
     name: str
     jobs: int
@@ -51,7 +49,7 @@ _LOOP = 'for f in scenes/*.npz; do nerfbake svo "$f" "baked/$(basename "$f" .npz
 
 
 def reports(scenes: Scenes, *, rounds: int = 3) -> dict[str, list[Report]]:
-    """Times of whole batches; engines take turns."""
+    """Measure whole batches; the engines take turns."""
     tree = scenes.sample("sample_128")
     with tempfile.TemporaryDirectory() as folder:
         table = Table(f"{SCENES} scenes", COLUMNS, _rows(tree, Path(folder), rounds))
@@ -68,7 +66,7 @@ def _rows(tree: Path, folder: Path, rounds: int) -> list[list[Any]]:
     there = [engine for engine in ENGINES if not engine.module or find_spec(engine.module)]
     for count in range(rounds):
         for engine in there:
-            with told(f"{engine.name}, {engine.jobs} at a time, round {count + 1}"):
+            with announced(f"{engine.name}, {engine.jobs} at a time, round {count + 1}"):
                 place = _prepared(tree, folder / f"{engine.name} {engine.jobs} {count}")
                 first.setdefault(engine, []).append(_seconds(engine, place))
                 baked = {path.name: path.read_bytes() for path in (place / "baked").iterdir()}
@@ -89,7 +87,7 @@ def _rows(tree: Path, folder: Path, rounds: int) -> list[list[Any]]:
 
 
 def _prepared(tree: Path, place: Path) -> Path:
-    """A folder with the scenes, and what engines read."""
+    """Create a folder with the scenes and the files of the engines."""
     shutil.copytree(EXAMPLES, place)
     (place / "scenes").mkdir()
     (place / "loop.sh").write_text(_LOOP)

@@ -1,6 +1,6 @@
 """`nerfbake bench compress` on the real chair, measured on its five held-out views.
 
-The aims are what a file of 0.1 dB takes: bytes in either coding, and the time and memory of writing and reading it.
+The aims are for a file of 0.1 dB: its bytes in either coding, and the time and memory of writing and reading it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.aims import COMPRESS, aims_table
 from benchmarks.scenes import Scenes
 from nerfbake import N3Tree, build_octree, load
-from nerfbake.bench.compress.comparison import COLUMNS, chart_compression, compare_compression
-from nerfbake.bench.progress import told
+from nerfbake.bench.compress import COLUMNS, chart_compression, compare_compression
+from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 
 ROUNDS = 3
@@ -22,7 +22,7 @@ chart = chart_compression
 def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
     octree = build_octree(load(scenes.chair, N3Tree))
     photographs = {"cameras": str(scenes.views / "transforms.json"), "truth": str(scenes.views)}
-    report = compare_compression(octree, scenes.chair.name, **photographs, rounds=rounds, progress=told)
+    report = compare_compression(octree, scenes.chair.name, **photographs, rounds=rounds, progress=announced)
     arrays = (np.asarray(octree.node_data).nbytes + octree.node_children.nbytes) / 1e6
     return {"compress": [report._replace(tables=[*report.tables, _aims(report, arrays)])]}
 

@@ -1,6 +1,7 @@
-"""`nerfbake bench formats` on a sample of about the report's size, 110 MB of arrays, and on the real chair.
+"""`nerfbake bench formats` on a sample of about the size in TR-24-01, 110 MB of arrays, and on the real chair.
 
-Without the real chair the sample stands alone. The aims are ratios to `raw`, and to the libraries' own plain use.
+The report is cited in docs/sources.md. If the real chair is missing, only the sample is measured. The
+aims are ratios to `raw`, and to plain uses of libraries.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from benchmarks.aims import BULK_DECODE, BULK_ENCODE, FASTER_THAN, PROTOBUF_SIZE
 from benchmarks.scenes import Scenes
 from nerfbake import build_octree, load
 from nerfbake.bench.formats.comparison import chart_formats, compare_formats
-from nerfbake.bench.progress import told
+from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -26,7 +27,7 @@ chart = chart_formats
 def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
     found = []
     for name, octree in _octrees(scenes):
-        report = compare_formats(octree, name, rounds=rounds, formats=(), progress=told)
+        report = compare_formats(octree, name, rounds=rounds, formats=(), progress=announced)
         figures, *others = report.tables
         found.append(report._replace(tables=[figures, _aims(figures), *others]))
     return {"formats": found}

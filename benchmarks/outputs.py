@@ -1,7 +1,7 @@
-"""What each output costs in bytes and in pictures: the chair in everything that nerfbake writes, judged from the files.
+"""File size and image quality of each output: the chair in every structure that nerfbake writes, read from the files.
 
-Five held-out views at 400x400. PSNR against the PlenOctree's own pictures says what the conversion lost; PSNR against
-the photographs says what that means.
+Five held-out views at 400x400. PSNR against pictures of the PlenOctree measures the loss of the conversion; PSNR
+against the photographs measures the effect of this loss.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any
 from benchmarks.scenes import Scenes
 from nerfbake import Cameras, Image, N3Tree, build_field, compare_scenes, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.progress import told
+from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 
-# Each file and the command that makes it from those above; `lost` is what is no longer there at all.
+# Each file, the command that creates it from the files above, and the information that is lost.
 OUTPUTS = (
     ("full.svo.pb", "svo chair_sh9.npz full.svo.pb", "nothing"),
     ("full.svo.npz", "svo chair_sh9.npz full.svo.npz", "nothing"),
@@ -49,13 +49,13 @@ OUTPUTS = (
 )
 COLUMNS = ["nerfbake ...", "MB", "PSNR to the tree", "PSNR to the photographs", "change dB", "what is lost"]
 NOTES = [
-    "PSNR in dB, mean over the views, from the written file; 100 stands for the same picture.",
-    "change: of the PSNR to the photographs, against the tree's own.",
+    "PSNR in dB, mean over the views, from the written file; 100 stands for equal pictures.",
+    "change: difference between the PSNR to the photographs and that of the tree.",
 ]
 
 
 def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
-    """Once: nothing here is a time."""
+    """Measure bytes and pictures in a single round, since there are no times."""
     if rounds != 1:
         raise ValueError("pictures and bytes are the same in every round")
     with tempfile.TemporaryDirectory() as folder:
@@ -72,7 +72,7 @@ def _rows(scenes: Scenes, folder: Path) -> list[list[Any]]:
     found: list[list[Any]] = []
     for name, command, lost in OUTPUTS:
         words = [str(scenes.chairs / word) if word.startswith("chair") else word for word in shlex.split(command)]
-        with told(f"nerfbake {command}"):
+        with announced(f"nerfbake {command}"):
             subprocess.run([sys.executable, "-m", "nerfbake", *words, "-q"], cwd=folder, check=True)
             means = compare_scenes(field, load(folder / name), cameras, truth=truth, keep_pictures=False).means
         size = (folder / name).stat().st_size

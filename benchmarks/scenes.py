@@ -1,4 +1,4 @@
-"""The scenes that benchmarks measure: the real ones, where they lie, and samples, each made once."""
+"""The scenes of the benchmarks: paths of the real scenes, and samples, which are created once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DATA = Path(os.environ.get("NERFBAKE_DATA", Path(__file__).parents[2] / "shared"
 
 
 class Sample(NamedTuple):
-    """A sample tree; deflated: written as svox writes its trees."""
+    """A sample tree. deflated: compressed, as svox writes its trees."""
 
     resolution: int
     basis: str = "SH9"
@@ -24,7 +24,7 @@ class Sample(NamedTuple):
 
 
 SAMPLES = {
-    # Of the seeds from 0 to 9 the one that comes closest to the nodes of the report's LEGO: 484,000 of 420,000.
+    # Of the seeds 0 to 9, this one gives the number of nodes nearest to LEGO in TR-24-01: 484,000 for 420,000.
     "sample SH16": Sample(256, "SH16", seed=2),
     "sample_sh16": Sample(256, "SH16", deflated=True),
     "sample_128": Sample(128),
@@ -35,14 +35,14 @@ SAMPLES = {
 
 @dataclass(frozen=True)
 class Scenes:
-    """data: the folder of the real scenes; folder: where samples, and whatever else is made on the way, are put."""
+    """data: the folder of the real scenes. folder: the folder for samples and other intermediate files."""
 
     data: Path
     folder: Path
 
     @property
     def chairs(self) -> Path:
-        """A folder of PlenOctrees of the real chair."""
+        """The folder with the PlenOctrees of the real chair."""
         return self.data / "plenoctree" / "chair"
 
     @property
@@ -52,7 +52,7 @@ class Scenes:
 
     @property
     def views(self) -> Path:
-        """A folder with five held-out views of the chair: transforms.json and a photograph each."""
+        """The folder with five held-out views of the chair: transforms.json, and a photograph for each view."""
         return self.chairs / "views"
 
     @property
@@ -62,7 +62,7 @@ class Scenes:
 
     @property
     def capture(self) -> Path:
-        """A folder with the chair's photographs, 100 to fit to and 25 to judge by."""
+        """The folder with the chair's photographs, 100 for fitting and 25 held out."""
         return self.data / "nerf_synthetic" / "chair"
 
     @property
@@ -71,7 +71,7 @@ class Scenes:
         return self.data / "nerf2mesh" / "mesh_stage1"
 
     def sample(self, name: str) -> Path:
-        """One of SAMPLES as a file, made when it is first asked for."""
+        """Return the file of one of SAMPLES, and create it on the first call."""
         path = self.folder / f"{name}.npz"
         if not path.exists():
             resolution, basis, seed, deflated = SAMPLES[name]

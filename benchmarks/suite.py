@@ -1,9 +1,9 @@
-"""THE table of benchmarks: each is a module of this package and the files of benchmarks/results that it makes.
+"""The table of benchmarks. Each entry is a module of this package with its files in benchmarks/results.
 
-A module says what it compares. It has
+A module describes its comparison in its docstring. It has
 
-    reports(scenes, *, rounds) -> {stem: reports}     rounds has a default: that of the published figures
-    chart(report, suffix) -> bytes                    where one of its files is a picture
+    reports(scenes, *, rounds) -> {stem: reports}     the default of rounds is that of the published figures
+    chart(report, suffix) -> bytes                    if one of its files is a picture
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ RESULTS = Path(__file__).parent / "results"
 
 
 class Benchmark(NamedTuple):
-    """A module of this package, and its files: a report's ending is its kind, a chart shows the first report."""
+    """A module of this package and its files. The extension of a report is its kind; a chart shows the first report."""
 
     name: str
     files: tuple[str, ...]
@@ -44,7 +44,7 @@ SUITE = (
 
 
 def run(benchmark: Benchmark, scenes: Scenes, **options: Any) -> dict[str, bytes]:
-    """The content of each of its files, by name. Raises NerfbakeError where a scene or a program is missing."""
+    """Return the contents of the benchmark's files by name. Raises NerfbakeError if a scene or a program is missing."""
     module = import_module(f"benchmarks.{benchmark.name}")
     before = os.getloadavg()[0]
     found: dict[str, list[Report]] = module.reports(scenes, **options)

@@ -1,9 +1,9 @@
-"""`nerfbake svo` as whole processes: against np.load of the same file, its peak memory, and how it scales.
+"""Time and peak memory of `nerfbake svo` as whole processes, compared with np.load of the same file, and its scaling.
 
 Comparisons are ratios of runs that take turns on the same machine; absolute times are only context. Peak memory is the
-operating system's own figure for the finished process. Modules are compiled before the clock runs, as an installation
-leaves them, and outputs are new files: a file system takes its time to replace one. Without the real chair its rows say
-so.
+operating system's figure for the finished process. Modules are compiled before the clock starts, as in an installation.
+Outputs are new files, because a file system takes longer to replace a file. If the real chair is missing, its rows
+report that.
 """
 
 from __future__ import annotations
@@ -20,9 +20,7 @@ import numpy as np
 from benchmarks.scenes import Scenes
 from nerfbake import N3Tree, build_octree, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, Statistics, Work, in_turn, measure
-from nerfbake.bench.process import measure_process
-from nerfbake.bench.progress import told
+from nerfbake.bench.measure import Result, Statistics, Work, announced, in_turn, measure, measure_process
 from nerfbake.bench.report import Report, Table
 
 ROUNDS, BUILDS = 7, 5
@@ -36,9 +34,9 @@ WHOLE = ["tree", "decoded MB", "resolution", "svo s", "np.load s", "ratio of pai
 WHOLE += ["without imports", "file MB"]
 NOTES = [
     "np.load s: a Python process that np.loads every array of the same file. Median [min..max].",
-    "peak: of the whole process, the median over its rounds; without imports: less what a process takes at most that "
-    "imports NumPy, click and the commands alone.",
-    "Scaling: sample trees at their own resolution; each build in a process that has built the tree once before.",
+    "peak: of the whole process, the median over its rounds; without imports: less the peak of a process that only "
+    "imports NumPy, click and the commands.",
+    "Scaling: sample trees at their own resolution; each process has built the tree once before the measured build.",
 ]
 
 
@@ -61,13 +59,13 @@ def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
 
 
 def _tree_row(scenes: Scenes, name: str, resolution: int, out: Path, bare: int, rounds: int) -> list[Any]:
-    """One tree at one resolution."""
+    """The row of one tree at one resolution."""
     tree = scenes.sample(name) if name == SH16 else scenes.chairs / f"{name}.npz"
     if not tree.exists():
         return [f"{name}: not there", *[None] * (len(WHOLE) - 1)]
     svo = (*NERFBAKE, "svo", tree, out, "--resolution", str(resolution), "-q")
     floor = (sys.executable, "-c", NP_LOAD, tree)
-    with told(f"{name} at {resolution}^3: {rounds} rounds in turn"):
+    with announced(f"{name} at {resolution}^3: {rounds} rounds in turn"):
         theirs, ours = in_turn(partial(_fresh, out, *floor), partial(_fresh, out, *svo), rounds=rounds)
     decoded = _decoded_bytes(tree)
     peak = statistics.median(run.peak for run in ours)
@@ -86,7 +84,7 @@ def _tree_row(scenes: Scenes, name: str, resolution: int, out: Path, bare: int, 
 
 
 def _fresh(out: Path, *command: str | Path) -> Result:
-    """What the command cost, whose output is not there before."""
+    """Delete the output, and measure the command that writes it."""
     out.unlink(missing_ok=True)
     return measure_process(*command)
 
@@ -97,7 +95,7 @@ def _decoded_bytes(archive: Path) -> int:
 
 
 def _child_rows(scenes: Scenes, out: Path) -> list[list[Any]]:
-    """What the two spellings of "no child" cost on disk."""
+    """File sizes with either value for "no child"."""
     if not scenes.chair.exists():
         return [[f"{scenes.chair.name}: not there", None, None]]
     rows: list[list[Any]] = []
@@ -111,9 +109,9 @@ def _child_rows(scenes: Scenes, out: Path) -> list[list[Any]]:
 
 
 def _scaling_row(scenes: Scenes, name: str, rounds: int) -> list[Any]:
-    """A sample at its own resolution: time per octree node must stay flat from row to row."""
+    """The row of a sample at its own resolution; the time per octree node must be constant over the rows."""
     tree = str(scenes.sample(name))
-    with told(f"building {name}: {rounds} rounds"):
+    with announced(f"building {name}: {rounds} rounds"):
         builds = [measure(building, path=tree) for _ in range(rounds)]
     facts = builds[0].facts
     times = Statistics.of([build.seconds * 1e3 for build in builds])
@@ -121,7 +119,7 @@ def _scaling_row(scenes: Scenes, name: str, rounds: int) -> list[Any]:
 
 
 def building(path: str) -> Work:
-    """The work of building a tree's octree, for the second time; in a process of its own."""
+    """The work of building a tree's octree for the second time; called in a child process."""
     tree = load(path, N3Tree)
     build_octree(tree)
     return Work(

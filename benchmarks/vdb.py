@@ -1,7 +1,7 @@
-"""Volumes of the real chair beside OpenVDB's own programs: writing .nvdb and .vdb, and reading .vdb.
+"""Compare nerfbake with OpenVDB's programs on the real chair: writing .nvdb and .vdb, and reading .vdb.
 
-Each row is a step that takes turns with the program it is compared with; ratios are of one round. The octree comes
-anew every round, so that nothing an earlier one worked out is there. Needs Debian's OpenVDB (`make tools`).
+Each row is a step that takes turns with the program it is compared with; ratios are within a round. Every round uses a
+new octree object, without cached results of earlier rounds. Needs Debian's OpenVDB (`make tools`).
 """
 
 from __future__ import annotations
@@ -21,24 +21,22 @@ from benchmarks.aims import NANOVDB_BUILD_AND_WRITE, OPENVDB_WRITE, Aim
 from benchmarks.scenes import Scenes
 from nerfbake import IndexGrid, N3Tree, SparseVoxelOctree, VdbTree, Volume, build_octree, build_vdb, load, save
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Statistics, in_turn, seconds_of
-from nerfbake.bench.process import measure_process
-from nerfbake.bench.progress import told
+from nerfbake.bench.measure import Statistics, announced, in_turn, measure_process, seconds_of
 from nerfbake.bench.report import Report, Table
 
 ROUNDS = 15
 COLUMNS = ["step", "beside", "ours ms", "theirs ms", "ratio", "aim", "holds", "MB", "their MB", "same voxels"]
 NOTES = [
-    "Medians [least..greatest]; a ratio is of one round. A load average above 0 "
+    "Medians [min..max]; a ratio is within a round. A load average above 0 "
     "before the run means that other work shared the cores.",
-    "build: the octree in memory becomes grids; write: grids become a file. `nerfbake vdb` is the whole process: "
+    "build: from the octree in memory to grids; write: from grids to a file. `nerfbake vdb` is the whole process: "
     "Python's start and imports, reading the octree (.svo.npz), build and write.",
-    "nanovdb_convert is a whole process, too: it reads our .vdb of the same grid and writes a .nvdb with all "
+    "nanovdb_convert is also a whole process: it reads our .vdb of the same grid and writes a .nvdb with all "
     "statistics and a partial checksum; ours has the same.",
-    "pyopenvdb has the voxels as a dense array, copies it into a grid and writes that (blosc); it reads with "
-    "readAll and evalMinMax, since values come when they are asked for. Python's start does not count.",
-    "Building has no aim beside pyopenvdb, which is handed a dense array: ours starts from an octree, and proves "
-    "it sound and its values usable first, which is nearly half of the building.",
+    "pyopenvdb gets the voxels as a dense array, copies it into a grid and writes the grid (blosc). It reads with "
+    "readAll and evalMinMax, since it loads values on demand. Python's start does not count.",
+    "Building has no aim relative to pyopenvdb, which gets a dense array. nerfbake starts from an octree, and checks "
+    "its structure and its values first, which takes nearly half of the building.",
 ]
 
 _WRITE = """
@@ -50,7 +48,7 @@ grid.copyFromArray(dense)
 pyopenvdb.write(sys.argv[2], grids=[grid])
 print(time.perf_counter() - start)
 """
-# Values are read from the file when they are asked for: asking for the extremes reads all.
+# pyopenvdb reads values on demand; evalMinMax reads all of them.
 _READ = """
 import sys, time, pyopenvdb
 start = time.perf_counter()
@@ -63,13 +61,13 @@ print(time.perf_counter() - start)
 def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
     octree = build_octree(load(scenes.chair, N3Tree))
     volume = build_vdb(octree, grids=("density",))
-    with tempfile.TemporaryDirectory() as folder, told(f"writing and reading volumes, {rounds} rounds in turn"):
+    with tempfile.TemporaryDirectory() as folder, announced(f"writing and reading volumes, {rounds} rounds in turn"):
         measured = _rows(octree, volume, Path(folder), rounds)
     voxels = f"{volume.grids[0].topology.m:,} voxels"
     head = {"scene": f"{scenes.chair.name} at {max(octree.size)}^3, density, {voxels}, float32", "rounds": str(rounds)}
     head |= environment("numpy", "zlib-ng", "blosc", "nerfbake")
     head |= {"OpenVDB and NanoVDB": _debian("libopenvdb-tools")}
-    return {"vdb": [Report("Volumes beside OpenVDB's own programs", head, [Table("Chair", COLUMNS, measured)], NOTES)]}
+    return {"vdb": [Report("Volumes compared with OpenVDB", head, [Table("Chair", COLUMNS, measured)], NOTES)]}
 
 
 def _rows(octree: SparseVoxelOctree, volume: Volume, folder: Path, rounds: int) -> list[list[Any]]:
@@ -132,7 +130,7 @@ def _process(*command: str | Path) -> float:
 
 
 def _pyopenvdb(code: str, *arguments: Path) -> float:
-    """Seconds that a script of theirs measured itself, without Python's own start."""
+    """The seconds that a pyopenvdb script measures itself, without Python's start."""
     command = ["/usr/bin/python3", "-c", code, *map(str, arguments)]
     return float(subprocess.run(command, check=True, capture_output=True).stdout)
 

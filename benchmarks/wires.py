@@ -1,8 +1,8 @@
-"""Every wire that nerfbake writes or reads by hand beside the library that there is for it, and what that would cost.
+"""Compare nerfbake's own readers and writers of wire formats with the libraries for these formats.
 
-Each figure comes from a process of its own, and the two sides take turns, round by round. Each library stands in the
-use that serves it best; docs/wires.md says what follows from it. pyopenvdb belongs to Debian's Python (`make tools`),
-where it measures itself.
+Each figure comes from a separate process, and the two sides take turns, round by round. Each library is used in its
+most favourable way; docs/wires.md has the conclusions. pyopenvdb runs in Debian's Python (`make tools`) and measures
+itself there.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ from benchmarks.scenes import Scenes
 from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Volume, build_octree, build_vdb, cut_octree, load, save
 from nerfbake.bench.environment import environment
 from nerfbake.bench.formats.libraries import LIBRARIES
-from nerfbake.bench.measure import Result, Statistics, Work, measure
-from nerfbake.bench.progress import told
+from nerfbake.bench.measure import Result, Statistics, Work, announced, measure
 from nerfbake.bench.report import Report, Table
 from nerfbake.catalog import format_named
-from nerfbake.formats.wire.flatbuffers import Table as FlatTable
+from nerfbake.formats.octree.flatbuffers import FlatbuffersTable as FlatTable
 from nerfbake.io.sources import read_file
 from nerfbake.scene.mesh import Mesh
 
@@ -34,20 +33,20 @@ Arrays = Sequence[npt.NDArray[Any]]
 
 ROUNDS = 9
 SAMPLE = "sample SH16"
-NEAR = 1.2  # a library that costs at most so many times what ours does, in time and in memory, could take its place
+NEAR = 1.2  # a library within this factor of nerfbake's time and memory could replace nerfbake's code
 EDGE = 512  # squares along an edge of the mesh
 PACKAGES = ("numpy", "protobuf", "pymongo", "flatbuffers", "pycapnp", "trimesh")
 COLUMNS = ["wire", "direction", "library", "ours ms", "library ms", "library x ours", "ours peak MB", "library peak MB"]
 COLUMNS += [f"within {NEAR:g} of both", "exact"]
 NOTES = [
-    "write: from arrays in memory to a written file; read: until every value has been seen. Imports and compiled "
-    "kernels are loaded before. Median [least..greatest].",
-    "library x ours: of the fastest rounds, since other work on the cores can only make a round slower.",
+    "write: from arrays in memory to a written file; read: until every value has been read. Imports and compiled "
+    "kernels are loaded before. Median [min..max].",
+    "library x ours: ratio of the fastest rounds, since other work on the cores can only make a round slower.",
     "peak: memory that the step added to its process.",
-    "Ours are the whole formats, with every check of what was read and every small field; a library's rows handle the "
-    "large arrays alone. 'FlatBuffers, two vectors' is the wire without the octree's checks, on both sides.",
-    "exact: all numbers come back, on both sides.",
-    "VDB: pyopenvdb is handed a dense array; it reads with readAll and evalMinMax. glb: positions and triangles.",
+    "ours: the whole format, with all checks and all small fields; a library handles only the large arrays. "
+    "'FlatBuffers, two vectors' is the wire format without the octree's checks, on both sides.",
+    "exact: all numbers are restored, on both sides.",
+    "VDB: pyopenvdb gets a dense array; it reads with readAll and evalMinMax. glb: positions and triangles.",
 ]
 
 _PYOPENVDB = """
@@ -72,7 +71,7 @@ print(json.dumps({**found, "exact": bool((back == dense).all())}))
 
 
 class Wire(NamedTuple):
-    """scene: which one it holds; form and profile: ours; library: one of LIBRARIES, or what is measured here."""
+    """scene: a key of SCENES. form, profile: nerfbake's format. library: one of LIBRARIES, or one in this module."""
 
     scene: str
     form: str
@@ -81,7 +80,7 @@ class Wire(NamedTuple):
 
 
 class Way(NamedTuple):
-    """How one side writes its file, and reads it as arrays."""
+    """The functions of one side that write its file, and read it as arrays."""
 
     write: Callable[[Any, Path], Any]
     read: Callable[[Path], Arrays]
@@ -105,7 +104,7 @@ SCENES: dict[str, tuple[str, type]] = {
 
 
 def put_scenes(folder: Path, octree: SparseVoxelOctree, edge: int) -> dict[str, str]:
-    """Writes each scene, and a small one of its kind; gives their descriptions."""
+    """Write each scene, and a small one of the same kind; return a description of the scenes."""
     told_of = {}
     for name, tree, n in (("", octree, edge), ("small_", cut_octree(octree, level=2), 2)):
         volume = build_vdb(tree, grids=("density",))
@@ -120,7 +119,7 @@ def put_scenes(folder: Path, octree: SparseVoxelOctree, edge: int) -> dict[str, 
 
 
 def _sheet(n: int) -> Mesh:
-    """A square of n x n bent squares, two triangles each."""
+    """A curved square of n x n quads, with two triangles each."""
     x, y = np.meshgrid(np.linspace(-1, 1, n + 1), np.linspace(-1, 1, n + 1), indexing="ij")
     corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).reshape(-1)
     near, far = np.stack([corner, corner + 1], axis=1), np.stack([corner + n + 1, corner + n + 2], axis=1)
@@ -196,21 +195,21 @@ def _scene(kind: str, folder: Path, *, small: bool = False) -> Any:
 
 
 def writing(wire: str, ours: bool, folder: str) -> Work:
-    """The work of writing a wire's scene; in a process of its own."""
+    """The work of writing the scene of a wire format; called in a child process."""
     home = Path(folder)
     target = _target(wire, ours, home)
     if WIRES[wire].library == "pyopenvdb" and not ours:
         return _openvdb("write", target, home)
     way = (_ours if ours else _library)(wire, WIRES[wire], home)
     scene, small = (_scene(WIRES[wire].scene, home, small=small) for small in (False, True))
-    way.write(small, home / f"small_{target.name}")  # what is imported and compiled on first use
+    way.write(small, home / f"small_{target.name}")  # imports and compiles on first use
     _see(_arrays(scene))
     target.unlink(missing_ok=True)
     return Work(lambda: way.write(scene, target), lambda _: {})
 
 
 def reading(wire: str, ours: bool, folder: str) -> Work:
-    """The work of reading what that wrote; in a process of its own."""
+    """The work of reading the file of writing(); called in a child process."""
     home = Path(folder)
     target = _target(wire, ours, home)
     if WIRES[wire].library == "pyopenvdb" and not ours:
@@ -242,22 +241,22 @@ def _target(wire: str, ours: bool, home: Path) -> Path:
 
 
 def _same(found: Arrays, expected: Arrays) -> bool:
-    """Whatever shapes and types a library gives its numbers."""
+    """True if all numbers are equal, whatever their shapes and types."""
     return all(np.array_equal(np.ravel(a), b.reshape(-1)) for a, b in zip(found, expected, strict=True))
 
 
 def _see(arrays: Arrays) -> None:
-    """Reads every value: what it costs is nearly all the memory's."""
+    """Read every value; the cost is almost only the memory access."""
     for array in arrays:
         np.bitwise_xor.reduce(np.ascontiguousarray(array).reshape(-1).view(f"u{array.itemsize}"))
 
 
 def row(wire: str, direction: str, rounds: list[tuple[Result, Result]]) -> list[Any]:
-    """The cells of a wire in one direction; ours, then the library's."""
+    """Return the cells of a wire format in one direction; rounds: nerfbake's results and the library's."""
     library = WIRES[wire].library
     if error := next((result.error for pair in rounds for result in pair if result.error), ""):
         return [f"{wire}: {error}", direction, library, *[None] * (len(COLUMNS) - 3)]
-    # Where a program measured itself, its own figures count.
+    # Figures that a program measured itself take precedence.
     figures = [[(r.facts.get("seconds", r.seconds), r.facts.get("peak", r.peak)) for r in pair] for pair in rounds]
     times = [Statistics.of([1e3 * pair[side][0] for pair in figures]) for side in (0, 1)]
     ratio = times[1].low / times[0].low
@@ -274,11 +273,11 @@ def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
         head = put_scenes(Path(folder), octree, EDGE)
         for turn in range(rounds + 1):
             for wire in WIRES:
-                with told(f"{wire}: {f'round {turn} of {rounds}' if turn else 'warming up'}"):
+                with announced(f"{wire}: {f'round {turn} of {rounds}' if turn else 'warming up'}"):
                     for direction, function in (("write", writing), ("read", reading)):
                         pair = [measure(function, wire=wire, ours=side, folder=folder) for side in (True, False)]
                         if turn:
                             found.setdefault((wire, direction), []).append((pair[0], pair[1]))
     head |= {"rounds": str(rounds), **environment(*PACKAGES)}
     table = Table("Wires", COLUMNS, [row(*key, pairs) for key, pairs in found.items()])
-    return {"wires": [Report("Wires by hand beside their libraries", head, [table], NOTES)]}
+    return {"wires": [Report("Wire formats compared with their libraries", head, [table], NOTES)]}

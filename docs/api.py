@@ -8,7 +8,9 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import nerfbake
@@ -17,15 +19,49 @@ from nerfbake import jobs
 PAGE = Path(__file__).with_name("api.md")
 HEAD = """# API
 
-Every public name of `nerfbake` and of `nerfbake.jobs`, made from its docstring (`make api`). [Python](python.md) shows
-how they go together. Letters stand for sizes, everywhere the same: n nodes, m leaves, D values of a node, B functions
-of a basis, K clusters. Each example runs in the tests.
+The public names of `nerfbake` and `nerfbake.jobs`, generated from their docstrings by `make api`. [Python](python.md)
+shows how to use them together. Sizes have the same letters everywhere: n nodes, m leaves, D values of a node, B basis
+functions, K clusters. The tests run every example.
 """
-SECTIONS = {
-    "Files": (nerfbake, "nerfbake.io nerfbake.memory nerfbake.errors"),
-    "Scenes": (nerfbake, "nerfbake.scene"),
-    "Stages": (nerfbake, "nerfbake.stages"),
-    "Jobs": (jobs, "nerfbake.jobs"),
+# A heading, the package, and the modules whose names stand below it.
+GROUPS: dict[str, tuple[ModuleType, str]] = {
+    "Files, memory and errors": (nerfbake, "io memory errors cli.python"),
+    "Octrees": (nerfbake, "scene.n3tree scene.octree scene.quantised_octree scene.compression"),
+    "Making octrees": (
+        nerfbake,
+        "stages.n3tree_to_octree stages.octree_to_octree stages.brick_field_to_octree stages.brick_field_to_n3tree"
+        " stages.lattice_to_octree stages.vdb_to_octree stages.octree_to_compression stages.shapes_to_n3tree",
+    ),
+    "Radiance fields": (nerfbake, "scene.radiance_field scene.brick_field scene.lattice_field"),
+    "Making fields": (
+        nerfbake,
+        "stages.scene_to_field stages.octree_to_brick_field stages.octree_to_lattice stages.lattice_to_image"
+        " stages.field_to_importance",
+    ),
+    "Cameras and photographs": (nerfbake, "scene.camera scene.views scene.held_out stages.scene_to_cameras"),
+    "Fitting": (
+        nerfbake,
+        "stages.views_to_field stages.views_to_hull stages.views_to_error stages.pictures_to_views"
+        " stages.brick_field_to_brick_field",
+    ),
+    "Volumes": (nerfbake, "scene.volume scene.vdb stages.octree_to_vdb stages.brick_field_to_vdb stages.vdb_to_vdb"),
+    "Meshes and atlases": (nerfbake, "scene.mesh scene.atlas scene.stage1"),
+    "Baking atlases": (
+        nerfbake,
+        "stages.stage1_to_atlas stages.specular_to_atlas stages.specular_to_clusters stages.shapes_to_stage1"
+        " stages.field_to_mesh",
+    ),
+    "Pictures": (
+        nerfbake,
+        "scene.image stages.field_to_image stages.meshes_to_image stages.field_and_meshes_to_image"
+        " stages.stage1_to_image",
+    ),
+    "Comparisons and facts": (nerfbake, "scene.comparison stages.scenes_to_comparison stages.scene_to_summary"),
+    "Pages": (
+        nerfbake,
+        "scene.page stages.scene_to_page stages.field_to_page_field stages.stage1_to_page_surface",
+    ),
+    "Jobs: from files to files": (jobs, "jobs batch"),
 }
 
 
@@ -34,19 +70,36 @@ def main() -> None:
 
 
 def page() -> str:
-    """The text of docs/api.md."""
-    parts = [HEAD]
-    for title, (package, layers) in SECTIONS.items():
+    """The text of docs/api.md: a list of contents, then each name below the heading of its group."""
+    groups = {title: list(names_of(*group)) for title, group in GROUPS.items()}
+    listed = [name for package, name in chain.from_iterable(groups.values())]
+    missing = {*nerfbake.__all__, *jobs.__all__} - {*listed}  # type: ignore[attr-defined]
+    if missing:
+        raise SystemExit(f"docs/api.py has no group for {', '.join(sorted(missing))}")
+    parts = [HEAD, *(contents(title, names) for title, names in groups.items()), ""]
+    for title, names in groups.items():
         parts.append(f"## {title}\n")
-        for name in package.__all__:
+        for package, name in names:
             thing = getattr(package, name)
-            if thing.__module__.startswith(tuple(layers.split())):
-                parts += [
-                    f"### {name}\n",
-                    f"```py\n{signature(name, thing)}\n```\n",
-                    *blocks(inspect.getdoc(thing) or ""),
-                ]
+            text = blocks(inspect.getdoc(thing) or "")
+            parts += [f"### {name}\n", f"```py\n{signature(name, thing)}\n```\n", *text]
     return "\n".join(parts)
+
+
+def names_of(package: ModuleType, modules: str) -> Iterator[tuple[ModuleType, str]]:
+    """The names that a package exports from these modules, classes first."""
+    homes = tuple(f"nerfbake.{module}" for module in modules.split())
+    found = {name: getattr(package, name) for name in package.__all__}
+    for name in sorted(found, key=lambda name: (not inspect.isclass(found[name]), name)):
+        home = found[name].__module__
+        if any(home == each or home.startswith(f"{each}.") for each in homes):
+            yield package, name
+
+
+def contents(title: str, names: list[tuple[ModuleType, str]]) -> str:
+    """One entry of the list of contents."""
+    links = ", ".join(f"[`{name}`](#{name.lower()})" for _, name in names)
+    return f"- [{title}](#{re.sub(r'[^a-z0-9 -]', '', title.lower()).replace(' ', '-')}): {links}"
 
 
 def signature(name: str, thing: Callable[..., Any]) -> str:

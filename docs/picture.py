@@ -50,10 +50,10 @@ def draw_chair() -> None:
         jobs.bake_octree(CHAIR, octree)
         jobs.bake_volume(CHAIR, index, grids="index", half=True)
         jobs.compress_file(CHAIR, small)
-        jobs.compress_file(CHAIR, smaller, goal=jobs.Goal(max_size=800_000))
+        jobs.compress_file(CHAIR, smaller, goal=jobs.CompressionGoal(max_size=800_000))
         camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW]
         camera = replace(camera.resized(420, 420), focal=CLOSER * camera.resized(420, 420).fx)
-        seen = jobs.Seen(str(CAPTURE / "transforms_test.json"), str(CAPTURE / "test"))
+        seen = jobs.ComparedViews(str(CAPTURE / "transforms_test.json"), str(CAPTURE / "test"))
         pictures = []
         for path in (octree, index, small, smaller):
             found = jobs.compare_files(CHAIR, path, seen=seen).found

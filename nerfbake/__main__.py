@@ -1,4 +1,4 @@
-"""`python -m nerfbake`, and the `nerfbake` command."""
+"""Entry point of `python -m nerfbake` and of the `nerfbake` command."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Runs the command line and exits; Ctrl-C while its modules are imported ends it in one line, too."""
+    """Run the command line and exit. Ctrl-C during the imports also ends with one line."""
     try:
         from nerfbake.cli.main import main as run
     except KeyboardInterrupt:

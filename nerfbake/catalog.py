@@ -1,7 +1,7 @@
-"""The two tables: every format and every stage. The rest of the program looks things up here.
+"""Tables of all file formats and folder kinds, and functions that look them up.
 
-Modules are named as strings and imported on first use, so that nothing heavy loads before it is needed.
-A new format is one file and one line; a new stage is one file and one line. A test holds both to it.
+Modules are named as strings and imported on first use, so that nothing heavy is loaded before it is needed. A new
+format is one file and one line in a table; a new stage is one file and one line. A test checks this.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from nerfbake.errors import InvalidFile, UsageError
 
 
 class Format(NamedTuple):
-    """A way to write a scene as the bytes of a file."""
+    """A file format of a scene."""
 
-    name: str  # what --to takes and info prints
-    scene: str  # name of the scene type that it holds
-    suffix: str  # the ending of its files
-    module: str  # in `formats`: what contract.FileFormat says, contract.VolumeFormat if it holds volumes
+    name: str  # value of --to, and printed by info
+    scene: str  # name of the scene type that decode() returns
+    suffix: str  # file extension
+    module: str  # in `formats`: implements contract.FileFormat, or contract.VolumeFormat for volumes
     title: str
-    companion: str | None = None  # a file `<stem><companion>` that says more about this one
-    readable: bool = True  # False: written for people to look at, without decode() and recognise()
-    beside: bool = False  # decode() takes the folder where the file stands, too
-    packed: bool = False  # there is nothing left for .zst to pack, so that it is refused
-    written: str = ""  # name of the scene type that encode() takes, where it is not the one that decode() gives
-    writable: bool = True  # False: other programs' files, which are read alone, without encode()
+    companion: str | None = None  # a file `<stem><companion>` with further facts about this one
+    readable: bool = True  # False: for viewing only, without decode() and recognise()
+    beside: bool = False  # decode() also takes the folder that contains the file
+    packed: bool = False  # the format is compressed already, so .zst is rejected
+    written: str = ""  # name of the scene type that encode() takes, if it differs from `scene`
+    writable: bool = True  # False: files of other programs, which are only read; there is no encode()
 
     def load_module(self) -> contract.FileFormat:
         return cast(contract.FileFormat, import_module(f"nerfbake.formats.{self.module}"))
@@ -43,31 +43,31 @@ class Format(NamedTuple):
         return cast(contract.PageFormat, self.load_module())
 
     def require_options(self, given: Mapping[str, object]) -> None:
-        """Raises UsageError for options that the format does not take, or other values than it takes."""
+        """Raise UsageError if the format does not take an option or its value."""
         contract.require_options(self.name, self.load_module().encode, given)
 
     def choices(self, option: str) -> tuple[str, ...]:
-        """The values that an option of the format may have, its default first; none if it has no such option."""
+        """The accepted values of an option, its default first; empty if the format has no such option."""
         known = contract.options_of(self.load_module().encode)
         return known[option].choices if option in known else ()
 
 
 class FolderKind(NamedTuple):
-    """A kind of folder that holds a scene."""
+    """A kind of folder that contains a scene."""
 
     name: str  # what info prints
-    scene: str  # name of the scene type that it holds
-    module: str  # in `formats`: what contract.FolderFormat says
+    scene: str  # name of the scene type that decode() returns
+    module: str  # in `formats`: implements contract.FolderFormat
     title: str
-    key: str  # the file by which it is known
-    members: tuple[str, ...] = ()  # files that stand for the folder, as they mean nothing without the others
-    writable: bool = True  # False: other programs' folders, which are read alone, without encode()
+    key: str  # the file that identifies this kind
+    members: tuple[str, ...] = ()  # files that may be given instead of the folder, because they cannot be read alone
+    writable: bool = True  # False: folders of other programs, which are only read; there is no encode()
 
     def load_module(self) -> contract.FolderFormat:
         return cast(contract.FolderFormat, import_module(f"nerfbake.formats.{self.module}"))
 
     def require_options(self, given: Mapping[str, object]) -> None:
-        """Raises UsageError for options that this kind of folder does not take, or other values than it takes."""
+        """Raise UsageError if this kind of folder does not take an option or its value."""
         contract.require_options(self.name, self.load_module().encode, given)
 
 
@@ -75,7 +75,7 @@ AnyFormat = Format | FolderKind
 
 _OCTREE = "SparseVoxelOctree"
 
-# Longer endings stand before the endings they contain. Formats that share an ending are asked in this order.
+# Longer extensions come before the extensions they contain. Formats with the same extension are tried in this order.
 FORMATS = (
     Format("svo.npz", _OCTREE, ".svo.npz", "octree.npz", "octree, plain NumPy arrays"),
     Format("svo.pb", _OCTREE, ".svo.pb", "octree.protobuf", "octree, Protocol Buffers"),
@@ -102,9 +102,9 @@ FORMATS = (
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
 )
 
-# Folders: encode() gives names with their bytes, decode() takes them. The first writable one of a type is written.
-# A folder that is of several kinds is read as the first of them that holds what is wanted: of a capture its
-# transforms.json, then COLMAP's model, from which LLFF's poses were made.
+# encode() returns file names with their bytes, and decode() takes them. A scene is written as the first writable kind
+# of its type. A folder of several kinds is read as the first of them that contains a wanted scene type: for a capture
+# transforms.json, then the COLMAP model, from which LLFF's poses are computed.
 _COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
 _LLFF, _NSVF, _BAKED = ("poses_bounds.npy",), ("intrinsics.txt",), ("scene_params.json",)
 _BLOCKS = "sparse_grid_block_indices.png"
@@ -121,107 +121,18 @@ FOLDERS = (
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 
-# A further ending of any format: zstd's frames, whose module has compress and decompress.
+# An additional extension of any format: zstd frames. The module has compress() and decompress().
 COMPRESSED = ".zst"
 COMPRESSION = "nerfbake.formats.wire.zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
-# What holds no scene by itself, and is read by one command alone.
-PHOTOGRAPHS = "nerfbake.formats.wire.photograph"
+# Files that do not contain a scene by themselves; each is read by one command only.
+PHOTOGRAPHS = "nerfbake.formats.wire.picture"
 CHECKPOINTS = "nerfbake.formats.wire.checkpoint"
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
-SCENES = {
-    "Animation": "nerfbake.scene.animation",
-    "BakedAtlas": "nerfbake.scene.atlas",
-    "BrickField": "nerfbake.scene.brick_field",
-    "Camera": "nerfbake.scene.camera",
-    "Cameras": "nerfbake.scene.camera",
-    "Comparison": "nerfbake.scene.comparison",
-    "Depth": "nerfbake.scene.depth",
-    "Image": "nerfbake.scene.image",
-    "IndexGrid": "nerfbake.scene.vdb",
-    "HeldOut": "nerfbake.scene.held_out",
-    "LatticeField": "nerfbake.scene.lattice_field",
-    "Mesh": "nerfbake.scene.mesh",
-    "Meshes": "nerfbake.scene.mesh",
-    "N3Tree": "nerfbake.scene.n3tree",
-    "OctahedralAtlas": "nerfbake.scene.atlas",
-    "SparseVoxelOctree": "nerfbake.scene.octree",
-    "SpecularField": "nerfbake.scene.specular",
-    "Compression": "nerfbake.scene.compression",
-    "Page": "nerfbake.scene.page",
-    "PageField": "nerfbake.scene.page_field",
-    "PageSurface": "nerfbake.scene.page_surface",
-    "QuantisedOctree": "nerfbake.scene.quantised_octree",
-    "RadianceField": "nerfbake.scene.radiance_field",
-    "Stage1": "nerfbake.scene.stage1",
-    "VdbTree": "nerfbake.scene.vdb",
-    "Views": "nerfbake.scene.views",
-    "Volume": "nerfbake.scene.volume",
-}
-
-STAGES = {
-    "carve_hull": "nerfbake.stages.views_to_hull",
-    "field_of_page_field": "nerfbake.stages.page_field_to_field",
-    "fit_field": "nerfbake.stages.views_to_field",
-    "sphere_cameras": "nerfbake.stages.scene_to_cameras",
-    "lattice_of_octree": "nerfbake.stages.octree_to_lattice",
-    "lower_basis": "nerfbake.stages.octree_to_octree",
-    "quantise_octree": "nerfbake.stages.octree_to_quantised",
-    "weigh_leaves": "nerfbake.stages.field_to_importance",
-    "compress_octree": "nerfbake.stages.octree_to_compression",
-    "bake_atlas": "nerfbake.stages.specular_to_atlas",
-    "bake_stage1": "nerfbake.stages.stage1_to_atlas",
-    "bricks_of_octree": "nerfbake.stages.octree_to_brick_field",
-    "build_field": "nerfbake.stages.scene_to_field",
-    "build_hull": "nerfbake.stages.field_to_mesh",
-    "build_octree": "nerfbake.stages.n3tree_to_octree",
-    "build_page_field": "nerfbake.stages.field_to_page_field",
-    "build_page_surface": "nerfbake.stages.stage1_to_page_surface",
-    "build_vdb": "nerfbake.stages.octree_to_vdb",
-    "build_views": "nerfbake.stages.pictures_to_views",
-    "cast_volume": "nerfbake.stages.vdb_to_vdb",
-    "cluster_identifiers": "nerfbake.stages.identifiers_to_clusters",
-    "cluster_planes": "nerfbake.stages.identifiers_to_clusters",
-    "compare_scenes": "nerfbake.stages.scenes_to_comparison",
-    "render_field_and_meshes": "nerfbake.stages.field_and_meshes_to_image",
-    "cut_octree": "nerfbake.stages.octree_to_octree",
-    "fill_octree": "nerfbake.stages.brick_field_to_octree",
-    "field_of_bricks": "nerfbake.stages.brick_field_to_field",
-    "field_of_n3tree": "nerfbake.stages.n3tree_to_field",
-    "field_of_octree": "nerfbake.stages.octree_to_field",
-    "field_of_volume": "nerfbake.stages.volume_to_field",
-    "n3tree_of_bricks": "nerfbake.stages.brick_field_to_n3tree",
-    "octree_of_bricks": "nerfbake.stages.brick_field_to_octree",
-    "octree_of_density": "nerfbake.stages.vdb_to_octree",
-    "refit_bricks": "nerfbake.stages.brick_field_to_brick_field",
-    "render_meshes": "nerfbake.stages.meshes_to_image",
-    "identify_colours": "nerfbake.stages.specular_to_identifiers",
-    "measure_atlas_error": "nerfbake.stages.atlas_to_error",
-    "measure_lattice": "nerfbake.stages.lattice_to_error",
-    "measure_stage1_error": "nerfbake.stages.stage1_to_atlas",
-    "measure_views": "nerfbake.stages.views_to_error",
-    "orbit_cameras": "nerfbake.stages.scene_to_cameras",
-    "render_field": "nerfbake.stages.field_to_image",
-    "octree_of_lattice": "nerfbake.stages.lattice_to_octree",
-    "octree_of_volume": "nerfbake.stages.vdb_to_octree",
-    "sample_n3tree": "nerfbake.stages.shapes_to_n3tree",
-    "sample_stage1": "nerfbake.stages.shapes_to_stage1",
-    "round_field": "nerfbake.stages.field_to_page_field",
-    "round_to_bytes": "nerfbake.stages.page_field_to_field",
-    "render_lattice": "nerfbake.stages.lattice_to_image",
-    "render_stage1": "nerfbake.stages.stage1_to_image",
-    "bake_snapped_maps": "nerfbake.stages.clusters_to_maps",
-    "summarise_scene": "nerfbake.stages.scene_to_summary",
-    "view": "nerfbake.stages.scene_to_page",
-    "vdb_of_bricks": "nerfbake.stages.brick_field_to_vdb",
-    "weigh_directions": "nerfbake.stages.cameras_to_directions",
-}
-
-
-# What people call the scenes, and what they may do with one that a command does not take.
+# Names of the scene types in messages, and advice if a command does not take a scene.
 NOUNS = {
     "Animation": "a moving picture",
     "BakedAtlas": "an atlas folder",
@@ -248,25 +159,25 @@ ADVICE = {
 }
 
 
-def load_compression() -> contract.Compression:
-    return cast(contract.Compression, import_module(COMPRESSION))
+def load_compression() -> contract.CompressionFormat:
+    return cast(contract.CompressionFormat, import_module(COMPRESSION))
 
 
-def load_photographs() -> contract.Photographs:
-    return cast(contract.Photographs, import_module(PHOTOGRAPHS))
+def load_photographs() -> contract.PhotographFormat:
+    return cast(contract.PhotographFormat, import_module(PHOTOGRAPHS))
 
 
-def load_checkpoints() -> contract.Checkpoints:
-    return cast(contract.Checkpoints, import_module(CHECKPOINTS))
+def load_checkpoints() -> contract.CheckpointFormat:
+    return cast(contract.CheckpointFormat, import_module(CHECKPOINTS))
 
 
 def uncompressed(name: str) -> str:
-    """A path, or a format's name, without the ending of a compressed file."""
+    """Remove the extension of a compressed file (.zst) from a path or a format's name."""
     return name[: -len(COMPRESSED)] if name.lower().endswith(COMPRESSED) else name
 
 
 def scene_name(path: str) -> str:
-    """The name of a scene: its file's without the endings of its format, or its folder's."""
+    """The name of a scene: its file name without the extensions of its format, or its folder's name."""
     name = PurePath(path).name
     plain = uncompressed(name)
     suffix = next((form.suffix for form in FORMATS if plain.lower().endswith(form.suffix)), "")
@@ -274,83 +185,87 @@ def scene_name(path: str) -> str:
 
 
 def compressed(form: Format) -> Format:
-    """The same format in a compressed file."""
+    """The same format, compressed with zstd."""
     return form._replace(name=form.name + COMPRESSED, suffix=form.suffix + COMPRESSED)
 
 
 def format_named(name: str, scene: str) -> Format:
-    """The format of this name that holds this scene type. Raises UsageError."""
+    """Return the format of this name that stores this scene type. Raises UsageError."""
     known = formats_of(scene)
     for form in known:
         if form.name == name.removeprefix("."):
             return form
     names = ", ".join(form.name for form in known)
-    raise UsageError(f"{NOUNS[scene]} is not written as {name!r}; allowed: {names}, each with .zst behind it")
+    raise UsageError(f"{NOUNS[scene]} cannot be written as {name!r}; allowed: {names}, each also with .zst")
 
 
 def format_of_path(path: str, scene: str) -> Format:
-    """The format of this scene type that a file's ending stands for. Raises UsageError."""
+    """Return the format of this scene type that has the path's extension. Raises UsageError."""
     known = formats_of(scene)
     for form in known:
         if path.lower().endswith(form.suffix):
             return form
     endings = ", ".join(form.suffix for form in known)
-    raise UsageError(f"{path!r} has no ending that {NOUNS[scene]} is written with; allowed: {endings}, or `to=FORMAT`")
+    raise UsageError(f"{path!r} has no file extension for {NOUNS[scene]}; allowed: {endings}, or `to=FORMAT`")
 
 
 def is_ending(path: str, scene: str) -> bool:
-    """True if a file's ending stands for a format of this scene type."""
+    """True if the path has the extension of a format for this scene type."""
     return path.lower().removesuffix(COMPRESSED).endswith(tuple(form.suffix for form in formats_of(scene)))
 
 
 def formats_of(scene: str) -> list[Format]:
-    """The formats that write this scene type."""
+    """The formats that can write this scene type."""
     return [form for form in FORMATS if form.writable and (form.written or form.scene) == scene]
 
 
 def folders_of(scene: str) -> list[FolderKind]:
-    """The kinds of folders that hold this scene type, one that is written before others."""
+    """The kinds of folders that contain this scene type, in order of preference for writing."""
     return [form for form in FOLDERS if form.scene == scene]
 
 
 def folder_to_write(scene: str) -> FolderKind:
-    """The kind of folder that this scene type is written as. Raises UsageError."""
+    """Return the kind of folder that this scene type is written as. Raises UsageError."""
     written = [kind for kind in FOLDERS if kind.writable]
     for kind in written:
         if kind.scene == scene:
             return kind
     known = ", ".join(dict.fromkeys(kind.scene for kind in written))
-    raise UsageError(f"a {scene} is not written as a folder; allowed: {known}")
+    raise UsageError(f"a {scene} cannot be written as a folder; allowed: {known}")
 
 
 def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> FolderKind:
-    """The kind of folder that these files are; of several the first that holds a wanted scene. Raises InvalidFile."""
+    """Return the kind of folder that these files form. Raises InvalidFile.
+
+    If several kinds match, the first one with a wanted scene type is returned.
+    """
     for form in sorted(FOLDERS, key=lambda form: form.scene not in wanted):
         if form.load_module().recognise(files):
             return form
     names = [form.key for form in FOLDERS if not wanted or form.scene in wanted] or [form.key for form in FOLDERS]
-    raise InvalidFile(
-        f"is a folder that nerfbake does not know; allowed: a file, or a folder with {' or '.join(names)}"
-    )
+    raise InvalidFile(f"is a folder of unknown kind; allowed: a file, or a folder with {' or '.join(names)}")
 
 
 def folder_of_member(name: str, files: Mapping[str, memoryview]) -> FolderKind | None:
-    """The kind of folder that a file of this name stands for among these files, if there is one: of several the first
-    that is of these files, or else the last."""
+    """Return the kind of folder that a file of this name represents, or None.
+
+    If several kinds have a member of this name, the first one that recognises the files is returned, else the last one.
+    """
     known = [form for form in FOLDERS if name in form.members]
     return next((form for form in known[:-1] if form.load_module().recognise(files)), known[-1] if known else None)
 
 
 def require_content(head: bytes) -> None:
-    """Raises InvalidFile for what stands in a checkout for a file that was not fetched, whatever its name is."""
+    """Raise InvalidFile if the file is a Git-LFS pointer, whatever its name is."""
     if head.startswith(LFS_POINTER):
         raise InvalidFile("is a Git-LFS pointer, not the file itself; allowed: the file, which `git lfs pull` fetches")
 
 
 def format_of_content(path: str, view: memoryview) -> Format:
-    """The format of something to read, by its ending; where that leaves several, by what each says of the bytes.
+    """Return the format of a file or stream to read: by its extension, then by its content.
 
-    A stream has no ending, and some endings cover others: an octree's .svo.npz may have been renamed to .npz.
+    The content decides if several formats remain. A stream has no extension, and some extensions contain others: an
+    octree's .svo.npz may have been renamed to .npz.
     """
     known = [form for form in FORMATS if form.readable]
     by_ending = [form for form in known if path.lower().endswith(form.suffix)]
@@ -362,4 +277,4 @@ def format_of_content(path: str, view: memoryview) -> Format:
         return by_ending[0]
     start = bytes(view[:8]).hex(" ") or "nothing"
     endings = ", ".join(form.suffix for form in known)
-    raise InvalidFile(f"starts with {start}, as no known format does; allowed: {endings}")
+    raise InvalidFile(f"starts with {start}, which is no known format; allowed: {endings}")

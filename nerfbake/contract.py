@@ -1,11 +1,11 @@
-"""What a format must offer: the shape of its module, and the options that its encode() takes.
+"""Interfaces of the format modules, and the options of their encode().
 
-A module of `formats/` that stands in the catalog has the functions of FileFormat, or of FolderFormat if it holds more
-than one file; one of volumes has VolumeFormat's, too. tests/rules/test_contract.py holds every module to them.
+A module of `formats/` that is listed in the catalog has the functions of FileFormat, or of FolderFormat if it stores
+several files. A module for volumes also has those of VolumeFormat. tests/rules/test_contract.py checks every module.
 
-encode()'s own signature says which options a format takes: keyword-only arguments, each with its type and its default.
+The signature of encode() defines the options of a format: keyword-only arguments, each with a type and a default.
     def encode(octree: SparseVoxelOctree, *, no_child: Literal[0, -1] = 0) -> Iterator[bytes | memoryview]:
-Nobody hands on an option that was not compared with it by require_options().
+Call require_options() before encode().
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from typing import Any, Literal, NamedTuple, Protocol, Union, get_args, get_orig
 from nerfbake.errors import Problem, UsageError, one_line
 
 Piece = bytes | memoryview
-HEAD = 512  # bytes that are enough to tell most formats by
-_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"))  # those of a line stand for the same kind of picture
-PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # endings that a capture may leave out of a name
-_SHOWN = 60  # characters of a wrong value
+HEAD = 512  # bytes that are enough to recognise most formats
+_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"))  # a tuple for each kind of picture
+PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # extensions that a capture may omit
+_SHOWN = 60  # characters of an invalid value in a message
 
 
 def picture_names(name: str) -> list[str]:
-    """The file names that a picture of this name may have, the first one first.
+    """The possible file names of a picture with this name, the most likely one first.
 
-    Captures leave the ending out, or write it in another case than the file has: a.jpg for a.JPG, or for a.jpeg.
+    Captures omit the extension, or write it differently from the file: a.jpg for a.JPG, or for a.jpeg.
     """
     names = [name, *(name + ending for ending in PICTURES)]
     for kind in _ENDINGS:
@@ -37,8 +37,8 @@ def picture_names(name: str) -> list[str]:
     return names
 
 
-class Scene(Protocol):
-    """What is asked of every scene that a file can hold."""
+class StorableScene(Protocol):
+    """Interface of every scene that can be stored in a file."""
 
     def problems(self) -> list[Problem]: ...
 
@@ -46,91 +46,102 @@ class Scene(Protocol):
 
 
 class FileFormat(Protocol):
-    """A scene as the bytes of one file. Each format has its own type of scene, which the catalog's line names."""
+    """A scene as the bytes of one file. The catalog names the scene type of each format."""
 
     def recognise(self, view: memoryview) -> bool:
-        """Whether these bytes are of this format; never raises. `view` is the whole file, from anybody.
+        """Return whether these bytes are in this format; never raise. `view` is the whole, untrusted file.
 
-        It is asked where several formats share an ending, and of streams, so it must cost next to nothing: the first
-        HEAD bytes are enough for most, and npz_keys() tells what an .npz holds.
+        It is called if several formats share an extension, and for streams, so it must be fast. For most formats the
+        first HEAD bytes are enough; npz_keys() lists the arrays of an .npz.
         """
 
     def encode(self, scene: Any, /, **options: Any) -> Iterable[Piece]:
-        """The file in pieces. Raises InvalidScene for what the format cannot say. Formats that are read alone, as the
-        catalog's line tells, have none."""
+        """Return the file in pieces. Raises InvalidScene if the format cannot represent the scene.
+
+        Formats that are only read (`writable` in the catalog) have no encode().
+        """
 
     def decode(self, view: memoryview, /, **beside: Any) -> Any:
-        """The scene in a whole file. Raises InvalidFile, MemoryLimit.
+        """Return the scene of a whole file. Raises InvalidFile, MemoryLimit.
 
-        beside: `companion` where the catalog's line names one, `beside` where it says so.
+        beside: `companion` if the catalog names one, `beside` if the catalog sets it.
         """
 
 
 class FolderFormat(Protocol):
-    """A scene as the files of one folder, by their names."""
+    """A scene as the files of one folder, by name."""
 
     def recognise(self, files: Mapping[str, memoryview]) -> bool:
-        """Whether the folder is of this kind: by the names of its files, without reading any."""
+        """Return whether the folder is of this kind, from its file names only; no file is read."""
 
     def encode(self, scene: Any, /, **options: Any) -> Iterable[tuple[str, Iterable[Piece]]]:
-        """Each file's name and its bytes in pieces. Kinds that are read alone have no encode()."""
+        """Return each file's name and its bytes in pieces. Kinds that are only read have no encode()."""
 
     def decode(self, files: Mapping[str, memoryview], /, **member: Any) -> Any:
-        """The scene. `member`: the file that was given for the folder, where the catalog's line has members."""
+        """Return the scene. `member`: the file given instead of the folder, if the catalog lists members."""
 
 
 class VolumeFormat(FileFormat, Protocol):
-    """A format of volumes, which says before any work is done what it can hold."""
+    """A format for volumes, which checks the grids before any work is done."""
 
-    DEFAULT_GRIDS: tuple[str, ...]  # of an octree, where nobody says which
-    KEEPS_HALVES: bool  # False: float16 values lose digits here, so that they are written only for those who ask
-    HALF_NOTE: str | None  # what other programs make of a density in halves, if it is not what one expects
+    DEFAULT_GRIDS: tuple[str, ...]  # grids of an octree that are written by default
+    KEEPS_HALVES: bool  # False: float16 values lose precision, so they are written on request only
+    HALF_NOTE: str | None  # a warning if other programs misread float16 densities
 
     def require_grids(self, grids: tuple[str, ...], *, half: bool) -> None:
-        """Raises UsageError for grids of an octree (density, Cd, sh; or index) that a file cannot hold together."""
+        """Raise UsageError if a file cannot store these grids (density, Cd, sh; or index) together."""
 
 
 class PackedFormat(FileFormat, Protocol):
-    """A format that packs what it writes so well that one looks for the scene whose file is as large as it may be."""
+    """A compressed format, for which the compressor searches the parameters that give a file size."""
 
     def coded_size(self, scene: Any, /, **options: Any) -> int:
-        """Bytes of the file that encode() gives."""
+        """Size in bytes of the file that encode() returns."""
 
     def describe_packing(self, view: memoryview, /) -> dict[str, Any]:
-        """What a whole file says of how it was packed, for people and scripts; JSON can hold it. Raises InvalidFile."""
+        """Return how a whole file is compressed, as values that JSON can represent, for people and scripts.
+
+        Raises InvalidFile.
+        """
 
 
 class PageFormat(PackedFormat, Protocol):
-    """A page that people look at, and that is judged by what it carries."""
+    """A page for viewing. Its quality is measured on the scene that it contains."""
 
     def content_of(self, view: memoryview, /) -> Any:
-        """The scene that a whole page carries. Raises InvalidFile, MemoryLimit."""
+        """Return the scene that a whole page contains. Raises InvalidFile, MemoryLimit."""
 
-    def carried(self, view: memoryview, /) -> bytes:
-        """What a page carries of a packed octree's whole file: its bytes as they are, where its script reads them."""
+    def script_readable(self, view: memoryview, /) -> bytes:
+        """Return the bytes that a page stores for the whole file of a compressed octree.
+
+        They are the file's bytes unchanged if the page's script can read them.
+        """
 
 
-class Compression(Protocol):
-    """A further ending of any format."""
+class CompressionFormat(Protocol):
+    """An additional extension of any format."""
 
     def compress(self, pieces: Iterable[Piece], /) -> Iterable[Piece]: ...
 
     def decompress(self, view: memoryview, /) -> memoryview:
-        """Raises InvalidFile; MemoryLimit before more is held than is allowed."""
+        """Raises InvalidFile, and MemoryLimit before the output exceeds the limit."""
 
 
-class Photographs(Protocol):
+class PhotographFormat(Protocol):
     """The pictures that a field is fitted to."""
 
     def decode_photograph(self, view: memoryview, size: tuple[int, int] | None = None, /) -> Any:
-        """(H, W, 4) uint8, sRGB and straight alpha. size: (W, H) of its camera. Raises InvalidFile, MemoryLimit."""
+        """Return (H, W, 4) uint8, sRGB with straight alpha. Raises InvalidFile, MemoryLimit.
+
+        size: (W, H) of the camera.
+        """
 
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
-        """The picture as a PNG of at most so many pixels along each edge. Raises InvalidFile, MemoryLimit."""
+        """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
 
 
-class Checkpoints(Protocol):
-    """Where a piece of work stands, for whoever goes on from there: facts, and arrays by name."""
+class CheckpointFormat(Protocol):
+    """The state of an interrupted computation: facts, and arrays by name."""
 
     def encode_checkpoint(self, facts: Mapping[str, Any], arrays: Mapping[str, Any], /) -> Iterable[Piece]: ...
 
@@ -139,7 +150,7 @@ class Checkpoints(Protocol):
 
 
 class Option(NamedTuple):
-    """An option of encode(). kind is its type, mostly a Literal of the values that are allowed."""
+    """An option of encode(). `kind` is its type, mostly a Literal of the accepted values."""
 
     kind: Any
     default: object
@@ -149,24 +160,24 @@ class Option(NamedTuple):
 
     @property
     def allowed(self) -> str:
-        """In words."""
+        """The accepted values, in words."""
         return ", ".join(_words(self.kind))
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The values that it allows as a command line spells them, the default first."""
+        """The accepted values as spelled on a command line, the default first."""
         words = _words(self.kind)
         return tuple(sorted(words, key=lambda word: word != str(self.default)))
 
 
 def options_of(encode: Callable[..., object]) -> dict[str, Option]:
-    """What this encode() takes, by name."""
+    """The options of this encode(), by name."""
     kinds = get_type_hints(encode)
     return {name: Option(kinds[name], default) for name, default in (encode.__kwdefaults__ or {}).items()}
 
 
 def require_options(form: str, encode: Callable[..., object], given: Mapping[str, object]) -> None:
-    """Raises UsageError, naming the format, for an option that its encode() does not take, or another value of one."""
+    """Raise UsageError, naming the format, if encode() does not take an option or its value."""
     options = options_of(encode)
     for name, value in given.items():
         if name not in options:

@@ -1,13 +1,13 @@
-"""What can go wrong, said in one line, with the exit code that a shell sees.
+"""Exceptions with one-line messages, and the exit codes of the command line.
 
 | exit code | meaning |
 |---|---|
-| 0 | done |
-| 1 | bad input: a file or scene that cannot be right (`NerfbakeError`) |
-| 2 | wrong usage: an option, a format, an ending or a library that there is not (`UsageError`, click's own) |
-| 3 | a quality budget is missed (`BudgetMissed`) |
-| 4 | the output cannot be written (`OutputError`); what stood there before is untouched |
-| 70 | a fault of nerfbake's own: please report it |
+| 0 | success |
+| 1 | bad input: an invalid file or scene (`NerfbakeError`) |
+| 2 | wrong usage: an unknown option, format or extension, or a missing library (`UsageError`, click's own errors) |
+| 3 | a quality limit is missed (`BudgetMissed`) |
+| 4 | the output cannot be written (`OutputError`); an existing output is unchanged |
+| 70 | a bug in nerfbake: please report it |
 | 130, 141, 143 | stopped by Ctrl-C, by a reader that closed the pipe, by SIGTERM |
 """
 
@@ -16,11 +16,11 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-_ALLOWED = "; allowed: "  # between what was found and what is allowed
+_ALLOWED = "; allowed: "  # separates what was found from what is allowed
 
 
 class Problem(NamedTuple):
-    """One thing that is wrong: where, what was found, what is allowed, and how often."""
+    """One defect: its place, what was found, what is allowed, and how often it occurs."""
 
     place: str
     found: str
@@ -33,22 +33,25 @@ class Problem(NamedTuple):
 
     @property
     def line(self) -> str:
-        """As one line, whatever a hostile file put into it."""
+        """One printable line, whatever bytes the file contains."""
         return one_line(str(self))
 
 
-LONGEST_LINE = 300  # characters: a terminal's line or two
+LONGEST_LINE = 300  # characters: one or two lines of a terminal
 
 
 def one_line(text: str, longest: int = LONGEST_LINE) -> str:
-    """At most `longest` printable characters. What was found is shortened in its middle; `; allowed: ` stays."""
+    """Return at most `longest` printable characters.
+
+    The part before `; allowed: ` is shortened in its middle; `; allowed: ` is kept.
+    """
     found, mark, allowed = text.rpartition(_ALLOWED)
     allowed = _shortened(allowed, max(longest * 2 // 5, longest - len(found) - len(mark)) if mark else longest)
     return _shortened(found, longest - len(mark + allowed)) + mark + allowed
 
 
 def _shortened(text: str, longest: int) -> str:
-    """Printable characters; the first two thirds and the end where there are too many."""
+    """Return printable characters. Text that is too long keeps its first two thirds and its end."""
     if len(text) > 4 * longest:
         text = text[: 2 * longest] + text[-2 * longest :]
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
@@ -59,11 +62,11 @@ def _shortened(text: str, longest: int) -> str:
 
 
 _ARGUMENT = re.compile(r"`([a-z][a-z0-9_]*)(?:=([^`]*))?`")
-_OPTIONS = {"memory_limit": "max-memory"}  # arguments that the command line names otherwise
+_OPTIONS = {"memory_limit": "max-memory"}  # arguments whose option has another name
 
 
 def for_shell(text: str) -> str:
-    """The same with --force for `force`, and with --grid NAME for `grid=NAME`."""
+    """Return the text with --force for `force`, and --grid NAME for `grid=NAME`."""
 
     def option(argument: re.Match[str]) -> str:
         name = _OPTIONS.get(argument[1], argument[1].replace("_", "-"))
@@ -73,10 +76,10 @@ def for_shell(text: str) -> str:
 
 
 class NerfbakeError(Exception):
-    """The parent of every error that nerfbake raises on purpose.
+    """Base class of every error that nerfbake raises on purpose.
 
-    str() is one line, which names arguments in backticks. `line` names the command line's options instead. `io` adds
-    the name of the file that is to blame.
+    str() is one line that names arguments in backticks. `line` is the same with the options of the command line. The
+    functions that read and write files add the file's name.
 
     >>> from nerfbake import NerfbakeError, load
     >>> try:
@@ -95,7 +98,7 @@ class NerfbakeError(Exception):
 
     @property
     def problem(self) -> Problem:
-        """The same as place, found and allowed, for scripts."""
+        """The error as place, found and allowed, for scripts."""
         if isinstance(self.what, Problem):
             return self.what
         found, _, allowed = self.what.partition(_ALLOWED)
@@ -106,7 +109,7 @@ class NerfbakeError(Exception):
 
     @property
     def line(self) -> str:
-        """The one line that a shell shows, with `--options`."""
+        """The line for a shell, with `--options`."""
         return self._after_source(one_line(for_shell(str(self.what))))
 
     def _after_source(self, line: str) -> str:
@@ -114,47 +117,47 @@ class NerfbakeError(Exception):
 
 
 class UsageError(NerfbakeError):
-    """A command or call that asks for what there is not."""
+    """A command or call with an unknown option, format or value."""
 
     exit_code = 2
 
 
 class InvalidFile(NerfbakeError):
-    """Bytes that are not what they claim to be."""
+    """A file whose bytes are not valid in its format."""
 
 
 class InvalidScene(NerfbakeError):
-    """Arrays that break the rules of their type, or a stage that has nothing to give back."""
+    """Arrays that are not valid for their scene type, or a stage without a result."""
 
 
 class MemoryLimit(NerfbakeError):
-    """A file or a result that would take more memory than the caller allowed."""
+    """A file or a result that would exceed the memory limit."""
 
     def __init__(self, what: str, need: int, limit: int, *, beside: int = 0) -> None:
-        others = f" beside {format_size(beside)} that are taken" if beside else ""
+        others = f" in addition to {format_size(beside)} in use" if beside else ""
         super().__init__(Problem(what, f"needs {format_size(need)}{others}", f"{format_size(limit)} (`memory_limit`)"))
 
 
 class BudgetMissed(NerfbakeError):
-    """A result that costs more quality than the caller allowed."""
+    """A result that loses more quality than the caller allows."""
 
     exit_code = 3
 
 
 class OutputError(NerfbakeError):
-    """An output that cannot be written, or must not be."""
+    """An output that cannot be written, or must not be replaced."""
 
     exit_code = 4
 
 
 class Stopped(NerfbakeError):
-    """Ctrl-C, after which what there was has been written."""
+    """Ctrl-C, raised after the intermediate result has been written."""
 
     exit_code = 130
 
 
 class PipeClosed(NerfbakeError):
-    """Whoever read our stdout has seen enough."""
+    """The reader of stdout has closed the pipe."""
 
     exit_code = 141
 
@@ -163,7 +166,7 @@ class PipeClosed(NerfbakeError):
 
 
 def format_size(size: float) -> str:
-    """A size in bytes, for people: 1536 -> '1.5 KiB'."""
+    """Format a size in bytes for people: 1536 -> '1.5 KiB'."""
     for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
         if size < 1024 or unit == "TiB":
             break

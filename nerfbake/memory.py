@@ -1,13 +1,13 @@
-"""The memory limit: one number for all data that the process holds at once.
+"""The memory limit: one upper bound for all data that the process holds at once.
 
     with memory_limit(1 << 30):
         octree = build_octree(load("chair.npz"))
 
-Code asks before it allocates: a reader before it trusts a size in a file, a stage before it makes its result. The limit
-is a context variable, like NumPy's errstate, so that no call can forget to pass it on.
+Check the limit before each allocation: a reader before it uses a size from a file, a stage before it creates its
+result. The limit is a context variable, like NumPy's errstate, so that no call can skip the check.
 
-Bytes of data count: files while they are read, what is decoded from them, and results of stages. The interpreter and
-its libraries do not count.
+The limit counts bytes of data: files while they are read, the arrays decoded from them, and the results of stages. It
+does not count the interpreter and its libraries.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Counted = TypeVar("Counted")
 
 
 class _Allowance:
-    """Some bytes, those taken for a while, and those of scenes; keeps: scenes count for as long as they live."""
+    """A limit with the bytes taken temporarily and the bytes of scenes. keeps: count scenes while they exist."""
 
     def __init__(self, limit: int, *, keeps: bool) -> None:
         self.limit, self.keeps = limit, keeps
@@ -39,14 +39,14 @@ class _Allowance:
         self.kept -= size
 
 
-# Outside of memory_limit() every call has the whole default for itself: a notebook may hold as many scenes as it likes.
+# Outside memory_limit() each call has the whole default limit for itself: a notebook may keep any number of scenes.
 _default = _Allowance(DEFAULT, keeps=False)
 _current: ContextVar[_Allowance] = ContextVar("allowance", default=_default)
 
 
 @contextmanager
 def memory_limit(limit: int) -> Iterator[None]:
-    """Bounds, in bytes, what everything inside the block holds together.
+    """Limit the bytes of all data inside the block together.
 
     >>> from nerfbake import NerfbakeError, memory_limit, sample_n3tree
     >>> with memory_limit(1 << 20):
@@ -65,20 +65,20 @@ def memory_limit(limit: int) -> Iterator[None]:
 
 
 def left() -> int:
-    """How many bytes may still be taken."""
+    """The number of bytes that can still be taken."""
     allowance = _current.get()
     return allowance.limit - allowance.held
 
 
 def require(what: str, size: int) -> None:
-    """Raises MemoryLimit if so many bytes do not fit beside what is held already. Takes nothing."""
+    """Raise MemoryLimit if `size` bytes do not fit in addition to those in use. Takes nothing."""
     allowance = _current.get()
     if allowance.held + size > allowance.limit:
         raise MemoryLimit(what, size, allowance.limit, beside=allowance.held)
 
 
 def hold(what: str, size: int) -> None:
-    """Takes so many bytes until the end of the surrounding scope(), where there is one. Raises MemoryLimit."""
+    """Take `size` bytes until the end of the surrounding scope(), if there is one. Raises MemoryLimit."""
     require(what, size)
     if (allowance := _current.get()).scopes:
         allowance.taken += size
@@ -86,7 +86,7 @@ def hold(what: str, size: int) -> None:
 
 @contextmanager
 def lent(what: str, size: int) -> Iterator[None]:
-    """Takes so many bytes for as long as the block lasts. Raises MemoryLimit."""
+    """Take `size` bytes for the duration of the block. Raises MemoryLimit."""
     with scope():
         hold(what, size)
         yield
@@ -94,7 +94,7 @@ def lent(what: str, size: int) -> Iterator[None]:
 
 @contextmanager
 def scope() -> Iterator[None]:
-    """A block at whose end all that was taken inside it is given back."""
+    """Give back all bytes taken inside the block when it ends."""
     allowance = _current.get()
     before = allowance.taken
     allowance.scopes += 1
@@ -106,13 +106,13 @@ def scope() -> Iterator[None]:
 
 
 def kept(scene: Counted) -> Counted:
-    """The same scene, from now on counted for as long as it lives, inside of memory_limit()."""
+    """Return the scene, counted as long as it exists if inside memory_limit()."""
     _keep(scene, size_of(scene))
     return scene
 
 
 def grown(scene: Any, what: str, size: int) -> None:
-    """Counts so many bytes more for a scene, for as long as it lives. Raises MemoryLimit if they do not fit."""
+    """Count `size` more bytes for a scene as long as it exists. Raises MemoryLimit if they do not fit."""
     require(what, size)
     _keep(scene, size)
 
@@ -125,9 +125,9 @@ def _keep(scene: Any, size: int) -> None:
 
 
 def size_of(scene: Any) -> int:
-    """The bytes of all arrays and buffers in a scene, or in a tuple, list or dict of such.
+    """The bytes of all arrays and buffers in a scene, or in a tuple, list or dict of scenes.
 
-    Of what makes its values when they are asked for, it is what that holds now (`held`), not what they would take.
+    For an object that computes its values on demand, only the bytes that it currently holds (`held`) count.
     """
     match scene:
         case tuple() | list():
@@ -138,6 +138,6 @@ def size_of(scene: Any) -> int:
             return scene.nbytes
         case bytes():
             return len(scene)
-    if isinstance(size := getattr(scene, "held", getattr(scene, "nbytes", None)), int):  # of an array: nbytes
+    if isinstance(size := getattr(scene, "held", getattr(scene, "nbytes", None)), int):  # nbytes: an array
         return size
     return sum(map(size_of, vars(scene).values())) if hasattr(scene, "__dataclass_fields__") else 0

@@ -1,11 +1,11 @@
-"""How much of a step is done: loops report it, and whoever listens shows it.
+"""Progress reports: loops report the finished part of a step, and a listener shows it.
 
     with listening(show):
         for camera in each(cameras):  # show(0.25, ""), show(0.5, ""), ...
             render(camera)
 
-The listener is a context variable, so that pure functions need no argument for it. A loop inside a loop's body reports
-its part of that body. Threads that a kernel starts have no listener, and report nothing.
+The listener is a context variable, so that pure functions need no argument for it. A loop inside another loop's body
+reports its part of that body. Threads started by a kernel have no listener and report nothing.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 def report(share: float, detail: str = "") -> None:
-    """Tells the listener, if there is one, that this share of the step is done, 0 to 1, and what is being done."""
+    """Report the finished share of the step, 0 to 1, and the current activity to the listener, if there is one."""
     if (listener := _listener.get()) is not None:
         listener(min(max(share, 0.0), 1.0), detail)
 
 
 @contextmanager
 def listening(listener: Listener | None) -> Iterator[None]:
-    """Inside the block this one hears what is reported, and no other; None: nobody."""
+    """Use this listener, and no other, inside the block; None: no listener."""
     token = _listener.set(listener)
     try:
         yield
@@ -39,7 +39,7 @@ def listening(listener: Listener | None) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float, end: float) -> Iterator[None]:
-    """A block that is the step's part from `begin` to `end`, 0 to 1, whatever share of itself it reports."""
+    """Map the shares reported inside the block, 0 to 1, to the range from `begin` to `end` of the step."""
     outer = _listener.get()
     if outer is None:
         yield
@@ -50,7 +50,7 @@ def part(begin: float, end: float) -> Iterator[None]:
 
 
 def each(items: Collection[Item]) -> Iterator[Item]:
-    """The items of a loop: when its body ends, the step is so much further."""
+    """Yield the items of a loop and report the progress after each one."""
     for number, item in enumerate(items):
         with part(number / len(items), (number + 1) / len(items)):
             yield item

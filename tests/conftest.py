@@ -1,4 +1,4 @@
-"""Fixtures that every test may use, and the rule that real data, where they are, are really tested."""
+"""Shared fixtures, and a check that tests of real data are not skipped if the data are available."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ from tests.support.forks import Forks
 REPOSITORY = Path(__file__).parents[1]
 DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data"))
 
-EXAMPLES = int(os.environ.get("NERFBAKE_EXAMPLES", "25"))  # of each hypothesis; the long run takes 60
+EXAMPLES = int(os.environ.get("NERFBAKE_EXAMPLES", "25"))  # per Hypothesis test; the long run takes 60
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=EXAMPLES)
 hypothesis.settings.load_profile("repeatable")
 
-# Processes that tests start find Python's modules compiled, also where the environment has none of them kept.
+# Processes that tests start share a cache of compiled modules, even if the environment disables caches.
 os.environ["PYTHONPYCACHEPREFIX"] = str(REPOSITORY / "build" / "modules")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# Whoever starts the tests in the background (nohup, a shell's &) has them ignore Ctrl-C, and all that they start, too.
+# If the tests run in the background (nohup, &), they and their child processes inherit that SIGINT is ignored.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 TOOLS = ("nanovdb_convert", "nanovdb_print", "nanovdb_validate", "vdb_print")
+# Fixtures that need programs from `make tools`: a browser, a graphics driver, torch, compilers.
+TOOL_FIXTURES = {"browser", "firefox", "fp16_reader", "generated", "hlsl", "lines", "programs"}
+TOOL_FIXTURES |= {"reader", "runner", "torch"}
 
 Shell = Callable[..., subprocess.CompletedProcess[bytes]]
 
@@ -47,7 +50,7 @@ def chair(data: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def torch() -> str:
-    """A Python that has torch: Debian's, by its package python3-torch."""
+    """The path of a Python with torch: Debian's, with its package python3-torch."""
     python = "/usr/bin/python3"
     if not Path(python).exists() or subprocess.run([python, "-c", "import torch"], capture_output=True).returncode:
         pytest.skip("no torch here: Debian's python3-torch has it")
@@ -63,7 +66,7 @@ def forks() -> Iterator[Forks]:
 
 @pytest.fixture
 def shell(tmp_path: Path, forks: Forks) -> Shell:
-    """Runs the real command line in a folder of its own: shell('svo', 'a.npz', 'b.svo.pb', stdin=b'...')."""
+    """Run the real command line in a new folder: shell('svo', 'a.npz', 'b.svo.pb', stdin=b'...')."""
 
     def run(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
         return forks.run(arguments, tmp_path, stdin)
@@ -71,7 +74,11 @@ def shell(tmp_path: Path, forks: Forks) -> Shell:
     return run
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if isinstance(item, pytest.Function) and TOOL_FIXTURES & {*item.fixturenames}:
+            item.add_marker("tools")
     if missing := [name for name in TOOLS if shutil.which(name) is None]:
         for item in items:
             if item.get_closest_marker("tools"):

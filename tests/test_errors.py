@@ -22,7 +22,7 @@ from nerfbake.errors import (
 )
 
 PACKAGE = Path(nerfbake.__file__).parent
-FLAGS = {"batch/items.py", "formats/wire/page_style.py"}  # a command line of its own, and CSS
+FLAGS = {"batch/items.py", "formats/wire/page.py"}  # a command line of its own, and CSS
 
 
 def test_a_short_line_stays_as_it_is() -> None:

@@ -15,12 +15,12 @@ import pytest
 
 from nerfbake import save
 from nerfbake.bench.access.readers import reading
-from nerfbake.bench.extras import EXTRAS
+from nerfbake.bench.environment import EXTRAS
 from nerfbake.bench.measure import measure
 from nerfbake.cli.main import run
 from tests.conftest import REPOSITORY
 from tests.support.octrees import small_octree
-from tests.support.source import imports, modules
+from tests.support.source import PACKAGE, imports, modules
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 
@@ -36,7 +36,7 @@ def normal(name: str) -> str:
 
 def imported() -> set[str]:
     """Modules from outside that some file of the package imports."""
-    found = {name.partition(".")[0] for path in modules() for name in imports(path)}
+    found = {name.partition(".")[0] for path in (*modules(), PACKAGE / "__init__.py") for name in imports(path)}
     return found - set(sys.stdlib_module_names) - {"nerfbake"}
 
 

@@ -22,9 +22,9 @@ from nerfbake import (
     sample_stage1,
 )
 from nerfbake.errors import MemoryLimit
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.scene.comparison import Comparison
-from nerfbake.stages.atlas_to_error import AtlasError
+from nerfbake.stages.stage1_to_atlas import AtlasError
 from tests.support.meshes import cube
 
 
@@ -32,7 +32,7 @@ def test_what_is_lent_comes_back() -> None:
     with memory.memory_limit(1000):
         with memory.lent("a table", 600):
             assert memory.left() == 400
-            with pytest.raises(MemoryLimit, match=r"^another needs 401 B beside 600 B that are taken; allowed: 1000 B"):
+            with pytest.raises(MemoryLimit, match=r"^another needs 401 B in addition to 600 B in use; allowed: 1000 B"):
                 memory.require("another", 401)
         memory.require("another", 1000)
     assert memory.left() == memory.DEFAULT

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake import bake_stage1, load, octree_of_lattice, progress, sample_stage1
+from nerfbake import bake_stage1, build_octree_from_lattice, load, progress, sample_stage1
 from nerfbake.scene.atlas import METHODS, Method
 from nerfbake.scene.lattice_field import LatticeField
 from tests.support.lattices import svox2, svox2_file
@@ -63,7 +63,7 @@ def test_a_loop_that_ends_early_leaves_the_listener_as_it_was() -> None:
 
 def _sampled(folder: Path) -> None:
     (folder / "a.npz").write_bytes(svox2_file(svox2(plain=False)))
-    octree_of_lattice(load(folder / "a.npz", LatticeField), resolution=(64, 64, 64), basis="SH1")
+    build_octree_from_lattice(load(folder / "a.npz", LatticeField), resolution=(64, 64, 64), basis="SH1")
 
 
 def _baked(folder: Path, method: Method) -> None:

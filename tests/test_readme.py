@@ -12,7 +12,6 @@ import subprocess
 import sys
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -38,13 +37,9 @@ def run(language: str, text: str, folder: Path) -> subprocess.CompletedProcess[b
     return subprocess.run(command, cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, check=False)
 
 
-def case_of(page: Path) -> Any:
-    """The README's blocks are run with all tests; those of all pages together take minutes."""
-    return pytest.param(page, marks=pytest.mark.slow if page == README else pytest.mark.long, id=name_of(page))
-
-
 # A reader may start at any page: each has a folder of its own, and its blocks follow one another there.
-@pytest.mark.parametrize("page", [case_of(page) for page in PAGES if BLOCK.search(page.read_text())])
+@pytest.mark.long
+@pytest.mark.parametrize("page", [page for page in PAGES if BLOCK.search(page.read_text())], ids=name_of)
 def test_the_blocks_of_a_page_run_in_their_order(page: Path, tmp_path: Path) -> None:
     for language, text in BLOCK.findall(page.read_text()):
         if language == "make":
@@ -94,7 +89,7 @@ def test_every_make_target_that_is_named_is_there() -> None:
 
 
 def test_ci_calls_the_test_command() -> None:
-    assert (REPOSITORY / ".ci" / "run").read_text().splitlines()[-2:] == ["make test", "make test-slow"]
+    assert (REPOSITORY / ".ci" / "run").read_text().splitlines()[-2:] == ["make test", "make test-rest"]
     assert "    make test " in README.read_text()
 
 

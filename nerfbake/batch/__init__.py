@@ -1,5 +1,5 @@
-"""Batches: many command lines, each a process of its own, and a state that outlives whoever runs them.
+"""Run many command lines, each in its own process, with a state on disk that survives interruptions.
 
-items and lines say what is to be done, state what has been done; crew, child and room run it; report, page and tables
-tell what came of it. Nothing here knows a scene.
+items defines and parses the command lines. state records their attempts. crew and child run them. report writes the
+results. Nothing in this package depends on scenes.
 """

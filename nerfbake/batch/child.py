@@ -1,38 +1,40 @@
-"""One item in a process of its own: what it said, what it took, how it ended.
+"""Run one item in its own process, and collect its log, result, time, memory peak and exit code.
 
-The item's own process group keeps the terminal's Ctrl-C away from it: whoever runs the batch decides when it stops. On
-Linux it gets SIGTERM when its parent dies, whatever killed that.
+The process has its own process group, so that Ctrl-C in the terminal does not reach it: the batch decides when it
+stops. On Linux it receives SIGTERM when its parent dies for any reason.
 """
 
 from __future__ import annotations
 
+import math
 import os
-import re
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from nerfbake.errors import one_line
-from nerfbake.io.logs import end_of_log, opened_log
+from nerfbake.io import results
+from nerfbake.io.own_files import opened_log, trim_log
 
-PARENT = "NERFBAKE_BATCH"  # the variable that tells a child whose it is
-_NOT_STARTED = 126  # as a shell says it
-_PSNR = re.compile(r"(-?\d+\.\d+) dB(?:, SSIM [\d.]+)? (?:against|on) ")
+PARENT = "NERFBAKE_BATCH"  # environment variable with the process ID of the batch
+_NOT_STARTED = 126  # exit code of a shell for a command that it cannot start
 
 
-class Ended(NamedTuple):
-    """How a process ended.
+class ProcessResult(NamedTuple):
+    """The result of a process.
 
-    code     its exit code; 128 and the signal's number where one killed it
-    killed   it did not end by itself
-    error    the last line that begins with `error: `, without that
-    psnr     the last that it told of what it had written, in dB
+    code     exit code; 128 plus the signal number if a signal killed the process
+    killed   True if a signal killed the process, or if its exit code is 128 or more
+    error    the error message of the command, without `error: `; "" if it reported none
+    psnr     PSNR of the output in dB; None if the command reported none
+    seconds  run time
+    peak     peak memory of the process, in bytes
     """
 
     code: int
@@ -43,18 +45,21 @@ class Ended(NamedTuple):
     peak: int
 
 
-class Children:
-    """The processes that run now. After stop() there are soon none, and no others start."""
+class ChildProcesses:
+    """The running processes. After stop(), they end soon, and no new ones start."""
 
     def __init__(self, command: Sequence[str], threads: int) -> None:
         self._command, self._variables = list(command), _variables(threads)
         self._running: set[int] = set()
         self._lock, self.stopped = threading.Lock(), False
 
-    def run(self, argv: Sequence[str], log: Path) -> Ended | None:
-        """Runs a command line to its end. None after stop(). Raises OutputError where its words cannot be kept."""
+    def run(self, argv: Sequence[str], log: Path) -> ProcessResult | None:
+        """Run a command line and wait for its end. The output of the process goes to the file `log`.
+
+        Returns None after stop(). Raises OutputError if the log cannot be written.
+        """
         begun = time.perf_counter()
-        with opened_log(log) as words:
+        with opened_log(log) as output, _pipe() as (readable, writable):
             with self._lock:
                 if self.stopped:
                     return None
@@ -62,27 +67,37 @@ class Children:
                     process = subprocess.Popen(
                         [*self._command, *argv],
                         stdin=subprocess.DEVNULL,
-                        stdout=words,
-                        stderr=words,
-                        env=self._variables,
+                        stdout=output,
+                        stderr=output,
+                        env={**self._variables, results.VARIABLE: str(writable)},
+                        pass_fds=[writable],
                         start_new_session=True,
                     )
-                except OSError as error:  # a word that is too long for the system
-                    return Ended(_NOT_STARTED, False, f"cannot be started: {error.strerror}", None, 0.0, 0)
+                except OSError as error:  # an argument that is too long for the system
+                    return ProcessResult(_NOT_STARTED, False, f"cannot be started: {error.strerror}", None, 0.0, 0)
                 self._running.add(process.pid)
-            if hasattr(os, "waitid"):  # its number is its own until it is reaped, so that nobody else is ever killed
+            if hasattr(os, "waitid"):  # keep the process ID reserved, so that stop() never signals another process
                 os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
             with self._lock:
                 self._running.discard(process.pid)
             _, status, usage = os.wait4(process.pid, 0)
+            result = results.read_result(readable)
+        trim_log(log)
         code = process.returncode = os.waitstatus_to_exitcode(status)
         peak = usage.ru_maxrss if sys.platform == "darwin" else usage.ru_maxrss * 1024
-        said = end_of_log(log)
-        shown = 128 - code if code < 0 else code
-        return Ended(shown, shown >= 128, _error(said), _psnr(said), time.perf_counter() - begun, peak)
+        exit_code = 128 - code if code < 0 else code
+        message, psnr = result.get("error"), result.get("psnr")
+        return ProcessResult(
+            exit_code,
+            exit_code >= 128,
+            one_line(message) if isinstance(message, str) else "",
+            psnr if isinstance(psnr, float) and math.isfinite(psnr) else None,
+            time.perf_counter() - begun,
+            peak,
+        )
 
     def stop(self, number: int = signal.SIGTERM) -> None:
-        """Sends this signal to each of them, and to what they have started."""
+        """Send this signal to all running processes and to their children."""
         with self._lock:
             self.stopped = True
             for leader in self._running:
@@ -91,21 +106,23 @@ class Children:
 
 
 def nerfbake_command() -> list[str]:
-    """What starts nerfbake as it runs here; a folder of that name where we stand is not meant."""
+    """The command that starts this nerfbake. -P ignores a folder `nerfbake` in the working directory."""
     return [sys.executable, "-P", "-m", "nerfbake"]
 
 
 def _variables(threads: int) -> Mapping[str, str]:
-    """The environment, where all items together use as many threads as there are cores, unless somebody says more."""
+    """The environment of the processes, with the number of threads for each. Variables that the user has set win."""
     bounds = {"NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads)}
     return bounds | os.environ | {PARENT: str(os.getpid())}
 
 
-def _error(said: str) -> str:
-    lines = [line for line in said.splitlines() if line.startswith("error: ")]
-    return one_line(lines[-1].removeprefix("error: ")) if lines else ""
-
-
-def _psnr(said: str) -> float | None:
-    found = _PSNR.findall(said)
-    return float(found[-1]) if found else None
+@contextmanager
+def _pipe() -> Iterator[tuple[int, int]]:
+    """Open a pipe and return both ends: a non-blocking one to read from, and one for the process to write to."""
+    readable, writable = os.pipe()
+    os.set_blocking(readable, False)
+    try:
+        yield readable, writable
+    finally:
+        os.close(readable)
+        os.close(writable)

@@ -1,4 +1,8 @@
-"""Threads that take items one after the other, each of which waits for a process of its own."""
+"""Run items in parallel: a pool of threads, each of which starts a process for one item after another.
+
+With a memory limit, an item starts only when its estimated memory is free. One item always runs, even if it needs more
+than the limit.
+"""
 
 from __future__ import annotations
 
@@ -11,33 +15,84 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
 
-from nerfbake.batch.child import Children, Ended
+from nerfbake.batch.child import ChildProcesses, ProcessResult
 from nerfbake.batch.items import Item
-from nerfbake.batch.room import Room
-from nerfbake.batch.state import DONE, FAILED, KILLED, REJECTED, Attempt, Identity, State, outputs_of
+from nerfbake.batch.state import DONE, FAILED, KILLED, REJECTED, Attempt, ItemIdentity, State, outputs_of
 from nerfbake.errors import BudgetMissed, OutputError
+from nerfbake.io.digests import decoded_bytes
 from nerfbake.io.journal import Event
 
+_PER_BYTE = 4  # bytes of memory per byte of decoded input: its arrays, the results, and pictures that compare them
+_PROGRAM = 160 << 20  # bytes of memory of an interpreter with all libraries
+
+
+class MemoryQueue:
+    """The memory of all running items. limit: their maximum total in bytes; None: no limit."""
+
+    def __init__(self, limit: int | None) -> None:
+        self._limit, self._taken, self._running = limit, 0, 0
+        self._turn, self._changed, self._closed = threading.Lock(), threading.Condition(), False
+
+    @contextmanager
+    def taken(self, need: int) -> Iterator[None]:
+        """Wait until `need` bytes are free or no other item runs, and reserve them for the duration of the block.
+
+        Callers are served in order. Otherwise small items could keep a large one waiting forever.
+        """
+        with self._turn, self._changed:
+            self._changed.wait_for(lambda: self._fits(need))
+            self._taken, self._running = self._taken + need, self._running + 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._taken, self._running = self._taken - need, self._running - 1
+                self._changed.notify_all()
+
+    def _fits(self, need: int) -> bool:
+        return self._limit is None or self._closed or not self._running or self._taken + need <= self._limit
+
+    def close(self) -> None:
+        """Stop waiting for memory: every waiting and later caller of taken() continues at once."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def estimate(self, item: Item, peak: int) -> int:
+        """Estimate the memory of an item in bytes: the peak of its last attempt, else from the size of its inputs.
+
+        peak: peak memory of the last attempt; 0 if there was none.
+        """
+        if self._limit is None:
+            return 0
+        return peak or _PROGRAM + _PER_BYTE * sum(map(decoded_bytes, (*item.reads, *item.albums)))
+
+
 PATIENCE = 10.0  # seconds between SIGTERM and SIGKILL
-_POLL = 0.2  # seconds: a signal that arrives just before a wait begins does not end that wait
-_AGAIN = {OutputError.exit_code}  # beside what was killed: a full disk may have room again
+_POLL = 0.2  # seconds; a signal that arrives just before a wait begins does not end the wait
+_AGAIN = {OutputError.exit_code}  # retried, as killed items are: a full disk may have space again
 
 
-class Told(NamedTuple):
-    """What happened to an item: it began, it was there already, or it was tried. event: as it is recorded."""
+class ItemEvent(NamedTuple):
+    """A change of an item's status.
+
+    number   index of the item
+    attempt  None: the item has started; else its finished attempt, or the earlier one that makes it done
+    event    the record of the attempt in the state; None if this run made no attempt
+    """
 
     number: int
     attempt: Attempt | None
     event: Event | None = None
 
 
-class Plan(NamedTuple):
+class RunPlan(NamedTuple):
     """How items are run.
 
-    jobs       how many beside each other
-    retries    how often one is tried again that was killed, or whose output could not be written
-    fail_fast  no more begin once one is not done
-    verify     inputs and outputs are read, whatever their sizes and times say
+    jobs       number of items that run in parallel
+    retries    number of retries of an item that was killed or could not write its output
+    fail_fast  start no more items after one that is not done
+    verify     compare inputs and outputs by their contents, not by size and time
     """
 
     jobs: int
@@ -46,18 +101,19 @@ class Plan(NamedTuple):
     verify: bool = False
 
 
-class Crew:
-    """Runs items; whatever happens to them is told to whoever called run(), in the thread that did."""
+class WorkerPool:
+    """Runs items in threads, and reports their events in the thread that called run()."""
 
-    def __init__(self, state: State, children: Children, room: Room, plan: Plan) -> None:
+    def __init__(self, state: State, children: ChildProcesses, room: MemoryQueue, plan: RunPlan) -> None:
         self._state, self._children, self._room, self._plan = state, children, room, plan
-        self._events: SimpleQueue[Told | BaseException | int | None] = SimpleQueue()
+        self._events: SimpleQueue[ItemEvent | BaseException | int | None] = SimpleQueue()
         self._next, self._over, self.signal = threading.Lock(), False, 0
 
-    def run(self, items: Sequence[Item], numbers: Sequence[int], tell: Callable[[Told], None]) -> None:
-        """Runs these of the items. Afterwards `signal` is the number of the one that has stopped it, 0 if none has.
+    def run(self, items: Sequence[Item], numbers: Sequence[int], tell: Callable[[ItemEvent], None]) -> None:
+        """Run the items with these numbers, and call tell() for each event.
 
-        Raises what went wrong with the state.
+        Afterwards `signal` is the number of the signal that stopped the run; 0 if none did. Raises the first exception
+        of a thread, for example OutputError if the state cannot be written.
         """
         waiting = iter(numbers)
         work = [threading.Thread(target=self._work, args=(items, waiting)) for _ in range(self._plan.jobs)]
@@ -75,7 +131,7 @@ class Crew:
                     continue
                 if event is None:
                     left -= 1
-                elif isinstance(event, Told):
+                elif isinstance(event, ItemEvent):
                     tell(event)
                 else:
                     if isinstance(event, int):
@@ -95,18 +151,18 @@ class Crew:
 
     @contextmanager
     def _signals(self) -> Iterator[None]:
-        """Ctrl-C and SIGTERM become events, where signals can be had: in the main thread."""
+        """Turn SIGINT and SIGTERM into events. Only the main thread can handle signals."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        heard = [number for number, handler in before.items() if handler not in (signal.SIG_IGN, None)]
-        for number in heard:
+        handled = [number for number, handler in before.items() if handler not in (signal.SIG_IGN, None)]
+        for number in handled:
             signal.signal(number, lambda number, frame: self._events.put(int(number)))
         try:
             yield
         finally:
-            for number in heard:
+            for number in handled:
                 signal.signal(number, before[number])
 
     # -- in each thread --------------------------------------------------------------------------------------------
@@ -126,7 +182,7 @@ class Crew:
     def _do(self, item: Item, number: int) -> None:
         identity = self._state.identify(item, verify=self._plan.verify)
         if (done := self._state.done(identity, verify=self._plan.verify)) is not None:
-            self._events.put(Told(number, done))
+            self._events.put(ItemEvent(number, done))
             return
         last = self._state.last(identity)
         with self._room.taken(self._room.estimate(item, last.peak if last else 0)):
@@ -134,43 +190,46 @@ class Crew:
                 if self._over or not self._try(item, identity, number, again + 1):
                     break
 
-    def _try(self, item: Item, identity: Identity, number: int, attempt: int) -> bool:
-        """Tries an item once. True if it is worth another try."""
+    def _try(self, item: Item, identity: ItemIdentity, number: int, attempt: int) -> bool:
+        """Run an item once. True if a retry may succeed."""
         at = time.time()
         claims = self._state.begin(item, identity, at)
         argv = item.forced() if self._state.may_replace(item) else item.argv
-        self._events.put(Told(number, None))
+        self._events.put(ItemEvent(number, None))
         for path in item.writes:
             _make_parents(path)
-        ended = self._children.run(argv, self._state.folder / "log" / identity.id)
-        if ended is None:  # between its start and that of its process the batch was stopped
-            ended = Ended(128 + signal.SIGTERM, True, "the batch was stopped before this began", None, 0.0, 0)
-        found = _judged(item, ended)._replace(read=identity.read, number=attempt, at=at)
+        result = self._children.run(argv, self._state.folder / "log" / identity.id)
+        if result is None:  # the batch was stopped after the start was recorded
+            result = ProcessResult(
+                128 + signal.SIGTERM, True, "the batch was stopped before this item started", None, 0.0, 0
+            )
+        found = _attempt_of(item, result)._replace(read=identity.read, number=attempt, at=at)
         event = self._state.end(item, identity, found, claims)
         if found.status != DONE and self._plan.fail_fast:
             self._over = True
-        self._events.put(Told(number, found, event))
+        self._events.put(ItemEvent(number, found, event))
         return found.status == KILLED or found.code in _AGAIN
 
 
-def _judged(item: Item, ended: Ended) -> Attempt:
-    """What a process has left behind."""
-    status, error = FAILED, ended.error
-    outputs = outputs_of(item.writes if ended.code == 0 else item.spare if ended.code == BudgetMissed.exit_code else ())
-    if ended.killed:
-        status, error = KILLED, error or f"was killed (exit {ended.code})"
-    elif ended.code == BudgetMissed.exit_code:
+def _attempt_of(item: Item, result: ProcessResult) -> Attempt:
+    """The attempt that a process made, with its status and outputs."""
+    status, error = FAILED, result.error
+    written = item.writes if result.code == 0 else item.spare if result.code == BudgetMissed.exit_code else ()
+    outputs = outputs_of(written)
+    if result.killed:
+        status, error = KILLED, error or f"was killed (exit {result.code})"
+    elif result.code == BudgetMissed.exit_code:
         status = REJECTED
-    elif ended.code == 0 and len(outputs) == len(item.writes):
+    elif result.code == 0 and len(outputs) == len(item.writes):
         status = DONE
-    elif ended.code == 0:
-        gone = sorted({*item.writes} - {output.path for output in outputs})
-        error = f"{gone[0]}: was not written, though the command says that it is done"
-    return Attempt(status, ended.code, error, ended.seconds, ended.peak, outputs=outputs, psnr=ended.psnr)
+    elif result.code == 0:
+        missing = sorted({*item.writes} - {output.path for output in outputs})
+        error = f"{missing[0]}: was not written, although the command succeeded"
+    return Attempt(status, result.code, error, result.seconds, result.peak, outputs=outputs, psnr=result.psnr)
 
 
 def _make_parents(path: str) -> None:
-    """The folder that an output goes to; where there can be none, the command itself says why."""
+    """Create the folder of an output. If this fails, the command itself reports the error."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -1,25 +1,35 @@
-"""What a batch is made of, and what may not stand in one batch."""
+"""Items of a batch: parse command lines, and check that they do not conflict.
+
+Command lines come from a file, or from a template that is filled with each input:
+
+    svo {in} baked/{stem}.svo.pb --resolution 256
+
+A line is split at spaces and quotes, as in a shell, before the placeholders are filled: file names may contain spaces,
+quotes, line breaks and braces. No other shell syntax is supported: no variables, no patterns, no pipes.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 from typing import NamedTuple
 
+from nerfbake.catalog import FORMATS, uncompressed
 from nerfbake.errors import UsageError, one_line
 from nerfbake.io import STREAM, rejected_path
 
 
 class Item(NamedTuple):
-    """A command line of nerfbake, and what it reads and writes.
+    """A command line of nerfbake, with the paths that it reads and writes.
 
-    argv    the words after `nerfbake`
-    reads   files and folders whose content counts
-    writes  files and folders that are there when it is done
-    albums  captures of which the photographs count, too: those in a folder, or beside and below a file
-    spare   what it may write beside: a result that was rejected, checkpoints
+    argv    the arguments after `nerfbake`
+    reads   files and folders that it reads
+    writes  files and folders that exist when it is done
+    albums  captures that it reads with their photographs: those in a folder, or beside and below a file
+    spare   further paths that it may write: a rejected output, checkpoints
     """
 
     argv: tuple[str, ...]
@@ -30,27 +40,27 @@ class Item(NamedTuple):
 
     @property
     def line(self) -> str:
-        """The whole command line, which a shell takes, and parse_lines() again."""
+        """The whole command line, quoted for a shell and for parse_lines()."""
         return shlex.join(("nerfbake", *self.argv))
 
     @property
     def pasteable(self) -> str:
-        """The same on one line, in letters that every terminal and page has: for bash and zsh."""
+        """The whole command line on one line, with escapes for characters that are not printable: for bash and zsh."""
         return " ".join(map(_pasteable, ("nerfbake", *self.argv)))
 
     @property
     def name(self) -> str:
-        """What a terminal calls it: its first input."""
+        """A short name for terminals: the file name of the first input."""
         return one_line(PurePath(*(*self.reads, *self.albums, *self.argv)[:1]).name, 40)
 
     @property
     def rejected(self) -> tuple[str, ...]:
-        """Of `spare`, what an output becomes that misses its budget."""
+        """The paths in `spare` that rejected outputs are written to."""
         names = {str(rejected_path(path)) for path in self.writes}
         return tuple(path for path in self.spare if path in names)
 
     def forced(self) -> tuple[str, ...]:
-        """argv, which replaces what it finds."""
+        """argv with --force, which replaces existing outputs."""
         at = self.argv.index("--") if "--" in self.argv else len(self.argv)
         return (*self.argv[:at], "--force", *self.argv[at:])
 
@@ -66,52 +76,55 @@ def _bytes(word: str) -> bytes:
     return word.encode("utf-8", "surrogateescape")
 
 
-_SEVERAL = -1
+_SEVERAL = -1  # number of the item for a path that several items read
 
 
 def require_apart(items: Sequence[Item], keep: Sequence[str] = ()) -> None:
-    """Raises UsageError where two items write the same, where one writes what another or itself reads, and where one
-    writes `keep`, or a folder around it: all of it would go wrong at some time, depending on who comes first.
+    """Check that the result does not depend on the order in which the items run. Call it before running them.
+
+    Raises UsageError if two items write the same path, if an item writes a path that it or another item reads, or if
+    an item writes a path in `keep` or a folder around one.
     """
     writers: dict[str, int] = {}
     for number, item in enumerate(items):
         require_names(item)
         for path in (*item.writes, *item.spare):
             if (other := writers.setdefault(_real(path), number)) != number:
-                raise _clash(items, number, f"writes {path!r}, as {_told(items, other)} does", "an output of its own")
+                raise _conflict(items, number, f"writes {path!r}, as {_label(items, other)} does", "another output")
     readers: dict[str, int] = {}
     for number, item in enumerate(items):
         for path in (*item.reads, *item.albums):
             real = _real(path)
             readers[real] = _SEVERAL if readers.get(real, number) != number else number
             if (writer := _writer_of(real, writers)) is not None:
-                raise _clash(items, writer, f"writes {path!r}, which {_told(items, number)} reads", "another output")
+                found = f"writes {path!r}, which {_label(items, number)} reads"
+                raise _conflict(items, writer, found, "another output")
     for path, number in writers.items():
-        for folder in _around(path):
+        for folder in _parents(path):
             if readers.get(folder, number) != number:
-                raise _clash(items, number, f"writes into {folder!r}, which others read", "an output elsewhere")
+                raise _conflict(items, number, f"writes into {folder!r}, which another item reads", "another folder")
             if writers.get(folder, number) != number:
-                raise _clash(items, number, f"writes into {folder!r}, which another writes", "an output elsewhere")
+                raise _conflict(items, number, f"writes into {folder!r}, which another item writes", "another folder")
     for path in keep:
         if (writer := _writer_of(_real(path), writers)) is not None:
-            raise _clash(items, writer, f"writes {path!r}, which belongs to the batch", "an output elsewhere")
+            raise _conflict(items, writer, f"writes {path!r}, which belongs to the batch", "another output")
 
 
 def require_names(item: Item) -> None:
-    """Raises UsageError for a stream, which a batch has not, and for a word that no process can be given."""
+    """Raise UsageError if the item reads or writes a stream, or if an argument or path contains NUL."""
     if STREAM in (*item.reads, *item.albums, *item.writes, *item.spare):
         raise UsageError(f"{item.pasteable}: reads or writes a stream; allowed in a batch: files and folders")
     for word in (*item.argv, *item.reads, *item.albums, *item.writes, *item.spare):
         if "\0" in word:
-            raise UsageError(f"{word!r} has a NUL; allowed: words and names without one")
+            raise UsageError(f"{word!r} has a NUL; allowed: arguments and paths without one")
 
 
 def _writer_of(path: str, writers: dict[str, int]) -> int | None:
-    """Who writes this, or a folder around it."""
-    return next((writers[place] for place in (path, *_around(path)) if place in writers), None)
+    """The number of the item that writes this path or a folder around it; None if no item does."""
+    return next((writers[place] for place in (path, *_parents(path)) if place in writers), None)
 
 
-def _around(path: str) -> Iterator[str]:
+def _parents(path: str) -> Iterator[str]:
     return map(str, PurePath(path).parents)
 
 
@@ -119,9 +132,110 @@ def _real(path: str) -> str:
     return os.path.realpath(path)
 
 
-def _told(items: Sequence[Item], number: int) -> str:
+def _label(items: Sequence[Item], number: int) -> str:
+    """The name of an item in errors: its number, from 1, and its command line."""
     return f"item {number + 1} ({one_line(items[number].pasteable, 80)})"
 
 
-def _clash(items: Sequence[Item], number: int, found: str, allowed: str) -> UsageError:
-    return UsageError(f"{_told(items, number)} {found}; allowed: {allowed}")
+def _conflict(items: Sequence[Item], number: int, found: str, allowed: str) -> UsageError:
+    return UsageError(f"{_label(items, number)} {found}; allowed: {allowed}")
+
+
+_BRACES = re.compile(r"\{\{|\}\}|\{[^{}]*\}|[{}]")
+_SUFFIXES = sorted({form.suffix for form in FORMATS}, key=len, reverse=True)
+
+
+class CommandLine(NamedTuple):
+    """The arguments of a command line without `nerfbake`, and its source for errors."""
+
+    argv: tuple[str, ...]
+    place: str
+
+
+def fill_template(template: str, inputs: Sequence[str]) -> list[CommandLine]:
+    """Return a command line for each input.
+
+    {in} is replaced by the input, {name} by its last path component, {stem} by that name without the extension of its
+    format, and {dir} by its folder. {{ and }} stand for braces. Raises UsageError for other placeholders, or if the
+    template has no {in}.
+    """
+    place = "the template"
+    words = _split(template, place)
+    known = ", ".join(f"{{{name}}}" for name in _fields("a"))
+    found = {part for word in words for part in _BRACES.findall(word)} - {"{{", "}}"}
+    for part in sorted(found - {f"{{{name}}}" for name in _fields("a")}):
+        raise UsageError(f"{place} has {part!r}; allowed: {known}, and {{{{ or }}}} for a brace")
+    if "{in}" not in found:
+        raise UsageError(f"{place} has no {{in}}; allowed: 'svo {{in}} {{stem}}.svo.pb', for example")
+    return [CommandLine(tuple(_fill(word, _fields(path)) for word in words), f"input {path!r}") for path in inputs]
+
+
+def parse_lines(text: str, name: str) -> Iterator[CommandLine]:
+    """Parse the command lines of a file, each with or without a leading `nerfbake`.
+
+    Empty lines and lines that start with # are skipped. A command line continues on the next line inside quotes, or
+    after a backslash. name: the name of the file in errors. Raises UsageError.
+    """
+    begun, start, quote = "", 0, ""
+    for number, line in enumerate(text.split("\n"), 1):
+        if not begun:
+            start = number
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+        quote, escaped = _open_at_end(line, quote)
+        if escaped and not quote:
+            begun += line[:-1]
+        elif quote:
+            begun += f"{line}\n"
+        else:
+            words, begun = _split(begun + line, f"{name}, line {start}"), ""
+            yield CommandLine(tuple(words[1:] if words[:1] == ["nerfbake"] else words), f"{name}, line {start}")
+    if begun:
+        raise _line_error(f"{name}, line {start}", "no closing quotation" if quote else "no end")
+
+
+def _open_at_end(line: str, quote: str) -> tuple[str, bool]:
+    """The quote that is open at the end of a line ('' for none), and whether the line ends with a backslash.
+
+    quote: the quote that is open at its start.
+    """
+    escaped = False
+    for letter in line:
+        if escaped:
+            escaped = False
+        elif letter == "\\" and quote != "'":
+            escaped = True
+        elif quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+    return quote, escaped
+
+
+def _split(text: str, place: str) -> list[str]:
+    if "\0" in text:
+        raise _line_error(place, "a NUL")
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise _line_error(place, str(error).lower()) from None
+
+
+def _line_error(place: str, found: str) -> UsageError:
+    return UsageError(f"{place} has {found}; allowed: a command line, quoted as for a shell")
+
+
+def _fields(path: str) -> dict[str, str]:
+    """The values of the placeholders for an input."""
+    pure = PurePath(path)
+    return {"in": path, "name": pure.name, "stem": _stem(pure.name), "dir": str(pure.parent)}
+
+
+def _stem(name: str) -> str:
+    bare = uncompressed(name)
+    suffix = next((suffix for suffix in _SUFFIXES if bare.lower().endswith(suffix)), PurePath(bare).suffix)
+    return bare.removesuffix(bare[len(bare) - len(suffix) :]) or name
+
+
+def _fill(word: str, parts: dict[str, str]) -> str:
+    return _BRACES.sub(lambda found: parts.get(found[0].strip("{}"), found[0][0]), word)

@@ -1,22 +1,166 @@
-"""What came of a batch: an item a row, and what they come to. The same state gives the same report."""
+"""Collect the results of a batch, and write them as a report: Markdown, CSV or a self-contained HTML page.
+
+A report has one row per item. Markdown and HTML list the items that are not done first. The page also shows small
+pictures of the outputs. The same state gives the same report. This module also saves and loads the plan of a batch.
+"""
 
 from __future__ import annotations
 
+import csv
+import html
+import os
 import signal
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any, NamedTuple
 
+from nerfbake import io
 from nerfbake.batch.items import Item
 from nerfbake.batch.state import DONE, FAILED, KILLED, REJECTED, WAITING, Attempt
+from nerfbake.errors import NerfbakeError, OutputError, UsageError, format_size, one_line
+from nerfbake.formats.wire.page import END, beginning, figure, picture, table, text
+from nerfbake.io.journal import Journal, read_journal
+from nerfbake.io.own_files import require_no_link
 
-WORST = 10  # rows of the lists of what stands out
+COLUMNS = ("item", "status", "seconds", "peak MB", "MB in", "MB out", "ratio", "PSNR dB")
+
+
+def row_values(row: Row) -> list[float | None]:
+    """The values of a row in COLUMNS after its status; None for an unknown value."""
+    attempt = row.attempt
+    if attempt is None:
+        return [None] * 6
+    ratio = attempt.written / attempt.read if attempt.read and attempt.written else None
+    return [attempt.seconds, attempt.peak / 1e6, attempt.read / 1e6, attempt.written / 1e6, ratio, attempt.psnr]
+
+
+def row_texts(values: list[float | None]) -> list[str]:
+    """The values of figures() as text; '' for an unknown value."""
+    digits = (".2f", ".0f", ".2f", ".2f", ".1%", ".2f")
+    return ["" if value is None else format(value, form) for value, form in zip(values, digits, strict=True)]
+
+
+def as_csv(batch: Batch) -> str:
+    """The batch as CSV, for spreadsheets, with exact values."""
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["command", "status", "exit", "error", "seconds", "peak_bytes", "bytes_in", "bytes_out", "psnr"])
+    for row in batch.rows:
+        writer.writerow([row.item.pasteable, row.status, *_exact(row)])
+    return text.getvalue()
+
+
+def _exact(row: Row) -> list[Any]:
+    attempt = row.attempt
+    if attempt is None:
+        return [""] * 7
+    psnr = "" if attempt.psnr is None else attempt.psnr
+    return [attempt.code, one_line(attempt.error), attempt.seconds, attempt.peak, attempt.read, attempt.written, psnr]
+
+
+def as_markdown(batch: Batch) -> str:
+    """The batch as Markdown. Items that are not done come first."""
+    parts = ["# Batch", batch.told + ".", *(f"- {_cell(machine)}" for machine in batch.machines)]
+    if faults := batch.faults:
+        parts.append("## Not done")
+        parts += [_markdown_fault(row) for row in faults]
+    parts += ["## Items", _markdown_table(batch.rows)]
+    for title, rows in batch.outstanding():
+        parts += [f"## {title}", _markdown_table(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _markdown_fault(row: Row) -> str:
+    error = f": {one_line(row.attempt.error)}" if row.attempt and row.attempt.error else ""
+    return f"- {row.status}{_cell(error)}\n\n      {row.item.pasteable}"
+
+
+def _markdown_table(rows: Any) -> str:
+    lines = [COLUMNS, ("---", "---", *["---:"] * 6)]
+    lines += [(_cell(row.item.name), row.status, *row_texts(row_values(row))) for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    return "".join(f"\\{letter}" if letter in "\\|`*_<[&" else letter for letter in text)
+
+
+_DIGITS = (".2f", ",.0f", ",.2f", ",.2f", ".1%", ".2f")
+_WRAPPED = "white-space: pre-wrap; overflow-wrap: anywhere"
+_ABOUT = (
+    "Seconds and peaks are those of each item's own process. The ratio is of what it wrote to what it read. PSNR is "
+    "what the command itself said of its output. An item that waits has not been tried as it is now."
+)
+
+
+class Thumbnail(NamedTuple):
+    """A small picture of an output. name: path of the output; png: the bytes of a PNG file."""
+
+    name: str
+    png: bytes
+
+
+def as_page(batch: Batch, thumbnails: Sequence[Thumbnail] = ()) -> str:
+    """The batch as an HTML page. The same batch gives the same bytes."""
+    return "".join(_parts(batch, thumbnails))
+
+
+def _parts(batch: Batch, thumbnails: Sequence[Thumbnail]) -> Iterator[str]:
+    yield beginning("Batch")
+    kind, words = ("holds", "All done") if not batch.exit_code else ("missed", "Not all done")
+    yield f'<h1>Batch <span>of {len(batch.rows):,}</span></h1>\n<p class="verdict {kind}">{words}</p>\n'
+    yield _tiles(batch)
+    if batch.faults:
+        yield f"<h2>Not done</h2>\n{''.join(map(_html_fault, batch.faults))}"
+    if thumbnails:
+        pictures = "".join(picture(each.png, "", text(each.name)) for each in thumbnails)
+        yield f'<h2>Pictures</h2>\n<div class="row">\n{pictures}</div>\n'
+    for title, rows in batch.outstanding():
+        yield f"<h2>{title}</h2>\n{_html_table(rows)}"
+    yield f"<h2>Items</h2>\n{_html_table(batch.rows)}"
+    machines = "".join(f"<li>{text(machine)}</li>" for machine in batch.machines)
+    yield f'<h2>Where it ran</h2>\n<ul>{machines}</ul>\n<p class="about">{_ABOUT}</p>\n{END}'
+
+
+def _tiles(batch: Batch) -> str:
+    totals = batch.totals
+    tiles = {status: figure(count, ",") for status, count in batch.counts.items()}
+    tiles |= {"seconds of processes": figure(totals.seconds, ",.1f"), "read": _size(totals.read)}
+    tiles |= {"written": _size(totals.written), "largest peak": _size(totals.peak)}
+    return f"<dl>{''.join(f'<div><dt>{name}</dt><dd>{told}</dd></div>' for name, told in tiles.items())}</dl>\n"
+
+
+def _size(count: int) -> str:
+    return f'<data value="{count}">{format_size(count)}</data>'
+
+
+def _html_fault(row: Row) -> str:
+    """The error of an item, and its whole command line to paste, of any length."""
+    error = f": {text(row.attempt.error)}" if row.attempt and row.attempt.error else ""
+    code = f" (exit {row.attempt.code})" if row.attempt else ""
+    command = f'<pre style="{_WRAPPED}">{html.escape(row.item.pasteable)}</pre>'
+    return f'<section>\n<p class="missed">{row.status}{code}{error}</p>\n{command}\n</section>\n'
+
+
+def _html_table(rows: Sequence[Row]) -> str:
+    return f'<div style="overflow-x: auto">{table(COLUMNS, map(_cells, rows))}</div>\n'
+
+
+def _cells(row: Row) -> list[str]:
+    status = row.status if row.status == DONE else f"<strong>{row.status}</strong>"
+    told = ("" if value is None else figure(value, form) for value, form in zip(row_values(row), _DIGITS, strict=True))
+    return [text(row.item.name), status, *told]
+
+
+WORST = 10  # maximum rows of the lists of slowest, biggest and worst items
 STATUSES = (DONE, FAILED, KILLED, REJECTED, WAITING)
-_FAULTS = (FAILED, KILLED, REJECTED, WAITING)  # what stands first
+_FAULTS = (FAILED, KILLED, REJECTED, WAITING)  # in the order of the report
 
 
 class Row(NamedTuple):
-    """An item, and what came of it the last time; None: it has not been tried as it is now."""
+    """An item and its last attempt. attempt: None if the item has not been tried as it is now."""
 
     item: Item
     attempt: Attempt | None
@@ -28,12 +172,12 @@ class Row(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What came of a batch.
+    """The results of a batch.
 
-    rows      an item each, in their order
-    ran       how many were tried in this run
-    stopped   the number of the signal that ended it early; 0: none
-    machines  where it ran, and with which versions
+    rows      one for each item, in the order of the items
+    ran       number of items that were tried in this run
+    stopped   number of the signal that stopped the run early; 0 if none did
+    machines  the machines that ran items, with their versions of Python and nerfbake
     """
 
     rows: tuple[Row, ...]
@@ -43,13 +187,13 @@ class Batch(NamedTuple):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many items are done, failed, killed, rejected, waiting; without those that no item is."""
+        """The number of items by status: done, failed, killed, rejected, waiting. A status without items is omitted."""
         found = Counter(row.status for row in self.rows)
         return {status: found[status] for status in STATUSES if found[status]}
 
     @property
     def exit_code(self) -> int:
-        """0 all are done; 1 some are not; 3 only quality budgets were missed; 130, 143 it was stopped."""
+        """0: all items are done; 1: some are not; 3: only quality budgets were missed; 130, 143: it was stopped."""
         if self.stopped:
             return 128 + self.stopped
         missing = set(self.counts) - {DONE}
@@ -57,12 +201,12 @@ class Batch(NamedTuple):
 
     @property
     def faults(self) -> list[Row]:
-        """Rows that are not done: those that failed first, then killed, rejected and waiting ones."""
+        """The rows of items that are not done: failed, then killed, rejected and waiting ones."""
         return sorted((row for row in self.rows if row.status != DONE), key=lambda row: _FAULTS.index(row.status))
 
     @property
     def told(self) -> str:
-        """The counts in words."""
+        """A summary in words: the number of items by status, and the signal that stopped the run."""
         counts = ", ".join(f"{count:,} {status}" for status, count in self.counts.items())
         early = f"; stopped by {signal.Signals(self.stopped).name}" if self.stopped else ""
         return f"{len(self.rows):,} item{'s' * (len(self.rows) != 1)}{': ' * bool(counts)}{counts}{early}"
@@ -78,14 +222,17 @@ class Batch(NamedTuple):
         )
 
     def outstanding(self) -> list[tuple[str, list[Row]]]:
-        """Lists of rows that stand out, by what they stand out in, each of those that can be compared."""
+        """The lists of slowest, biggest and worst items that are done, with their titles.
+
+        A list with fewer than two rows is left out.
+        """
         done = [row for row in self.rows if row.status == DONE]
         lists = [(title, _most(done, value)) for title, value in _LISTS]
         return [(title, rows) for title, rows in lists if len(rows) > 1]
 
 
 class Totals(NamedTuple):
-    """Of all items together: seconds of their processes, bytes read and written; peak: of the largest, bytes."""
+    """Totals of all items: run time in seconds, bytes read and written. peak: the largest memory peak in bytes."""
 
     seconds: float
     read: int
@@ -103,3 +250,94 @@ _LISTS: tuple[tuple[str, Callable[[Attempt], float | None]], ...] = (
     ("Biggest", lambda attempt: attempt.written or None),
     ("Worst PSNR", lambda attempt: None if attempt.psnr is None else -attempt.psnr),
 )
+
+
+THUMBNAILS, EDGE, BYTES = 48, 192, 2_000_000  # limits of a page: pictures, pixels along their edges, total bytes
+_NO_PICTURES = (".depth.png", ".alpha.png")  # pictures that the page does not show
+_REPORTS = (".html", ".md", ".csv")
+
+
+def save_plan(state: str | Path, items: Sequence[Item]) -> None:
+    """Write the command lines of the whole batch to its state, for the report after all shards have ended.
+
+    Raises OutputError.
+    """
+    path = Path(state) / "plan.txt"
+    text = os.fsencode("".join(f"{item.line}\n" for item in items))
+    require_no_link(path)
+    with io.blame(str(path), OutputError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with io.replacing(path, force=True) as file:
+            file.write(text)
+
+
+def load_plan(state: str | Path) -> str:
+    """Return the text that save_plan() wrote. Raises NerfbakeError."""
+    path = Path(state) / "plan.txt"
+    require_no_link(path)
+    return io.load_lines(path)
+
+
+def require_report(state: str | Path, path: str | Path | None) -> None:
+    """Check that the report can be written. Call it before running items. A report of the same batch may be replaced.
+
+    Raises UsageError for another file extension, and OutputError if the path cannot be written.
+    """
+    if path is None:
+        return
+    if Path(path).suffix not in _REPORTS:
+        raise UsageError(f"the extension of {str(path)!r} is not that of a report; allowed: {', '.join(_REPORTS)}")
+    io.require_absent(path, force=_is_own(state, path), parents=True)
+
+
+def _is_own(state: str | Path, path: str | Path) -> bool:
+    """True if a report of this batch has been written to the path."""
+    own = str(Path(path).absolute())
+    return any(event.get("report") == own for event in read_journal(Path(state) / "reports.jsonl"))
+
+
+def write_report(batch: Batch, path: str | Path, *, state: str | Path) -> None:
+    """Write a batch as a page (.html) or tables (.md, .csv), and replace its last report at this path.
+
+    Raises UsageError for another file extension, and OutputError.
+    """
+    require_report(state, path)
+    text = {".html": _page, ".md": as_markdown, ".csv": as_csv}[Path(path).suffix](batch)
+    if not _is_own(state, path):
+        journal = Journal(Path(state) / "reports.jsonl")
+        journal.write({"report": str(Path(path).absolute())})
+        journal.close()
+    with io.blame(str(path), OutputError):
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with io.replacing(Path(path), force=True) as file:
+            file.write(text.encode(errors="backslashreplace"))
+
+
+def _page(batch: Batch) -> str:
+    return as_page(batch, thumbnails(batch))
+
+
+def thumbnails(batch: Batch) -> list[Thumbnail]:
+    """Small pictures of the outputs, up to the limits of a page. Pictures that cannot be read are left out."""
+    found: list[Thumbnail] = []
+    remaining = BYTES
+    for row in batch.rows:
+        for output in row.attempt.outputs if row.attempt and row.status == DONE else ():
+            if len(found) == THUMBNAILS or remaining <= 0:
+                return found
+            path = io.picture_in(output.path)
+            if path is None or path.name.endswith(_NO_PICTURES):
+                continue
+            try:
+                png = io.load_thumbnail(path, EDGE)
+            except NerfbakeError:
+                continue
+            if len(png) <= remaining:
+                found.append(Thumbnail(output.path, png))
+                remaining -= len(png)
+    return found
+
+
+def snakefile() -> Path:
+    """The path of the Snakefile that runs the shards of a batch."""
+    return Path(__file__).with_name("Snakefile")

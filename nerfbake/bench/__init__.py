@@ -1,1 +1,1 @@
-"""Measuring, and saying what was measured."""
+"""Measurements of time, memory, size and error, and reports about them."""

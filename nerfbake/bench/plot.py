@@ -1,4 +1,4 @@
-"""Charts that need no legend: every mark says what it is."""
+"""Charts with a label at every mark or curve."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COLOURS = ("#0b6e99", "#b5532a", "#7a7a7a", "#5b8c3a")
 
 
 class Mark(NamedTuple):
-    """x and y with what stands beside it; marks of a group share a colour."""
+    """A point with a label; marks of a group share a colour."""
 
     label: str
     x: float
@@ -21,7 +21,7 @@ class Mark(NamedTuple):
 
 
 def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -> bytes:
-    """The marks on logarithmic axes, labelled, as an image of the format that the suffix names (.png, .svg)."""
+    """Draw labelled marks on logarithmic axes; return an image in the format of the suffix (.png, .svg)."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     with _drawn(suffix) as (figure, axes, image):
@@ -42,7 +42,7 @@ def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -
 
 
 def lines(curves: Mapping[str, Sequence[tuple[float, float]]], *, title: str, x: str, y: str, suffix: str) -> bytes:
-    """Curves of points in the order of their x, each with its name at its end, as an image."""
+    """Draw curves, each with its name at its last point; return an image. The points are in the order of their x."""
     with _drawn(suffix) as (_, axes, image):
         for colour, (name, points) in zip(cycle(COLOURS), curves.items(), strict=False):
             across, up = zip(*points, strict=True)
@@ -55,7 +55,7 @@ def lines(curves: Mapping[str, Sequence[tuple[float, float]]], *, title: str, x:
 
 @contextmanager
 def _drawn(suffix: str) -> Iterator[tuple[Any, Any, io.BytesIO]]:
-    """A figure, its axes, and the image that it becomes at the end of the block: the same bytes every time."""
+    """A figure, its axes, and the image that is written at the end of the block, with reproducible bytes."""
     import matplotlib as mpl
 
     mpl.use("agg")
@@ -75,7 +75,7 @@ def _drawn(suffix: str) -> Iterator[tuple[Any, Any, io.BytesIO]]:
 
 
 def _label(axes: object, marks: Sequence[Mark]) -> None:
-    """Puts each label beside its mark, where it covers no other one and no mark, as near as there is room."""
+    """Place each label as near to its mark as possible without covering another label or a mark."""
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 
@@ -97,7 +97,7 @@ def _label(axes: object, marks: Sequence[Mark]) -> None:
                     fontsize=7.5,
                     arrowprops={"arrowstyle": "-", "color": "#aaaaaa", "linewidth": 0.5} if reach > 7 else None,
                 )
-                text.update_positions(renderer)  # else the box is where the offset alone would put it
+                text.update_positions(renderer)  # without it the box has only the offset's position
                 box = Text.get_window_extent(text, renderer)  # without its arrow
                 if not any(box.overlaps(other) for other in taken):
                     best = box

@@ -1,4 +1,4 @@
-"""A benchmark's findings as Markdown, CSV or JSON: the same figures, for three kinds of reader."""
+"""Write benchmark reports as Markdown, CSV or JSON, all with the same figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nerfbake.io import versioned
 
 
 class Table(NamedTuple):
-    """columns: names with units. A cell is text, a number, Statistics, a bool, or None where nothing was measured."""
+    """columns: names with units. A cell is text, a number, Statistics, a bool, or None if nothing was measured."""
 
     title: str
     columns: list[str]
@@ -21,7 +21,7 @@ class Table(NamedTuple):
 
 
 class Report(NamedTuple):
-    """head: what was measured and where, name by name. notes: what a reader has to know, a sentence each."""
+    """head: the scene, the machine and versions by name. notes: explanations for the reader, a sentence each."""
 
     title: str
     head: dict[str, str]
@@ -30,14 +30,14 @@ class Report(NamedTuple):
 
 
 def markdown(report: Report) -> str:
-    """For people, and for a README."""
+    """Write Markdown, for people and for a README."""
     head = "; ".join(f"{name} {value}" for name, value in report.head.items())
     parts = [f"# {report.title}", head, *map(_markdown_table, report.tables), *(f"- {note}" for note in report.notes)]
     return "\n\n".join(parts[: 2 + len(report.tables)]) + "\n\n" + "\n".join(parts[2 + len(report.tables) :]) + "\n"
 
 
 def as_csv(report: Report) -> str:
-    """For spreadsheets: one row a measured row of any table, statistics as three columns."""
+    """Write CSV for spreadsheets: one row for each row of any table, with statistics as three columns."""
     rows = [row for table in report.tables for row in _records(table)]
     names = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
@@ -48,7 +48,7 @@ def as_csv(report: Report) -> str:
 
 
 def as_json(report: Report) -> str:
-    """For scripts: everything."""
+    """Write JSON with all contents, for scripts."""
     return _written(_facts(report))
 
 
@@ -56,7 +56,7 @@ WRITERS: dict[str, Callable[[Report], str]] = {"md": markdown, "csv": as_csv, "j
 
 
 def document(reports: Sequence[Report], kind: str) -> str:
-    """One or more reports in one of WRITERS' kinds; several in JSON are its `reports`."""
+    """Write reports in one of the kinds in WRITERS; several reports in JSON become the list `reports`."""
     if kind == "json" and len(reports) > 1:
         return _written({"reports": [_facts(report) for report in reports]})
     return "\n".join(WRITERS[kind](report) for report in reports)
@@ -113,6 +113,6 @@ def _cell(cell: Any) -> str:
 
 
 def _number(value: float) -> str:
-    """Three digits, or as many as stand before the point."""
+    """Format a number with three digits, or with all digits before the decimal point."""
     digits = max(0, 2 - len(str(int(abs(value)))) + 1) if value else 0
     return f"{value:,.{digits}f}"

@@ -1,1 +1,1 @@
-"""Words: one small click file a command; no arithmetic, no try."""
+"""The command line: one click module per command. It has no arithmetic and no try blocks."""

@@ -1,4 +1,4 @@
-"""`nerfbake atlas`: nerf2mesh's specular MLP to octahedral maps."""
+"""`nerfbake atlas`: bake nerf2mesh's specular MLP into octahedral maps."""
 
 from __future__ import annotations
 
@@ -7,27 +7,34 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, bakes_stage1, judges, seed, speaks, without_effect
-from nerfbake.cli.words import Words
-from nerfbake.jobs.atlases import bake_atlas
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import as_json, budget_options, console_options, seed, stage1_arguments, without_effect
 from nerfbake.jobs.files import FolderTarget, Stage1Source
 
 
 @click.command()
-@bakes_stage1
+@stage1_arguments
 @click.option(
     "--method",
     type=click.Choice(["kmeans", "affine", "grid"]),
     default="kmeans",
     show_default=True,
-    help="kmeans: one map for each cluster of colours; affine: four maps for each, which follow the colour; "
-    "grid: maps at the nodes of a grid in colour space.",
+    help="kmeans: one map per cluster of colours; affine: four maps per cluster, a base and three slopes that follow "
+    "the colour; grid: maps at the nodes of a grid in colour space.",
 )
 @click.option(
-    "--clusters", type=click.IntRange(min=1), default=64, show_default=True, help="Clusters, for kmeans and affine."
+    "--clusters",
+    type=click.IntRange(min=1),
+    default=64,
+    show_default=True,
+    help="Number of clusters, for kmeans and affine.",
 )
 @click.option(
-    "--nodes", type=click.IntRange(2, 16), default=7, show_default=True, help="Nodes along each axis, for grid."
+    "--nodes",
+    type=click.IntRange(2, 16),
+    default=7,
+    show_default=True,
+    help="Nodes along each axis of the grid, for grid.",
 )
 @click.option(
     "--map-size", type=click.IntRange(2, 1024), default=64, show_default=True, help="Texels along each edge of a map."
@@ -37,49 +44,53 @@ from nerfbake.jobs.files import FolderTarget, Stage1Source
     type=click.IntRange(1, 4096),
     default=100,
     show_default=True,
-    help="How many view directions the MLP is asked in.",
+    help="Number of view directions in which the MLP is evaluated.",
 )
 @click.option(
     "--direction-set",
     type=click.Choice(["fibonacci", "cameras"]),
     default="fibonacci",
     show_default=True,
-    help="fibonacci: all directions count the same; cameras: as often as the cameras of --transforms look along them.",
+    help="Weights of the directions. fibonacci: all equal; cameras: how often the cameras of --transforms look along "
+    "each.",
 )
 @click.option(
     "--centres",
     type=click.Choice(["snapped", "mean"]),
     default="snapped",
     show_default=True,
-    help="For kmeans, what a map shows: one colour of its cluster, or the mean of all of them.",
+    help="For kmeans. snapped: a map shows one colour of its cluster; mean: it shows the mean of all of them.",
 )
 @click.option(
     "--border",
     type=click.IntRange(min=0),
     default=1,
     show_default=True,
-    help="Width of the gutter around a map, in texels.",
+    help="Width of the gutter around each map, in texels.",
 )
 @click.option(
     "--up",
     type=click.Choice(["y", "z"]),
     default="y",
     show_default=True,
-    help="The axis that points up in the mesh. z: nodes of scene.glb turn it to y, and Blender turns it back.",
+    help="Up axis of the mesh. z: the nodes of scene.glb rotate z to y, and Blender rotates it back.",
 )
 @seed
-@judges
+@budget_options
 @as_json
-@speaks
-def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, words: Words, **options: Any) -> None:
+@console_options
+def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, console: Console, **options: Any) -> None:
     """Bake nerf2mesh highlights into octahedral maps.
 
-    Bakes the specular MLP of a nerf2mesh stage-1 folder into octahedral maps, and writes them to OUT_DIR.
+    Bakes the specular MLP of the nerf2mesh stage-1 folder STAGE1_DIR into octahedral maps, and writes them to OUT_DIR.
 
     \b
       nerfbake atlas mesh_stage1 atlas --clusters 256 --min-psnr 40
       nerfbake atlas atlas --feature feat1_0.jpg --mlp mlp.json --method affine
     """
+
+    from nerfbake.jobs.atlases import bake_atlas_folder
+
     method, even = options["method"], options["direction_set"] == "fibonacci"
     if method != "grid":
         without_effect("nodes", here=f"with --method {method}", allowed="--nodes with --method grid")
@@ -88,6 +99,6 @@ def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, words: Word
     if method != "kmeans":
         without_effect("centres", here=f"with --method {method}", allowed="--centres with --method kmeans")
     if even:
-        without_effect("transforms", here="where all directions count the same", allowed="--direction-set cameras")
+        without_effect("transforms", here="with --direction-set fibonacci", allowed="--direction-set cameras")
     report = io.print_json if as_json else None
-    bake_atlas(source, target, steps=words, report=report, **options)
+    bake_atlas_folder(source, target, steps=console, report=report, **options)

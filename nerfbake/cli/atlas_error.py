@@ -1,4 +1,4 @@
-"""`nerfbake atlas-error`: how far an atlas is from the MLP that it stands for."""
+"""`nerfbake atlas-error`: measure the error of an atlas against the MLP that it replaces."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, max_memory, speaks, without_effect
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import as_json, console_options, max_memory, without_effect
 from nerfbake.cli.paths import Reads
-from nerfbake.cli.words import Words
-from nerfbake.jobs.atlases import measure_atlas
 
 
 @click.command("atlas-error")
@@ -21,39 +20,43 @@ from nerfbake.jobs.atlases import measure_atlas
     type=click.Choice(["bilinear", "nearest", "thesis"]),
     default="bilinear",
     show_default=True,
-    help="How maps are read. thesis: texel int(uv (R - 1)), and colours are truncated instead of rounded.",
+    help="Lookup in the maps. thesis: texel int(uv (R - 1)), with colours truncated instead of rounded.",
 )
 @click.option(
     "--directions",
     type=click.IntRange(1, 4096),
     default=100,
     show_default=True,
-    help="How many evenly spread directions.",
+    help="Number of evenly spread directions.",
 )
-@click.option("--held-out", is_flag=True, help="Measure in 617 other directions, which no bake has seen.")
+@click.option("--held-out", is_flag=True, help="Measure in 617 other directions, which no bake uses.")
 @click.option(
     "--reproduce-thesis-fault",
     "thesis_fault",
     is_flag=True,
-    help="Ask the MLP at directions that are not unit vectors, as the published evaluation does.",
+    help="Evaluate the MLP in directions that are not unit vectors, as the published evaluation does.",
 )
 @max_memory
 @as_json
-@speaks
-def atlas_error(atlas: str, stage1: str, as_json: bool, words: Words, **options: Any) -> None:
+@console_options
+def atlas_error(atlas: str, stage1: str, as_json: bool, console: Console, **options: Any) -> None:
     """Measure an atlas against the MLP that it replaces.
 
     Prints the mean absolute and squared error (0..255) of the atlas OUT_DIR against the MLP of STAGE1_DIR.
 
-    Over every used texel, direction and channel; OUT_DIR may also be what the K-means thesis' own code wrote.
+    The means cover every used texel, direction and channel. OUT_DIR may also be a folder that the code of the K-means
+    thesis wrote.
 
     \b
       nerfbake atlas-error atlas mesh_stage1 --held-out
       nerfbake atlas-error thesis_16x64 crop64 --lookup thesis --reproduce-thesis-fault
     """
+
+    from nerfbake.jobs.atlases import measure_atlas
+
     if options["held_out"]:
         without_effect("directions", here="with --held-out, which has its own", allowed="one of them")
-    errors = measure_atlas(atlas, stage1, steps=words, **options)
+    errors = measure_atlas(atlas, stage1, steps=console, **options)
     if as_json:
         io.print_json({"errors": [error._asdict() for error in errors]})
         return

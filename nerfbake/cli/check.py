@@ -1,29 +1,29 @@
-"""`nerfbake check`: what is wrong with a file."""
+"""`nerfbake check`: list the errors of a file."""
 
 from __future__ import annotations
 
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, reads, speaks
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import as_json, console_options, source_argument
 from nerfbake.errors import for_shell
 from nerfbake.jobs.files import Source
 
 
 @click.command()
-@reads
+@source_argument
 @as_json
-@speaks
-def check(source: Source, as_json: bool, words: Words) -> int:
+@console_options
+def check(source: Source, as_json: bool, console: Console) -> int:
     """Check a file for errors.
 
-    Prints everything that is wrong with IN, one line each. The exit code is 1 if anything is.
+    Prints one line for each error in IN. Exits with code 1 if there are any.
 
     \b
       nerfbake check chair.npz && nerfbake svo chair.npz chair.svo.pb
     """
-    with words.phase(f"checking {source.path}"):
+    with console.phase(f"checking {source.path}"):
         problems = io.check(source.path)
     if as_json:
         found = [{**problem._asdict(), "message": str(problem)} for problem in problems]
@@ -32,5 +32,5 @@ def check(source: Source, as_json: bool, words: Words) -> int:
         for problem in problems:
             io.print_text(f"{source.path}: {for_shell(problem.line)}")
         if not problems:
-            words.say(f"{source.path}: ok")
+            console.say(f"{source.path}: ok")
     return 1 if problems else 0

@@ -1,102 +1,133 @@
-"""`nerfbake compare`: what one scene lost against another."""
+"""`nerfbake compare`: measure the difference between two scenes."""
 
 from __future__ import annotations
 
 from functools import partial, wraps
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import CAPTURE, Command, Number, PixelSize, as_json, reads, samples, speaks, without_effect
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    Number,
+    PixelSize,
+    as_json,
+    console_options,
+    samples,
+    source_argument,
+    without_effect,
+)
 from nerfbake.cli.paths import Capture, Reads, Writes
-from nerfbake.cli.words import Words
-from nerfbake.jobs.comparisons import Compared, Limits, Pages, Seen, compare_files
 from nerfbake.jobs.files import Source
 
+if TYPE_CHECKING:
+    from nerfbake.jobs.comparisons import FileComparison
 
-def sees(function: Command) -> Command:
-    """Adds --cameras, --truth, --size and --samples; the command gets `seen`."""
+
+def view_options(function: Command) -> Command:
+    """Add --cameras, --truth, --size and --samples; pass the command `seen`, a ComparedViews."""
 
     @click.option(
-        "--cameras", metavar="CAPTURE", type=Capture(), help=f"The cameras: {CAPTURE}.  [default: 8 views around IN]"
+        "--cameras", metavar="CAPTURE", type=Capture(), help=f"Cameras: {CAPTURE}.  [default: 8 views around IN]"
     )
-    @click.option("--truth", type=Reads(), help="A folder with a photograph NAME.png for each camera.")
+    @click.option("--truth", type=Reads(), help="Folder with a photograph NAME.png for each camera.")
     @click.option(
-        "--size", type=PixelSize(), help="Size in pixels.  [default: the truth's or the cameras', 400x400 for an orbit]"
+        "--size",
+        type=PixelSize(),
+        help="Picture size in pixels.  [default: that of the photographs or cameras; 400x400 for an orbit]",
     )
     @samples
     @wraps(function)
     def command(
-        *args: Any, cameras: str | None, truth: str | None, size: Any, samples: int | None, **others: Any
-    ) -> Any:
-        return function(*args, seen=Seen(cameras, truth, size, samples), **others)
+        *args: object, cameras: str | None, truth: str | None, size: Any, samples: int | None, **others: object
+    ) -> object:
+        from nerfbake.jobs.comparisons import ComparedViews
+
+        return function(*args, seen=ComparedViews(cameras, truth, size, samples), **others)
 
     return command
 
 
-def limits(function: Command) -> Command:
-    """Adds --min-psnr and --max-error; the command gets `limits`."""
+def limit_options(function: Command) -> Command:
+    """Add --min-psnr and --max-error; pass the command `limits`, a ComparisonLimits."""
 
-    @click.option("--min-psnr", type=Number(), help="Exit 3 if the mean PSNR of IN2 against IN is lower (dB).")
-    @click.option("--max-error", type=Number(), help="Exit 3 if any channel of any pixel differs by more (0..1).")
+    @click.option(
+        "--min-psnr",
+        type=Number(),
+        help="Lowest allowed mean PSNR of IN2 against IN, in dB. Below it, exit with code 3.",
+    )
+    @click.option(
+        "--max-error",
+        type=Number(),
+        help="Largest allowed difference in any channel of any pixel (0..1). Above it, exit with code 3.",
+    )
     @wraps(function)
-    def command(*args: Any, min_psnr: float | None, max_error: float | None, **others: Any) -> Any:
-        return function(*args, limits=Limits(min_psnr, max_error), **others)
+    def command(*args: object, min_psnr: float | None, max_error: float | None, **others: object) -> object:
+        from nerfbake.jobs.comparisons import ComparisonLimits
+
+        return function(*args, limits=ComparisonLimits(min_psnr, max_error), **others)
 
     return command
 
 
-def writes_pages(function: Command) -> Command:
-    """Adds --sheet, --html and --force; the command gets `pages`."""
+def output_options(function: Command) -> Command:
+    """Add --sheet, --html and --force; pass the command `pages`, a ComparisonOutputs."""
 
     @click.option(
         "--sheet",
         type=Writes(),
-        help="Write a PNG with the pictures of truth, IN and IN2, and their differences times 8.",
+        help="Write a PNG with the pictures of the truth, IN and IN2, and their differences times 8.",
     )
-    @click.option("--html", type=Writes(), help="Write a page with budgets, figures, sizes and pictures.")
-    @click.option("--force", is_flag=True, help="Replace the sheet and the page if they exist.")
+    @click.option("--html", type=Writes(), help="Write an HTML page with limits, figures, sizes and pictures.")
+    @click.option("--force", is_flag=True, help="Replace the files of --sheet and --html if they exist.")
     @wraps(function)
-    def command(*args: Any, sheet: str | None, html: str | None, force: bool, **others: Any) -> Any:
+    def command(*args: object, sheet: str | None, html: str | None, force: bool, **others: object) -> object:
+        from nerfbake.jobs.comparisons import ComparisonOutputs
+
         if not (sheet or html):
-            without_effect("force", here="where nothing is written", allowed="--force with --sheet or --html")
-        return function(*args, pages=Pages(sheet, html, force), **others)
+            without_effect("force", here="without --sheet or --html", allowed="--force with --sheet or --html")
+        return function(*args, pages=ComparisonOutputs(sheet, html, force), **others)
 
     return command
 
 
 @click.command()
-@reads
+@source_argument
 @click.argument("other", metavar="IN2", type=Reads())
-@sees
-@limits
-@writes_pages
+@view_options
+@limit_options
+@output_options
 @as_json
-@speaks
-def compare(source: Source, other: str, as_json: bool, words: Words, **options: Any) -> None:
+@console_options
+def compare(source: Source, other: str, as_json: bool, console: Console, **options: Any) -> None:
     """Measure how different two scenes look.
 
-    Renders IN and IN2 with the same cameras and prints how far their pictures are apart.
+    Renders IN and IN2 with the same cameras, and prints the PSNR, the SSIM and the largest error of their pictures.
 
-    Scenes are files of fields or meshes, and the folders of nerf2mesh's stage 1 and of its atlases.
+    A scene is a file with a field or a mesh, a stage-1 folder of nerf2mesh, or an atlas folder.
 
     \b
       nerfbake compare chair.npz chair.svo.pb
       nerfbake compare chair.npz small.svo.pb --min-psnr 30 --html small.html
       nerfbake compare mesh_stage1 atlas_64 --sheet atlas.png
     """
+
+    from nerfbake.jobs.comparisons import compare_files
+
     report = partial(_print_json, source.path, other) if as_json else _print
-    compare_files(source, other, steps=words, report=report, **options)
+    compare_files(source, other, steps=console, report=report, **options)
 
 
-def _print_json(a: str, b: str, compared: Compared) -> None:
+def _print_json(a: str, b: str, compared: FileComparison) -> None:
     found, sizes = compared.found, {"a": compared.a["bytes"], "b": compared.b["bytes"]}
     facts = {"a": a, "b": b, "mean": found.means, "values": found.values, "views": found.views}
     io.print_json({**facts, "bytes": sizes, "samples": found.samples})
 
 
-def _print(compared: Compared) -> None:
+def _print(compared: FileComparison) -> None:
     found = compared.found
     names = {"a_b": "IN - IN2", "a_truth": "IN - truth", "b_truth": "IN2 - truth"}
     io.print_text(f"{'view':<12}{'':<14}{'PSNR dB':>9}{'SSIM':>9}{'max error':>11}")

@@ -1,42 +1,43 @@
-"""`nerfbake fit`: photographs to a sparse field."""
+"""`nerfbake fit`: fit a sparse field to photographs."""
 
 from __future__ import annotations
 
 from functools import wraps
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
 from nerfbake import io
+from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     Command,
     NumberRange,
     as_json,
+    console_options,
     max_memory,
     seed,
     sh_basis,
-    speaks,
+    target_argument,
     without_effect,
-    writes,
 )
-from nerfbake.cli.paths import Keeps, Photographs, Reads, Writes
+from nerfbake.cli.paths import PhotographsPath, Reads, StateFolder, Writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
-from nerfbake.cli.words import Words
 from nerfbake.jobs.files import Source, Target
-from nerfbake.jobs.fits import FITTED, Fitted, Recipe, fit_file
-from nerfbake.jobs.photographs import Album
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.fits import FitResult
 
 
-class Behind(Background):
+class FitBackground(Background):
     """auto, white, black, or R,G,B in 0..255."""
 
     known: ClassVar = {"auto": None, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 
 class Box(click.ParamType[tuple[float, ...]]):
-    """Two opposite corners in the world."""
+    """Two opposite corners of a box in world coordinates."""
 
     name = "x0,y0,z0,x1,y1,z1"
 
@@ -49,64 +50,68 @@ class Box(click.ParamType[tuple[float, ...]]):
             -1e15 < low < high < 1e15 for low, high in zip(corners, corners[3:], strict=False)
         )
         if not fine:
-            self.fail(f"{value!r} is no box; allowed: x0,y0,z0,x1,y1,z1, each below its opposite", param, ctx)
+            self.fail(f"{value!r} is not a box; allowed: x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1, z0 < z1", param, ctx)
         return corners
 
 
-def takes_album(function: Command) -> Command:
-    """Adds --background, --masks, --test and --holdout; the command gets `album`."""
+def photograph_options(function: Command) -> Command:
+    """Add --background, --masks, --test and --holdout; pass the command `album`, a PhotographOptions."""
 
     @click.option(
         "--background",
-        type=Behind(),
+        type=FitBackground(),
         default="auto",
         show_default=True,
-        help="What is behind the object: white, black or R,G,B. auto: white for pictures with alpha, "
-        "else the colour at the pictures' edges.",
+        help="Background behind the object: white, black or R,G,B. auto: white for pictures with alpha, else the "
+        "colour at the edges of the pictures.",
     )
     @click.option(
         "--masks",
         metavar="DIR",
         type=Reads(),
-        help="A folder with a mask NAME.png for each picture, white where the object is: for scenery behind it.",
+        help="Folder with a mask NAME.png for each picture, white where the object is. Needed if scenery is behind it.",
     )
     @click.option(
         "--test",
         metavar="CAPTURE",
-        type=Photographs(readable=False),
-        help="Other cameras, whose pictures judge the result.",
+        type=PhotographsPath(readable=False),
+        help="Other cameras, with the held-out views on which the result is measured.",
     )
     @click.option(
         "--holdout",
         metavar="N",
         type=click.IntRange(min=2),
-        help="Keep every N-th view for judging.  [default: 8, but none where SOURCE has views to test with]",
+        help="Hold out every N-th view to measure the result.  [default: 8; none if SOURCE has test views]",
     )
     @wraps(function)
     def command(
-        *args: Any, background: Any, masks: str | None, test: str | None, holdout: int | None, **others: Any
-    ) -> Any:
-        return function(*args, album=Album(background, masks, test, holdout), **others)
+        *args: object, background: Any, masks: str | None, test: str | None, holdout: int | None, **others: object
+    ) -> object:
+        from nerfbake.jobs.photographs import PhotographOptions
+
+        return function(*args, album=PhotographOptions(background, masks, test, holdout), **others)
 
     return command
 
 
-def takes_recipe(function: Command) -> Command:
-    """Adds the options of a Recipe; the command gets `recipe`."""
+def fit_options(function: Command) -> Command:
+    """Add the options of the fit and its schedule; pass the command `recipe`, a FitOptions."""
 
     @click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
-        help="A schedule of about 40, 80 or 140 seconds on two cores.  [default: balanced]",
+        help="Schedule of about 40, 80 or 140 seconds on two cores.  [default: balanced]",
     )
-    @click.option("--minutes", type=NumberRange(0.1, 600), help="Choose a schedule for so long on two cores.")
-    @click.option("--epochs", metavar="SCHEDULE", help="A schedule, as this command prints the one that it follows.")
+    @click.option(
+        "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."
+    )
+    @click.option("--epochs", metavar="SCHEDULE", help="Schedule, in the notation in which each run prints its own.")
     @click.option(
         "--resolution",
         type=click.Choice(["32", "64", "128", "256", "512"]),
         default="256",
         show_default=True,
-        help="Voxels along each axis, before those that need it are split once more.",
+        help="Voxels along each axis, before those with the largest errors are split once more.",
     )
     @sh_basis
     @click.option(
@@ -114,15 +119,19 @@ def takes_recipe(function: Command) -> Command:
         type=click.IntRange(1, 2),
         default=2,
         show_default=True,
-        help="Rays along each edge of a pixel, as pictures of OUT are to be made: 2 for averaged photographs.",
+        help="Rays along each edge of a pixel. Choose the value that OUT will be rendered with: 2 for photographs, "
+        "whose pixels are averages.",
     )
     @click.option(
-        "--box", type=Box(), help="Two corners of the box around the object.  [default: as the pictures tell]"
+        "--box",
+        type=Box(),
+        help="Two opposite corners of the box around the object, in world coordinates.  [default: derived from the "
+        "pictures]",
     )
     @seed
     @wraps(function)
     def command(
-        *args: Any,
+        *args: object,
         preset: str | None,
         minutes: float | None,
         epochs: str | None,
@@ -131,56 +140,62 @@ def takes_recipe(function: Command) -> Command:
         samples: int,
         box: Any,
         seed: int,
-        **others: Any,
-    ) -> Any:
+        **others: object,
+    ) -> object:
+        from nerfbake.jobs.fits import FitOptions
+
         if epochs is not None:
             without_effect("resolution", "samples", here="with --epochs, which has its own", allowed="one of them")
-        recipe = Recipe(preset, minutes, epochs, int(resolution), samples, basis, box, seed)
+        recipe = FitOptions(preset, minutes, epochs, int(resolution), samples, basis, box, seed)
         return function(*args, recipe=recipe, **others)
 
     return command
 
 
 @click.command()
-@click.argument("source", metavar="SOURCE", type=Photographs())
-@writes(*FITTED)
-@takes_recipe
-@takes_album
+@click.argument("source", metavar="SOURCE", type=PhotographsPath())
+@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "N3Tree")
+@fit_options
+@photograph_options
 @click.option(
     "--dtype",
     type=click.Choice(["float16", "float32"]),
-    help="Type of the values of a PlenOctree.  [default: float16]",
+    help="Number type of the values of a PlenOctree.  [default: float16]",
 )
 @click.option(
     "--state",
     metavar="DIR",
-    type=Keeps(),
-    help="Keep checkpoints in this folder; the same command goes on from there after it was stopped.",
+    type=StateFolder(),
+    help="Write checkpoints to this folder. After an interruption, the same command resumes from them.",
 )
-@click.option("--plot", type=Writes(), help="Draw the PSNR over CPU seconds, as .png or .svg.")
+@click.option("--plot", type=Writes(), help="Write a chart of the PSNR over CPU seconds: a .png or .svg.")
 @max_memory
 @as_json
-@speaks
-def fit(source: str, target: Target, plot: str | None, as_json: bool, words: Words, **options: Any) -> None:
+@console_options
+def fit(source: str, target: Target, plot: str | None, as_json: bool, console: Console, **options: Any) -> None:
     """Fit a scene to photographs.
 
-    The photographs of SOURCE, and the cameras that took them, become OUT: a PlenOctree, an octree or a volume.
+    Fits a sparse field to the photographs and camera poses of SOURCE, and writes it to OUT: a PlenOctree, an octree or
+    a volume. Prints the PSNR and SSIM of OUT on held-out photographs.
 
     \b
       nerfbake fit capture chair.npz
       nerfbake fit capture/transforms.json chair.nvdb --preset best --state checkpoints
       nerfbake fit capture chair.svo.pb --masks masks --minutes 3 --json
     """
+
+    from nerfbake.jobs.fits import fit_file
+
     if plot:
         require_chart(plot, force=target.force)
-    fitted = fit_file(Source(source), target, steps=words, **options)
+    fitted = fit_file(Source(source), target, steps=console, **options)
     if plot:
         save_bytes(plot, _chart(source, fitted, Path(plot).suffix), force=target.force)
     if as_json:
         io.print_json(_facts(source, fitted))
 
 
-def _facts(source: str, fitted: Fitted) -> dict[str, Any]:
+def _facts(source: str, fitted: FitResult) -> dict[str, Any]:
     return {
         "source": source,
         "file": fitted.path,
@@ -196,7 +211,7 @@ def _facts(source: str, fitted: Fitted) -> dict[str, Any]:
     }
 
 
-def _chart(source: str, fitted: Fitted, suffix: str) -> bytes:
+def _chart(source: str, fitted: FitResult, suffix: str) -> bytes:
     from nerfbake.bench.plot import lines
 
     curves = {"while it was fitted": [(point.seconds, point.psnr) for point in fitted.curve]}

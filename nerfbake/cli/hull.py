@@ -1,4 +1,4 @@
-"""`nerfbake hull`: a mesh around what can be seen."""
+"""`nerfbake hull`: build a mesh that encloses the visible part of a scene."""
 
 from __future__ import annotations
 
@@ -6,37 +6,39 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import reads, speaks, writes
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import console_options, source_argument, target_argument
 from nerfbake.jobs.files import Source, Target
-from nerfbake.jobs.hulls import LEVEL, bake_hull
 
 
 @click.command()
-@reads
-@writes("Meshes")
+@source_argument
+@target_argument("Meshes")
 @click.option(
     "--level",
     type=click.IntRange(0, 12),
-    default=LEVEL,
+    default=5,
     show_default=True,
-    help="How fine: 2^LEVEL boxes along the longest edge of what can be seen, but none smaller than a voxel.",
+    help="Resolution: 2^LEVEL boxes along the longest edge of the visible part, but none smaller than a voxel.",
 )
 @click.option(
     "--up",
     type=click.Choice(["y", "z"]),
-    help="The axis that points up in IN. z: the nodes of a .glb turn it to y.  [default: nothing is turned]",
+    help="Up axis of IN. z: the nodes of a .glb rotate z to y.  [default: no rotation]",
 )
-@speaks
-def hull(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Make a tight mesh around a scene, for engines.
+@console_options
+def hull(source: Source, target: Target, console: Console, **options: Any) -> None:
+    """Build a tight mesh around a scene, for engines.
 
-    Writes OUT, a mesh of boxes around everything that can be seen of the PlenOctree, octree or volume IN. An engine
-    draws it, and marches the field's rays inside it.
+    Writes OUT, a mesh of boxes that encloses everything visible in the PlenOctree, octree or volume IN. An engine draws
+    the mesh, and marches rays through the field only inside it.
 
     \b
       nerfbake hull chair.npz hull.glb
       nerfbake hull chair.svo.pb hull.obj --level 6
       nerfbake hull smoke.vdb hull.glb --up z
     """
-    bake_hull(source, target, steps=words, **options)
+
+    from nerfbake.jobs.hulls import bake_hull
+
+    bake_hull(source, target, steps=console, **options)

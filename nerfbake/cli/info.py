@@ -1,4 +1,4 @@
-"""`nerfbake info`: what a file is."""
+"""`nerfbake info`: describe a file or a folder."""
 
 from __future__ import annotations
 
@@ -7,33 +7,35 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, reads, speaks
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import as_json, console_options, source_argument
 from nerfbake.errors import format_size
-from nerfbake.jobs.descriptions import describe_file
 from nerfbake.jobs.files import Source
 
 
 @click.command()
-@reads
+@source_argument
 @as_json
-@speaks
-def info(source: Source, as_json: bool, words: Words) -> None:
+@console_options
+def info(source: Source, as_json: bool, console: Console) -> None:
     """Describe a file or folder.
 
-    Prints kind, basis, resolution, nodes and leaves by level, world box, value ranges and sizes of IN.
+    Prints the kind, basis, resolution, nodes and leaves per level, world box, value ranges and sizes of IN.
 
-    For a stage-1 folder of nerf2mesh or an atlas it prints textures, MLP, maps, clusters and errors. For cameras it
-    prints their dialect, number, picture sizes, focal lengths, lenses, places and the axis that points up. For
-    meshes it prints their triangles, how many pieces these make, and whether the surface is closed. For a picture or a
-    depth it prints the size and how much is opaque, or met by a ray.
+    For a stage-1 folder of nerf2mesh or an atlas, prints textures, MLP, maps, clusters and errors. For cameras, prints
+    dialect, count, picture sizes, focal lengths, lenses, positions and up axis. For meshes, prints the number of
+    triangles and connected pieces, and whether the surface is closed. For a picture or a depth map, prints the size and
+    the share of pixels that are opaque or hit by a ray.
 
     \b
       nerfbake info chair.npz
       nerfbake info chair.svo.pb --json | jq .nodes
       nerfbake info atlas_64 --json | jq '.cascades[].errors.mae'
     """
-    facts = describe_file(source, steps=words)
+
+    from nerfbake.jobs.descriptions import describe_file
+
+    facts = describe_file(source, steps=console)
     if as_json:
         io.print_json(facts)
         return

@@ -1,4 +1,4 @@
-"""`nerfbake lattice`: a PlenOctree or an octree as other programs would have trained it."""
+"""`nerfbake lattice`: convert a PlenOctree or an octree to a PlenVDB folder, a lattice with an MLP."""
 
 from __future__ import annotations
 
@@ -6,41 +6,43 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import NumberRange, Resolution, judges, reads, seed, speaks
-from nerfbake.cli.paths import Output
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import NumberRange, Resolution, budget_options, console_options, seed, source_argument
+from nerfbake.cli.paths import JudgedOutput
 from nerfbake.jobs.files import FolderTarget, Source
-from nerfbake.jobs.lattices import FINEST, bake_lattice
 
 
 @click.command()
-@reads
-@click.argument("target", metavar="OUT_DIR", type=Output())
+@source_argument
+@click.argument("target", metavar="OUT_DIR", type=JudgedOutput())
 @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
 @click.option(
     "--resolution",
     type=Resolution(),
-    help=f"Voxels along each axis of a PlenOctree, 1 to 4096.  [default: its finest, but {FINEST} at most]",
+    help="Voxels along each axis of a PlenOctree, 1 to 4096.  [default: its finest, at most 256]",
 )
-@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves of less density (1/world unit) as empty.")
+@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
 @click.option(
     "--rounds",
     type=click.IntRange(1, 100_000),
     default=3000,
     show_default=True,
-    help="How long the MLP is fitted: rounds of 2,048 colours each, about 100 a second on two cores.",
+    help="Rounds of fitting the MLP, each with 2,048 colours: about 100 rounds per second on two cores.",
 )
-@click.option("--merged", is_flag=True, help="Store the values once, as rows of float16, for occupied nodes alone.")
+@click.option("--merged", is_flag=True, help="Store values once, as rows of float16, for occupied nodes only.")
 @seed
-@judges
-@speaks
-def lattice(source: Source, target: str, force: bool, words: Words, **options: Any) -> None:
-    """Convert a PlenOctree or octree to PlenVDB's folder.
+@budget_options
+@console_options
+def lattice(source: Source, target: str, force: bool, console: Console, **options: Any) -> None:
+    """Convert an octree to a PlenVDB folder.
 
-    OUT_DIR holds a lattice with an MLP, as PlenVDB trains and shows it.
+    Writes OUT_DIR, a lattice with an MLP in the layout that PlenVDB trains and renders.
 
     \b
       nerfbake lattice chair.npz chair_plenvdb
       nerfbake lattice chair.svo.pb chair_plenvdb --merged --min-psnr 30
     """
-    bake_lattice(source, FolderTarget(target, force), steps=words, **options)
+
+    from nerfbake.jobs.lattices import bake_lattice
+
+    bake_lattice(source, FolderTarget(target, force), steps=console, **options)

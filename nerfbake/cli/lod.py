@@ -1,4 +1,4 @@
-"""`nerfbake lod`: an octree cut at a level."""
+"""`nerfbake lod`: cut an octree at a level."""
 
 from __future__ import annotations
 
@@ -6,26 +6,29 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import judges, reads, speaks, writes_octree
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import budget_options, console_options, octree_target_argument, source_argument
 from nerfbake.jobs.files import Source, Target
-from nerfbake.jobs.octrees import bake_lod
 
 
 @click.command()
-@reads
-@writes_octree()
+@source_argument
+@octree_target_argument()
 @click.option(
-    "--level", type=click.IntRange(min=0), required=True, help="The deepest level to keep; 0 is the root alone."
+    "--level", type=click.IntRange(min=0), required=True, help="Deepest level to keep. 0 keeps only the root."
 )
-@judges
-@speaks
-def lod(source: Source, target: Target, words: Words, **options: Any) -> None:
-    """Cut an octree at a coarser level of detail.
+@budget_options
+@console_options
+def lod(source: Source, target: Target, console: Console, **options: Any) -> None:
+    """Reduce an octree to a coarser level of detail.
 
-    Writes the levels of IN down to --level as OUT. A node there has the mean of what was below it.
+    Writes the nodes of IN from the root down to --level. A node on the last level stores the mean of everything below
+    it.
 
     \b
       nerfbake lod chair.svo.pb chair_lod.svo.pb --level 6
     """
-    bake_lod(source, target, steps=words, **options)
+
+    from nerfbake.jobs.octrees import bake_lod
+
+    bake_lod(source, target, steps=console, **options)

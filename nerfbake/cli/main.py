@@ -1,4 +1,4 @@
-"""The command line: the list of commands, and the one place where errors become words and exit codes."""
+"""The list of commands, and the single place that turns exceptions into messages and exit codes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import click
 
-import nerfbake
+from nerfbake import __version__
 from nerfbake.cli.atlas import atlas
 from nerfbake.cli.atlas_error import atlas_error
 from nerfbake.cli.batch import batch
@@ -38,23 +38,24 @@ from nerfbake.cli.svo import svo
 from nerfbake.cli.vdb import vdb
 from nerfbake.cli.view import view
 from nerfbake.errors import NerfbakeError, OutputError, PipeClosed, one_line
+from nerfbake.io.results import claim_descriptor, report_result
 
 OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
-_SUMMARY = 50  # characters of a command's summary, so that none is cut at 80 columns
+_SUMMARY = 50  # characters of a command's summary: a longer one would be cut at 80 columns
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 GROUPS = {
-    "Make": (fit, refit, sample),
+    "Create": (fit, refit, sample),
     "Convert": (svo, vdb, lattice, atlas, convert, compress, lod, hull, shaders),
-    "Look": (view, render, info),
-    "Judge": (compare, check, atlas_error, bench),
-    "Run many": (batch,),
+    "View": (view, render, info),
+    "Measure": (compare, check, atlas_error, bench),
+    "Batch": (batch,),
 }
 
 
-class Grouped(click.Group):
-    """Lists the commands under the headings of GROUPS."""
+class GroupedCommands(click.Group):
+    """A click group whose help lists the commands under the headings of GROUPS."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -67,12 +68,12 @@ class Grouped(click.Group):
                 formatter.write_dl(rows)
 
 
-@click.group(cls=Grouped, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(nerfbake.__version__, prog_name="nerfbake")
+@click.group(cls=GroupedCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="nerfbake")
 def cli() -> None:
     """Turn photographs and trained radiance fields into octrees, volumes, web pages and shaders.
 
-    Formats follow the files' endings; '-' is stdin or stdout. Data are written to stdout, messages to stderr.
+    The file extension selects the format. Use '-' for stdin or stdout. Data go to stdout, messages to stderr.
 
     \b
       nerfbake fit photographs chair.npz
@@ -81,8 +82,10 @@ def cli() -> None:
       nerfbake vdb chair.npz chair.vdb
       nerfbake svo chair.npz - --to svo.pb | nerfbake info - --json
 
-    Exit codes: 0 done, 1 bad input, 2 wrong usage, 3 quality budget missed, 4 the output cannot be written,
-    70 a fault of nerfbake's own.
+    Run 'nerfbake COMMAND --help' for the options of a command.
+
+    Exit codes: 0 success, 1 bad input, 2 wrong usage, 3 quality below the limit, 4 output cannot be written,
+    70 bug in nerfbake.
     """
 
 
@@ -92,20 +95,21 @@ for commands in GROUPS.values():
 
 
 def main() -> NoReturn:
-    """Runs the command line and exits."""
-    _occupy_standard_streams()
+    """Run the command line and exit."""
+    _reserve_standard_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names may hold what the terminal's encoding has not
+            stream.reconfigure(errors="backslashreplace")  # file names may not fit the terminal's encoding
     if not sys.warnoptions:
-        warnings.simplefilter("ignore")  # they speak to programmers: `python -W error -m nerfbake` shows them
+        warnings.simplefilter("ignore")  # they are for developers: `python -W error -m nerfbake` shows them
     signal.signal(signal.SIGTERM, _stop)
-    _end_with(os.environ.pop("NERFBAKE_BATCH", ""))
+    claim_descriptor()
+    _exit_with_batch(os.environ.pop("NERFBAKE_BATCH", ""))
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
-    """The exit code of a command line: the one guard, behind which no exception and no traceback gets."""
+    """Run a command line and return its exit code. Every exception is caught here and printed as one line."""
     try:
         result = cli.main(arguments, prog_name="nerfbake", standalone_mode=False)
         return result if isinstance(result, int) else 0
@@ -115,11 +119,11 @@ def run(arguments: list[str]) -> int:
     except click.ClickException as error:
         return _fail(error.format_message(), error.exit_code)
     except PipeClosed as error:
-        # Nothing more may be flushed into the pipe at exit.
+        # The interpreter flushes stdout at exit: redirect it, since the pipe is closed.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return error.exit_code
     except SystemExit as error:
-        if error.code == 1:  # click's own, for a closed pipe that it met while it printed --help
+        if error.code == 1:  # click exits with 1 if the pipe is closed while it prints --help
             return PipeClosed.exit_code
         raise
     except NerfbakeError as error:
@@ -133,38 +137,40 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if os.environ.get("NERFBAKE_TRACEBACK"):
             raise
-        return _fail(f"{_whereabouts(error)}; please report it (NERFBAKE_TRACEBACK=1 shows more)", OWN_FAULT)
+        return _fail(f"{_describe_bug(error)}; please report it (NERFBAKE_TRACEBACK=1 shows more)", OWN_FAULT)
 
 
-def _whereabouts(error: Exception) -> str:
-    """What went wrong in nerfbake itself, and where."""
+def _describe_bug(error: Exception) -> str:
+    """Return the description of a bug in nerfbake: exception type, file, line and message."""
     place = [frame for frame in traceback.extract_tb(error.__traceback__) if "nerfbake" in frame.filename][-1]
-    return f"a fault of nerfbake's own: {type(error).__name__} in {Path(place.filename).name}:{place.lineno}, {error}"
+    return f"a bug in nerfbake: {type(error).__name__} in {Path(place.filename).name}:{place.lineno}, {error}"
 
 
 def _fail(text: str, code: int) -> int:
+    text = one_line(text)
+    report_result(error=text)
     with suppress(OSError):  # a full or closed stderr: the exit code remains
-        click.echo(f"error: {one_line(text)}", err=True)
+        click.echo(f"error: {text}", err=True)
     return code
 
 
-def _occupy_standard_streams() -> None:
-    """Opens /dev/null where a standard stream is closed: else the next file opened would be taken for it."""
+def _reserve_standard_streams() -> None:
+    """Open /dev/null for each closed standard stream: otherwise the next opened file would get its descriptor."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor
 
 
-def _end_with(batch: str) -> None:
-    """On Linux: SIGTERM when the batch of this process number dies that has started us, whatever it dies of."""
+def _exit_with_batch(batch: str) -> None:
+    """On Linux: receive SIGTERM when the batch that started this process (its process id) exits for any reason."""
     if batch and sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-        if str(os.getppid()) != batch:  # it was dead before
+        if str(os.getppid()) != batch:  # it exited before the prctl() call
             sys.exit(128 + signal.SIGTERM)
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    """SIGTERM: leaves through the cleanup that removes temporary files."""
+    """Handle SIGTERM: exit through the cleanup code, which removes temporary files."""
     sys.exit(128 + number)

@@ -1,4 +1,7 @@
-"""The arguments and options that commands share, each said once. TR-24-01: docs/sources.md."""
+"""Arguments, options and parameter types that several commands share.
+
+TR-24-01 is a report, see docs/sources.md.
+"""
 
 from __future__ import annotations
 
@@ -12,30 +15,63 @@ from click.core import ParameterSource
 from click.types import FloatParamType
 
 from nerfbake import catalog, memory
-from nerfbake.cli.paths import Capture, Output, Reads, Stage1AndFolder
-from nerfbake.cli.words import Mode, Words
+from nerfbake.cli.console import Console, Mode
+from nerfbake.cli.paths import Capture, JudgedOutput, Reads, Stage1AndFolder
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
+from nerfbake.jobs.grids import GridChoice
 
-CAPTURE = "a transforms.json, or a folder that holds one, a COLMAP model, or the poses of LLFF or NSVF"
+codec_option = click.option(
+    "--codec",
+    type=click.Choice(["none", "zip"]),
+    help="Compression codec of a .vdb or .nvdb.  [default: zip for .vdb, none for .nvdb]",
+)
+Command = Callable[..., Any]
+ALL = "all"
+
+
+def grid_options(function: Command) -> Command:
+    """Add --grid and --up; pass the command `choice`, a GridChoice."""
+
+    @click.option(
+        "--grid",
+        "grids",
+        multiple=True,
+        metavar="NAME",
+        help="Use only this grid of a volume: a name, or a number from 0. Repeat for more grids. With `convert`, "
+        "'all' writes one file per grid.",
+    )
+    @click.option(
+        "--up",
+        type=click.Choice(["y", "z"]),
+        help="Up axis of the volume. y: the volume is rotated so that y becomes z.",
+    )
+    @functools.wraps(function)
+    def command(*args: object, grids: tuple[str, ...], up: str | None, **others: object) -> object:
+        return function(*args, choice=GridChoice(grids, up), **others)
+
+    return command
+
+
+CAPTURE = "a transforms.json, or a folder with one, with a COLMAP model, or with LLFF or NSVF poses"
 
 
 class Number(FloatParamType):
-    """Any number; NaN, which is no limit that anything could keep to, is none."""
+    """A number. NaN is refused, because no value is below or above it."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        return _told(self, super().convert(value, param, ctx), param, ctx)
+        return _require_number(self, super().convert(value, param, ctx), param, ctx)
 
 
 class NumberRange(click.FloatRange):
-    """A number in a range; NaN, which is neither below nor above it, is none."""
+    """A number in a range. NaN is refused: click accepts it, since it is neither below nor above the range."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        return _told(self, super().convert(value, param, ctx), param, ctx)
+        return _require_number(self, super().convert(value, param, ctx), param, ctx)
 
 
-def _told(
+def _require_number(
     kind: click.ParamType[float], number: float, param: click.Parameter | None, ctx: click.Context | None
 ) -> float:
     if math.isnan(number):
@@ -43,8 +79,8 @@ def _told(
     return number
 
 
-class Size(click.ParamType[int]):
-    """A number of bytes: 512MB, 4GiB, 1000000."""
+class ByteSize(click.ParamType[int]):
+    """A number of bytes: 512MB, 4GiB or 1000000."""
 
     name = "size"
     units = {"": 1, "b": 1} | {f"{k}b": 1000**i for i, k in enumerate("kmgt", 1)}
@@ -56,12 +92,12 @@ class Size(click.ParamType[int]):
         number = value.lower().rstrip("bkmgti ")
         unit = self.units.get(value.lower()[len(number) :].strip())
         if unit is None or not number.replace(".", "", 1).isdecimal() or not float(number) * unit >= 1:
-            self.fail(f"{value!r} is no size; allowed: 4GiB, 512MB, 1000000, ...", param, ctx)
+            self.fail(f"{value!r} is not a size; allowed: 4GiB, 512MB, 1000000, ...", param, ctx)
         return int(float(number) * unit)
 
 
 class Resolution(click.ParamType[tuple[int, int, int]]):
-    """R, or WxHxD, each 1 to 4096 voxels."""
+    """R or WxHxD voxels, each from 1 to 4096."""
 
     name = "R|WxHxD"
 
@@ -70,28 +106,28 @@ class Resolution(click.ParamType[tuple[int, int, int]]):
             return value
         edges = value.lower().split("x")
         if len(edges) not in (1, 3) or not all(e.isdecimal() and len(e) < 5 and 1 <= int(e) <= 4096 for e in edges):
-            self.fail(f"{value!r} is no resolution; allowed: R or WxHxD, each 1 to 4096", param, ctx)
+            self.fail(f"{value!r} is not a resolution; allowed: R or WxHxD, each 1 to 4096", param, ctx)
         w, h, d = (int(edge) for edge in (edges * 3 if len(edges) == 1 else edges))
         return w, h, d
 
 
 class PixelSize(click.ParamType[tuple[int, int]]):
-    """WxH pixels."""
+    """WxH pixels, each from 1 to 16384."""
 
     name = "WxH"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         edges = value.lower().split("x") if isinstance(value, str) else ()
         if len(edges) != 2 or not all(edge.isdecimal() and 1 <= int(edge) <= 16384 for edge in edges):
-            self.fail(f"{value!r} is no size; allowed: WxH, each 1 to 16384", param, ctx)
+            self.fail(f"{value!r} is not a size; allowed: WxH, each 1 to 16384", param, ctx)
         return int(edges[0]), int(edges[1])
 
 
-Command = Callable[..., Any]
-
-
 def without_effect(*names: str, here: str, allowed: str) -> None:
-    """Raises if one of these options was given, be it as its default: it would change nothing here."""
+    """Raise click.UsageError if one of these options is on the command line, even with its default value.
+
+    here: the reason why the option changes nothing; allowed: where it does.
+    """
     context = click.get_current_context()
     for option in context.command.params:
         source = context.get_parameter_source(option.name) if option.name in names else None
@@ -103,51 +139,55 @@ def _limit_memory(ctx: click.Context, param: click.Parameter, value: int) -> Non
     ctx.with_resource(memory.memory_limit(value))
 
 
-# Holds for all that the command does; no function has to hand it on.
+# memory_limit() is a context variable: it applies to the whole command without being passed on.
 max_memory = click.option(
     "--max-memory",
-    type=Size(),
+    type=ByteSize(),
     default=format_size(memory.DEFAULT).replace(".0 ", ""),
     show_default=True,
     callback=_limit_memory,
     expose_value=False,
-    help="The most memory that all files and everything made of them may take together.",
+    help="Memory limit for all data: files, their decoded contents, and results.",
 )
 
 
-def reads(function: Command) -> Command:
-    """Adds the argument IN and --max-memory; the command gets `source`, a Source."""
+def source_argument(function: Command) -> Command:
+    """Add the argument IN and --max-memory; pass the command `source`, a Source."""
 
     @click.argument("source", metavar="IN", type=Reads(allow_dash=True))
     @max_memory
     @functools.wraps(function)
-    def command(*args: Any, source: str, **others: Any) -> Any:
+    def command(*args: object, source: str, **others: object) -> object:
         return function(*args, source=Source(source), **others)
 
     return command
 
 
-def bakes_stage1(function: Command) -> Command:
-    """Adds the arguments [STAGE1_DIR] OUT_DIR, --feature, --mlp and --force; the command gets `source` and `target`."""
+def stage1_arguments(function: Command) -> Command:
+    """Add [STAGE1_DIR] OUT_DIR, --feature, --mlp, --transforms and --force; pass the command `source` and `target`."""
 
     @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=Stage1AndFolder())
     @click.option(
-        "--feature", "features", multiple=True, type=Reads(), help="A feature texture; once for each cascade."
+        "--feature", "features", multiple=True, type=Reads(), help="Feature texture. Repeat for each cascade."
     )
-    @click.option("--mlp", type=Reads(), help="The mlp.json of --feature; both together replace STAGE1_DIR.")
-    @click.option("--transforms", type=Reads(), help="A transforms.json: the training cameras in the mesh's world.")
+    @click.option(
+        "--mlp", type=Reads(), help="The mlp.json for --feature. The two options together replace STAGE1_DIR."
+    )
+    @click.option(
+        "--transforms", type=Reads(), help="Training cameras: a transforms.json in the mesh's world coordinates."
+    )
     @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
     @max_memory
     @functools.wraps(function)
     def command(
-        *args: Any,
+        *args: object,
         folders: tuple[str, ...],
         features: tuple[str, ...],
         mlp: str | None,
         transforms: str | None,
         force: bool,
-        **others: Any,
-    ) -> Any:
+        **others: object,
+    ) -> object:
         if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
             raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
         source = Stage1Source("" if mlp else folders[0], features, mlp, transforms)
@@ -156,25 +196,27 @@ def bakes_stage1(function: Command) -> Command:
     return command
 
 
-def writes(*scenes: str, required: bool = True) -> Callable[[Command], Command]:
-    """Adds the argument OUT, --to and --force for scenes of these types; the command gets `target`, a Target, or None
-    where it is not required and nobody names one."""
+def target_argument(*scenes: str, required: bool = True) -> Callable[[Command], Command]:
+    """Add the argument OUT, --to and --force for scenes of these types; pass the command `target`, a Target.
+
+    If the argument is not required and not given, `target` is None.
+    """
     names = ", ".join(form.name for scene in scenes for form in catalog.formats_of(scene))
 
     def add(function: Command) -> Command:
         @click.argument(
-            "target", metavar="OUT" if required else "[OUT]", required=required, type=Output(allow_dash=True)
+            "target", metavar="OUT" if required else "[OUT]", required=required, type=JudgedOutput(allow_dash=True)
         )
         @click.option(
             "--to",
             metavar="FORMAT",
-            help=f"The format of OUT if its ending names none: {names}. Add .zst to any of them to compress it.",
+            help=f"Format of OUT if its extension names none: {names}. Append .zst to compress with Zstandard.",
         )
         @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
         @functools.wraps(function)
-        def command(*args: Any, target: str | None, to: str | None, force: bool, **others: Any) -> Any:
+        def command(*args: object, target: str | None, to: str | None, force: bool, **others: object) -> object:
             if target is None:
-                without_effect("to", "force", here="where no file is named", allowed="with an OUT")
+                without_effect("to", "force", here="without OUT", allowed="with an OUT")
             return function(*args, target=None if target is None else Target(target, to, force), **others)
 
         return command
@@ -183,61 +225,94 @@ def writes(*scenes: str, required: bool = True) -> Callable[[Command], Command]:
 
 
 seed = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed gives the same bytes."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Random seed. The same seed gives the same bytes.",
 )
 sh_basis = click.option(
     "--basis",
     type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
     default="SH9",
     show_default=True,
-    help="The spherical harmonics that hold the colours.",
+    help="Spherical-harmonics basis of the colours.",
 )
 samples = click.option(
     "--samples",
     type=click.IntRange(1, 8),
-    help="Rays along each edge of a pixel: N x N, averaged.  [default: the cameras', else 1]",
+    help="Rays along each edge of a pixel: N x N per pixel, averaged.  [default: from the cameras, else 1]",
 )
 
 
-def judges(function: Command) -> Command:
-    """Adds --min-psnr, --cameras and --samples; the command gets `budget`."""
+min_psnr = click.option(
+    "--min-psnr",
+    type=Number(),
+    help="Lowest allowed PSNR against the input in dB. Below it, OUT is renamed to OUT.rejected (exit code 3).",
+)
+max_size = click.option("--max-size", type=ByteSize(), help="Largest allowed size of OUT, for example 2MB.")
+lookup = click.option(
+    "--lookup",
+    type=click.Choice(["nearest", "trilinear"]),
+    default="nearest",
+    show_default=True,
+    help="nearest: constant values in each cell; trilinear: values interpolated between cell centres.",
+)
 
-    @click.option("--min-psnr", type=Number(), help="The least PSNR in dB: below it OUT becomes OUT.rejected (exit 3).")
+
+def max_loss(default: str) -> Callable[[Command], Command]:
+    """Add --max-loss with this text about its default."""
+    text = f"Largest allowed loss of PSNR against photographs, in dB.  [default: {default}]"
+    return click.option("--max-loss", type=NumberRange(min=0.001, max=20), help=text)
+
+
+def truth(of: str) -> Callable[[Command], Command]:
+    """Add --truth, photographs of the cameras that `of` names."""
+    text = f"Folder with a photograph NAME.png for each {of}, to measure the loss instead of predicting it."
+    return click.option("--truth", type=Reads(), help=text)
+
+
+def budget_options(function: Command) -> Command:
+    """Add --min-psnr, --cameras and --samples; pass the command `budget`, a Budget."""
+
+    @min_psnr
     @click.option(
         "--cameras",
         metavar="CAPTURE",
         type=Capture(),
-        help=f"The views to judge: {CAPTURE}.  [default: 8 views around IN]",
+        help=f"Cameras for --min-psnr: {CAPTURE}.  [default: 8 views around IN]",
     )
     @samples
     @functools.wraps(function)
-    def command(*args: Any, min_psnr: float | None, cameras: str | None, samples: int | None, **others: Any) -> Any:
+    def command(
+        *args: object, min_psnr: float | None, cameras: str | None, samples: int | None, **others: object
+    ) -> object:
         if min_psnr is None:
             for name in ("cameras", "samples"):
-                without_effect(name, here="where nothing is judged", allowed=f"--{name} with --min-psnr")
+                without_effect(name, here="without --min-psnr", allowed=f"--{name} with --min-psnr")
         return function(*args, budget=Budget(min_psnr, cameras, samples), **others)
 
     return command
 
 
-def speaks(function: Command) -> Command:
-    """Adds -q, -v and --progress; the command gets `words`."""
+def console_options(function: Command) -> Command:
+    """Add -q, -v and --progress; pass the command `console`, a Console."""
 
-    @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-    @click.option("-v", "--verbose", is_flag=True, help="Print how long each step took.")
+    @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
+    @click.option("-v", "--verbose", is_flag=True, help="Print the time of each step.")
     @click.option(
         "--progress",
         type=click.Choice(["auto", "plain", "json"]),
         default="auto",
         show_default=True,
-        help="How long steps are shown on stderr: auto: a bar on a terminal, nothing elsewhere; plain: a line every ten"
-        " seconds; json: an object a line, every second.",
+        help="Progress of long steps, on stderr. auto: a bar on a terminal, nothing elsewhere; plain: a line every ten"
+        " seconds; json: a JSON object per line, every second.",
     )
     @functools.wraps(function)
-    def command(*args: Any, quiet: bool, verbose: bool, progress: Mode, **others: Any) -> Any:
+    def command(*args: object, quiet: bool, verbose: bool, progress: Mode, **others: object) -> object:
         if quiet:
             without_effect("verbose", "progress", here="with --quiet", allowed="one of them")
-        return function(*args, words=Words(quiet=quiet, verbose=verbose, mode=progress), **others)
+        return function(*args, console=Console(quiet=quiet, verbose=verbose, mode=progress), **others)
 
     return command
 
@@ -245,34 +320,38 @@ def speaks(function: Command) -> Command:
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 
 
-def writes_octree(*others: str) -> Callable[[Command], Command]:
-    """Adds what `writes` adds, for other scenes, too, and how an octree is spelled: --profile, --voxel-type and
-    --no-child."""
+def octree_target_argument(*others: str) -> Callable[[Command], Command]:
+    """Add target_argument() for octrees and for scenes of these other types, and the options of octree formats.
+
+    These options are --profile, --voxel-type and --no-child.
+    """
 
     def add(function: Command) -> Command:
-        @writes("SparseVoxelOctree", *others)
+        @target_argument("SparseVoxelOctree", *others)
         @click.option(
             "--profile",
             type=click.Choice(["report", "bulk"]),
-            help="report: lists of numbers, as the report TR-24-01 writes them; bulk: one block of memory an array."
-            "  [default: bulk, but report for svo.pb]",
+            help="Encoding of arrays. report: lists of numbers, as in the report TR-24-01; bulk: one block of bytes"
+            " per array.  [default: report for svo.pb, else bulk]",
         )
         @click.option(
             "--voxel-type",
             type=click.Choice(["number", "struct"]),
-            help="What OUT calls the type of its values: number: float32 or float16; struct: the type of a whole voxel,"
-            " SH9Voxel and its like, in which each coefficient has a name.  [default: number]",
+            help="Type name that OUT declares for its values. number: float32 or float16; struct: the type of a whole"
+            " voxel, such as SH9Voxel, which names each coefficient.  [default: number]",
         )
         @click.option(
             "--no-child",
             type=click.Choice(["0", "-1"]),
             default="0",
             show_default=True,
-            callback=lambda ctx, param, value: int(value) or None,  # 0 is what formats write by themselves
-            help="The number that stands for 'no child' in OUT.",
+            callback=lambda ctx, param, value: int(value) or None,  # 0 is the default of every format
+            help="Child index that means 'no child' in OUT.",
         )
         @functools.wraps(function)
-        def command(*args: Any, target: Target, profile: str | None, voxel_type: str | None, **others: Any) -> Any:
+        def command(
+            *args: object, target: Target, profile: str | None, voxel_type: str | None, **others: object
+        ) -> object:
             return function(*args, target=target._replace(profile=profile, voxel_type=voxel_type), **others)
 
         return command

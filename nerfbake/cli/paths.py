@@ -1,6 +1,7 @@
-"""What a command reads and writes, told by the types of its arguments and options.
+"""Parameter types for paths, which declare what a command reads and writes.
 
-Every path of a command has one of these types; a batch asks them what a line would read and write before it runs any.
+Every path argument and option has one of these types. `nerfbake batch` uses them to collect the inputs and outputs of
+all command lines before it runs any of them.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ import click
 from nerfbake.io import rejected_path
 
 
-class Declared(NamedTuple):
-    """What a line reads and writes.
+class DeclaredPaths(NamedTuple):
+    """The paths that a command line reads and writes.
 
-    reads   files and folders whose content counts
-    albums  captures, of which the photographs count, too
-    writes  files and folders that are there when the line is done
-    spare   what it may write beside these: a result that was rejected, checkpoints
+    reads   files and folders whose contents are inputs
+    albums  captures whose photographs are inputs, too
+    writes  files and folders that exist when the command has succeeded
+    spare   other paths that it may write: a rejected result, checkpoints
     """
 
     reads: tuple[str, ...] = ()
@@ -27,75 +28,77 @@ class Declared(NamedTuple):
     writes: tuple[str, ...] = ()
     spare: tuple[str, ...] = ()
 
-    def plus(self, other: Declared) -> Declared:
-        return Declared(*(ours + theirs for ours, theirs in zip(self, other, strict=True)))
+    def plus(self, other: DeclaredPaths) -> DeclaredPaths:
+        return DeclaredPaths(*(ours + theirs for ours, theirs in zip(self, other, strict=True)))
 
 
 class Place(click.Path):
-    """A path, or several."""
+    """One or several paths."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        """What a command does with these paths, given all of its options by their names."""
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        """Return how a command uses these paths. options: all of its arguments and options by name."""
         raise NotImplementedError
 
 
 class Reads(Place):
-    """A file or a folder that is read."""
+    """A file or folder that the command reads."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        return Declared(reads=paths)
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        return DeclaredPaths(reads=paths)
 
 
 class Capture(Reads):
-    """Cameras: of a file its text alone counts. What cannot be opened is told by whoever opens it."""
+    """Cameras without their photographs. Files that cannot be opened are reported when they are read."""
 
     def __init__(self) -> None:
         super().__init__(readable=False)
 
 
-class Photographs(Place):
-    """A capture with its photographs."""
+class PhotographsPath(Place):
+    """Cameras with their photographs."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        return Declared(albums=paths)
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        return DeclaredPaths(albums=paths)
 
 
 class Stage1AndFolder(Place):
-    """[STAGE1_DIR] OUT_DIR: the last one is written."""
+    """[STAGE1_DIR] OUT_DIR: the command writes the last path."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        return Declared(reads=paths[:-1]).plus(Output().declare(paths[-1:], options))
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        return DeclaredPaths(reads=paths[:-1]).plus(JudgedOutput().declare(paths[-1:], options))
 
 
 class Writes(Place):
-    """A file or a folder that is written."""
+    """A file or folder that the command writes."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        return Declared(writes=paths)
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        return DeclaredPaths(writes=paths)
 
 
-class Output(Writes):
-    """What is judged where --min-psnr is given, and becomes OUT.rejected where it is worse."""
+class JudgedOutput(Writes):
+    """An output that is renamed to OUT.rejected if its PSNR is below --min-psnr."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
         if options.get("grids") == ("all",):
-            raise click.UsageError("--grid all writes files that only IN names; allowed in a batch: --grid NAME")
+            raise click.UsageError(
+                "--grid all writes files whose names depend on the contents of IN; allowed in a batch: --grid NAME"
+            )
         judged = options.get("min_psnr") is not None
-        return Declared(writes=paths, spare=tuple(str(rejected_path(path)) for path in paths) if judged else ())
+        return DeclaredPaths(writes=paths, spare=tuple(str(rejected_path(path)) for path in paths) if judged else ())
 
 
-class Keeps(Place):
-    """A folder where a command keeps what only itself reads."""
+class StateFolder(Place):
+    """A folder for files that only the command itself reads, such as checkpoints."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        return Declared(spare=paths)
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        return DeclaredPaths(spare=paths)
 
 
-def declared(command: click.Command, arguments: list[str]) -> Declared:
-    """What a command with these arguments would read and write. Raises click.UsageError where they are wrong."""
+def declared(command: click.Command, arguments: list[str]) -> DeclaredPaths:
+    """Return the paths that a command with these arguments reads and writes. Raises click.UsageError."""
     if not arguments or {"-h", "--help"} & set(arguments):
-        raise click.UsageError("only says what it does; allowed: a command with its arguments")
-    found = Declared()
+        raise click.UsageError("only prints its help; allowed: a command with its arguments")
+    found = DeclaredPaths()
     with command.make_context(command.name, list(arguments)) as context:
         for param in command.params:
             value = context.params.get(param.name or "")

@@ -1,16 +1,17 @@
-"""What Python and notebooks get of the command line: one call that fits, with a bar if that is asked for."""
+"""nerfbake.fit(), for Python and notebooks: fit a scene in one call, with an optional progress bar."""
 
 from __future__ import annotations
 
 import sys
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import nerfbake
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
 from nerfbake.jobs.files import AnySource
-from nerfbake.jobs.fits import Recipe, fit_scene
-from nerfbake.jobs.photographs import Album, Colour
 from nerfbake.jobs.steps import SILENT
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.photographs import Colour
+    from nerfbake.scene.n3tree import N3Tree
 
 
 def fit(
@@ -30,12 +31,14 @@ def fit(
     holdout: int | None = None,
     dtype: Literal["float16", "float32"] | None = None,
     progress: bool = False,
-) -> nerfbake.N3Tree:
-    """The PlenOctree that `nerfbake fit` would write; every argument is the option of the same name.
+) -> N3Tree:
+    """Fit a PlenOctree to photographs, the same that `nerfbake fit` writes.
 
-    source: a folder of photographs and cameras, or the cameras' file. progress: say on stderr what is done, with a bar
-    on a terminal and a line every ten seconds elsewhere. jobs.fit_file() writes a file, keeps checkpoints and judges.
-    Raises NerfbakeError.
+    source    a folder with photographs and cameras, or the camera file
+    progress  show the progress on stderr: a bar on a terminal, a line every ten seconds elsewhere
+
+    Every other argument is the option of `nerfbake fit` with the same name. To write a file, keep checkpoints and
+    measure the quality on held-out views, call jobs.fit_file(). Raises NerfbakeError.
 
     >>> import nerfbake
     >>> from nerfbake import jobs
@@ -44,8 +47,12 @@ def fit(
     >>> tree.data_format
     'SH1'
     """
+
+    from nerfbake.jobs.fits import FitOptions, fit_scene
+    from nerfbake.jobs.photographs import PhotographOptions
+
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    steps = Words(quiet=False, verbose=False, mode="auto" if terminal else "plain") if progress else SILENT
-    recipe = Recipe(preset, minutes, epochs, resolution, samples, basis, box, seed)
-    album = Album(background, masks, test, holdout)
+    steps = Console(quiet=False, verbose=False, mode="auto" if terminal else "plain") if progress else SILENT
+    recipe = FitOptions(preset, minutes, epochs, resolution, samples, basis, box, seed)
+    album = PhotographOptions(background, masks, test, holdout)
     return fit_scene(source, album=album, recipe=recipe, dtype=dtype, steps=steps)

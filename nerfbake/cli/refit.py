@@ -1,75 +1,96 @@
-"""`nerfbake refit`: an octree fitted anew, to a finer scene or to photographs."""
+"""`nerfbake refit`: fit the values of an octree to a finer scene or to photographs."""
 
 from __future__ import annotations
 
 from functools import wraps
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import takes_album
-from nerfbake.cli.params import CAPTURE, Command, as_json, reads, seed, speaks, without_effect, writes_octree
-from nerfbake.cli.paths import Photographs, Reads
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.fit import photograph_options
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    as_json,
+    console_options,
+    octree_target_argument,
+    seed,
+    source_argument,
+    without_effect,
+)
+from nerfbake.cli.paths import PhotographsPath, Reads
 from nerfbake.jobs.files import Source, Target
-from nerfbake.jobs.photographs import Album
-from nerfbake.jobs.refits import Again, Model, refit_file
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.photographs import PhotographOptions
 
 
-def takes_model(function: Command) -> Command:
-    """Adds --like with --frames and --edge, and --views with what takes_album adds; the command gets `model`."""
+def reference_options(function: Command) -> Command:
+    """Add --like, --frames and --edge, --views and photograph_options(); pass the command `model`, a RefitTarget."""
 
-    @click.option("--like", metavar="BIGGER", type=Reads(), help="The finer scene that OUT is to look like.")
+    @click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene that OUT is fitted to.")
     @click.option(
         "--frames",
         type=click.IntRange(2, 1000),
         default=100,
         show_default=True,
-        help="How many pictures of BIGGER are taken, from all sides.",
+        help="With --like: number of pictures of BIGGER to render, from all sides.",
     )
     @click.option(
         "--edge",
         type=click.IntRange(8, 4096),
         default=400,
         show_default=True,
-        help="The pixels of those along each edge.",
+        help="With --like: width and height of these pictures, in pixels.",
     )
     @click.option(
-        "--views", metavar="SOURCE", type=Photographs(), help=f"The photographs that OUT is to look like: {CAPTURE}."
+        "--views",
+        metavar="SOURCE",
+        type=PhotographsPath(),
+        help=f"Photographs that OUT is fitted to: {CAPTURE}.",
     )
-    @takes_album
+    @photograph_options
     @wraps(function)
     def command(
-        *args: Any, like: str | None, frames: int, edge: int, views: str | None, album: Album, **others: Any
-    ) -> Any:
+        *args: object,
+        like: str | None,
+        frames: int,
+        edge: int,
+        views: str | None,
+        album: PhotographOptions,
+        **others: object,
+    ) -> object:
+        from nerfbake.jobs.refits import RefitTarget
+
         if like is None:
-            without_effect("frames", "edge", here="on photographs", allowed="--frames and --edge with --like")
+            without_effect("frames", "edge", here="without --like", allowed="--frames and --edge with --like")
         if views is None:
             allowed = "it with --views"
-            without_effect("background", "masks", "test", "holdout", here="without photographs", allowed=allowed)
-        return function(*args, model=Model(like, views, frames, edge, album), **others)
+            without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
+        return function(*args, model=RefitTarget(like, views, frames, edge, album), **others)
 
     return command
 
 
 @click.command()
-@reads
-@writes_octree()
-@takes_model
+@source_argument
+@octree_target_argument()
+@reference_options
 @click.option(
-    "--epochs", type=click.IntRange(1, 100), default=2, show_default=True, help="How often each picture is looked at."
+    "--epochs", type=click.IntRange(1, 100), default=2, show_default=True, help="Number of passes over the pictures."
 )
 @click.option(
     "--samples",
     type=click.IntRange(1, 2),
     default=2,
     show_default=True,
-    help="Rays along each edge of a pixel, as pictures of OUT are to be made.",
+    help="Rays along each edge of a pixel. Choose the value that OUT will be rendered with.",
 )
 @seed
 @as_json
-@speaks
+@console_options
 def refit(
     source: Source,
     target: Target,
@@ -77,18 +98,22 @@ def refit(
     samples: int,
     seed: int,
     as_json: bool,
-    words: Words,
+    console: Console,
     **options: Any,
 ) -> None:
     """Make a coarse scene look like a finer one.
 
-    Fits the values of the octree or PlenOctree IN to a finer scene or to photographs. OUT has the same nodes.
+    Fits the values of the octree or PlenOctree IN to a finer scene (--like) or to photographs (--views). OUT
+    has the same nodes as IN.
 
     \b
       nerfbake refit chair_128.svo.pb chair_better.svo.pb --like chair.npz
       nerfbake refit chair_lod.svo.pb chair_better.svo.pb --views capture --samples 1
     """
-    found = refit_file(source, target, again=Again(epochs, samples, seed), steps=words, **options)
+
+    from nerfbake.jobs.refits import RefitOptions, refit_file
+
+    found = refit_file(source, target, again=RefitOptions(epochs, samples, seed), steps=console, **options)
     if as_json:
         before, after = found.psnr
         facts = {"in": source.path, "file": found.path, "content": found.content, "bytes": found.bytes}

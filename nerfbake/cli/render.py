@@ -1,19 +1,31 @@
-"""`nerfbake render`: pictures of a scene."""
+"""`nerfbake render`: render pictures of a scene."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import wraps
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import click
 
-from nerfbake.cli.params import CAPTURE, Command, NumberRange, PixelSize, reads, samples, speaks, without_effect
-from nerfbake.cli.paths import Capture, Declared, Reads, Writes
-from nerfbake.cli.volumes import chooses_grids
-from nerfbake.cli.words import Words
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    NumberRange,
+    PixelSize,
+    console_options,
+    grid_options,
+    lookup,
+    samples,
+    source_argument,
+    without_effect,
+)
+from nerfbake.cli.paths import Capture, DeclaredPaths, Reads, Writes
 from nerfbake.jobs.files import Source
-from nerfbake.jobs.pictures import Pictures, PlacedMesh, Shots, render_views
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.pictures import PictureOutputs, ViewSelection
 
 
 class Background(click.ParamType[tuple[float, float, float] | None]):
@@ -28,49 +40,55 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
         parts = value.split(",") if isinstance(value, str) else []
         if len(parts) != 3 or not all(part.isdecimal() and int(part) < 256 for part in parts):
             known = ", ".join(self.known)
-            self.fail(f"{value!r} is no colour; allowed: {known}, or R,G,B in 0..255", param, ctx)
+            self.fail(f"{value!r} is not a colour; allowed: {known}, or R,G,B in 0..255", param, ctx)
         return tuple(int(part) / 255 for part in parts)
 
 
 class PicturesPath(Writes):
-    """A picture and what stands beside it, or a folder of pictures."""
+    """A picture with its depth and alpha files, or a folder of pictures."""
 
-    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> Declared:
-        pictures, single = (
-            Pictures(paths[0], options["depth"], options["alpha"]),
-            not (options["every"] or options["turntable"]),
-        )
-        return Declared(writes=(*paths, *pictures.beside(paths[0])) if single else paths)
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        from nerfbake.jobs.pictures import PictureOutputs
+
+        pictures = PictureOutputs(paths[0], options["depth"], options["alpha"])
+        single = not (options["every"] or options["turntable"])
+        return DeclaredPaths(writes=(*paths, *pictures.beside(paths[0])) if single else paths)
 
 
-def takes_shots(function: Command) -> Command:
-    """Adds --cameras, --frame, --all, --turntable, --size and --samples; the command gets `shots`."""
+def view_options(function: Command) -> Command:
+    """Add --cameras, --frame, --all, --turntable, --size and --samples; pass the command `shots`, a ViewSelection."""
 
     @click.option(
         "--cameras",
         metavar="CAPTURE",
         type=Capture(),
-        help=f"The cameras: {CAPTURE}.  [default: an orbit around the scene]",
+        help=f"Cameras: {CAPTURE}.  [default: an orbit around the scene]",
     )
     @click.option(
-        "--frame", type=click.IntRange(min=0), default=0, show_default=True, help="The camera to use, from 0."
+        "--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the camera to use, from 0."
     )
     @click.option("--all", "every", is_flag=True, help="Render the views of all cameras.")
     @click.option("--turntable", type=click.IntRange(2, 1000), help="Render this many views around the scene.")
-    @click.option("--size", type=PixelSize(), help="Size in pixels.  [default: the cameras', 800x800 for an orbit]")
+    @click.option(
+        "--size",
+        type=PixelSize(),
+        help="Picture size in pixels.  [default: that of the cameras; 800x800 for an orbit]",
+    )
     @samples
     @wraps(function)
     def command(
-        *args: Any,
+        *args: object,
         cameras: str | None,
         frame: int,
         every: bool,
         turntable: int | None,
         size: Any,
         samples: int | None,
-        **others: Any,
-    ) -> Any:
-        shots = Shots(cameras, frame, every, turntable, size, samples)
+        **others: object,
+    ) -> object:
+        from nerfbake.jobs.pictures import ViewSelection
+
+        shots = ViewSelection(cameras, frame, every, turntable, size, samples)
         shots.require()
         if turntable or not cameras:
             without_effect("frame", "every", here="without cameras to choose from", allowed="with --cameras")
@@ -81,43 +99,47 @@ def takes_shots(function: Command) -> Command:
     return command
 
 
-def writes_pictures(function: Command) -> Command:
-    """Adds --out, --depth, --alpha and --force; the command gets `pictures`."""
+def picture_options(function: Command) -> Command:
+    """Add --out, --depth, --alpha and --force; pass the command `pictures`, a PictureOutputs."""
 
     @click.option(
         "--out",
         required=True,
         type=PicturesPath(),
-        help="A .png or '-'; for several views a .gif, a .png sheet or a folder.",
+        help="Output: a .png or '-'; for several views a .gif, a .png that shows them all, or a folder.",
     )
     @click.option(
         "--depth",
         type=click.Choice(["png", "npy"]),
         is_flag=False,
         flag_value="png",
-        help="Write NAME.depth.png beside each picture (16 bits, thousandths of a world unit), or NAME.depth.npy.",
+        help="Also write NAME.depth.png (16 bits, thousandths of a world unit) or NAME.depth.npy for each picture.",
     )
-    @click.option("--alpha", is_flag=True, help="Write NAME.alpha.png beside each picture: white is opaque.")
-    @click.option("--force", is_flag=True, help="Replace files that exist.")
+    @click.option("--alpha", is_flag=True, help="Also write NAME.alpha.png for each picture: white is opaque.")
+    @click.option("--force", is_flag=True, help="Replace existing files.")
     @wraps(function)
     def command(
-        *args: Any, out: str, depth: Literal["png", "npy"] | None, alpha: bool, force: bool, **others: Any
-    ) -> Any:
-        return function(*args, pictures=Pictures(out, depth, alpha, force), **others)
+        *args: object, out: str, depth: Literal["png", "npy"] | None, alpha: bool, force: bool, **others: object
+    ) -> object:
+        from nerfbake.jobs.pictures import PictureOutputs
+
+        return function(*args, pictures=PictureOutputs(out, depth, alpha, force), **others)
 
     return command
 
 
-def places_mesh(function: Command) -> Command:
-    """Adds --mesh, --mesh-up and --composite; the command gets `mesh`, a PlacedMesh or None."""
+def mesh_options(function: Command) -> Command:
+    """Add --mesh, --mesh-up and --composite; pass the command `mesh`, a PlacedMesh or None."""
 
-    @click.option("--mesh", type=Reads(), help="An .obj or .glb of opaque triangles in the scene's own world.")
+    @click.option(
+        "--mesh", type=Reads(), help="An .obj or .glb with opaque triangles, in the scene's world coordinates."
+    )
     @click.option(
         "--mesh-up",
         type=click.Choice(["y", "z"]),
         default="y",
         show_default=True,
-        help="With --mesh: the axis of the scene that the mesh's y becomes; z is what Blender makes of a .glb.",
+        help="With --mesh: the axis of the scene that the mesh's y axis maps to. Use z for a .glb from Blender.",
     )
     @click.option(
         "--composite",
@@ -125,12 +147,14 @@ def places_mesh(function: Command) -> Command:
         type=click.Choice(["stop", "ztest"]),
         default="stop",
         show_default=True,
-        help="With --mesh. stop: rays stop at it; ztest: the field lies over it where the field's depth is nearer.",
+        help="With --mesh. stop: rays stop at the mesh; ztest: the field covers the mesh where its depth is nearer.",
     )
     @wraps(function)
     def command(
-        *args: Any, mesh: str | None, mesh_up: Literal["y", "z"], how: Literal["stop", "ztest"], **others: Any
-    ) -> Any:
+        *args: object, mesh: str | None, mesh_up: Literal["y", "z"], how: Literal["stop", "ztest"], **others: object
+    ) -> object:
+        from nerfbake.jobs.pictures import PlacedMesh
+
         if not mesh:
             without_effect("how", "mesh_up", here="without a mesh", allowed="with --mesh")
         return function(*args, mesh=PlacedMesh(mesh, mesh_up, how) if mesh else None, **others)
@@ -139,34 +163,33 @@ def places_mesh(function: Command) -> Command:
 
 
 @click.command()
-@reads
-@takes_shots
-@writes_pictures
+@source_argument
+@view_options
+@picture_options
 @click.option(
-    "--background", type=Background(), default="white", show_default=True, help="white, black, transparent or R,G,B."
-)
-@click.option(
-    "--lookup",
-    type=click.Choice(["nearest", "trilinear"]),
-    default="nearest",
+    "--background",
+    type=Background(),
+    default="white",
     show_default=True,
-    help="nearest: cells as they are; trilinear: values interpolated between their centres.",
+    help="Background: white, black, transparent or R,G,B.",
 )
-@click.option("--lod", type=click.IntRange(min=0), help="The level at which an octree is shown.")
+@lookup
+@click.option("--lod", type=click.IntRange(min=0), help="Level of detail at which an octree is rendered.")
 @click.option(
     "--transmittance-cut",
     type=NumberRange(0, 1, max_open=True),
     default=1e-4,
     show_default=True,
-    help="A ray ends where less than this share of light is left; 0.5 makes an opaque cutout.",
+    help="A ray ends when its transmittance falls below this value. 0.5 makes an opaque cutout.",
 )
-@places_mesh
-@chooses_grids
-@speaks
-def render(source: Source, pictures: Pictures, shots: Shots, words: Words, **options: Any) -> None:
+@mesh_options
+@grid_options
+@console_options
+def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, console: Console, **options: Any) -> None:
     """Render pictures or a turntable.
 
-    Renders the PlenOctree, octree or volume IN as PNG, or as a moving GIF. A density without colours is grey.
+    Renders the PlenOctree, octree or volume IN as PNG or as an animated GIF. A density without colours is rendered
+    grey.
 
     \b
       nerfbake render chair.npz --out chair.png
@@ -177,4 +200,7 @@ def render(source: Source, pictures: Pictures, shots: Shots, words: Words, **opt
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views
       nerfbake render chair.svo.pb --mesh room.glb --out room.png
     """
-    render_views(source, pictures, shots, steps=words, **options)
+
+    from nerfbake.jobs.pictures import render_views
+
+    render_views(source, pictures, shots, steps=console, **options)

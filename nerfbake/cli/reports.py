@@ -1,4 +1,4 @@
-"""What the commands of `nerfbake bench` share: how often they measure, and where their report and chart go."""
+"""Options that the commands of `nerfbake bench` share: number of rounds, report and chart."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.bench.extras import require_installed
+from nerfbake.bench.environment import require_installed
 from nerfbake.cli.params import Command, without_effect
 from nerfbake.cli.paths import Writes
 from nerfbake.errors import OutputError, UsageError
@@ -19,7 +19,7 @@ from nerfbake.errors import OutputError, UsageError
 
 @dataclass(frozen=True)
 class Destination:
-    """Where a report goes, spelled how, and its chart."""
+    """Paths and format of a report, and the path of its chart."""
 
     kind: str
     output: str | None
@@ -27,14 +27,14 @@ class Destination:
     force: bool
 
     def require(self) -> None:
-        """Raises, before anything is measured, if it could not be written."""
+        """Raise NerfbakeError if the report or the chart could not be written. Call it before measuring."""
         if self.plot:
             require_chart(self.plot, force=self.force)
         if self.output:
             io.require_absent(self.output, force=self.force)
 
     def write(self, reports: Sequence[Any], chart: Callable[[Any, str], bytes]) -> None:
-        """All reports as one document, and the chart of the first."""
+        """Write all reports as one document, and the chart of the first report."""
         from nerfbake.bench.report import document
 
         text = document(reports, self.kind)
@@ -47,21 +47,21 @@ class Destination:
 
 
 def require_chart(path: str, *, force: bool) -> None:
-    """Raises, before anything is measured, if no chart could be drawn here."""
+    """Raise NerfbakeError if no chart could be written to this path. Call it before measuring."""
     if Path(path).suffix not in (".png", ".svg"):
-        raise UsageError(f"the ending of {path!r} names no picture; allowed: .png, .svg")
+        raise UsageError(f"the extension of {path!r} is not that of a chart; allowed: .png, .svg")
     require_installed("matplotlib", "--plot")
     io.require_absent(path, force=force)
 
 
 def save_bytes(path: str, content: bytes, *, force: bool) -> None:
-    """A report or a chart: whole or not at all."""
+    """Write a report or a chart, completely or not at all."""
     with io.blame(path, OutputError), io.replacing(Path(path), force=force) as file:
         file.write(content)
 
 
-def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
-    """Adds --rounds, and --format, -o, --plot and --force, which the command gets as `destination`."""
+def report_options(*, rounds: int, chart: str) -> Callable[[Command], Command]:
+    """Add --rounds, --format, -o, --plot and --force; pass the command `rounds` and `destination`, a Destination."""
 
     def add(function: Command) -> Command:
         @click.option(
@@ -69,7 +69,7 @@ def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
             type=click.IntRange(1, 1000),
             default=rounds,
             show_default=True,
-            help="How many runs are counted.",
+            help="Number of measured runs.",
         )
         @click.option(
             "--format",
@@ -77,17 +77,17 @@ def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
             type=click.Choice(["md", "csv", "json"]),
             default="md",
             show_default=True,
-            help="The form of the report.",
+            help="Format of the report.",
         )
-        @click.option(
-            "-o", "--output", type=Writes(), help="The file that the report is written to.  [default: stdout]"
-        )
-        @click.option("--plot", type=Writes(), help=f"Draw a chart of {chart}, as .png or .svg.")
-        @click.option("--force", is_flag=True, help="Replace files that exist.")
+        @click.option("-o", "--output", type=Writes(), help="Write the report to this file.  [default: stdout]")
+        @click.option("--plot", type=Writes(), help=f"Write a chart of {chart}: a .png or .svg.")
+        @click.option("--force", is_flag=True, help="Replace existing files.")
         @functools.wraps(function)
-        def command(*args: Any, kind: str, output: str | None, plot: str | None, force: bool, **others: Any) -> Any:
+        def command(
+            *args: object, kind: str, output: str | None, plot: str | None, force: bool, **others: object
+        ) -> object:
             if not (output or plot):
-                without_effect("force", here="where no file is written", allowed="--force with -o or --plot")
+                without_effect("force", here="without -o or --plot", allowed="--force with -o or --plot")
             destination = Destination(kind, output, plot, force)
             destination.require()
             return function(*args, destination=destination, **others)
@@ -98,7 +98,7 @@ def reports(*, rounds: int, chart: str) -> Callable[[Command], Command]:
 
 
 class Resolutions(click.ParamType[tuple[int, ...]]):
-    """Voxels an axis, one or several."""
+    """One or several resolutions, in voxels along each axis."""
 
     name = "R,..."
 
@@ -107,5 +107,5 @@ class Resolutions(click.ParamType[tuple[int, ...]]):
             return value
         edges = value.split(",")
         if not all(edge.isdecimal() and len(edge) < 5 and 1 <= int(edge) <= 4096 for edge in edges):
-            self.fail(f"{value!r} are no resolutions; allowed: R,R,..., each 1 to 4096", param, ctx)
+            self.fail(f"{value!r} is not a list of resolutions; allowed: R,R,..., each 1 to 4096", param, ctx)
         return tuple(dict.fromkeys(map(int, edges)))

@@ -1,4 +1,4 @@
-"""`nerfbake sample`: synthetic scenes for trying things out, without a download."""
+"""`nerfbake sample`: write synthetic scenes to try nerfbake with, without a download."""
 
 from __future__ import annotations
 
@@ -6,40 +6,42 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import max_memory, seed, sh_basis, speaks, writes
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import console_options, max_memory, seed, sh_basis, target_argument
 from nerfbake.cli.paths import Writes
-from nerfbake.cli.words import Words
 from nerfbake.jobs.files import FolderTarget, Target
-from nerfbake.jobs.samples import write_sample_capture, write_sample_n3tree, write_sample_stage1
 
 
 @click.group()
 def sample() -> None:
-    """Write a synthetic scene to try things with."""
+    """Write a synthetic scene to try nerfbake with."""
 
 
 @sample.command()
-@writes("N3Tree")
+@target_argument("N3Tree")
 @click.option(
     "--resolution",
     type=click.IntRange(4, 1024),
     default=128,
     show_default=True,
-    help="Cells along each axis, a power of two.",
+    help="Cells along each axis: a power of two.",
 )
 @sh_basis
 @seed
 @max_memory
-@speaks
-def octree(target: Target, words: Words, **options: Any) -> None:
+@console_options
+def octree(target: Target, console: Console, **options: Any) -> None:
     """Write a PlenOctree of shiny shapes.
 
-    OUT is a svox .npz with leaves at several depths.
+    Writes OUT, a PlenOctree as svox stores it (.npz), with leaves at several depths.
 
     \b
       nerfbake sample octree sample.npz --resolution 256
     """
-    write_sample_n3tree(target, steps=words, **options)
+
+    from nerfbake.jobs.samples import write_sample_n3tree
+
+    write_sample_n3tree(target, steps=console, **options)
 
 
 @sample.command()
@@ -48,32 +50,40 @@ def octree(target: Target, words: Words, **options: Any) -> None:
 @seed
 @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
 @max_memory
-@speaks
-def nerf2mesh(target: str, force: bool, words: Words, **options: Any) -> None:
+@console_options
+def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> None:
     """Write a nerf2mesh folder of a glossy torus.
 
-    OUT_DIR holds a mesh, textures, and an MLP that is fitted to the highlights.
+    Writes OUT_DIR with a mesh, textures, and an MLP that is fitted to the highlights.
 
     \b
       nerfbake sample nerf2mesh mesh_stage1 && nerfbake atlas mesh_stage1 atlas
     """
-    write_sample_stage1(FolderTarget(target, force), steps=words, **options)
+
+    from nerfbake.jobs.samples import write_sample_stage1
+
+    write_sample_stage1(FolderTarget(target, force), steps=console, **options)
 
 
 @sample.command()
 @click.argument("target", metavar="OUT_DIR", type=Writes())
-@click.option("--frames", type=click.IntRange(2, 1000), default=24, show_default=True, help="How many photographs.")
-@click.option("--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Their edge in pixels.")
+@click.option("--frames", type=click.IntRange(2, 1000), default=24, show_default=True, help="Number of photographs.")
+@click.option(
+    "--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Width and height in pixels."
+)
 @seed
 @click.option("--force", is_flag=True, help="Replace files in OUT_DIR that have the same names.")
 @max_memory
-@speaks
-def capture(target: str, words: Words, **options: Any) -> None:
+@console_options
+def capture(target: str, console: Console, **options: Any) -> None:
     """Write photographs of shiny shapes with cameras.
 
-    OUT_DIR holds pictures from all sides, and their cameras as transforms.json.
+    Writes OUT_DIR with pictures from all sides, and their cameras in transforms.json.
 
     \b
       nerfbake sample capture photographs && nerfbake info photographs
     """
-    write_sample_capture(target, steps=words, **options)
+
+    from nerfbake.jobs.samples import write_sample_capture
+
+    write_sample_capture(target, steps=console, **options)

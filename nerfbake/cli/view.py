@@ -1,4 +1,4 @@
-"""`nerfbake view`: a page to look around in."""
+"""`nerfbake view`: write a web page that shows a scene."""
 
 from __future__ import annotations
 
@@ -7,114 +7,103 @@ from typing import Any
 
 import click
 
+from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
     Command,
-    Number,
-    NumberRange,
-    Size,
-    reads,
+    console_options,
+    grid_options,
+    max_loss,
+    max_size,
+    min_psnr,
     samples,
-    speaks,
+    source_argument,
+    target_argument,
+    truth,
     without_effect,
-    writes,
 )
 from nerfbake.cli.paths import Capture, Reads
-from nerfbake.cli.render import Background, places_mesh
-from nerfbake.cli.volumes import chooses_grids
-from nerfbake.cli.words import Words
-from nerfbake.jobs.compressions import Goal
+from nerfbake.cli.render import Background, mesh_options
 from nerfbake.jobs.files import Source, Target
-from nerfbake.jobs.viewing import view_file
 
 
-def carries(function: Command) -> Command:
-    """Adds --data, --max-loss and --max-size; the command gets `data` and `goal`."""
+def data_options(function: Command) -> Command:
+    """Add --data, --max-loss and --max-size; pass the command `data` and `goal`, a CompressionGoal."""
 
     @click.option(
         "--data",
         type=click.Choice(["compressed", "exact"]),
-        help="What OUT carries. compressed: as `nerfbake compress` does it; exact: float16, about ten times as large."
-        "  [default: compressed, but exact of a volume]",
+        help="Data in OUT. compressed: the data of `nerfbake compress`; exact: float16, about ten times as large."
+        "  [default: compressed; exact for a volume]",
     )
-    @click.option(
-        "--max-loss",
-        type=NumberRange(min=0.001, max=20),
-        help="The most PSNR that pictures may lose against photographs, in dB.  "
-        "[default: 0.1, or more where OUT would take more than 6 MB]",
-    )
-    @click.option("--max-size", type=Size(), help="The most bytes that OUT may have, for example 2MB.")
+    @max_loss("0.1, or more if OUT would take more than 6 MB")
+    @max_size
     @wraps(function)
-    def command(*args: Any, data: Any, max_loss: float | None, max_size: int | None, **others: Any) -> Any:
+    def command(*args: object, data: Any, max_loss: float | None, max_size: int | None, **others: object) -> object:
+        from nerfbake.jobs.compressions import CompressionGoal
+
         if data == "exact":
-            here = "on exact data"
+            here = "with --data exact"
             without_effect("max_loss", "max_size", "truth", here=here, allowed="with --data compressed")
-        return function(*args, data=data, goal=Goal(max_loss, max_size), **others)
+        return function(*args, data=data, goal=CompressionGoal(max_loss, max_size), **others)
 
     return command
 
 
-def measures(function: Command) -> Command:
-    """Adds --truth, --min-psnr and --samples; the command gets all three."""
+def quality_options(function: Command) -> Command:
+    """Add --truth, --min-psnr and --samples; pass the command all three."""
 
-    @click.option(
-        "--truth",
-        type=Reads(),
-        help="A folder with a photograph NAME.png for each of --cameras: the loss is measured, not predicted.",
-    )
-    @click.option(
-        "--min-psnr",
-        type=Number(),
-        help="The least PSNR in dB of what OUT shows: below it OUT becomes OUT.rejected (exit 3).",
-    )
+    @truth("of --cameras")
+    @min_psnr
     @samples
     @wraps(function)
-    def command(*args: Any, truth: str | None, min_psnr: float | None, **others: Any) -> Any:
+    def command(*args: object, truth: str | None, min_psnr: float | None, **others: object) -> object:
         if truth is None and min_psnr is None:
             allowed = "--samples with --truth or --min-psnr"
-            without_effect("samples", here="where nothing is measured", allowed=allowed)
+            without_effect("samples", here="without --truth or --min-psnr", allowed=allowed)
         return function(*args, truth=truth, min_psnr=min_psnr, **others)
 
     return command
 
 
 @click.command()
-@reads
-@writes("Page", required=False)
-@carries
-@measures
-@click.option("--title", help="Title of the page.  [default: the name of IN, without its ending]")
+@source_argument
+@target_argument("Page", required=False)
+@data_options
+@quality_options
+@click.option("--title", help="Title of the page.  [default: the name of IN without its extension]")
 @click.option(
     "--background",
     type=Background(),
     default="transparent",
     show_default=True,
-    help="white, black, R,G,B, or transparent: light or dark, as the reader has it.",
+    help="Background: white, black, R,G,B, or transparent (light or dark, following the browser's setting).",
 )
 @click.option(
     "--lookup",
     type=click.Choice(["nearest", "trilinear"]),
     default="nearest",
     show_default=True,
-    help="How OUT opens: cells as they are, or values interpolated between their centres; the page can switch.",
+    help="Lookup that the page opens with, which can be switched there. nearest: constant values in each cell; "
+    "trilinear: values interpolated between cell centres.",
 )
-@places_mesh
-@click.option("--stage1", type=Reads(), help="Of an atlas IN: the stage-1 folder it was baked from, to show both.")
+@mesh_options
+@click.option("--stage1", type=Reads(), help="Stage-1 folder that the atlas IN was baked from, to show both.")
 @click.option(
     "--cameras",
     metavar="CAPTURE",
     type=Capture(),
-    help=f"Where to look from: {CAPTURE}.  [default: the front, turning]",
+    help=f"Cameras to look from: {CAPTURE}.  [default: the front, turning]",
 )
-@chooses_grids
-@speaks
-def view(source: Source, target: Target | None, words: Words, **options: Any) -> None:
-    """Make a web page to look around in.
+@grid_options
+@console_options
+def view(source: Source, target: Target | None, console: Console, **options: Any) -> None:
+    """Make a web page that shows a scene.
 
-    Writes OUT, one HTML page that shows IN in any browser and can be mailed.
+    Writes OUT, a single HTML file that shows IN in any browser and that you can mail.
 
-    IN is a PlenOctree, an octree, a volume, or a folder with its mesh: nerf2mesh's stage 1, or an atlas. Without OUT
-    the page is a temporary one, and opens at once.
+    IN is a PlenOctree, an octree, a volume, or a folder with a mesh: nerf2mesh's stage 1 or an atlas. Without OUT,
+    writes a temporary page and opens it in the browser.
 
     \b
       nerfbake view chair.npz
@@ -124,4 +113,7 @@ def view(source: Source, target: Target | None, words: Words, **options: Any) ->
       nerfbake view chair.npz room.html --mesh room.glb
       nerfbake view atlas_64 atlas.html --stage1 mesh_stage1
     """
-    view_file(source, target, steps=words, **options)
+
+    from nerfbake.jobs.pages import view_file
+
+    view_file(source, target, steps=console, **options)

@@ -1,8 +1,8 @@
-"""load and save: the only place that opens files.
+"""Read and write scenes. No other package opens files.
 
-Files are read whole, so that nobody who cuts a file short while it is read can harm the process; '-' is stdin or
-stdout. What is written appears whole or not at all. Any format may be compressed, said by a further ending (.zst), or
-seen by the first bytes.
+Files are read whole, so that a file that is truncated while it is read cannot crash the process. '-' is stdin or
+stdout. An output appears completely or not at all. Any format may be compressed with zstd: outputs if they have the
+extension .zst, inputs by their first bytes.
 """
 
 from nerfbake.catalog import uncompressed as uncompressed
@@ -10,21 +10,22 @@ from nerfbake.io.checkpoints import checkpoint_path as checkpoint_path
 from nerfbake.io.checkpoints import load_checkpoint as load_checkpoint
 from nerfbake.io.checkpoints import require_checkpoints as require_checkpoints
 from nerfbake.io.checkpoints import save_checkpoint as save_checkpoint
-from nerfbake.io.photographs import Truth as Truth
-from nerfbake.io.photographs import find_photograph as find_photograph
-from nerfbake.io.photographs import load_photograph as load_photograph
-from nerfbake.io.photographs import load_thumbnail as load_thumbnail
-from nerfbake.io.photographs import picture_in as picture_in
 from nerfbake.io.reading import Loaded as Loaded
+from nerfbake.io.reading import Truth as Truth
 from nerfbake.io.reading import check as check
 from nerfbake.io.reading import decode_files as decode_files
+from nerfbake.io.reading import find_photograph as find_photograph
 from nerfbake.io.reading import load as load
 from nerfbake.io.reading import load_files as load_files
 from nerfbake.io.reading import load_folder as load_folder
 from nerfbake.io.reading import load_lines as load_lines
 from nerfbake.io.reading import load_page_content as load_page_content
+from nerfbake.io.reading import load_photograph as load_photograph
 from nerfbake.io.reading import load_split as load_split
+from nerfbake.io.reading import load_thumbnail as load_thumbnail
 from nerfbake.io.reading import load_with_format as load_with_format
+from nerfbake.io.reading import picture_in as picture_in
+from nerfbake.io.results import report_result as report_result
 from nerfbake.io.sources import STREAM as STREAM
 from nerfbake.io.sources import blame as blame
 from nerfbake.io.sources import reading_name as reading_name
@@ -39,7 +40,7 @@ from nerfbake.io.targets import require_absent as require_absent
 from nerfbake.io.targets import require_no_folder as require_no_folder
 from nerfbake.io.targets import require_rejected_absent as require_rejected_absent
 from nerfbake.io.targets import require_room as require_room
-from nerfbake.io.writing import Saved as Saved
+from nerfbake.io.writing import PendingFile as PendingFile
 from nerfbake.io.writing import format_for as format_for
 from nerfbake.io.writing import save as save
 from nerfbake.io.writing import save_files as save_files

@@ -1,4 +1,4 @@
-"""Where a piece of work stands, kept in a folder: a checkpoint is replaced by the next one in one step."""
+"""Checkpoints: the state of a computation in a folder. Each checkpoint replaces the previous one atomically."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _NAME = "checkpoint.npz"
 
 
 def checkpoint_path(folder: str | Path) -> Path:
-    """Where the checkpoint of this folder stands, or would stand."""
+    """The path of this folder's checkpoint, whether it exists or not."""
     return Path(folder) / _NAME
 
 
 def require_checkpoints(folder: str | Path) -> None:
-    """Makes the folder, and raises OutputError where there can be none: asked before the work, not after it."""
+    """Create the folder, or raise OutputError. Call this before the work."""
     with blame(str(folder), OutputError):
         Path(folder).mkdir(parents=True, exist_ok=True)
 
 
 def save_checkpoint(folder: str | Path, facts: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-    """Raises OutputError; the last checkpoint is then still there."""
+    """Write the checkpoint. Raises OutputError; the previous checkpoint is then kept."""
     path = checkpoint_path(folder)
     with blame(str(path), OutputError), replacing(path, force=True) as file:
         for piece in load_checkpoints().encode_checkpoint(facts, arrays):
@@ -35,7 +35,7 @@ def save_checkpoint(folder: str | Path, facts: Mapping[str, Any], arrays: Mappin
 
 
 def load_checkpoint(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Facts and arrays of the last checkpoint, as somebody wrote them; None where there is none yet.
+    """Return facts and arrays of the last checkpoint, unchecked; None if there is none yet.
 
     Raises InvalidFile, MemoryLimit.
     """

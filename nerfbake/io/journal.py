@@ -1,7 +1,7 @@
-"""What happened, line by line, in a file that outlives whoever writes it: JSON lines, each on the disk before the next.
+"""A journal: an append-only file of JSON lines. Each line is on disk before the next one is written.
 
-One process appends to a file, in as many threads as it likes. A line that a crash has torn is no line: whoever reads
-passes over it, and whoever appends next ends it first.
+One process appends to a file, from any number of threads. A crash can leave an incomplete line: readers skip it, and
+the next writer terminates it first.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from nerfbake.io.own_files import open_own
 from nerfbake.io.sources import blame
 
 Event = dict[str, Any]
-_LONGEST = 16 << 20  # bytes of a line: a command line has at most 2 MiB
+_LONGEST = 16 << 20  # maximum bytes of a line: a command line has at most 2 MiB
 
 
 class Journal:
-    """The file that this process appends to; a folder that leads there is made. Raises OutputError."""
+    """The file that this process appends to. Its folder is created if necessary. Raises OutputError."""
 
     def __init__(self, path: str | Path) -> None:
         self._name, self._lock = str(path), threading.Lock()
@@ -37,11 +37,11 @@ class Journal:
         return self._file.read(1) == b"\n"
 
     def write(self, event: Event) -> None:
-        """A line more, which is on the disk when this returns. Raises OutputError."""
+        """Append a line, which is on disk when this returns. Raises OutputError."""
         line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
         with self._lock, blame(self._name, OutputError):
             if self._file.write(line) != len(line):
-                raise OutputError("takes no more; allowed: a disk with room", source=self._name)
+                raise OutputError("cannot be extended; allowed: a disk with free space", source=self._name)
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -49,7 +49,7 @@ class Journal:
 
 
 def read_journal(path: str | Path) -> Iterator[Event]:
-    """The lines of a file, one at a time, but for those that are torn; none where there is no file."""
+    """Yield the lines of a file, without incomplete ones; nothing if the file does not exist."""
     with blame(str(path)):
         if not os.path.lexists(path):
             return
@@ -64,7 +64,7 @@ def read_journal(path: str | Path) -> Iterator[Event]:
 
 
 def _lines(file: IO[bytes]) -> Iterator[bytes]:
-    """Lines, without those that are too long to be ours."""
+    """Yield lines, without those that are too long for a journal."""
     whole = True
     while line := file.readline(_LONGEST):
         ends = line.endswith(b"\n")
@@ -74,5 +74,5 @@ def _lines(file: IO[bytes]) -> Iterator[bytes]:
 
 
 def journals(folder: str | Path, pattern: str) -> list[Path]:
-    """Files of a folder whose names are like this, in the order of these."""
+    """The files of a folder that match a pattern, sorted by name."""
     return sorted(Path(folder).glob(pattern))

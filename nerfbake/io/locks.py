@@ -1,8 +1,8 @@
-"""A file that says which process writes to a folder that several machines may share.
+"""A lock file that names the process that writes to a folder, which several machines may share.
 
-The process number and the host stand in the file for people and for other machines. On one machine the kernel decides:
-the process holds a lock (flock) on the file for as long as it lives, however it ends and whatever process has its
-number afterwards.
+The file contains the process ID and the host, for people and for other machines. On one machine the kernel decides: the
+process holds a lock (flock) on the file as long as it runs. The lock ends with the process, whatever ends it, and even
+if its process ID is reused.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nerfbake.io.sources import blame
 
 try:
     import fcntl
-except ImportError:  # no such locks on this system: then a file that is left behind has to be taken over
+except ImportError:  # this system has no flock: a lock file that was left behind must be taken over
     fcntl = None  # type: ignore[assignment]
 
 _LONGEST = 4096  # bytes
@@ -28,10 +28,10 @@ _LONGEST = 4096  # bytes
 
 @contextmanager
 def occupied(path: str | Path, *, take_over: bool = False) -> Iterator[None]:
-    """For as long as the block lasts, a file with our process number and host stands there.
+    """Keep a lock file with this process's ID and host at the path for the duration of the block.
 
-    Raises OutputError where another process is at work, or where one on another host may be; take_over: replaces its
-    file. The file of a process on this host that has ended is replaced in any case.
+    Raises OutputError if another process holds the lock, or if a process on another host may hold it. take_over:
+    replace the lock file even then. The lock file of a process on this host that has ended is always replaced.
     """
     with blame(str(path), OutputError):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -40,13 +40,13 @@ def occupied(path: str | Path, *, take_over: bool = False) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            if _is_at(path, handle):  # else another process has taken it over
+            if _is_at(path, handle):  # otherwise another process has taken it over
                 Path(path).unlink()
         os.close(handle)
 
 
 def _acquire(path: Path, take_over: bool) -> int:
-    """The open file with our words, locked. Raises OutputError, OSError."""
+    """Return the open lock file, locked and with our contents. Raises OutputError, OSError."""
     while True:
         try:
             handle, new = open_own(path, os.O_RDWR | os.O_CREAT | os.O_EXCL), True
@@ -55,12 +55,12 @@ def _acquire(path: Path, take_over: bool) -> int:
         try:
             free = _lock(handle)
             if not _is_at(path, handle):
-                os.close(handle)  # it was removed between the two: once more
+                os.close(handle)  # it was removed between open and lock: try again
                 continue
             owner = os.pread(handle, _LONGEST, 0)
             if not (take_over or (free and _may_be_replaced(owner)) or (new and free is None)):
                 raise OutputError(_told(owner))
-            if free is False:  # it is taken over from a process that may live, and keeps its own file
+            if free is False:  # taken over from a process that may still run: it keeps its own file
                 path.unlink()
                 os.close(handle)
                 continue
@@ -74,7 +74,7 @@ def _acquire(path: Path, take_over: bool) -> int:
 
 
 def _lock(handle: int) -> bool | None:
-    """Locks an open file. False: another process has it; None: this file system has no locks."""
+    """Lock an open file. False: another process holds the lock; None: this file system has no locks."""
     if fcntl is None:
         return None
     try:
@@ -87,17 +87,17 @@ def _lock(handle: int) -> bool | None:
 
 
 def _may_be_replaced(owner: bytes) -> bool:
-    """Of a file that no process has locked: True if it was written on this host, or not yet written at all."""
+    """For a file that no process has locked: True if it is empty or was written on this host."""
     found = _parsed(owner)
     return not owner or (found is not None and found[1] == socket.gethostname())
 
 
 def _told(owner: bytes) -> str:
-    """What is wrong: which process is at work, or may be."""
+    """The error message: which process holds the lock, or may hold it."""
     found = _parsed(owner)
     if found is None:
-        return "another process is at work; allowed: to wait for it, or `take_over`"
-    return f"process {found[0]} on {found[1]} is at work; allowed: to wait for it, or `take_over`"
+        return "is in use by another process; allowed: to wait for it, or `take_over`"
+    return f"is in use by process {found[0]} on {found[1]}; allowed: to wait for it, or `take_over`"
 
 
 def _parsed(owner: bytes) -> tuple[int, str] | None:
@@ -109,7 +109,7 @@ def _parsed(owner: bytes) -> tuple[int, str] | None:
 
 
 def _is_at(path: str | Path, handle: int) -> bool:
-    """True if this open file stands at the path."""
+    """True if the path refers to this open file."""
     with suppress(FileNotFoundError):
         return os.path.samestat(os.lstat(path), os.fstat(handle))
     return False

@@ -1,4 +1,4 @@
-"""The machine that this runs on."""
+"""Facts about this machine."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from nerfbake.errors import format_size
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """The number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def machine() -> str:
-    """Its processor, cores, memory and system, in words."""
+    """Processor, cores, memory and operating system, as one line."""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return f"{_processor()}, {cores()} cores, {format_size(memory)}, {platform.system()} {platform.machine()}"
 

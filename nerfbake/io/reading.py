@@ -1,9 +1,9 @@
-"""load: the scene in a file, in a folder, or on stdin."""
+"""Read the scene in a file, in a folder, or on stdin, and the photographs of a capture."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -21,9 +21,10 @@ from nerfbake.catalog import (
     format_of_content,
     formats_of,
     load_compression,
+    load_photographs,
     uncompressed,
 )
-from nerfbake.contract import Scene
+from nerfbake.contract import PICTURES, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, Problem
 from nerfbake.io.sources import STREAM, Folder, blame, read_file, read_stdin, reading_name
 
@@ -31,11 +32,11 @@ Kind = TypeVar("Kind")
 
 
 def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
-    """The scene in a file of any format, in a folder of any kind, or on stdin ('-').
+    """Return the scene in a file of any format, in a folder of any kind, or on stdin ('-').
 
-    kinds: the scene types that are wanted; another one raises InvalidFile. sound=False gives a scene back even if its
-    structure is broken, for scene.problems(). memory_limit() bounds what it may take. Raises NerfbakeError naming the
-    file.
+    kinds: the accepted scene types; InvalidFile is raised for any other. sound=False also returns a scene whose
+    structure is invalid, so that scene.problems() can describe it. memory_limit() limits its memory. Raises
+    NerfbakeError naming the file.
 
     >>> from nerfbake import N3Tree, load, sample_n3tree, save
     >>> size = save("small.npz", sample_n3tree(resolution=8))
@@ -46,8 +47,14 @@ def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
 
 
 class Loaded(NamedTuple, Generic[Kind]):
-    """scene; form: the file's format, or the folder's; size: bytes; of a packed file what it says of its packing, and
-    its bytes."""
+    """A scene with facts about its file.
+
+    scene    the scene
+    form     the format of the file, or the kind of the folder
+    size     bytes of the file or folder
+    packing  for a compressed format, its description of the compression, else empty
+    data     for a compressed format, the bytes of the file, else None
+    """
 
     scene: Kind
     form: AnyFormat
@@ -57,7 +64,7 @@ class Loaded(NamedTuple, Generic[Kind]):
 
 
 def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Loaded[Kind]:
-    """Like load(), with what the file says beside the scene."""
+    """Like load(), but also return facts about the file."""
     name = reading_name(source)
     with blame(name):
         with memory.scope():
@@ -75,7 +82,10 @@ def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True)
 
 
 def load_split(source: str | Path) -> tuple[str, str] | None:
-    """Of a folder whose cameras are in two files, those to train with and those to judge by: their paths, else None."""
+    """Return the paths of the training cameras and the test cameras of a folder that keeps them in two files.
+
+    None for any other folder or file.
+    """
     path = Path(source)
     if not path.is_dir():
         return None
@@ -87,16 +97,19 @@ def load_split(source: str | Path) -> tuple[str, str] | None:
 
 
 def check(source: str | Path) -> list[Problem]:
-    """Everything that is wrong with a file: what keeps it from being read, else its structure, else its values."""
+    """Return all problems of a file.
+
+    This is the error that prevents reading the file, else the problems of its structure, else those of its values.
+    """
     try:
-        scene: Scene = load(source, sound=False)
+        scene: StorableScene = load(source, sound=False)
     except NerfbakeError as error:
         return [error.problem]
     return scene.problems()
 
 
 def load_page_content(source: str | Path) -> Any:
-    """What a page to look around in carries, for whoever judges it; load() reads no pages, which are for people.
+    """Return the scene that a page for viewing contains, to measure its quality. load() does not read pages.
 
     Raises NerfbakeError naming the file.
     """
@@ -120,7 +133,7 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[An
         raise InvalidFile("is empty; allowed: a file that nerfbake reads")
     form = format_of_content(path, view)
     if packed and form.packed:
-        raise InvalidFile(f"is a {form.suffix} in zstd's frames, though it is packed already; allowed: {form.suffix}")
+        raise InvalidFile(f"is a {form.suffix} in zstd frames, but it is compressed already; allowed: {form.suffix}")
     extra: dict[str, object] = {}
     if form.companion and path:
         extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
@@ -142,7 +155,7 @@ def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
 
 
 def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
-    """A file that means nothing without those beside it: its folder, read from this file."""
+    """Read a folder from one of its member files, which cannot be read alone."""
     _require_kind(form, kinds)
     return Loaded(form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size, {})
 
@@ -155,20 +168,20 @@ def _require_kind(form: AnyFormat, kinds: tuple[type[Kind], ...]) -> None:
 
 
 def load_folder(source: str | Path, kind: type[Kind], *, more: Mapping[str, memoryview] | None = None) -> Kind:
-    """The scene of this type in a folder, and in `more` files as if they stood there.
+    """Return the scene of this type in a folder. `more` files count as files of the folder.
 
     Raises NerfbakeError naming the folder and the file in it.
     """
     with blame(str(source)):
         path = Path(source)
         if not path.is_dir():
-            found = "is no folder" if path.exists() else "is not there"
+            found = "is not a folder" if path.exists() else "does not exist"
             raise InvalidFile(f"{found}; allowed: a folder, {folders_of(kind.__name__)[0].title}")
         return decode_files(Folder(path, more or {}), kind)
 
 
 def decode_files(files: Mapping[str, memoryview], kind: type[Kind]) -> Kind:
-    """The scene of this type in files of these names, wherever they come from."""
+    """Return the scene of this type from files with these names, wherever their bytes come from."""
     modules = [form.load_module() for form in folders_of(kind.__name__)]
     module = next((module for module in modules if module.recognise(files)), modules[0])
     with memory.scope():
@@ -177,7 +190,7 @@ def decode_files(files: Mapping[str, memoryview], kind: type[Kind]) -> Kind:
 
 
 def load_files(paths: Mapping[str, str | Path]) -> dict[str, memoryview]:
-    """Files from anywhere under the names that a folder would have for them."""
+    """Read files from any paths, by the names that they would have in a folder."""
     files = {}
     for name, path in paths.items():
         with blame(str(path)):
@@ -186,9 +199,70 @@ def load_files(paths: Mapping[str, str | Path]) -> dict[str, memoryview]:
 
 
 def load_lines(source: str | Path) -> str:
-    """The text of a file or of stdin, whose bytes that are no UTF-8 are what the system makes of them in names.
+    """Return the text of a file or of stdin. Bytes that are not UTF-8 are decoded as in file names.
 
     Raises InvalidFile naming the file, MemoryLimit.
     """
     with blame(reading_name(source)), memory.scope():
         return os.fsdecode(bytes(read_stdin() if str(source) == STREAM else read_file(Path(source))))
+
+
+def find_photograph(folder: str | Path, name: str) -> Path | None:
+    """Return the PNG or JPEG of this name in a folder, in any spelling of picture_names(); None if there is none."""
+    if not name:
+        return None
+    paths = (Path(folder) / spelled for spelled in picture_names(name))
+    return next((path for path in paths if path.is_file()), None)
+
+
+def is_picture(path: str | Path) -> bool:
+    """True if a file has the extension of a PNG or a JPEG."""
+    return Path(path).name.lower().endswith(PICTURES)
+
+
+def picture_in(path: str | Path) -> Path | None:
+    """Return the path of a picture, also of an animation, or of the first picture in a folder.
+
+    None if there is none.
+    """
+    path = Path(path)
+    if path.is_dir():
+        with blame(str(path)):
+            return next((file for file in sorted(path.iterdir()) if is_picture(file)), None)
+    return path if is_picture(path) or path.suffix.lower() == ".gif" else None
+
+
+class Truth(Sequence[Any]):
+    """The photographs NAME.png of these names in a folder, as objects of the type `image`.
+
+    Each photograph is read at every access, because all of them may not fit into memory at once.
+    """
+
+    def __init__(self, folder: str | Path, names: Iterable[str], image: type[Any]) -> None:
+        self._paths, self._image = [Path(folder) / f"{name}.png" for name in names], image
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def __getitem__(self, i: Any) -> Any:
+        return load(self._paths[i], self._image)
+
+
+def load_photograph(path: str | Path, size: tuple[int, int] | None = None) -> Any:
+    """Return (H, W, 4) uint8: sRGB with straight alpha as in the file; alpha is 255 if the file has none.
+
+    size: (W, H) of the camera, see decode_photograph(). Raises InvalidFile, MemoryLimit.
+    """
+    with blame(str(path)):
+        with memory.scope():
+            view = read_file(Path(path))
+            if not len(view):
+                raise InvalidFile("is empty; allowed: a PNG or a JPEG")
+            pixels = load_photographs().decode_photograph(view, size)
+        return memory.kept(pixels)
+
+
+def load_thumbnail(path: str | Path, edge: int) -> bytes:
+    """Return a picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
+    with blame(str(path)), memory.scope():
+        return load_photographs().encode_thumbnail(read_file(Path(path)), edge)

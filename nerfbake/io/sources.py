@@ -1,4 +1,4 @@
-"""Where bytes come from: files, folders and stdin, read whole, and errors that name them."""
+"""Read files, folders and stdin whole, and name them in errors."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from nerfbake.errors import InvalidFile, NerfbakeError
 
 STREAM = "-"
 _CHUNK = 1 << 20
-_HEAD = 1 << 18  # bytes: a JPEG's thumbnail and colour profile stand before its size
-_HUGE = 1 << 21  # bytes of a large page: one fault instead of 512
+_HEAD = 1 << 18  # bytes: a JPEG's thumbnail and colour profile precede its size
+_HUGE = 1 << 21  # bytes of a large page: one page fault instead of 512
 
 
 def reading_name(source: str | Path) -> str:
-    """What words and errors call a source."""
+    """The name of a source in messages and errors."""
     return "stdin" if str(source) == STREAM else str(source)
 
 
 @contextmanager
 def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[None]:
-    """Names the file in every error that leaves the block, and turns the system's errors into ours."""
+    """Add the file's name to every error that leaves the block, and convert OSError into `error_type`."""
     try:
         yield
     except NerfbakeError as error:
@@ -40,35 +40,37 @@ def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[
 
 
 def read_file(path: Path) -> memoryview:
-    """All bytes of a file, or of a pipe or device. Raises InvalidFile, MemoryLimit, OSError.
+    """Return all bytes of a file, pipe or device. Raises InvalidFile, MemoryLimit, OSError.
 
-    They are read, not mapped: a mapped file that somebody cuts short kills the process that looks at it (SIGBUS).
+    The file is read, not mapped: if a mapped file is truncated, the process that reads the mapping is killed (SIGBUS).
     """
     with open(path, "rb", buffering=0) as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode) or not status.st_size:
-            return read_stream(file)  # of size 0 are empty files, and /proc's, which do not tell their size
+            return read_stream(file)  # size 0: an empty file, or a file in /proc, which does not report its size
         memory.hold("the file", status.st_size)
         buffer = _room(status.st_size)
         at = 0
         while at < len(buffer):
             count = file.readinto(buffer[at:])
             if not count:
-                raise InvalidFile(f"was cut short to {at:,} bytes while it was read; allowed: a file that stays whole")
+                raise InvalidFile(
+                    f"was truncated to {at:,} bytes while it was read; allowed: a file that does not change"
+                )
             at += count
         require_content(bytes(buffer[:64]))
         return buffer.toreadonly()
 
 
 def read_stdin() -> memoryview:
-    """All bytes that come in. Raises InvalidFile where stdin is closed, MemoryLimit."""
+    """Return all bytes of stdin. Raises InvalidFile if stdin is closed, MemoryLimit."""
     if sys.stdin is None:
         raise InvalidFile("is closed; allowed: a pipe or a file")
     return read_stream(sys.stdin.buffer)
 
 
 def read_stream(file: IO[bytes]) -> memoryview:
-    """All bytes of what does not tell its size."""
+    """Return all bytes of a stream of unknown size."""
     data = bytearray()
     while chunk := file.read(_CHUNK):
         memory.hold("the stream", len(chunk))
@@ -78,16 +80,19 @@ def read_stream(file: IO[bytes]) -> memoryview:
 
 
 def _room(size: int) -> memoryview:
-    """Memory of the system's own, in large pages where it has them."""
+    """Allocate a buffer, with large pages of memory if the system has them."""
     if size < _HUGE or not hasattr(mmap, "MADV_HUGEPAGE"):
         return memoryview(bytearray(size))
-    room = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)  # what is shared has small pages only
+    room = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)  # shared memory has small pages only
     room.madvise(mmap.MADV_HUGEPAGE)
     return memoryview(room)
 
 
 class Folder(Mapping[str, memoryview]):
-    """A folder's files by name, each read once, when it is asked for, and more that are in its place."""
+    """The files of a folder by name. Each file is read once, at its first access.
+
+    `more` files count as files of the folder and take precedence.
+    """
 
     def __init__(self, path: Path, more: Mapping[str, memoryview]) -> None:
         self._path, self._more = path, dict(more)
@@ -105,13 +110,13 @@ class Folder(Mapping[str, memoryview]):
         return name in self._more or (isinstance(name, str) and (self._path / name).is_file())
 
     def names(self, folder: str) -> list[str]:
-        """Of the files in a folder below ('' for this one), sorted; none where there is no such folder."""
+        """The names of the files in a subfolder ('' for this folder), sorted; empty if there is no such folder."""
         path = self._path / folder
         with blame(str(path)):
             return sorted(entry.name for entry in os.scandir(path) if entry.is_file()) if path.is_dir() else []
 
     def head(self, name: str) -> bytes:
-        """The first bytes of a file, enough for a picture's header; none where there is no such file."""
+        """The first bytes of a file, enough for a picture's header; empty if there is no such file."""
         path = self._path / name
         with suppress(OSError):
             if path.is_file():

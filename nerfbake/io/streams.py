@@ -1,4 +1,4 @@
-"""stdout, and what can be wrong with it: closed, full, or a reader that has seen enough."""
+"""Write to stdout, and handle its errors: a closed or full stdout, or a reader that has closed the pipe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nerfbake.errors import OutputError, PipeClosed, UsageError
 
 
 def print_text(text: str = "") -> None:
-    """Prints a line of data. Raises OutputError if it cannot be written, PipeClosed if nobody reads it any more."""
+    """Print a line of data. Raises OutputError if it cannot be written, PipeClosed if the reader closed the pipe."""
     if sys.stdout is None or sys.stdout.closed:
         raise OutputError("is closed; allowed: a pipe, a file or a terminal", source="stdout")
     with _blamed():
@@ -22,22 +22,25 @@ def print_text(text: str = "") -> None:
 
 
 def versioned(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """An output for scripts, its version first. schemas/json describes its keys, schemas/README.md what raises it."""
+    """Output for scripts, with the version first.
+
+    schemas/json describes the keys. schemas/README.md describes when the version increases.
+    """
     return {"version": 1, **facts}
 
 
 def print_json(facts: Mapping[str, Any]) -> None:
-    """Prints an output for scripts as one line of JSON, with its version. Raises OutputError, PipeClosed."""
+    """Print output for scripts as one line of JSON, with its version. Raises OutputError, PipeClosed."""
     print_text(json_line(facts))
 
 
 def json_line(facts: Mapping[str, Any]) -> str:
-    """An output for scripts as one line of JSON, with its version."""
+    """Output for scripts as one line of JSON, with its version."""
     return json.dumps(versioned(facts))
 
 
 def print_names(text: str) -> None:
-    """Prints a line in which names stand byte for byte as the system has them. Raises OutputError, PipeClosed."""
+    """Print a line, with the original bytes of file names. Raises OutputError, PipeClosed."""
     if sys.stdout is None or sys.stdout.closed:
         raise OutputError("is closed; allowed: a pipe, a file or a terminal", source="stdout")
     with _blamed():
@@ -46,7 +49,7 @@ def print_names(text: str) -> None:
 
 
 def write_stdout(pieces: Iterable[bytes | memoryview]) -> int:
-    """Writes bytes to stdout; gives their number. Raises OutputError, PipeClosed; UsageError for a terminal."""
+    """Write bytes to stdout; return their number. Raises OutputError, PipeClosed; UsageError for a terminal."""
     if sys.stdout is None or sys.stdout.closed:
         raise OutputError("is closed; allowed: a pipe or a file", source="stdout")
     if sys.stdout.isatty():

@@ -1,8 +1,9 @@
-"""Where bytes go: a file or a folder appears whole or not at all, and what stood there is replaced in one step.
+"""Write a file or a folder completely or not at all, and replace an existing one atomically.
 
-Everything is written under a name of its own beside the target, `.NAME.<16 random digits>.part`, and then renamed. A
-writer holds a lock (flock) on what it is writing: two writers never share a name, and the next writer of the same
-target sweeps what dead ones have left, told by the lock that nobody holds, whatever became of their process number.
+An output is written under a temporary name beside the target, `.NAME.<16 random digits>.part`, and then renamed. The
+writer holds a lock (flock) on the temporary file: two writers never share a name, and the next writer of the same
+target removes the files that dead writers have left. It recognises them by the missing lock, independent of process
+IDs.
 """
 
 from __future__ import annotations
@@ -23,17 +24,18 @@ from nerfbake.io.sources import blame
 
 try:
     import fcntl
-except ImportError:  # no locks on this system: then nothing is swept
+except ImportError:  # this system has no locks: nothing is swept
     fcntl = None  # type: ignore[assignment]
 
 _PART, _OLD = "part", "old"
-_LONGEST_NAME = 200  # of 255 bytes, which leaves room for the digits
+_LONGEST_NAME = 200  # of 255 bytes, to leave room for the digits and the suffix
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
 def require_absent(target: str | Path, *, force: bool, parents: bool = False) -> None:
-    """Raises OutputError if the target is there and may not be replaced, or if there is no folder that it could be
-    written to: asked before the work, not after it. parents: the folders that lead there will be made.
+    """Raise OutputError if the target exists and must not be replaced, or if its folder cannot be written to.
+
+    Call this before the work. parents: missing folders will be created.
     """
     if str(target) == "-":
         return
@@ -47,51 +49,52 @@ def require_absent(target: str | Path, *, force: bool, parents: bool = False) ->
 
 
 def require_room(targets: Sequence[str], *, force: bool) -> None:
-    """require_absent() for files that are all to be written, which must not replace each other either."""
+    """require_absent() for several files, which also must not replace each other."""
     known: set[str] = set()
     for target in targets:
         if target in known:
-            raise OutputError("would be written twice; allowed: a name of its own for each picture", source=target)
+            raise OutputError("would be written twice; allowed: a unique name for each picture", source=target)
         known.add(target)
         require_absent(target, force=force, parents=True)
     for folder in {Path(target).parent for target in targets}:
         there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), None)
         if there is not None and not there.is_dir():
-            raise OutputError("is no folder; allowed: a new or another folder", source=str(there))
+            raise OutputError("is not a folder; allowed: a new or another folder", source=str(there))
 
 
 def require_no_folder(target: str | Path, *, force: bool) -> None:
-    """Raises OutputError if the target is there and may not be replaced, or if there is no folder that it could be
-    made in: asked before the work, not after it.
+    """Raise OutputError if the target folder exists and must not be replaced, or cannot be created.
+
+    Call this before the work.
     """
     path = Path(target)
     _require_name(path)
     if os.path.lexists(path) and not path.is_dir():
-        raise OutputError("is no folder; allowed: a new folder", source=str(target))
+        raise OutputError("is not a folder; allowed: a new folder", source=str(target))
     if path.is_dir() and any(path.iterdir()) and not force:
         raise OutputError("exists already; allowed: a new or empty folder, or `force`", source=str(target))
     _require_place(path)
 
 
 def require_rejected_absent(target: str | Path, *, force: bool, folder: bool = False) -> None:
-    """Raises OutputError if TARGET.rejected is there and may not be replaced: asked before the work."""
+    """Raise OutputError if TARGET.rejected exists and must not be replaced. Call this before the work."""
     (require_no_folder if folder else require_absent)(rejected_path(target), force=force)
 
 
 @contextmanager
 def replacing(target: Path, *, force: bool) -> Iterator[IO[bytes]]:
-    """A file that takes the target's place when the block ends well, and vanishes when it does not."""
+    """A new file that replaces the target if the block succeeds, and is deleted if it fails."""
     with replacing_file(target, force=force) as part, open(part, "wb") as file:
         yield file
 
 
 @contextmanager
 def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
-    """The path of a new, empty file that takes the target's place when the block ends well.
+    """The path of a new, empty file that replaces the target if the block succeeds.
 
-    It becomes TARGET.rejected if the block raises BudgetMissed, and vanishes with every other error. What it replaces
-    keeps its permissions. Where the target is a pipe or a device, the path is its own: renaming over it would be a
-    disaster.
+    The file becomes TARGET.rejected if the block raises BudgetMissed, and is deleted after any other error. It gets the
+    permissions of the file that it replaces. If the target is a pipe or a device, the path is the target itself,
+    because a rename would replace the device.
     """
     require_absent(target, force=force)
     rejected, target = rejected_path(target), Path(os.path.realpath(target))
@@ -114,11 +117,11 @@ def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
-    """A new folder that takes the target's place when the block ends well.
+    """A new folder that replaces the target if the block succeeds.
 
-    It becomes TARGET.rejected if the block raises BudgetMissed, and vanishes with every other error. Linux exchanges
-    the old and the new folder in one step. Elsewhere the old folder is moved aside first; if the process dies just
-    then, the next writer puts it back.
+    The folder becomes TARGET.rejected if the block raises BudgetMissed, and is deleted after any other error. Linux
+    exchanges the old and the new folder atomically. Elsewhere the old folder is renamed first; if the process dies at
+    that moment, the next writer restores it.
     """
     require_no_folder(target, force=force)
     rejected, target = rejected_path(target), Path(os.path.realpath(target))
@@ -146,13 +149,13 @@ def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
 
 
 def rejected_path(target: str | Path) -> Path:
-    """What a result becomes that misses its budget."""
+    """The path of a result that misses its quality limit."""
     return Path(f"{Path(target)}.rejected")
 
 
 @contextmanager
 def _locked_part(target: Path, *, folder: bool = False) -> Iterator[Path]:
-    """A new, empty file or folder of a name of its own, locked for as long as the block lasts."""
+    """Create an empty file or folder with a unique name, locked for the duration of the block."""
     while True:
         part = target.with_name(f".{_stem(target)}.{os.urandom(8).hex()}.{_PART}")
         if folder:
@@ -169,16 +172,16 @@ def _locked_part(target: Path, *, folder: bool = False) -> Iterator[Path]:
 
 
 def _is_ours(part: Path, handle: int) -> bool:
-    """Locks a new part. False if a sweeper came between its making and this: then it has no name any more."""
+    """Lock a new part. False if another writer's _sweep() removed it before it was locked."""
     try:
         locked = _lock(handle)
     except OSError:
-        return True  # a file system without locks, where nobody sweeps
+        return True  # a file system without locks, where _sweep() removes nothing
     return locked and part.exists() and os.path.samestat(part.stat(), os.fstat(handle))
 
 
 def _sweep(target: Path) -> None:
-    """Removes what dead writers of this target have left; puts a folder back that one had moved aside."""
+    """Remove what dead writers of this target have left; restore a folder that one of them had renamed."""
     if fcntl is None:
         return
     ours = re.compile(rf"\.{re.escape(_stem(target))}\.[0-9a-f]{{16}}\.({_PART}|{_OLD})")
@@ -193,7 +196,7 @@ def _sweep_one(left: Path, target: Path, *, moved_aside: bool) -> None:
     handle = os.open(left, os.O_RDONLY)
     try:
         if not _lock(handle):
-            return  # its writer lives
+            return  # its writer is still running
         if moved_aside and not target.exists():
             left.replace(target)
         elif left.is_dir():
@@ -205,7 +208,7 @@ def _sweep_one(left: Path, target: Path, *, moved_aside: bool) -> None:
 
 
 def _lock(handle: int) -> bool:
-    """Locks an open file or folder; False if another process has done so. Raises OSError where there are no locks."""
+    """Lock an open file or folder; False if another process holds the lock. Raises OSError if there are no locks."""
     if fcntl is not None:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -215,7 +218,7 @@ def _lock(handle: int) -> bool:
 
 
 def _exchange(a: Path, b: Path) -> bool:
-    """Gives each path what the other stands for, in one step. False where the system cannot."""
+    """Exchange two paths atomically. False if the system does not support this."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         rename: int = libc.renameat2(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _RENAME_EXCHANGE)
@@ -238,13 +241,13 @@ def _is_regular(path: Path) -> bool:
 
 
 def _require_place(target: str | Path) -> None:
-    """Raises OutputError, in the system's words, where nothing can be made that then becomes the target."""
+    """Raise OutputError, with the system's message, if nothing can be created at the target's path."""
     path = Path(os.path.realpath(target))
     if not path.is_dir() and not _is_regular(path):
-        return  # a pipe or a device, which is written to as it stands
+        return  # a pipe or a device, which is written to directly
     with blame(str(target), OutputError):
         with suppress(FileNotFoundError):
-            path.lstat()  # tells of a file where its folder should be
+            path.lstat()  # fails if there is a file in place of a folder
         path.parent.stat()
         if not os.access(path.parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -256,6 +259,6 @@ def _require_name(target: str | Path) -> None:
     except UnicodeEncodeError:
         encoded = b"\0"
     if b"\0" in encoded:
-        raise OutputError("is no name that a file can have; allowed: a path", source=str(target))
+        raise OutputError("is not a valid file name; allowed: a path", source=str(target))
     with blame(str(target), OutputError), suppress(FileNotFoundError, NotADirectoryError):
-        Path(target).lstat()  # tells of a name that is too long
+        Path(target).lstat()  # fails if the name is too long

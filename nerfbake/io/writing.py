@@ -1,4 +1,4 @@
-"""save: a scene as a file, as a folder, or on stdout."""
+"""Write a scene as a file, as a folder, or to stdout."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def save(
     parents: bool = False,
     **options: object,
 ) -> int:
-    """Writes a scene in the format that the target's ending names (or `to`, always for '-'); gives its size in bytes.
+    """Write a scene in the format of the target's extension, or in `to` (required for '-'); return its size in bytes.
 
-    parents: makes the folders that lead there; options are the format's own. Raises UsageError for an option that it
-    does not take; OutputError if the target exists and `force` is not given, or if it cannot be written; what stood
-    there before is then untouched.
+    parents: create missing folders. options: those of the format. Raises UsageError if the format does not take an
+    option. Raises OutputError if the target exists and `force` is not set, or if it cannot be written; an existing
+    target is then unchanged.
 
     >>> from nerfbake import build_octree, load, sample_n3tree, save
     >>> octree = build_octree(sample_n3tree(resolution=8))
@@ -52,11 +52,11 @@ def save(
         return saved.size
 
 
-class Saved(NamedTuple):
-    """What is on the disk while it has no name of its own yet.
+class PendingFile(NamedTuple):
+    """An output that is on disk, but not yet at the target's path.
 
-    path   of the file or folder that takes the target's place when the block ends well
-    sizes  bytes of each file by its name; of a single file its name is ''
+    path   path of the file or folder that replaces the target when the block ends
+    sizes  bytes of each file by name; the name of a single file is ''
     """
 
     path: str
@@ -64,7 +64,7 @@ class Saved(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of all files."""
+        """Total bytes of all files."""
         return sum(self.sizes.values())
 
 
@@ -77,11 +77,11 @@ def saving(
     force: bool = False,
     parents: bool = False,
     **options: object,
-) -> Iterator[Saved]:
-    """save(), with a block that looks at what was written before it takes the target's place.
+) -> Iterator[PendingFile]:
+    """save() as a context manager: the block can check the output before it replaces the target.
 
-    If the block raises BudgetMissed, what was written becomes TARGET.rejected and the target stays as it was; with any
-    other error it vanishes.
+    If the block raises BudgetMissed, the output becomes TARGET.rejected and the target is unchanged. After any other
+    error the output is deleted.
     """
     form = format_for(target, type(scene).__name__, to=to)
     form.require_options(options)
@@ -89,7 +89,7 @@ def saving(
     if form.suffix.endswith(COMPRESSED):
         pieces = load_compression().compress(pieces)
     if str(target) == STREAM:
-        yield Saved(STREAM, {"": write_stdout(pieces)})
+        yield PendingFile(STREAM, {"": write_stdout(pieces)})
         return
     with blame(str(target), OutputError):
         if parents:
@@ -97,46 +97,50 @@ def saving(
         with replacing_file(Path(target), force=force) as path:
             with open(path, "wb") as file:
                 size = _write_all(file, pieces)
-            yield Saved(str(path), {"": size})
+            yield PendingFile(str(path), {"": size})
 
 
 def save_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> dict[str, int]:
-    """Writes a scene as a folder; gives the size in bytes of each file.
+    """Write a scene as a folder; return the size in bytes of each file.
 
-    options are those of the kind of folder. Raises UsageError for one that it does not take. The folder appears whole
-    or not at all. With `force` it replaces one that stands there, whatever is in that.
+    options: those of the kind of folder. Raises UsageError if it does not take an option. The folder appears completely
+    or not at all. With `force` it replaces an existing folder, whatever that contains.
     """
     with saving_folder(target, scene, force=force, **options) as saved:
         return saved.sizes
 
 
 @contextmanager
-def saving_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> Iterator[Saved]:
-    """save_folder(), with a block that looks at the folder before it takes the target's place, as saving() has it."""
+def saving_folder(
+    target: str | Path, scene: object, *, force: bool = False, **options: object
+) -> Iterator[PendingFile]:
+    """save_folder() as a context manager: the block can check the folder first, see saving()."""
     kind = folder_to_write(type(scene).__name__)
     kind.require_options(options)
     files = kind.load_module().encode(scene, **options)
     with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
-        yield Saved(str(folder), _write_files(folder, files))
+        yield PendingFile(str(folder), _write_files(folder, files))
 
 
 def save_files(
     target: str | Path, files: Iterable[tuple[str, Iterable[bytes | memoryview]]], *, force: bool = False
 ) -> dict[str, int]:
-    """Writes files, of which a name may lead into folders, as a folder, as save_folder() does; gives their sizes."""
+    """Write files as a folder, like save_folder(); return their sizes. A name may contain subfolders."""
     with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
         return _write_files(folder, files)
 
 
 def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Format:
-    """The format to write; its suffix ends with .zst where it is to be compressed.
+    """Return the format to write; its suffix ends with .zst if the output is to be compressed.
 
-    Raises UsageError where neither `to` nor the target's ending names one for this scene type.
+    Raises UsageError if neither `to` nor the target's extension names a format for this scene type.
     """
     wanted = str(target) if to is None else to
     form = _format_for(uncompressed(str(target)), scene, None if to is None else uncompressed(to))
     if form.packed and wanted.lower().endswith(COMPRESSED):
-        raise UsageError(f"{wanted!r} would be no smaller: a {form.suffix} is packed already; allowed: {form.suffix}")
+        raise UsageError(
+            f"{wanted!r} would be no smaller: a {form.suffix} is compressed already; allowed: {form.suffix}"
+        )
     return compressed(form) if wanted.lower().endswith(COMPRESSED) else form
 
 
@@ -146,7 +150,7 @@ def _format_for(target: str, scene: str, to: str | None) -> Format:
     if target == STREAM and len(only := formats_of(scene)) == 1:
         return only[0]
     if target == STREAM:
-        raise UsageError("stdout has no ending that names a format; allowed: `to=FORMAT`")
+        raise UsageError("stdout has no file extension; allowed: `to=FORMAT`")
     return format_of_path(target, scene)
 
 

@@ -1,4 +1,4 @@
-"""Many command lines as one batch, which can be stopped and gone on with at any time."""
+"""Run many command lines as one batch, which can be interrupted and resumed at any time."""
 
 from __future__ import annotations
 
@@ -9,36 +9,33 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import nerfbake
-from nerfbake import progress
-from nerfbake.batch.child import Children, nerfbake_command
-from nerfbake.batch.crew import Crew, Plan, Told
-from nerfbake.batch.files import require_report, save_plan, write_report
+from nerfbake import __version__, progress
+from nerfbake.batch.child import ChildProcesses, nerfbake_command
+from nerfbake.batch.crew import ItemEvent, MemoryQueue, RunPlan, WorkerPool
 from nerfbake.batch.items import Item as Item
 from nerfbake.batch.items import require_apart
 from nerfbake.batch.report import Batch as Batch
-from nerfbake.batch.report import Row
-from nerfbake.batch.room import Room
+from nerfbake.batch.report import Row, require_report, save_plan, write_report
 from nerfbake.batch.state import DONE, Attempt, State
 from nerfbake.errors import UsageError
 from nerfbake.io.locks import occupied
 from nerfbake.io.machine import cores, machine
 from nerfbake.jobs.steps import SILENT, Steps
 
-_SHOWN = 4  # names of items that run, in a terminal's line
+_SHOWN = 4  # maximum names of running items in the progress line
 Report = Callable[[dict[str, Any]], None]
 
 
-class Run(NamedTuple):
+class BatchOptions(NamedTuple):
     """How the items of a batch are run.
 
-    jobs       how many beside each other; None: half as many as there are cores
-    shard      (i, n): every n-th item from i, from 0; all shards together are the batch
-    retries    how often an item is tried again that was killed, or whose output could not be written
-    fail_fast  no more items start once one is not done
-    memory     bytes that all running items may take together, as far as that can be told before; one always runs
-    verify     whether an item is done is told from the contents of its files, not from their sizes and times
-    take_over  of a batch on the same state and shard that left its lock behind
+    jobs       number of items that run in parallel; None: half the cores
+    shard      (i, n): run every n-th item, starting with item i, counted from 0; all shards together are the batch
+    retries    number of retries of an item that was killed or could not write its output
+    fail_fast  start no more items after one that is not done
+    memory     limit for the estimated memory of all running items in bytes; one item always runs; None: no limit
+    verify     compare inputs and outputs by their contents, not by size and time
+    take_over  replace the lock that another batch on the same state and shard has left behind
     """
 
     jobs: int | None = None
@@ -50,38 +47,39 @@ class Run(NamedTuple):
     take_over: bool = False
 
     def require(self) -> None:
-        """Raises UsageError for what contradicts itself."""
+        """Raise UsageError for values that are not allowed."""
         number, count = self.shard
         if not 0 <= number < count:
-            raise UsageError(f"the shard {number}/{count} is none; allowed: 0/{count} to {count - 1}/{count}")
+            allowed = f"0/{count} to {count - 1}/{count}" if count > 0 else "I/N, with N of 1 or more"
+            raise UsageError(f"`shard` is {number}/{count}; allowed: {allowed}")
         if self.jobs is not None and self.jobs < 1:
-            raise UsageError(f"{self.jobs} jobs do nothing; allowed: 1 or more")
+            raise UsageError(f"`jobs` is {self.jobs}; allowed: 1 or more")
 
 
-ALL = Run()
+ALL = BatchOptions()
 
 
 def run_batch(
     items: Sequence[Item],
     *,
     state: str | Path,
-    run: Run | None = ALL,
+    run: BatchOptions | None = ALL,
     report_to: str | Path | None = None,
     steps: Steps = SILENT,
     report: Report | None = None,
 ) -> Batch:
-    """Runs command lines of nerfbake, each in a process of its own, and gives what came of them; `nerfbake batch`.
+    """Run command lines of nerfbake, each in its own process, and return the results. This is `nerfbake batch`.
 
-    An item is done if the folder `state` has recorded it, with the same line, contents of inputs and version of
-    nerfbake, and its outputs are there: it is not run again. Items that fail do not keep the others from running.
-    Outputs are replaced only where the state has recorded them.
+    An item is done if the folder `state` has recorded it with the same arguments, contents of inputs and version of
+    nerfbake, and if its outputs exist. It is then not run again. If an item fails, the others still run. Existing
+    outputs are replaced only if the state has recorded them.
 
-    run        None: nothing is run, and what the state has recorded of the items is given
-    report_to  a page (.html), or a table (.md, .csv), of what is given
-    report     gets each attempt when it is over, as it is recorded
+    run        how to run the items; None: run nothing, and return the recorded results
+    report_to  write the results to this page (.html) or table (.md, .csv)
+    report     is called with the record of each attempt when it ends
 
-    Raises UsageError, before anything runs, where two items would get in each other's way; OutputError where the state
-    or the report cannot be written. What becomes of the items is in what is returned.
+    Raises UsageError before anything runs if items conflict, and OutputError if the state or the report cannot be
+    written. The errors of items are in the results.
 
     >>> item = Item(("svo", "a.npz", "batch.svo.pb"), reads=("a.npz",), writes=("batch.svo.pb",))
     >>> batch = run_batch([item], state="run")
@@ -112,8 +110,9 @@ def run_batch(
 
 
 def _recorded(state: State, items: Iterable[Item], *, read: bool = True) -> Iterator[Row]:
-    """What came of items as they are now; nothing of one that was done, if that is not there any more. read: inputs
-    are read where their sizes or times have changed; else such an item counts as another.
+    """Return a row for each item as it is now. An item whose outputs no longer exist has no attempt.
+
+    read: hash the inputs whose size or time has changed; False: treat an item with such inputs as not tried.
     """
     for item in items:
         identity = state.identify(item, read=read)
@@ -121,38 +120,40 @@ def _recorded(state: State, items: Iterable[Item], *, read: bool = True) -> Iter
         yield Row(item, state.done(identity) or (last if last is None or last.status != DONE else None))
 
 
-def _run(state: State, items: Sequence[Item], run: Run, shard: str, steps: Steps, report: Report | None) -> Batch:
+def _run(
+    state: State, items: Sequence[Item], run: BatchOptions, shard: str, steps: Steps, report: Report | None
+) -> Batch:
     jobs = run.jobs or max(1, cores() // 2)
-    facts = {"machine": machine(), "python": platform.python_version(), "nerfbake": nerfbake.__version__}
-    children = Children(nerfbake_command(), max(1, cores() // jobs))
-    crew = Crew(state, children, Room(run.memory), Plan(jobs, run.retries, run.fail_fast, run.verify))
+    facts = {"machine": machine(), "python": platform.python_version(), "nerfbake": __version__}
+    children = ChildProcesses(nerfbake_command(), max(1, cores() // jobs))
+    pool = WorkerPool(state, children, MemoryQueue(run.memory), RunPlan(jobs, run.retries, run.fail_fast, run.verify))
     found: dict[int, Attempt] = {}
     tried: set[int] = set()
     running: dict[int, str] = {}
 
     with state.opened(shard, facts, time.time()), steps.phase(f"{len(items):,} items"):
 
-        def tell(told: Told) -> None:
-            if told.attempt is None:
-                tried.add(told.number)
-                running[told.number] = items[told.number].name
+        def handle(change: ItemEvent) -> None:
+            if change.attempt is None:
+                tried.add(change.number)
+                running[change.number] = items[change.number].name
             else:
-                running.pop(told.number, None)
-                found[told.number] = told.attempt
-                _say(steps, items[told.number], told.attempt)
+                running.pop(change.number, None)
+                found[change.number] = change.attempt
+                _print_failure(steps, items[change.number], change.attempt)
                 if report is not None:
-                    report(told.event or {"event": "skip", "argv": items[told.number].argv})
+                    report(change.event or {"event": "skip", "argv": items[change.number].argv})
             bad = sum(attempt.status != DONE for attempt in found.values())
             shown = ", ".join(islice(running.values(), _SHOWN))
-            progress.report(len(found) / len(items), f"{len(found) - bad} done, {bad} not: {shown}")
+            progress.report(len(found) / len(items), f"{len(found) - bad} done, {bad} not done, running: {shown}")
 
-        crew.run(items, range(len(items)), tell)
-    missed = _recorded(state, (item for number, item in enumerate(items) if number not in found), read=False)
-    rows = tuple(Row(item, found[number]) if number in found else next(missed) for number, item in enumerate(items))
-    return Batch(rows, len(tried), crew.signal, tuple(sorted(state.machines)))
+        pool.run(items, range(len(items)), handle)
+    others = _recorded(state, (item for number, item in enumerate(items) if number not in found), read=False)
+    rows = tuple(Row(item, found[number]) if number in found else next(others) for number, item in enumerate(items))
+    return Batch(rows, len(tried), pool.signal, tuple(sorted(state.machines)))
 
 
-def _say(steps: Steps, item: Item, attempt: Attempt) -> None:
+def _print_failure(steps: Steps, item: Item, attempt: Attempt) -> None:
     if attempt.status != DONE:
         steps.say(f"{attempt.status} (exit {attempt.code}): {attempt.error}")
         steps.say(item.pasteable)

@@ -1,26 +1,35 @@
-"""Two files seen by the same cameras: how far they are apart, as figures, a sheet of pictures and a page."""
+"""Compare two files with the same cameras: figures, a sheet of pictures and an HTML page."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import nerfbake
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import shown, views_of
+from nerfbake.jobs.views import renderable_scene, views_of
+from nerfbake.scene.atlas import BakedAtlas
+from nerfbake.scene.comparison import Comparison
+from nerfbake.scene.image import Image
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.scenes_to_comparison import compare_scenes
 
 
-class Seen(NamedTuple):
-    """Whose views are compared.
+class ComparedViews(NamedTuple):
+    """The views that are compared.
 
     cameras  a capture; None: 8 views around the first scene
-    truth    a folder with a photograph, NAME.png, for each of the cameras; None: there are none
-    size     (W, H) pixels; None: the truth's or the cameras', 400 x 400 for an orbit
-    samples  rays along each edge of a pixel; None: as the cameras have it, or 1
+    truth    a folder with a photograph NAME.png for each of the cameras; None: no photographs
+    size     (W, H) pixels; None: that of the photographs or cameras, 400 x 400 for an orbit
+    samples  rays along each edge of a pixel; None: from the cameras, else 1
     """
 
     cameras: str | None = None
@@ -29,15 +38,15 @@ class Seen(NamedTuple):
     samples: int | None = None
 
 
-class Limits(NamedTuple):
-    """How far the second scene may be off: its mean PSNR in dB, and a pixel's channel in 0..1; None: any distance."""
+class ComparisonLimits(NamedTuple):
+    """Limits: the lowest mean PSNR in dB, and the largest difference of a channel in 0..1. None: no limit."""
 
     min_psnr: float | None = None
     max_error: float | None = None
 
 
-class Pages(NamedTuple):
-    """What is written of a comparison: a .png of all its pictures, a .html page with everything; None: neither."""
+class ComparisonOutputs(NamedTuple):
+    """Files to write: sheet, a .png with all pictures; html, a page with all results. None: do not write it."""
 
     sheet: str | None = None
     html: str | None = None
@@ -47,76 +56,78 @@ class Pages(NamedTuple):
         return bool(self.sheet or self.html)
 
     def require(self) -> None:
-        """Raises, before any work is done, if one of them could not be written."""
+        """Raise NerfbakeError if one of the files could not be written. Call it before doing any work."""
         for target, kind in ((self.sheet, "Image"), (self.html, "Comparison")):
             if target == io.STREAM:
-                raise UsageError("stdout has the figures; allowed for `sheet` and `html`: a file")
+                raise UsageError("`sheet` and `html` cannot be stdout, which gets the figures; allowed: a file")
             if target:
                 io.format_for(target, kind)
                 io.require_absent(target, force=self.force)
 
 
-AROUND, NO_LIMITS, NO_PAGES = Seen(), Limits(), Pages()
+AROUND, NO_LIMITS, NO_PAGES = ComparedViews(), ComparisonLimits(), ComparisonOutputs()
 
 
-class Compared(NamedTuple):
-    """a, b: the two files' name, content, format and bytes; found: how far they are apart."""
+class FileComparison(NamedTuple):
+    """a, b: name, content, format and bytes of each file. found: the differences between them."""
 
     a: dict[str, Any]
     b: dict[str, Any]
-    found: nerfbake.Comparison
+    found: Comparison
 
 
 def compare_files(
     a: AnySource,
     b: AnySource,
     *,
-    seen: Seen = AROUND,
-    limits: Limits = NO_LIMITS,
-    pages: Pages = NO_PAGES,
+    seen: ComparedViews = AROUND,
+    limits: ComparisonLimits = NO_LIMITS,
+    pages: ComparisonOutputs = NO_PAGES,
     steps: Steps = SILENT,
-    report: Callable[[Compared], None] | None = None,
-) -> Compared:
-    """Renders the scenes in two files or folders with the same cameras: how far they are apart; `nerfbake compare`.
+    report: Callable[[FileComparison], None] | None = None,
+) -> FileComparison:
+    """Render two files or folders with the same cameras and return their differences. This is `nerfbake compare`.
 
-    Reads `a`, `b`, and the cameras and photographs of `seen`; writes `pages`. report gets what is returned as soon as
-    all is written, before it is judged. Raises NerfbakeError; BudgetMissed, exit code 3, where `b` is further off than
-    the limits allow.
+    Reads `a`, `b`, and the cameras and photographs of `seen`; writes `pages`. report is called with the result once the
+    pages are written, before the limits are checked. Raises NerfbakeError; BudgetMissed (exit code 3) if the difference
+    exceeds the limits.
 
-    >>> compared = compare_files("a.npz", "a.npz", seen=Seen(size=(32, 32)), limits=Limits(min_psnr=90))
+    >>> views, limits = ComparedViews(size=(32, 32)), ComparisonLimits(min_psnr=90)
+    >>> compared = compare_files("a.npz", "a.npz", seen=views, limits=limits)
     >>> compared.found.means["a_b"]["psnr"]
     100.0
     """
     pages.require()
     first, second = as_source(a), as_source(b)
     (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
-    scene = shown(steps, scene, first.name)
+    scene = renderable_scene(steps, scene, first.name)
     views = views_of(
         steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples
     )
-    photographs = list(io.Truth(seen.truth, views.names, nerfbake.Image)) if seen.truth else None
+    photographs = list(io.Truth(seen.truth, views.names, Image)) if seen.truth else None
     if photographs and not seen.size:
         views = views.fitting(photographs)
     with second.blamed(steps, f"rendering {2 * len(views.cameras)} pictures"):
         if pages:
             views.require_memory(pictures=6 if photographs else 4)
-        found = nerfbake.compare_scenes(scene, other, views, truth=photographs, keep_pictures=bool(pages))
+        found = compare_scenes(scene, other, views, truth=photographs, keep_pictures=bool(pages))
     if pages.sheet:
         io.save(pages.sheet, found.sheet, force=pages.force)
     if pages.html:
         io.save(pages.html, found, force=pages.force, a=facts, b=others, **limits._asdict())
-    compared = Compared(facts, others, found)
+    io.report_result(psnr=float(found.means["a_b"]["psnr"]))
+    compared = FileComparison(facts, others, found)
     if report is not None:
         report(compared)
-    with second.blamed(steps, "judging"):
+    with second.blamed(steps, "checking the limits"):
         found.require(**limits._asdict())
     return compared
 
 
 def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
-    """The scene, and what a reader wants to know of it."""
-    fields = nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField
-    kinds = *fields, nerfbake.Meshes, nerfbake.Stage1, nerfbake.BakedAtlas
+    """Return the scene, and its name, content, format and size in bytes."""
+    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
+    kinds = *fields, Meshes, Stage1, BakedAtlas
     found = source.read_with_format(steps, *kinds)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
     return found.scene, facts

@@ -1,4 +1,4 @@
-"""The same octree or the same volume in another file: another format, another layout, or one as the other."""
+"""Convert octrees and volumes to other formats and layouts, and to each other."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import re
 from pathlib import Path
 from typing import Literal
 
-import nerfbake
 from nerfbake import catalog, io
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.grids import AS_IT_IS, Choice, tell_of_halves
-from nerfbake.jobs.lattices import octree_of
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
+from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.volume import Volume
 
 _LONGEST_PART = 100  # characters of a grid's name in a file's name
 
@@ -23,24 +25,23 @@ def convert_file(
     *,
     layout: Literal["full", "compact"] | None = None,
     no_child: int | None = None,
-    choice: Choice = AS_IT_IS,
+    choice: GridChoice = AS_IT_IS,
     codec: str | None = None,
     half: bool = False,
     steps: Steps = SILENT,
-) -> nerfbake.SparseVoxelOctree | nerfbake.Volume:
-    """Writes an octree or a volume in another format, and gives what it wrote; `nerfbake convert`.
+) -> SparseVoxelOctree | Volume:
+    """Write an octree or a volume in another format and return it. This is `nerfbake convert`.
 
-    Another program's lattice becomes an octree first.
+    Reads `source` and writes `target`, whose format selects an octree or a volume. A lattice from another program is
+    first converted to an octree.
 
-    Reads `source`, writes `target`, whose format says whether an octree or a volume is wanted.
-
-    layout    of an octree: child slots for every node (full), or none for those of the last level (compact)
-    no_child  how an octree's file spells 'no child', 0 or -1
-    choice    which grids of a volume, and its axis that points up
+    layout    of an octree: child slots for every node (full), or none on the last level (compact)
+    no_child  child index that means 'no child' in an octree's file: 0 or -1
+    choice    the grids of a volume, and its up axis
     codec     of a volume's format: none or zip
-    half      a volume's values are float16
+    half      store a volume's values as float16
 
-    What is None is as in `source`, or as is usual for the format. Raises NerfbakeError.
+    Arguments that are None keep the value of `source`, or the default of the format. Raises NerfbakeError.
 
     >>> convert_file("octree.svo.npz", "compact.svo.json", layout="compact").layout
     'compact'
@@ -51,13 +52,13 @@ def convert_file(
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
     target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
-    read = source.read(steps, nerfbake.SparseVoxelOctree, nerfbake.Volume, nerfbake.LatticeField)
-    if isinstance(read, nerfbake.LatticeField):
-        read = octree_of(steps, source, read)
-    if half and not isinstance(read, nerfbake.Volume):
+    read = source.read(steps, SparseVoxelOctree, Volume, LatticeField)
+    if isinstance(read, LatticeField):
+        read = sample_lattice(steps, source, read)
+    if half and not isinstance(read, Volume):
         raise UsageError("`half` is for volumes; allowed: `nerfbake svo --dtype float16`")
-    octree: nerfbake.SparseVoxelOctree | nerfbake.Volume = choice.of(steps, source, read)
-    if isinstance(octree, nerfbake.Volume):
+    octree: SparseVoxelOctree | Volume = choice.of(steps, source, read)
+    if isinstance(octree, Volume):
         octree = _octree_of(steps, source, octree, choice, half=half)
     octree = octree.with_layout(layout or octree.layout)
     target.write(steps, octree, no_child=no_child, codec=codec)
@@ -77,12 +78,12 @@ def split_volume(
     codec: str | None = None,
     half: bool = False,
     steps: Steps = SILENT,
-) -> dict[str, nerfbake.Volume]:
-    """Writes each grid of a volume to a file of its own, and gives them by their files' names; `convert --grid all`.
+) -> dict[str, Volume]:
+    """Write each grid of a volume to its own file and return the volumes by file name. This is `convert --grid all`.
 
-    Reads `source`. Writes NAME.GRID.nvdb for each grid where `target` is NAME.nvdb; characters of GRID other than
-    letters, digits, `.`, `-` and `_` become `_`. Options as convert_file() has them. Raises NerfbakeError, before
-    anything is written if one of the files cannot be written.
+    Reads `source`. For a `target` NAME.nvdb, writes NAME.GRID.nvdb for each grid. Characters of GRID other than
+    letters, digits, `.`, `-` and `_` become `_`. The other arguments are those of convert_file(). Raises NerfbakeError,
+    before anything is written if one of the files cannot be written.
 
     >>> volume = nerfbake.build_vdb(nerfbake.load("octree.svo.npz"), grids=("density", "Cd"))
     >>> _ = nerfbake.save("smoke.vdb", volume)
@@ -92,8 +93,8 @@ def split_volume(
     source, target = as_source(source), as_target(target)
     if target.path == io.STREAM or not _is_volume(target):
         endings = ", ".join(form.suffix for form in catalog.formats_of("Volume"))
-        raise UsageError(f"{target.path} is no place for each grid of a volume; allowed: a {endings}")
-    whole = Choice(up=up).whole(steps, source, source.read(steps, nerfbake.Volume))
+        raise UsageError(f"cannot write one file per grid to {target.path}; allowed: a {endings}")
+    whole = GridChoice(up=up).whole(steps, source, source.read(steps, Volume))
     names: list[str] = []
     for number, label in enumerate(whole.labels):
         name = _part_name(target, label)
@@ -108,7 +109,7 @@ def split_volume(
 
 
 def _part_name(target: Target, label: str) -> str:
-    """NAME.GRID.nvdb of NAME.nvdb: what follows the name is the format's whole ending."""
+    """Return the file name of a grid: NAME.GRID.nvdb for NAME.nvdb. The whole extension of the format is kept."""
     path = Path(target.path)
     stem = catalog.scene_name(target.path)
     part = re.sub(r"[^A-Za-z0-9._-]+", "_", label)[:_LONGEST_PART].strip("._") or "grid"
@@ -116,46 +117,50 @@ def _part_name(target: Target, label: str) -> str:
 
 
 def _write_volume(
-    steps: Steps, source: Source, target: Target, choice: Choice, codec: str | None, *, half: bool
-) -> nerfbake.Volume:
+    steps: Steps, source: Source, target: Target, choice: GridChoice, codec: str | None, *, half: bool
+) -> Volume:
     target.require("Volume", codec=codec)
-    whole: nerfbake.Volume = choice.whole(steps, source, source.read(steps, nerfbake.Volume))
+    whole: Volume = choice.whole(steps, source, source.read(steps, Volume))
     volume = _rounded(steps, source, target, whole, half=half)
     target.write(steps, volume, codec=codec)
     return volume
 
 
-def _rounded(steps: Steps, source: Source, target: Target, volume: nerfbake.Volume, *, half: bool) -> nerfbake.Volume:
-    """The volume in the precision that the target's format keeps."""
+def _rounded(steps: Steps, source: Source, target: Target, volume: Volume, *, half: bool) -> Volume:
+    """Return the volume in a precision that the target's format can store."""
+
+    from nerfbake.stages.vdb_to_vdb import cast_volume
+
     form = io.format_for(target.path, "Volume", to=target.to)
     if half or not form.load_volume_module().KEEPS_HALVES:
         with source.blamed(steps, "rounding"):
-            volume = nerfbake.cast_volume(volume, dtype="float16" if half else "float32")
-    tell_of_halves(steps, form, volume)
+            volume = cast_volume(volume, dtype="float16" if half else "float32")
+    warn_about_halves(steps, form, volume)
     return volume
 
 
-def _octree_of(
-    steps: Steps, source: Source, volume: nerfbake.Volume, choice: Choice, *, half: bool
-) -> nerfbake.SparseVoxelOctree:
+def _octree_of(steps: Steps, source: Source, volume: Volume, choice: GridChoice, *, half: bool) -> SparseVoxelOctree:
+    from nerfbake.stages.vdb_to_octree import build_octree_from_density, build_octree_from_volume
+    from nerfbake.stages.vdb_to_vdb import cast_volume
+
     foreign = volume.frame is None or bool(choice.grids)
     if not foreign and choice.up:
-        raise UsageError("the octree in IN stands where it stood; allowed: no `up`, or `grid` for a density alone")
+        raise UsageError("the octree in IN keeps its own axes; allowed: no `up`, or `grid` for the density only")
     with source.blamed(steps, "making the octree"):
         if foreign:
-            _tell_of_others(steps, source, volume)
+            _report_left_out(steps, source, volume)
         if half:
-            volume = nerfbake.cast_volume(volume, dtype="float16")
-        return nerfbake.octree_of_density(volume) if foreign else nerfbake.octree_of_volume(volume)
+            volume = cast_volume(volume, dtype="float16")
+        return build_octree_from_density(volume) if foreign else build_octree_from_volume(volume)
 
 
-def _tell_of_others(steps: Steps, source: Source, volume: nerfbake.Volume) -> None:
-    """Says which grids an octree of `density` leaves out. Raises InvalidScene where several grids have no such name."""
+def _report_left_out(steps: Steps, source: Source, volume: Volume) -> None:
+    """Report the grids that are left out besides `density`. Raises InvalidScene if none of several is `density`."""
     labels = [*volume.labels, *(problem.place for problem in volume.unread)]
     if len(labels) == 1:
         return
     if "density" not in labels:
         found = f"has the grids {', '.join(labels)}"
-        raise InvalidScene(Problem("the volume", found, "`grid=NAME` for an octree of that density alone"))
+        raise InvalidScene(Problem("the volume", found, "`grid=NAME` for an octree of that density only"))
     others = ", ".join(label for label in labels if label != "density")
-    steps.say(f"{source.name}: an octree of density alone, without {others}")
+    steps.say(f"{source.name}: the octree gets the density only, without {others}")

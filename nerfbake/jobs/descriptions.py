@@ -1,18 +1,18 @@
-"""What a file is, in facts."""
+"""Describe a file or a folder."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import nerfbake
 from nerfbake.jobs.files import AnySource, as_source
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.stages.scene_to_summary import summarise_scene
 
 
 def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]:
-    """What a file or folder of any kind holds, its format and its size; `nerfbake info --json` adds a version.
+    """Return the contents, format and size of a file or folder of any kind. `nerfbake info --json` adds a version.
 
-    Reads `source`, writes nothing. Raises NerfbakeError.
+    Reads `source` and writes nothing. Raises NerfbakeError.
 
     >>> describe_file("a.npz")["kind"]
     'PlenOctree (N3Tree)'
@@ -20,4 +20,4 @@ def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]
     source = as_source(source)
     found = source.read_with_format(steps)
     of_file = {"file": source.path, "format": found.form.name, "bytes_on_disk": found.size, **found.packing}
-    return of_file | nerfbake.summarise_scene(found.scene)
+    return of_file | summarise_scene(found.scene)

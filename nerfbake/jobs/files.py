@@ -1,7 +1,7 @@
-"""What jobs read and write: files, folders and streams that tell each step, and are blamed for what is wrong in them.
+"""Sources and targets of jobs: files, folders and streams. They report each step, and their names appear in errors.
 
-A job takes a path wherever it takes a Source or a Target; a Target says more than a path does: the format, and whether
-a file that exists may be replaced.
+Jobs accept a path wherever they accept a Source or a Target. A Target also has the format, and whether an existing file
+may be replaced.
 """
 
 from __future__ import annotations
@@ -9,46 +9,48 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import nerfbake
 from nerfbake import catalog, io, memory
 from nerfbake.jobs.steps import Steps, Tell
 
+if TYPE_CHECKING:
+    from nerfbake.scene.stage1 import Stage1
+
 
 class Source(NamedTuple):
-    """A file or a folder to read, or '-' for stdin."""
+    """A file or folder to read, or '-' for stdin."""
 
     path: str
 
     @property
     def name(self) -> str:
-        """What words and errors call it."""
+        """The name in messages and errors."""
         return io.reading_name(self.path)
 
     def read(self, steps: Steps, *kinds: type) -> Any:
-        """The scene, of one of these types. Raises NerfbakeError."""
+        """Read and return a scene of one of these types. Raises NerfbakeError."""
         return self.read_with_format(steps, *kinds).scene
 
     def read_with_format(self, steps: Steps, *kinds: type) -> io.Loaded[Any]:
-        """The scene, its file's format, its size in bytes (of a stream: of what was read) and how it is packed."""
+        """Read the scene with its format, size in bytes (of a stream: the bytes read) and packing."""
         with steps.phase(f"reading {self.name}"):
             return io.load_with_format(self.path, *kinds)
 
     @contextmanager
     def blamed(self, steps: Steps, phase: str) -> Iterator[Tell]:
-        """A step of the work whose errors are this file's."""
+        """Run a block as a step of the work. Its errors name this file."""
         with steps.phase(phase) as tell, io.blame(self.name):
             yield tell
 
 
 class Stage1Source(NamedTuple):
-    """A stage-1 folder of nerf2mesh, or feature textures and an MLP from anywhere.
+    """A stage-1 folder of nerf2mesh, or feature textures and an MLP from other files.
 
-    folder      '' where `features` and `mlp` stand in for it
+    folder      the folder; '' if `features` and `mlp` replace it
     features    a texture for each cascade
-    mlp         their mlp.json
-    transforms  where the training cameras stood, in the mesh's own world; None: as the folder has it
+    mlp         the mlp.json for these textures
+    transforms  a transforms.json with the training cameras, in the mesh's world coordinates; None: that of the folder
     """
 
     folder: str = ""
@@ -58,23 +60,25 @@ class Stage1Source(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What words and errors call it."""
+        """The name in messages and errors."""
         return self.folder or ", ".join(self.features)
 
-    def read(self, steps: Steps) -> nerfbake.Stage1:
+    def read(self, steps: Steps) -> Stage1:
         named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
         named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
         given = {name: path for name, path in named.items() if path is not None}
-        # What the scene keeps of these files is counted with it.
+        from nerfbake.scene.stage1 import Stage1
+
+        # The scene counts the parts of these files that it keeps.
         with self.blamed(steps, f"reading {self.name}"), memory.scope():
             files = io.load_files(given)
             if self.folder:
-                return io.load_folder(self.folder, nerfbake.Stage1, more=files)
-            return io.decode_files(files, nerfbake.Stage1)
+                return io.load_folder(self.folder, Stage1, more=files)
+            return io.decode_files(files, Stage1)
 
     @contextmanager
     def blamed(self, steps: Steps, phase: str) -> Iterator[None]:
-        """A step of the work whose errors are this input's."""
+        """Run a block as a step of the work. Its errors name this input."""
         with steps.phase(phase), io.blame(self.name):
             yield
 
@@ -82,10 +86,10 @@ class Stage1Source(NamedTuple):
 class Target(NamedTuple):
     """A file to write, or '-' for stdout.
 
-    to       the format; None: the one that the path's ending names
-    force    replace a file that exists
-    profile  of an octree's format: how it spells arrays; None: as is usual for the format
-    voxel_type  of an octree's format: whether it names the type of a number or that of a voxel; None: a number's
+    to          the format; None: the format of the path's extension
+    force       replace an existing file
+    profile     of an octree's format: the encoding of arrays; None: the default of the format
+    voxel_type  of an octree's format: declare the type of a number or of a whole voxel; None: of a number
     """
 
     path: str
@@ -95,9 +99,9 @@ class Target(NamedTuple):
     voxel_type: str | None = None
 
     def require(self, scene: str, **options: Any) -> catalog.Format:
-        """The format to write; an option of it that is None was not given.
+        """Return the format to write. Call it before doing any work. Options that are None count as not given.
 
-        Raises, before any work is done, if a scene of this type could not be written here with these options.
+        Raises NerfbakeError if a scene of this type cannot be written to this target with these options.
         """
         form = io.format_for(self.path, scene, to=self.to)
         form.require_options(self._given(options))
@@ -105,13 +109,13 @@ class Target(NamedTuple):
         return form
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> None:
-        """Options go to the format, but for those that are None."""
+        """Write a scene. Options are passed to the format, except those that are None."""
         with self.writing(steps, scene, **options):
             pass
 
     @contextmanager
-    def writing(self, steps: Steps, scene: Any, **options: Any) -> Iterator[io.Saved]:
-        """write(), with a block that judges the file before it takes its name; see io.saving()."""
+    def writing(self, steps: Steps, scene: Any, **options: Any) -> Iterator[io.PendingFile]:
+        """Like write(), with a block that runs before the file gets its final name; see io.saving()."""
         saving = io.saving(self.path, scene, to=self.to, force=self.force, **self._given(options))
         with _written(steps, self.path, saving) as saved:
             steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {saved.size:,} bytes")
@@ -123,30 +127,30 @@ class Target(NamedTuple):
 
 
 class FolderTarget(NamedTuple):
-    """A folder to write. force: replace one that exists, and all that is in it."""
+    """A folder to write. force: replace an existing folder and everything in it."""
 
     path: str
     force: bool = False
 
     def require(self) -> None:
-        """Raises OutputError, before any work is done, if it could not be written."""
+        """Raise OutputError if the folder cannot be written. Call it before doing any work."""
         io.require_no_folder(self.path, force=self.force)
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> dict[str, int]:
-        """The size in bytes of each file; options go to the format's encode()."""
+        """Write a scene and return the size in bytes of each file. Options are passed to the format's encode()."""
         with self.writing(steps, scene, **options) as saved:
             return saved.sizes
 
     @contextmanager
-    def writing(self, steps: Steps, scene: Any, **options: Any) -> Iterator[io.Saved]:
-        """Writes a scene, with a block that judges the folder before it takes its name; see io.saving_folder()."""
+    def writing(self, steps: Steps, scene: Any, **options: Any) -> Iterator[io.PendingFile]:
+        """Like write(), with a block that runs before the folder gets its final name; see io.saving_folder()."""
         with _written(steps, self.path, io.saving_folder(self.path, scene, force=self.force, **options)) as saved:
             yield saved
 
 
 @contextmanager
-def _written(steps: Steps, path: str, saving: AbstractContextManager[io.Saved]) -> Iterator[io.Saved]:
-    """The phase ends when everything is on the disk, before the block."""
+def _written(steps: Steps, path: str, saving: AbstractContextManager[io.PendingFile]) -> Iterator[io.PendingFile]:
+    """Yield what `saving` yields. The phase ends before the block runs, when everything is on the disk."""
     with ExitStack() as stack:
         with steps.phase(f"writing {path}"):
             saved = stack.enter_context(saving)
@@ -158,10 +162,10 @@ AnyTarget = Target | str | Path
 
 
 def as_source(source: AnySource) -> Source:
-    """A path as a Source; a Source as it is."""
+    """Return a path as a Source, and a Source unchanged."""
     return source if isinstance(source, Source) else Source(str(source))
 
 
 def as_target(target: AnyTarget) -> Target:
-    """A path as a Target whose ending names the format; a Target as it is."""
+    """Return a path as a Target whose extension selects the format, and a Target unchanged."""
     return target if isinstance(target, Target) else Target(str(target))

@@ -1,33 +1,165 @@
-"""Where a fit stands, in a folder: a run that was killed goes on from there to the same bytes."""
+"""State of a running fit: its CPU time, progress and quality on held-out views, and its checkpoints in a folder.
+
+A run that was killed resumes from its last checkpoint and writes the same bytes.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import nerfbake
 from nerfbake import io
-from nerfbake.errors import InvalidFile, Problem
-from nerfbake.jobs.fit_course import Point
+from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.jobs.photographs import SplitViews
+from nerfbake.scene.views import Views
+from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.views_to_error import measure_views
 
-_OFTEN = 30.0  # seconds of work that may be lost
+if TYPE_CHECKING:
+    from nerfbake.scene.schedule import Schedule, Stage
+
+
+HANDFUL = 4  # held-out views that are measured during a fit
+_PATIENCE = 0.1  # share of the CPU time of the fit that measuring may take
+
+
+class CurvePoint(NamedTuple):
+    """Quality of a fit at the end of an epoch.
+
+    seconds     CPU seconds of work until then, without compiling kernels and without measuring
+    psnr        mean over at most HANDFUL of the held-out views, in dB
+    stage       number of finished stages; epoch: number of finished epochs of the next stage
+    resolution  resolution of the finest lattice; cells: number of its cells
+    """
+
+    seconds: float
+    psnr: float
+    stage: int
+    epoch: int
+    resolution: int
+    cells: int
+
+
+class Clock:
+    """CPU seconds of all threads, and wall-clock seconds, both without pauses and without compiling kernels."""
+
+    def __init__(self, worked: float = 0.0) -> None:
+        self._worked, self._passed = worked - _working(), -_passing()
+
+    @property
+    def worked(self) -> float:
+        return self._worked + _working()
+
+    @property
+    def passed(self) -> float:
+        return self._passed + _passing()
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        worked, passed = _working(), _passing()
+        try:
+            yield
+        finally:
+            self._worked -= _working() - worked
+            self._passed -= _passing() - passed
+
+
+def _working() -> float:
+    jit = sys.modules.get("nerfbake.kernels.jit")
+    return time.process_time() - (jit.compiling().worked if jit else 0.0)
+
+
+def _passing() -> float:
+    jit = sys.modules.get("nerfbake.kernels.jit")
+    return time.perf_counter() - (jit.compiling().passed if jit else 0.0)
+
+
+def _cost(stage: Stage) -> float:
+    """Return the relative cost of an epoch. It grows more slowly than the number of pixels and of cells."""
+    return stage.cells * (1 + stage.rays) / (1 + stage.scale)
+
+
+class FitRun:
+    """Follows the states of a fit, and measures its quality on a few of the held-out views."""
+
+    def __init__(self, posed: SplitViews, schedule: Schedule) -> None:
+        judges = posed.judges
+        self._views, self._schedule = len(posed.trained.pictures), schedule
+        count = len(judges.pictures)
+        self._which = f"{min(count, HANDFUL)} of {count} held-out views"
+        self._judges = judges.take(range(0, count, max(1, count // HANDFUL))[:HANDFUL])
+        self._looked, self._epoch = 0.0, (0, 0)
+        self.clock, self.curve = Clock(), list[CurvePoint]()
+
+    def goes_on(self, now: Any, *, worked: float, curve: Sequence[CurvePoint]) -> None:
+        """Resume from the state `now` of an earlier run, with its CPU seconds and curve."""
+        self._epoch = now.stage, now.epoch
+        self.clock, self.curve = Clock(worked), list(curve)
+
+    def follow(self, now: Any) -> bool:
+        """Return whether an epoch has ended since the last state. If so, measure the quality."""
+        epoch = now.stage, now.epoch
+        ended, self._epoch = epoch != self._epoch, epoch
+        if ended:
+            self._look(now)
+        return ended
+
+    def _look(self, now: Any) -> None:
+        """Measure the quality, unless measuring has already taken more than its share of the time."""
+        worked = self.clock.worked
+        if self._looked > _PATIENCE * worked and self.curve:
+            return
+        before = time.process_time()
+        with self.clock.paused():
+            psnr = self._seen(now)
+        self._looked += time.process_time() - before
+        if psnr is not None:
+            self.curve.append(CurvePoint(worked, psnr, now.stage, now.epoch, now.resolution, now.cells.n))
+
+    def share(self, now: Any) -> float:
+        """Return the share of the work that is done, 0 to 1."""
+        costs = [stage.epochs * _cost(stage) for stage in self._schedule]
+        begun = sum(_cost(stage) for stage in self._schedule[now.stage : now.stage + 1])
+        return float(sum(costs[: now.stage]) + begun * (now.epoch + now.view / self._views)) / sum(costs)
+
+    def told(self, now: Any) -> str:
+        """Return the progress as text: stage, resolution, voxels and PSNR."""
+        seen = f", {self.curve[-1].psnr:.2f} dB on {self._which}" if self.curve else ""
+        stage = min(now.stage + 1, len(self._schedule))
+        return f"stage {stage} of {len(self._schedule)}, {now.resolution}^3, {now.cells.n:,} voxels{seen}"
+
+    def _seen(self, now: Any) -> float | None:
+        try:
+            field = build_field(now.field())
+            errors = measure_views(field, self._judges, samples=self._schedule[-1].rays)
+        except MemoryLimit:
+            return None  # the fit itself may still fit into memory
+        return sum(error.psnr for error in errors) / len(errors)
+
+
+_OFTEN = 30.0  # seconds between checkpoints
 _VERSION = 1
 
 
-class Kept(NamedTuple):
-    """A checkpoint's file, its arrays, CPU seconds of work and the curve until then."""
+class Checkpoint(NamedTuple):
+    """A checkpoint: its file, its arrays, and the CPU seconds and curve until then."""
 
     path: str
     arrays: dict[str, Any]
     worked: float
-    curve: list[Point]
+    curve: list[CurvePoint]
 
 
-class Keeper:
-    """Keeps checkpoints of one fit in a folder. arguments: what its bytes depend on beside the pictures, as text."""
+class CheckpointWriter:
+    """Writes checkpoints of one fit to a folder.
 
-    def __init__(self, folder: str, arguments: Mapping[str, str], views: nerfbake.Views) -> None:
+    arguments: everything besides the pictures that the output bytes depend on, as text.
+    """
+
+    def __init__(self, folder: str, arguments: Mapping[str, str], views: Views) -> None:
         self._folder = folder
         self._key = {"version": str(_VERSION), **arguments, "pictures": _digest(views)}
         self._kept = time.monotonic()
@@ -36,16 +168,16 @@ class Keeper:
     def is_due(self) -> bool:
         return time.monotonic() - self._kept > _OFTEN
 
-    def keep(self, now: Any, *, worked: float, curve: Sequence[Point]) -> None:
-        """Replaces the last checkpoint in one step. Raises OutputError."""
+    def keep(self, now: Any, *, worked: float, curve: Sequence[CurvePoint]) -> None:
+        """Replace the last checkpoint atomically. Raises OutputError."""
         facts = {"key": self._key, "worked": worked, "curve": curve}
         io.save_checkpoint(self._folder, facts, now.arrays())
         self._kept = time.monotonic()
 
-    def last(self) -> Kept | None:
-        """What was kept last; None where there is nothing.
+    def last(self) -> Checkpoint | None:
+        """Return the last checkpoint, or None if there is none.
 
-        Raises InvalidFile for a file that is none, and for one of a fit with other arguments or pictures.
+        Raises InvalidFile if the file is not a checkpoint, or belongs to a fit with other arguments or pictures.
         """
         found = io.load_checkpoint(self._folder)
         if found is None:
@@ -54,7 +186,7 @@ class Keeper:
         path = str(io.checkpoint_path(self._folder))
         with io.blame(path):
             self._require_same(facts.get("key"))
-            return Kept(path, arrays, _number("worked", facts.get("worked")), _points(facts.get("curve")))
+            return Checkpoint(path, arrays, _number("worked", facts.get("worked")), _points(facts.get("curve")))
 
     def _require_same(self, key: Any) -> None:
         key = key if isinstance(key, dict) else {}
@@ -70,9 +202,9 @@ class Keeper:
                 raise InvalidFile(problem)
 
 
-def _digest(views: nerfbake.Views) -> str:
-    """A name for what a fit sees: cameras, pixels and what is behind them."""
-    import hashlib  # here, since the help loads nothing that it does not show
+def _digest(views: Views) -> str:
+    """Return a hash of the inputs of a fit: cameras, pixels and background."""
+    import hashlib  # here, so that --help does not import it
 
     found = hashlib.sha256(repr((tuple(map(float, views.background)), views.masked)).encode())
     for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
@@ -88,9 +220,9 @@ def _number(name: str, value: Any) -> float:
     return float(value)
 
 
-def _points(rows: Any) -> list[Point]:
-    size = len(Point._fields)
+def _points(rows: Any) -> list[CurvePoint]:
+    size = len(CurvePoint._fields)
     fine = isinstance(rows, list) and all(isinstance(row, list) and len(row) == size for row in rows)
     if not fine or not all(type(value) in (int, float) for row in rows for value in row):
         raise InvalidFile(Problem("curve", "is no list of points", f"{size} numbers each"))
-    return [Point(*row) for row in rows]
+    return [CurvePoint(*row) for row in rows]

@@ -1,4 +1,4 @@
-"""From photographs to a scene: a sparse field that looks like them, written in any format that can hold it."""
+"""Fit a sparse field to photographs, and write it in any format that can store it."""
 
 from __future__ import annotations
 
@@ -10,76 +10,84 @@ from dataclasses import replace
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
-import nerfbake
-from nerfbake import catalog, io, progress
+from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
 from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.fit_course import Course, Point
-from nerfbake.jobs.fit_state import Keeper
-from nerfbake.jobs.photographs import ALL, Album, read_photographs
+from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun
+from nerfbake.jobs.photographs import ALL, PhotographOptions, read_photographs
 from nerfbake.jobs.steps import SILENT, Steps, Tell
+from nerfbake.scene.brick_field import BrickField
+from nerfbake.scene.held_out import HeldOut
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.views import Views
+from nerfbake.stages.brick_field_to_n3tree import build_n3tree
+from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
+from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
+from nerfbake.stages.octree_to_compression import compress_octree
+from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.views_to_error import measure_views
 
 if TYPE_CHECKING:
     from nerfbake.scene.schedule import Schedule
     from nerfbake.stages.views_to_error import ViewError
 
 Dtype = Literal["float16", "float32"]
-Pixels = Callable[[], "nerfbake.HeldOut"]  # made only for a scene that keeps or uses them
-_GRIDS = ("index",)  # all values in one grid: nothing is lost
+Pixels = Callable[[], HeldOut]  # computed only for scenes that store or use them
+_GRIDS = ("index",)  # all values in one grid, without loss
 
 
-def _tree(field: nerfbake.BrickField, dtype: Dtype | None, held_out: nerfbake.HeldOut) -> nerfbake.N3Tree:
-    """A PlenOctree in this type; None: float16 where it can hold every value. It keeps the pixels for later."""
+def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut) -> N3Tree:
+    """Return a PlenOctree that stores the held-out pixels. dtype None: float16 if all values fit, else float32."""
     if dtype is None:
-        from nerfbake.stages._half import LARGEST  # here, since the help loads no arrays
+        from nerfbake.stages._half import LARGEST  # here, so that --help does not import NumPy
 
         values = field.values
         fits = not values.size or max(values.max(), -values.min()) <= LARGEST
         dtype = "float16" if fits else "float32"
-    return replace(nerfbake.n3tree_of_bricks(field, dtype=dtype), held_out=held_out)
+    return replace(build_n3tree(field, dtype=dtype), held_out=held_out)
 
 
 def _compressed(
-    field: nerfbake.BrickField, held_out: Pixels, target: Target, tell: Tell, dtype: Dtype | None
-) -> nerfbake.QuantisedOctree:
-    """As `nerfbake compress` has it without options."""
-    octree, coded_size = nerfbake.octree_of_bricks(field), coded_size_of(target)
+    field: BrickField, held_out: Pixels, target: Target, tell: Tell, dtype: Dtype | None
+) -> QuantisedOctree:
+    """Compress a field like `nerfbake compress` without options."""
+    octree, coded_size = build_octree_from_bricks(field), coded_size_of(target)
     options = {**LEAST_LOSS.options, "held_out": held_out()}
-    return nerfbake.compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
+    return compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
-def _held_out(judges: nerfbake.Views, schedule: Schedule) -> nerfbake.HeldOut:
-    """Pixels of the photographs that judge, with the rays a pixel that the scene was fitted for."""
+def _held_out(judges: Views, schedule: Schedule) -> HeldOut:
+    """Return the pixels of the held-out views, with the rays per pixel that the scene was fitted for."""
     cameras = replace(judges.cameras, samples=schedule[-1].rays)
     photographs = map(judges.photograph, range(len(judges.pictures)))
-    return nerfbake.HeldOut.of(cameras, photographs, background=judges.background)
+    return HeldOut.of(cameras, photographs, background=judges.background)
 
 
-# What a fitted field becomes, by the scene that the ending of a file stands for; longer endings first. A type of values
-# is asked for of a PlenOctree alone.
-_WAYS: dict[str, Callable[[nerfbake.BrickField, Pixels, Target, Tell, Dtype | None], Any]] = {
-    "SparseVoxelOctree": lambda field, *_: nerfbake.octree_of_bricks(field),
+# Conversions of a fitted field, by the type of scene of a file extension; longer extensions first. Only the conversion
+# to a PlenOctree uses the dtype.
+CONVERSIONS: dict[str, Callable[[BrickField, Pixels, Target, Tell, Dtype | None], Any]] = {
+    "SparseVoxelOctree": lambda field, *_: build_octree_from_bricks(field),
     "QuantisedOctree": _compressed,
-    "Volume": lambda field, *_: nerfbake.vdb_of_bricks(field, grids=_GRIDS),
+    "Volume": lambda field, *_: build_vdb_from_bricks(field, grids=_GRIDS),
     "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out()),
 }
-_OPTIONS = {"N3Tree": {"packing": "deflated"}}  # of its format: as svox writes it
+_OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
 PRESET = "balanced"
-FITTED = tuple(_WAYS)
 
 
-class Recipe(NamedTuple):
-    """How a field is fitted.
+class FitOptions(NamedTuple):
+    """Options of a fit.
 
-    preset      fast, balanced or best: a schedule of stages; None: balanced, unless one of the next two is given
-    minutes     how long two cores may work, which chooses a schedule
-    epochs      a schedule as text, as it is printed, which has a resolution and samples of its own
+    preset      schedule of stages: fast, balanced or best; None: balanced, unless minutes or epochs is given
+    minutes     select a schedule that takes this many minutes on two cores
+    epochs      schedule as text, in the notation in which it is printed; it sets its own resolution and samples
     resolution  cells along each axis of the lattice, before some of them are split
-    samples     rays along each edge of a pixel, as pictures of the field are to be made: 1 or 2
-    basis       of the colours: SH1 to SH25
-    box         x0, y0, z0, x1, y1, z1 of the world around the object; None: as the pictures tell
-    seed        of the order of the views: the same gives the same bytes
+    samples     rays along each edge of a pixel, 1 or 2: choose the value that the field will be rendered with
+    basis       SH basis of the colours: SH1 to SH25
+    box         x0, y0, z0, x1, y1, z1 of the box around the object in world coordinates; None: from the pictures
+    seed        seed for the order of the views: the same seed gives the same bytes
     """
 
     preset: str | None = None
@@ -92,12 +100,16 @@ class Recipe(NamedTuple):
     seed: int = 0
 
     def schedule(self, views: int | None = None) -> Schedule:
-        """The stages, for so many views if it is known how many. Raises UsageError for what contradicts itself."""
+        """Return the stages. views: the number of views, if known. Raises UsageError for contradictory options."""
         given = [name for name in ("preset", "minutes", "epochs") if getattr(self, name) is not None]
         if len(given) > 1:
             names = " and ".join(f"`{name}`" for name in given)
-            raise UsageError(f"{names} each choose a schedule; allowed: one of them")
-        from nerfbake.scene.schedule import parse_schedule, preset_schedule, schedule_for  # the help loads no arrays
+            raise UsageError(f"{names} each select a schedule; allowed: one of them")
+        from nerfbake.scene.schedule import (
+            parse_schedule,
+            preset_schedule,
+            schedule_for,
+        )  # --help must not import NumPy
 
         asked = {"resolution": self.resolution, "samples": self.samples} | ({"views": views} if views else {})
         try:
@@ -110,22 +122,22 @@ class Recipe(NamedTuple):
             raise UsageError(error.what) from None
 
     def told(self, schedule: Schedule) -> dict[str, str]:
-        """All that the bytes depend on beside the pictures."""
+        """Return everything besides the pictures that the output bytes depend on."""
         rest = {name: str(getattr(self, name)) for name in ("basis", "box", "seed")}
-        return {"nerfbake": nerfbake.__version__, "schedule": str(schedule), **rest}
+        return {"nerfbake": __version__, "schedule": str(schedule), **rest}
 
 
-BALANCED = Recipe()
+BALANCED = FitOptions()
 
 
-class Fitted(NamedTuple):
-    """What was fitted, as the written file shows it.
+class FitResult(NamedTuple):
+    """The result of a fit, measured on the written file.
 
-    path      of the file, and its content in words, and its bytes
-    schedule  as --epochs takes it
-    views     how near the file comes to each of the photographs that judge it
-    worked    CPU seconds, without compiling kernels and without judging; passed: the same as time
-    curve     how near it had come meanwhile
+    path      path of the file; content: description of its contents; bytes: its size
+    schedule  the schedule, in the notation of --epochs
+    views     error of the file on each of the held-out views
+    worked    CPU seconds, without compiling kernels and without measuring; passed: the same in wall-clock seconds
+    curve     quality during the fit
     """
 
     path: str
@@ -135,32 +147,32 @@ class Fitted(NamedTuple):
     views: tuple[ViewError, ...]
     worked: float
     passed: float
-    curve: tuple[Point, ...]
+    curve: tuple[CurvePoint, ...]
 
     @property
     def psnr(self) -> float:
-        """dB, the mean over the views."""
+        """Mean PSNR over the views in dB."""
         return sum(view.psnr for view in self.views) / len(self.views)
 
     @property
     def ssim(self) -> float:
-        """The mean over the views."""
+        """Mean SSIM over the views."""
         return sum(view.ssim for view in self.views) / len(self.views)
 
 
 def fit_scene(
     source: AnySource,
     *,
-    album: Album = ALL,
-    recipe: Recipe = BALANCED,
+    album: PhotographOptions = ALL,
+    recipe: FitOptions = BALANCED,
     dtype: Dtype | None = None,
     steps: Steps = SILENT,
-) -> nerfbake.N3Tree:
-    """The PlenOctree that fit_file() would write as .npz, without a file and without judging it.
+) -> N3Tree:
+    """Return the PlenOctree that fit_file() would write as .npz, without writing or measuring it.
 
-    The views that fit_file() keeps for judging are kept here, too, so that the scene is the same. Raises NerfbakeError.
+    The same views are held out as by fit_file(), so the scene is the same. Raises NerfbakeError.
 
-    >>> tree = fit_scene("photographs", recipe=Recipe(preset="fast", resolution=32, basis="SH1"))
+    >>> tree = fit_scene("photographs", recipe=FitOptions(preset="fast", resolution=32, basis="SH1"))
     >>> tree.data_format
     'SH1'
     """
@@ -169,7 +181,7 @@ def fit_scene(
     recipe.schedule()
     posed = read_photographs(steps, source, album)
     schedule = recipe.schedule(len(posed.trained.pictures))
-    field = _fit(steps, source, posed.trained, schedule, recipe, Course(posed, schedule), None, [])
+    field = _fit(steps, source, posed.trained, schedule, recipe, FitRun(posed, schedule), None, [])
     with steps.phase("putting the field together"):
         return _tree(field, dtype, _held_out(posed.judges, schedule))
 
@@ -178,28 +190,29 @@ def fit_file(
     source: AnySource,
     target: AnyTarget,
     *,
-    album: Album = ALL,
-    recipe: Recipe = BALANCED,
+    album: PhotographOptions = ALL,
+    recipe: FitOptions = BALANCED,
     dtype: Dtype | None = None,
     state: str | None = None,
     steps: Steps = SILENT,
-    report: Callable[[Fitted], None] | None = None,
-) -> Fitted:
-    """Fits a sparse field to the photographs of a capture, and gives what its file shows; `nerfbake fit` is this.
+    report: Callable[[FitResult], None] | None = None,
+) -> FitResult:
+    """Fit a sparse field to the photographs of a capture and return the quality of its file. This is `nerfbake fit`.
 
-    Reads the cameras and pictures of `source` and of `album`; writes `target`, whose ending says as what, and keeps
-    checkpoints in the folder `state`. A run that was killed goes on from there, to the same bytes. Ctrl-C writes what
-    there is as `target`.partial and raises Stopped, exit code 130. report gets what is returned. Raises NerfbakeError.
+    Reads the cameras and pictures of `source` and `album`. Writes `target`, whose extension selects the type of scene,
+    and checkpoints to the folder `state`. A run that was killed resumes from the last checkpoint and writes the same
+    bytes. Ctrl-C writes the current state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
 
-    dtype: of a PlenOctree's values; None: float16, or float32 where a value is too large for float16.
+    dtype   number type of a PlenOctree's values; None: float16, or float32 if a value is too large for float16
+    report  is called with the result
 
-    >>> fitted = fit_file("photographs", "fitted.npz", recipe=Recipe(preset="fast", resolution=32, basis="SH1"))
+    >>> fitted = fit_file("photographs", "fitted.npz", recipe=FitOptions(preset="fast", resolution=32, basis="SH1"))
     >>> fitted.psnr > 15
     True
     """
     source, target = as_source(source), as_target(target)
     album.require()
-    recipe.schedule()  # what contradicts itself is told before any picture is read
+    recipe.schedule()  # reports contradictory options before any picture is read
     kind = _require(target)
     if dtype is not None and kind != "N3Tree":
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
@@ -207,20 +220,20 @@ def fit_file(
         io.require_checkpoints(state)
     posed = read_photographs(steps, source, album)
     judges, schedule = posed.judges, recipe.schedule(len(posed.trained.pictures))
-    steps.say(f"{source.name}: {posed.trained} to fit to, {judges} to judge by")
+    steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
     steps.say(f"{source.name}: `epochs={schedule}`")
-    keeper = None if state is None else Keeper(state, recipe.told(schedule), posed.trained)
-    course = Course(posed, schedule)
+    keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule), posed.trained)
+    course = FitRun(posed, schedule)
     with _interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = _WAYS[kind](field, lambda: _held_out(judges, schedule), target, tell, dtype)
+            scene = CONVERSIONS[kind](field, lambda: _held_out(judges, schedule), target, tell, dtype)
         del field, posed
         if asked:
             _write_partial(steps, target, kind, scene, state)
         target.write(steps, scene, **_OPTIONS.get(kind, {}))
     if asked:
-        raise Stopped(f"stopped before it was judged: {target.path} is whole")
+        raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
     del scene
     fitted = _judged(steps, target, judges, schedule, course)
     if report is not None:
@@ -229,14 +242,14 @@ def fit_file(
 
 
 def _require(target: Target) -> str:
-    """The type of scene that the target holds. Raises, before any work is done, if no field can be written there."""
+    """Return the type of scene of the target. Raises NerfbakeError if a field cannot be written there."""
     if target.path == io.STREAM:
-        raise UsageError("fit judges the file that it wrote; allowed: an OUT other than '-'")
+        raise UsageError("fit measures the file that it wrote; allowed: an OUT other than '-'")
     ending = target.path if target.to is None else f".{target.to.removeprefix('.')}"
-    kind = next((kind for kind in _WAYS if catalog.is_ending(ending, kind)), None)
+    kind = next((kind for kind in CONVERSIONS if catalog.is_ending(ending, kind)), None)
     if kind is None:
-        endings = ", ".join(form.suffix for kind in _WAYS for form in catalog.formats_of(kind))
-        raise UsageError(f"{ending!r} names nothing that a field is written as; allowed: {endings}, or `to=FORMAT`")
+        endings = ", ".join(form.suffix for kind in CONVERSIONS for form in catalog.formats_of(kind))
+        raise UsageError(f"{ending!r} is not the extension of a field; allowed: {endings}, or `to=FORMAT`")
     form = target.require(kind)
     if kind == "Volume":
         form.load_volume_module().require_grids(_GRIDS, half=False)
@@ -246,14 +259,14 @@ def _require(target: Target) -> str:
 def _fit(
     steps: Steps,
     source: Source,
-    views: nerfbake.Views,
+    views: Views,
     schedule: Schedule,
-    recipe: Recipe,
-    course: Course,
-    keeper: Keeper | None,
+    recipe: FitOptions,
+    course: FitRun,
+    keeper: CheckpointWriter | None,
     asked: list[int],
-) -> nerfbake.BrickField:
-    """What was fitted until the end, or until somebody asked for it."""
+) -> BrickField:
+    """Fit until the schedule ends, or until Ctrl-C adds an item to `asked`, and return the field."""
     from nerfbake.scene.views import world_box
     from nerfbake.stages.views_to_field import fit_field
 
@@ -261,19 +274,19 @@ def _fit(
     with steps.phase("fitting"), io.blame(source.name):
         box = None if recipe.box is None else world_box(recipe.box)
         for now in fit_field(views, schedule=schedule, basis=recipe.basis, box=box, seed=recipe.seed, start=start):
-            with progress.listening(None):  # what judges a stage has no share of its own
+            with progress.listening(None):  # measuring does not report progress
                 ended = course.follow(now)
             if keeper is not None and (ended or asked or keeper.is_due):
                 _keep(keeper, now, course)
             progress.report(course.share(now), course.told(now))
             if asked:
                 break
-        field: nerfbake.BrickField = now.field()
+        field: BrickField = now.field()
         return field
 
 
-def _start(keeper: Keeper | None, course: Course) -> Any:
-    """Where an earlier run was stopped; None where there was none."""
+def _start(keeper: CheckpointWriter | None, course: FitRun) -> Any:
+    """Return the state in the last checkpoint, or None if there is none."""
     last = None if keeper is None else keeper.last()
     if last is None:
         return None
@@ -285,30 +298,31 @@ def _start(keeper: Keeper | None, course: Course) -> Any:
     return now
 
 
-def _keep(keeper: Keeper, now: Any, course: Course) -> None:
+def _keep(keeper: CheckpointWriter, now: Any, course: FitRun) -> None:
     worked = course.clock.worked
     with course.clock.paused():
         keeper.keep(now, worked=worked, curve=course.curve)
 
 
 def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: str | None) -> NoReturn:
-    """Writes what there is beside where it should have been, and raises Stopped."""
+    """Write the current state as target.partial and raise Stopped."""
     ending = io.format_for(target.path, kind, to=target.to).name
     partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
     partial.write(steps, scene, **_OPTIONS.get(kind, {}))
-    goes_on = f"; the same command goes on from {state}" if state else ""
-    raise Stopped(f"stopped before it was done: {partial.path} has what there was{goes_on}")
+    goes_on = f"; run the same command to resume from {state}" if state else ""
+    raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
 
 
-def _judged(steps: Steps, target: Target, judges: nerfbake.Views, schedule: Schedule, course: Course) -> Fitted:
-    """What the file shows, read as anybody would read it, with the rays a pixel that it was fitted for."""
+def _judged(steps: Steps, target: Target, judges: Views, schedule: Schedule, course: FitRun) -> FitResult:
+    """Read the written file and measure it on the held-out views, with the rays per pixel it was fitted for."""
     worked, passed, samples = course.clock.worked, course.clock.passed, schedule[-1].rays
     file = Source(target.path)
-    with file.blamed(steps, f"judging by {len(judges.pictures)} pictures"):
+    with file.blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
         loaded = file.read_with_format(steps)
-        views = nerfbake.measure_views(nerfbake.build_field(loaded.scene), judges, samples=samples)
+        views = measure_views(build_field(loaded.scene), judges, samples=samples)
     told = str(loaded.scene)
-    fitted = Fitted(target.path, told, loaded.size, str(schedule), views, worked, passed, tuple(course.curve))
+    fitted = FitResult(target.path, told, loaded.size, str(schedule), views, worked, passed, tuple(course.curve))
+    io.report_result(psnr=fitted.psnr)
     seen = (
         f"{fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on {judges}{replace(judges.cameras, samples=samples).rays_told}"
     )
@@ -318,9 +332,9 @@ def _judged(steps: Steps, target: Target, judges: nerfbake.Views, schedule: Sche
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """What Ctrl-C asks for, once, so that work can end where it is whole; the second time it ends at once.
+    """Catch Ctrl-C: the first one adds an item to the list, the second one raises KeyboardInterrupt.
 
-    The list is empty until then.
+    The block checks the list where its work is in a consistent state.
     """
     asked: list[int] = []
     before = signal.getsignal(signal.SIGINT)

@@ -1,20 +1,22 @@
-"""Which grids of a volume a job reads or writes, and how they stand."""
+"""Select the grids of a volume to read or write, and its up axis."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import nerfbake
 from nerfbake import catalog
 from nerfbake.errors import InvalidFile, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 
+if TYPE_CHECKING:
+    from nerfbake.scene.volume import Volume
+
 GRIDS = ("density", "Cd", "sh", "index")
 
 
-class Choice(NamedTuple):
-    """Which grids of a volume, by name or number, and which axis of its world is up; nothing chosen: as it is."""
+class GridChoice(NamedTuple):
+    """Grids of a volume, by name or number, and its up axis. By default the volume is not changed."""
 
     grids: tuple[str, ...] = ()
     up: str | None = None
@@ -23,9 +25,11 @@ class Choice(NamedTuple):
         return bool(self.grids or self.up)
 
     def of(self, steps: Steps, source: Source, scene: Any) -> Any:
-        """The scene as it was asked for. Raises UsageError where it is no volume and something was asked."""
-        if self and not isinstance(scene, nerfbake.Volume):
-            raise UsageError(f"{source.name} is no volume; allowed: no `grid` and no `up`")
+        """Return the scene with this choice applied. Raises UsageError if there is a choice and it is not a volume."""
+        from nerfbake.scene.volume import Volume
+
+        if self and not isinstance(scene, Volume):
+            raise UsageError(f"{source.name} is not a volume; allowed: no `grid` and no `up`")
         if self:
             with source.blamed(steps, "choosing grids"):
                 scene = scene.only(self.grids) if self.grids else scene
@@ -33,21 +37,23 @@ class Choice(NamedTuple):
         return scene
 
     def whole(self, steps: Steps, source: Source, scene: Any) -> Any:
-        """The same; raises InvalidFile where a grid would be left out that nobody left out."""
+        """Like of(), but raises InvalidFile if a grid cannot be read and is not excluded by the choice."""
+        from nerfbake.scene.volume import Volume
+
         chosen = self.of(steps, source, scene)
-        if isinstance(chosen, nerfbake.Volume) and chosen.unread:
+        if isinstance(chosen, Volume) and chosen.unread:
             problem = chosen.unread[0]
             raise InvalidFile(problem._replace(allowed=f"{problem.allowed}; `grid` for the others"), source=source.path)
         return chosen
 
 
-AS_IT_IS = Choice()
+AS_IT_IS = GridChoice()
 
 
 def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tuple[str, ...]:
-    """These grids, or those that the format has where nobody says which.
+    """Return these grids, or the default grids of the format. Call it before doing any work.
 
-    Raises UsageError, before any work is done, for grids that it cannot hold.
+    Raises UsageError if the format cannot store them.
     """
     module = form.load_volume_module()
     wanted = tuple(grids.split(",")) if grids else module.DEFAULT_GRIDS
@@ -57,8 +63,11 @@ def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tup
     return wanted
 
 
-def tell_of_halves(steps: Steps, form: catalog.Format, volume: nerfbake.Volume) -> None:
-    """Says what other programs make of a density in halves."""
+def warn_about_halves(steps: Steps, form: catalog.Format, volume: Volume) -> None:
+    """Print a note if other programs have problems with a float16 density in this format."""
+
+    from nerfbake.scene.vdb import VdbTree
+
     note, first = form.load_volume_module().HALF_NOTE, volume.grids[0]
-    if note and isinstance(first, nerfbake.VdbTree) and first.values.dtype == "float16":
+    if note and isinstance(first, VdbTree) and first.values.dtype == "float16":
         steps.say(note)

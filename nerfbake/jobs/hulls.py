@@ -1,12 +1,17 @@
-"""Hulls of radiance fields, from files to files."""
+"""Build hull meshes around radiance fields."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-import nerfbake
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.field_to_mesh import build_hull
+from nerfbake.stages.scene_to_field import build_field
 
 LEVEL = 5
 
@@ -18,20 +23,21 @@ def bake_hull(
     level: int = LEVEL,
     up: Literal["y", "z"] | None = None,
     steps: Steps = SILENT,
-) -> nerfbake.Meshes:
-    """Makes a mesh around all that can be seen of a PlenOctree, an octree or a volume, and gives what it wrote;
-    `nerfbake hull` is this.
+) -> Meshes:
+    """Build a mesh that encloses everything visible in a field and return it. This is `nerfbake hull`.
 
-    Reads `source`, writes `target`. level: as build_hull() has it. up: of a .glb, the axis that points up in `source`;
-    its nodes turn z to y; None: nothing is turned. Raises NerfbakeError.
+    Reads `source`, a PlenOctree, an octree or a volume; writes `target`. Raises NerfbakeError.
+
+    level  as in build_hull()
+    up     for a .glb: the up axis of `source`; with z, the nodes rotate z to y; None: no rotation
 
     >>> print(bake_hull("a.npz", "hull.glb", level=2))
     mesh of 144 triangles over 74 vertices
     """
     source, target = as_source(source), as_target(target)
     target.require("Meshes", up=up)
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
+    scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume)
     with source.blamed(steps, "building the hull"):
-        meshes = nerfbake.build_hull(nerfbake.build_field(scene), level=level)
+        meshes = build_hull(build_field(scene), level=level)
     target.write(steps, meshes, up=up)
     return meshes

@@ -1,39 +1,65 @@
-"""What other programs trained, as octrees: jobs that take PlenOctrees and octrees take these fields by it, too. And the
-way back: an octree as they would have trained it."""
+"""Convert lattices from other programs to octrees, and octrees to PlenVDB lattices.
+
+Jobs that read PlenOctrees and octrees use sample_lattice() to read lattices, too.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-import nerfbake
 from nerfbake import io
 from nerfbake.errors import UsageError
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, FolderTarget, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import Layout, SparseVoxelOctree
 
-FINEST = 256  # voxels along an axis of a lattice, unless told otherwise: those programs hold all of its nodes
-_FRAMES, _EDGE = 4, 200  # of the pictures that tell what voxels lose, and what a lattice does
+if TYPE_CHECKING:
+    from nerfbake.scene.radiance_field import RadianceField
+    from nerfbake.stages.octree_to_lattice import LatticeOptions
+
+FINEST = 256  # default limit for the voxels along an axis of a lattice: those programs store all of its nodes
+_FRAMES, _EDGE = 4, 200  # number and edge of the pictures on which the loss of a conversion is measured
 
 
-def octree_of(
-    steps: Steps, source: Source, lattice: nerfbake.LatticeField, **options: Any
-) -> nerfbake.SparseVoxelOctree:
-    """octree_of_lattice() with these options; says what was left out, and what became of colours and pictures."""
-    tell_notes(steps, source, lattice)
+def sample_lattice(
+    steps: Steps,
+    source: Source,
+    lattice: LatticeField,
+    *,
+    resolution: int | tuple[int, int, int] | None = None,
+    basis: str = "SH9",
+    layout: Layout = "full",
+    dtype: Literal["float32", "float16"] = "float32",
+    sigma_min: float | None = None,
+) -> SparseVoxelOctree:
+    """Sample a lattice to an octree, and print what was left out and the error of its pictures and colours.
+
+    The options are those of build_octree_from_lattice().
+    """
+
+    from nerfbake.stages.lattice_to_octree import build_octree_from_lattice
+    from nerfbake.stages.scene_to_field import build_field_from_octree
+
+    print_notes(steps, source, lattice)
     with source.blamed(steps, "sampling the lattice"):
-        octree = nerfbake.octree_of_lattice(lattice, **options)
-    with source.blamed(steps, "measuring what voxels lose"):
-        decibels, apart = _lost(lattice, nerfbake.field_of_octree(octree))
-    size = f"{'x'.join(map(str, octree.size))} voxels{_chosen(lattice, octree, options.get('resolution'))}"
-    seen = f"{decibels:.1f} dB from the lattice's own pictures"
-    steps.say(f"{source.name}: in {size}, {seen}; colours are {apart:.2g}/255 (RMS) from its own")
+        size = (resolution,) * 3 if isinstance(resolution, int) else resolution
+        octree = build_octree_from_lattice(
+            lattice, resolution=size, basis=basis, layout=layout, dtype=dtype, sigma_min=sigma_min
+        )
+    with source.blamed(steps, "measuring the loss of sampling"):
+        decibels, apart = _lost(lattice, build_field_from_octree(octree))
+    voxels = f"{'x'.join(map(str, octree.size))} voxels{_chosen(lattice, octree, resolution)}"
+    seen = f"{decibels:.1f} dB against pictures of the lattice"
+    steps.say(f"{source.name}: in {voxels}, {seen}; colours differ by {apart:.2g}/255 (RMS)")
     return octree
 
 
-def _chosen(lattice: nerfbake.LatticeField, octree: nerfbake.SparseVoxelOctree, resolution: Any) -> str:
-    """Behind the voxels of an octree that nobody asked for, why they are coarser than the lattice's cells."""
+def _chosen(lattice: LatticeField, octree: SparseVoxelOctree, resolution: Any) -> str:
+    """Return the reason why an octree without a chosen resolution is coarser than the cells of the lattice."""
     if resolution is not None or lattice.blocks is None or octree.size == lattice.cells:
         return ""
     return f" (the finest that fit into memory; it has {'x'.join(map(str, lattice.cells))} cells)"
@@ -48,63 +74,81 @@ def bake_lattice(
     merged: bool = False,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
-    **options: Any,
-) -> nerfbake.LatticeField:
-    """Makes a lattice with an MLP of a PlenOctree or an octree, and gives what it wrote; `nerfbake lattice` is this.
+    **options: Unpack[LatticeOptions],
+) -> LatticeField:
+    """Convert a PlenOctree or an octree to a lattice with an MLP and return it. This is `nerfbake lattice`.
 
-    Reads `source` and the budget's cameras; writes the folder `target`, or `target`.rejected where the budget is
-    missed. resolution: of a PlenOctree, as build_octree() has it; None: its finest, but 256 at most. merged: values
-    are stored once, as rows of float16. sigma_min and the options go to lattice_of_octree(). Raises NerfbakeError.
+    Reads `source` and the cameras of the budget. Writes the folder `target`, or `target`.rejected if the budget is
+    missed. Raises NerfbakeError.
+
+    resolution  of a PlenOctree, as in build_octree(); None: its finest, at most 256
+    merged      store values once, as rows of float16
+    sigma_min   and the other options are passed to build_lattice()
 
     >>> bake_lattice("a.npz", "a_lattice", resolution=16, rounds=20).colour.features
     12
     """
+
+    from nerfbake.stages.octree_to_lattice import build_lattice
+    from nerfbake.stages.scene_to_field import build_field_from_octree
+
     source = as_source(source)
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
     budget.require(target)
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree)
+    scene = source.read(steps, N3Tree, SparseVoxelOctree)
     judged = None if budget.min_psnr is None else scene
     with source.blamed(steps, "building the octree"):
-        if isinstance(scene, nerfbake.N3Tree) and resolution is None:
+        if isinstance(scene, N3Tree) and resolution is None:
             resolution = min(scene.resolution, FINEST)
         scene = compact_octree(scene, resolution, sigma_min)
     with source.blamed(steps, "fitting the lattice"):
-        lattice = nerfbake.lattice_of_octree(scene, sigma_min=sigma_min, **options)
+        lattice = build_lattice(scene, sigma_min=sigma_min, **options)
     with target.writing(steps, lattice, merged=merged) as written:
-        with source.blamed(steps, "measuring what the lattice loses"):
-            # What is not merged comes back as it is here, but dense.
-            read = io.load_folder(written.path, nerfbake.LatticeField) if merged else lattice
-            decibels, apart = _lost(read, nerfbake.field_of_octree(scene))
-        seen = f"{decibels:.1f} dB from the octree's own pictures; colours are {apart:.2g}/255 (RMS) from its own"
+        with source.blamed(steps, "measuring the loss of the lattice"):
+            # Without merged, reading the folder would give the same values in dense arrays.
+            read = io.load_folder(written.path, LatticeField) if merged else lattice
+            decibels, apart = _lost(read, build_field_from_octree(scene))
+        seen = f"{decibels:.1f} dB against pictures of the octree; colours differ by {apart:.2g}/255 (RMS)"
         steps.say(f"{target.path}: {lattice}, {seen}, {written.size:,} bytes")
-        judge(written.path, judged, budget, made_from=source.name, name=target.path, steps=steps)
+        judge_output(written.path, judged, budget, made_from=source.name, name=target.path, steps=steps)
     return lattice
 
 
 def compact_octree(
-    scene: nerfbake.N3Tree | nerfbake.SparseVoxelOctree,
+    scene: N3Tree | SparseVoxelOctree,
     resolution: int | tuple[int, int, int] | None,
     sigma_min: float | None,
-) -> nerfbake.SparseVoxelOctree:
-    """Of a PlenOctree its octree, for a stage that asks for no child slots of leaves, which are a third of the memory;
-    an octree is what it is. Raises UsageError where an octree is asked for another resolution."""
-    if isinstance(scene, nerfbake.N3Tree):
-        return nerfbake.build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
+) -> SparseVoxelOctree:
+    """Return a compact octree of a PlenOctree; an octree is returned unchanged.
+
+    A compact octree has no child slots for leaves, which saves a third of the memory. Raises UsageError if an octree is
+    given with a resolution.
+    """
+
+    from nerfbake.stages.n3tree_to_octree import build_octree
+
+    if isinstance(scene, N3Tree):
+        return build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
     if resolution is not None:
         raise UsageError("an octree has its own resolution; allowed: `resolution` with a PlenOctree")
     return scene
 
 
-def _lost(lattice: nerfbake.LatticeField, field: nerfbake.RadianceField) -> tuple[float, float]:
-    """How far the two are apart: dB of pictures around the lattice, and colours (RMS, in 0..255)."""
-    views = nerfbake.orbit_cameras(lattice, frames=_FRAMES, width=_EDGE, height=_EDGE)
-    found = nerfbake.compare_scenes(lattice, field, views, keep_pictures=False)
-    return float(found.means["a_b"]["psnr"]), nerfbake.measure_lattice(lattice, field)
+def _lost(lattice: LatticeField, field: RadianceField) -> tuple[float, float]:
+    """Return the PSNR in dB of pictures around the lattice, and the RMS error of its colours (0..255)."""
+
+    from nerfbake.stages.lattice_to_image import measure_lattice
+    from nerfbake.stages.scene_to_cameras import orbit_cameras
+    from nerfbake.stages.scenes_to_comparison import compare_scenes
+
+    views = orbit_cameras(lattice, frames=_FRAMES, width=_EDGE, height=_EDGE)
+    found = compare_scenes(lattice, field, views, keep_pictures=False)
+    return float(found.means["a_b"]["psnr"]), measure_lattice(lattice, field)
 
 
-def tell_notes(steps: Steps, source: Source, scene: Any) -> None:
-    """Says what a lattice field's file holds that was left out."""
-    if isinstance(scene, nerfbake.LatticeField):
+def print_notes(steps: Steps, source: Source, scene: Any) -> None:
+    """Print notes on the contents of a lattice file that were left out."""
+    if isinstance(scene, LatticeField):
         for note in scene.notes:
             steps.say(f"{source.name}: {note}")

@@ -1,56 +1,87 @@
-"""Octrees from files to files: baked from a PlenOctree, or cut at a level."""
+"""Bake octrees and volumes from PlenOctrees, lattices and octrees, and cut octrees at a level."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
-import nerfbake
+from nerfbake import memory
 from nerfbake.errors import UsageError
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge
+from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
-from nerfbake.jobs.lattices import octree_of
+from nerfbake.jobs.grids import require_grids, warn_about_halves
+from nerfbake.jobs.lattices import compact_octree, sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.held_out import HeldOut
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from nerfbake.scene.volume import Volume
+
+if TYPE_CHECKING:
+    from nerfbake.stages.n3tree_to_octree import Resample
 
 
 def bake_octree(
     source: AnySource,
     target: AnyTarget,
     *,
+    resolution: int | tuple[int, int, int] | None = None,
+    resample: Resample = "mean",
+    layout: Layout = "full",
+    dtype: Literal["float32", "float16"] = "float32",
+    sigma_min: float | None = None,
     no_child: int | None = None,
     basis: str | None = None,
     scale: float | None = None,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
-    **options: Any,
-) -> nerfbake.SparseVoxelOctree:
-    """Resamples a PlenOctree, or another program's lattice, to a sparse voxel octree, and gives what it wrote;
-    `nerfbake svo` is this.
+) -> SparseVoxelOctree:
+    """Resample a PlenOctree or a lattice to a sparse voxel octree and return it. This is `nerfbake svo`.
 
-    Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. Options
-    go to build_octree(), or to octree_of_lattice(). no_child: how the file spells 'no child', 0 or -1; None: as is
-    usual for the format. Of a lattice alone: basis, None is SH9, and scale, how many times larger the world is to be
-    than the file's. What is wrong with the arguments alone is told before anything is read. Raises NerfbakeError.
+    Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed. Raises
+    NerfbakeError; errors that depend on the arguments alone are raised before anything is read.
+
+    no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
+    basis     SH basis of the colours (lattices only); None: SH9
+    scale     scale factor for world coordinates (lattices only)
+
+    resolution, resample, layout, dtype and sigma_min are those of build_octree() and build_octree_from_lattice().
 
     >>> octree = bake_octree("a.npz", "a.svo.pb", resolution=16, budget=Budget(min_psnr=20))
     >>> octree.size
     (16, 16, 16)
     """
+
+    from nerfbake.stages.n3tree_to_octree import build_octree
+
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.LatticeField)
-    if isinstance(scene, nerfbake.LatticeField):
-        if options.pop("resample", "mean") != "mean":
-            raise UsageError("`resample` is about leaves, which a lattice has none of; allowed: a PlenOctree")
+    scene = source.read(steps, N3Tree, LatticeField)
+    if isinstance(scene, LatticeField):
+        if resample != "mean":
+            raise UsageError("`resample` has no effect on a lattice, which has no leaves; allowed: with a PlenOctree")
         scene = scene if scale is None else scene.scaled(scale)
-        octree = octree_of(steps, source, scene, basis=basis or "SH9", **options)
+        octree = sample_lattice(
+            steps,
+            source,
+            scene,
+            basis=basis or "SH9",
+            resolution=resolution,
+            layout=layout,
+            dtype=dtype,
+            sigma_min=sigma_min,
+        )
     else:
         if basis is not None or scale is not None:
             raise UsageError("a PlenOctree has its own basis and world; allowed: `basis` and `scale` with a lattice")
         with source.blamed(steps, "building the octree"):
-            octree = nerfbake.build_octree(scene, **options)
+            octree = build_octree(
+                scene, resolution=resolution, resample=resample, layout=layout, dtype=dtype, sigma_min=sigma_min
+            )
     with target.writing(steps, octree, no_child=no_child) as written:
-        judge(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
+        judge_output(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
     return octree
 
 
@@ -62,40 +93,106 @@ def bake_lod(
     no_child: int | None = None,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
-) -> nerfbake.SparseVoxelOctree:
-    """Cuts an octree at a level, and gives what it wrote; `nerfbake lod` is this.
+) -> SparseVoxelOctree:
+    """Cut an octree at a level and return the result. This is `nerfbake lod`.
 
-    Reads `source` and the budget's cameras; writes `target`, or `target`.rejected where the budget is missed. level:
-    the deepest one to keep, 0 is the root alone. no_child: how the file spells 'no child', 0 or -1; None: as
-    is usual for the format. Raises NerfbakeError.
+    Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed. Raises
+    NerfbakeError.
+
+    level     deepest level to keep; 0 keeps only the root
+    no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
 
     >>> bake_lod("a.svo.pb", "a_3.svo.pb", level=3).size
     (8, 8, 8)
     """
+
+    from nerfbake.stages.octree_to_octree import cut_octree
+
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    octree = source.read(steps, nerfbake.SparseVoxelOctree)
+    octree = source.read(steps, SparseVoxelOctree)
     with source.blamed(steps, f"cutting at level {level}"):
-        cut = nerfbake.cut_octree(octree, level=level)
+        cut = cut_octree(octree, level=level)
     with target.writing(steps, cut, no_child=no_child) as written:
-        judge(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
+        judge_output(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return cut
 
 
-def read_octree(steps: Steps, source: Source) -> nerfbake.SparseVoxelOctree:
-    """The octree of a file, that of a PlenOctree at its own resolution, or that of a lattice."""
+def read_octree(steps: Steps, source: Source) -> SparseVoxelOctree:
+    """Read an octree, or convert a PlenOctree (at its own resolution) or a lattice to one."""
     return read_octree_and_held_out(steps, source)[0]
 
 
-def read_octree_and_held_out(
-    steps: Steps, source: Source
-) -> tuple[nerfbake.SparseVoxelOctree, nerfbake.HeldOut | None]:
-    """The same, and the pixels of photographs that a fitted PlenOctree has."""
-    scene = source.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.LatticeField)
-    if isinstance(scene, nerfbake.SparseVoxelOctree):
+def read_octree_and_held_out(steps: Steps, source: Source) -> tuple[SparseVoxelOctree, HeldOut | None]:
+    """Like read_octree(), and also return the pixels of photographs that a fitted PlenOctree stores."""
+
+    from nerfbake.stages.n3tree_to_octree import build_octree
+
+    scene = source.read(steps, N3Tree, SparseVoxelOctree, LatticeField)
+    if isinstance(scene, SparseVoxelOctree):
         return scene, None
-    if isinstance(scene, nerfbake.LatticeField):
-        return octree_of(steps, source, scene), None
+    if isinstance(scene, LatticeField):
+        return sample_lattice(steps, source, scene), None
     with source.blamed(steps, "building the octree"):
-        return nerfbake.build_octree(scene), scene.held_out
+        return build_octree(scene), scene.held_out
+
+
+def bake_volume(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    grids: str | None = None,
+    half: bool = False,
+    codec: str | None = None,
+    resolution: int | tuple[int, int, int] | None = None,
+    sigma_min: float | None = None,
+    up: Literal["y", "z"] = "z",
+    budget: Budget = UNLIMITED,
+    steps: Steps = SILENT,
+) -> Volume:
+    """Convert a PlenOctree, an octree or a lattice to VDB grids and return the volume. This is `nerfbake vdb`.
+
+    Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed.
+
+    grids       some of density, Cd and sh, separated by commas, or index; None: the default of the format
+    half        store values as float16
+    codec       of the format: none or zip; None: the default of the format
+    resolution  of a PlenOctree or a lattice, as in build_octree()
+    sigma_min   of a PlenOctree or a lattice, as in build_octree()
+    up          up axis of `target`; the up axis of `source` is z
+
+    Raises NerfbakeError.
+
+    >>> volume = bake_volume("a.npz", "a.vdb.npz", grids="density,sh", resolution=16)
+    >>> [grid.name for grid in volume.grids]
+    ['density', 'sh_0']
+    """
+
+    from nerfbake.stages.octree_to_vdb import build_vdb
+
+    source, target = as_source(source), as_target(target)
+    form = target.require("Volume", codec=codec)
+    budget.require(target)
+    wanted = require_grids(form, grids, half=half)
+    scene: N3Tree | SparseVoxelOctree | LatticeField
+    scene = source.read(steps, N3Tree, SparseVoxelOctree, LatticeField)
+    judged = None if budget.min_psnr is None else scene  # without a budget, the tree can be freed early
+    if isinstance(scene, LatticeField):
+        size = (resolution,) * 3 if isinstance(resolution, int) else resolution
+        scene, resolution = sample_lattice(steps, source, scene, resolution=size, sigma_min=sigma_min), None
+    with source.blamed(steps, "building the grids"):
+        own = not isinstance(scene, N3Tree)
+        scene = compact_octree(scene, resolution, sigma_min)
+        volume = build_vdb(scene, grids=wanted, half=half, up=up, sigma_min=sigma_min)
+        volume = volume if own else _with_full_layout(volume)
+    warn_about_halves(steps, form, volume)
+    with target.writing(steps, volume, codec=codec) as written:
+        judge_output(written.path, judged, budget, made_from=source.name, name=target.path, up=up, steps=steps)
+    return volume
+
+
+def _with_full_layout(volume: Volume) -> Volume:
+    """Set the layout of the volume's octree to full, the layout that `nerfbake svo` writes by default."""
+    assert volume.frame is not None
+    return memory.kept(replace(volume, frame=replace(volume.frame, layout="full")))

@@ -1,4 +1,4 @@
-"""The photographs of a capture, with the cameras that took them: those to fit a field to, and those to judge it by."""
+"""Read the photographs of a capture with their cameras, and split them into training views and held-out views."""
 
 from __future__ import annotations
 
@@ -7,29 +7,30 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-import nerfbake
 from nerfbake import io
 from nerfbake.errors import InvalidFile, Problem, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import read_cameras
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.views import Views
+from nerfbake.stages.pictures_to_views import build_views
 
-HOLDOUT = 8  # every so many-th view judges, where a capture has none of its own for that
-_LEAST = 2  # views that a field is fitted to
-_ABOVE = 3  # folders above a model's own in which its pictures may stand
+HOLDOUT = 8  # every eighth view is held out if the capture has no test views
+_LEAST = 2  # lowest number of training views
+_ABOVE = 3  # parent folders of a COLMAP model that may contain its pictures
 
 Colour = tuple[float, float, float]
 
 
-class Album(NamedTuple):
-    """Which photographs of a capture a field is fitted to, and which judge it.
+class PhotographOptions(NamedTuple):
+    """Options for the photographs of a capture: background, masks, and which views are held out.
 
-    background  the sRGB colour in 0..1 behind the object; None: white for pictures with alpha, else what is at the
-                pictures' edges
-    masks       a folder with a mask NAME.png for each picture, white where the object is; None: there are none
-    test        another file or folder of cameras, whose pictures judge; None: as the capture has it
-    holdout     every so many-th view judges and is not fitted to; None: every eighth, where the capture has no views
-                of its own for that
+    background  the sRGB colour behind the object, in 0..1; None: white for pictures with alpha, else the colour at the
+                edges of the pictures
+    masks       a folder with a mask NAME.png for each picture, white where the object is; None: no masks
+    test        another file or folder of cameras, whose views are held out; None: the test views of the capture, if any
+    holdout     hold out every N-th view; None: the test views of the capture, else every eighth view
     """
 
     background: Colour | None = None
@@ -38,61 +39,61 @@ class Album(NamedTuple):
     holdout: int | None = None
 
     def require(self) -> None:
-        """Raises UsageError, before any work is done, for what contradicts itself."""
+        """Raise UsageError for contradictory options. Call it before doing any work."""
         if self.test is not None and self.holdout is not None:
-            raise UsageError("`test` has the views to judge by; allowed: it or `holdout`")
+            raise UsageError("`test` and `holdout` both select the held-out views; allowed: one of them")
         if self.holdout is not None and self.holdout < 2:
             raise UsageError(f"`holdout` is {self.holdout}; allowed: 2 or more")
 
 
-ALL = Album()
+ALL = PhotographOptions()
 
 
-class Posed(NamedTuple):
-    """trained: what a field is fitted to; judges: what it is judged by, which it has not seen."""
+class SplitViews(NamedTuple):
+    """trained: the training views. judges: the held-out views, on which the quality is measured."""
 
-    trained: nerfbake.Views
-    judges: nerfbake.Views
+    trained: Views
+    judges: Views
 
 
-def read_photographs(steps: Steps, source: Source, album: Album = ALL) -> Posed:
-    """The views of a capture, a file or a folder; says which cameras it took. Raises NerfbakeError."""
+def read_photographs(steps: Steps, source: Source, album: PhotographOptions = ALL) -> SplitViews:
+    """Read the views of a capture, a file or a folder, and print which cameras were read. Raises NerfbakeError."""
     split = io.load_split(source.path)
     trained = split[0] if split else source.path
     test = album.test or (split[1] if split and album.holdout is None else None)
     if test is not None:
         views = _read(steps, trained, album)
         known = album._replace(background=views.background)
-        posed = Posed(views, _read(steps, test, known))
+        posed = SplitViews(views, _read(steps, test, known))
     else:
         posed = _held_out(_read(steps, trained, album), album.holdout or HOLDOUT, trained)
     if len(posed.trained.pictures) < _LEAST:
-        found = f"are {len(posed.trained.pictures)} to fit to and {len(posed.judges.pictures)} to judge by"
+        found = f"are {len(posed.trained.pictures)} to fit to and {len(posed.judges.pictures)} held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more to fit to"), source=source.name)
     return posed
 
 
-def _held_out(views: nerfbake.Views, every: int, name: str) -> Posed:
-    """Every so many-th view judges, starting with the first."""
+def _held_out(views: Views, every: int, name: str) -> SplitViews:
+    """Hold out every N-th view, starting with the first."""
     numbers = range(len(views.pictures))
     trained = [i for i in numbers if i % every]
     if len(trained) < _LEAST:
-        found = f"are {len(numbers)}, of which every {every}th judges"
-        raise InvalidFile(Problem("the views", found, f"{_LEAST} or more besides"), source=name)
-    return Posed(views.take(trained), views.take(numbers[::every]))
+        found = f"are {len(numbers)}, and every {every}th is held out"
+        raise InvalidFile(Problem("the views", found, f"{_LEAST} or more others"), source=name)
+    return SplitViews(views.take(trained), views.take(numbers[::every]))
 
 
-def _read(steps: Steps, path: str, album: Album) -> nerfbake.Views:
+def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
     cameras, files = _with_pictures(steps, path, read_cameras(steps, path))
     masks = None if album.masks is None else _masks(album.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
-        return nerfbake.build_views(cameras, _pictures(cameras, files, masks), background=album.background)
+        return build_views(cameras, _pictures(cameras, files, masks), background=album.background)
 
 
-def _pictures(cameras: nerfbake.Cameras, files: Sequence[Path], masks: Sequence[Path] | None) -> Iterator[Any]:
-    """One after the other: a picture is held beside its mask for no longer than it takes to put them together."""
-    from nerfbake.stages.pictures_to_views import cut_out  # here, since the help loads no arrays
+def _pictures(cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | None) -> Iterator[Any]:
+    """Yield the pixels of each picture, with its mask as alpha. Only one picture and mask are in memory at a time."""
+    from nerfbake.stages.pictures_to_views import apply_mask  # here, so that --help does not import NumPy
 
     for i, (camera, file) in enumerate(zip(cameras.cameras, files, strict=True)):
         size = camera.width, camera.height
@@ -100,15 +101,15 @@ def _pictures(cameras: nerfbake.Cameras, files: Sequence[Path], masks: Sequence[
         if masks is not None:
             mask = io.load_photograph(masks[i], size)
             with io.blame(str(masks[i])):
-                pixels = cut_out(pixels, mask)
+                pixels = apply_mask(pixels, mask)
         yield pixels
 
 
-def _with_pictures(steps: Steps, path: str, cameras: nerfbake.Cameras) -> tuple[nerfbake.Cameras, list[Path]]:
-    """The cameras that have a picture, and these pictures; says how many cameras have none.
+def _with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, list[Path]]:
+    """Return the cameras that have a picture, and the paths of these pictures. Print how many cameras have none.
 
-    Captures are shared without the pictures that were blurred: instant-ngp's fox has 50 of 67. Raises InvalidFile where
-    fewer than half of the pictures are there, since the folder is then more likely to be the wrong one.
+    Captures are often published without their blurred pictures: instant-ngp's fox has 50 of 67. Raises InvalidFile if
+    fewer than half of the pictures exist, since the folder is then probably the wrong one.
     """
     for i, camera in enumerate(cameras.cameras):
         if not camera.picture:
@@ -116,7 +117,7 @@ def _with_pictures(steps: Steps, path: str, cameras: nerfbake.Cameras) -> tuple[
             raise InvalidFile(Problem(f"camera {camera.name or i}", found, allowed), source=path)
     names = [camera.picture for camera in cameras.cameras]
     folder = Path(path) if Path(path).is_dir() else Path(path).parent
-    # A model's own folder stands below the one that has the pictures.
+    # A COLMAP model is in a subfolder of the folder with the pictures.
     folders = [folder, *folder.resolve().parents[:_ABOVE]] if cameras.dialect == "COLMAP" else [folder]
     folder = next((each for each in folders if any(io.find_photograph(each, name) for name in names)), folder)
     files = [io.find_photograph(folder, name) for name in names]
@@ -129,10 +130,10 @@ def _with_pictures(steps: Steps, path: str, cameras: nerfbake.Cameras) -> tuple[
     return cameras, [file for file in files if file is not None]
 
 
-def _masks(folder: str, cameras: nerfbake.Cameras) -> list[Path]:
-    """Each picture's mask: of the picture's own path in the folder, or of its name alone, with any picture's ending."""
+def _masks(folder: str, cameras: Cameras) -> list[Path]:
+    """Return the path of each picture's mask: the picture's path or name in the folder, with any picture extension."""
     if not Path(folder).is_dir():
-        raise InvalidFile("is no folder; allowed: one with a mask for each picture", source=folder)
+        raise InvalidFile("is not a folder; allowed: a folder with a mask for each picture", source=folder)
     found = []
     for camera in cameras.cameras:
         path = PurePosixPath(camera.picture)

@@ -1,35 +1,47 @@
-"""Pictures of a file: one or many, beside each other, moving, with depth and alpha."""
+"""Render pictures of a scene: single pictures, sheets, animations and folders, with depth and alpha."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias, Unpack
 
-import nerfbake
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
-from nerfbake.jobs.grids import AS_IT_IS, Choice
-from nerfbake.jobs.lattices import octree_of, tell_notes
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice
+from nerfbake.jobs.lattices import print_notes, sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.image import Animation, Depth, Image
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
+from nerfbake.stages.field_to_image import RenderOptions, render_field
+from nerfbake.stages.lattice_to_image import render_lattice
+from nerfbake.stages.octree_to_octree import cut_octree
+from nerfbake.stages.scene_to_field import build_field
 
-Field: TypeAlias = "nerfbake.RadianceField | nerfbake.LatticeField"
+Field: TypeAlias = RadianceField | LatticeField
 
-EDGE = 800  # pixels of an orbit's pictures
+EDGE = 800  # width and height of the pictures of an orbit, in pixels
 
 
-class Shots(NamedTuple):
-    """Which views are rendered.
+class ViewSelection(NamedTuple):
+    """The views to render.
 
     cameras    a capture; None: an orbit around the scene
-    frame      which of the cameras, from 0
-    every      all of the cameras
-    turntable  so many pictures around the scene
-    size       (W, H) pixels; None: the cameras', 800 x 800 for an orbit
-    samples    rays along each edge of a pixel; None: as the cameras have it, or 1
+    frame      the number of the camera, from 0
+    every      render all cameras
+    turntable  number of views around the scene
+    size       (W, H) pixels; None: that of the cameras, 800 x 800 for an orbit
+    samples    rays along each edge of a pixel; None: from the cameras, else 1
     """
 
     cameras: str | None = None
@@ -44,12 +56,12 @@ class Shots(NamedTuple):
         return self.every or self.turntable is not None
 
     def require(self) -> None:
-        """Raises UsageError, before any work is done, for what contradicts itself."""
+        """Raise UsageError for contradictory options. Call it before doing any work."""
         if self.turntable and self.cameras:
-            raise UsageError("`turntable` goes around the scene; allowed: it or `cameras`")
+            raise UsageError("`turntable` and `cameras` both select the views; allowed: one of them")
 
-    def of(self, steps: Steps, field: Field, name: str) -> nerfbake.Cameras:
-        """The cameras; name: the scene's, for errors. Raises UsageError where there is no such frame."""
+    def of(self, steps: Steps, field: Field, name: str) -> Cameras:
+        """Return the cameras. name: name of the scene in errors. Raises UsageError if the frame does not exist."""
         frames = self.turntable or 1
         views = views_of(
             steps, field, self.cameras, name=name, frames=frames, edge=EDGE, size=self.size, samples=self.samples
@@ -57,22 +69,22 @@ class Shots(NamedTuple):
         if not self.several:
             if not 0 <= self.frame < len(views.cameras):
                 raise UsageError(f"`frame` is {self.frame}; allowed: 0 to {len(views.cameras) - 1}")
-            views = nerfbake.Cameras(views.cameras[self.frame : self.frame + 1], samples=views.samples)
+            views = Cameras(views.cameras[self.frame : self.frame + 1], samples=views.samples)
         with io.blame(self.cameras or name):
             views.require_covered()
         return views
 
 
-ONE_SHOT = Shots()
+ONE_SHOT = ViewSelection()
 
 
-class Pictures(NamedTuple):
-    """Where pictures go, and what is written beside each of them.
+class PictureOutputs(NamedTuple):
+    """Output paths of the pictures and of their depth and alpha files.
 
-    out    of one picture a .png, or '-' for stdout; of several a .gif, a .png that shows them all, or a folder
-    depth  png: NAME.depth.png, 16 bits, thousandths of a world unit; npy: NAME.depth.npy, world units
-    alpha  NAME.alpha.png, white is opaque
-    force  replace what exists
+    out    for one picture a .png, or '-' for stdout; for several a .gif, a .png that shows them all, or a folder
+    depth  png: write NAME.depth.png, 16 bits, thousandths of a world unit; npy: write NAME.depth.npy, world units
+    alpha  write NAME.alpha.png, white is opaque
+    force  replace existing files
     """
 
     out: str
@@ -81,83 +93,88 @@ class Pictures(NamedTuple):
     force: bool = False
 
     def together(self, *, several: bool) -> str | None:
-        """The type of scene that several pictures make in one file; None where each is a file of its own."""
+        """Return the type of scene that several pictures form in one file, or None if each has its own file."""
         return next((kind for kind in ("Animation", "Image") if several and catalog.is_ending(self.out, kind)), None)
 
     def require(self, *, several: bool) -> None:
-        """Raises, before any work is done, if they could not be written; of a folder settle() tells more."""
+        """Raise NerfbakeError if the pictures cannot be written. The files of a folder are checked by settle()."""
         together = self.together(several=several)
         if several and self.out == io.STREAM:
             raise UsageError("stdout takes one picture; allowed for several: a .gif, a .png or a folder")
         if (self.depth or self.alpha) and (together or self.out == io.STREAM):
-            raise UsageError("`depth` and `alpha` write files beside a picture; allowed: a .png of one, or a folder")
+            raise UsageError(
+                "`depth` and `alpha` need a file for each picture; allowed: a .png of one picture, or a folder"
+            )
         if together or not several:
             io.format_for(self.out, together or "Image")
             for path in (self.out, *self.beside(self.out)):
                 io.require_absent(path, force=self.force)
 
-    def settle(self, views: Sequence[nerfbake.Camera], *, several: bool) -> list[str]:
-        """Each picture's path. Raises OutputError if one of them, or of what stands beside it, cannot be written."""
+    def settle(self, views: Sequence[Camera], *, several: bool) -> list[str]:
+        """Return the path of each picture. Raises OutputError if a picture, depth or alpha file cannot be written."""
         paths = [str(Path(self.out) / f"{view.name}.png") if several else self.out for view in views]
         io.require_room([target for path in paths for target in (path, *self.beside(path))], force=self.force)
         return paths
 
     def beside(self, path: str) -> list[str]:
-        """What is written beside the picture of this path."""
+        """Return the paths of the depth and alpha files of the picture at this path."""
         stem = path.removesuffix(".png")
         return [f"{stem}.depth.{self.depth}"] * bool(self.depth) + [f"{stem}.alpha.png"] * self.alpha
 
-    def write(self, path: str, image: nerfbake.Image, *, several: bool) -> None:
-        """The picture, and what stands beside it."""
+    def write(self, path: str, image: Image, *, several: bool) -> None:
+        """Write a picture with its depth and alpha files."""
         io.save(path, image, force=self.force, parents=several)
         for beside in self.beside(path):
-            plane = image.mask if beside.endswith(".alpha.png") else nerfbake.Depth(image.depth)
+            plane = image.mask if beside.endswith(".alpha.png") else Depth(image.depth)
             io.save(beside, plane, force=self.force)
 
 
 class PlacedMesh(NamedTuple):
-    """Opaque triangles in a field's world.
+    """A mesh of opaque triangles in a field's world coordinates.
 
     path  an .obj or .glb
-    up    the field's axis that the mesh's y becomes
-    how   as render_field_and_meshes() has it
+    up    the axis of the field that the mesh's y axis maps to
+    how   the composite mode of render_field_and_meshes()
     """
 
     path: str
     up: Literal["y", "z"] = "y"
     how: Literal["stop", "ztest"] = "stop"
 
-    def read(self) -> nerfbake.Meshes:
-        """The triangles where they stand. Raises NerfbakeError."""
-        return io.load(self.path, nerfbake.Meshes).with_up(self.up)
+    def read(self) -> Meshes:
+        """Read the meshes and rotate them into the field's world. Raises NerfbakeError."""
+        return io.load(self.path, Meshes).with_up(self.up)
 
 
 def render_views(
     source: AnySource,
-    pictures: Pictures | str | Path,
-    shots: Shots = ONE_SHOT,
+    pictures: PictureOutputs | str | Path,
+    shots: ViewSelection = ONE_SHOT,
     *,
     lod: int | None = None,
-    choice: Choice = AS_IT_IS,
+    choice: GridChoice = AS_IT_IS,
     mesh: PlacedMesh | None = None,
     steps: Steps = SILENT,
-    **options: Any,
+    **options: Unpack[RenderOptions],
 ) -> list[str]:
-    """Renders views of a PlenOctree, an octree, a volume or a lattice, and gives the paths of the pictures; `nerfbake
-    render`.
+    """Render views of a scene and return the paths of the pictures. This is `nerfbake render`.
 
-    Reads `source`, and the cameras and the mesh that are named; writes `pictures`, and what they want beside them.
-    lod: the level of an octree to show. choice: which grids of a volume. Options go to render_field(); a lattice is
-    shown as its own program shows it, by render_lattice(), whatever the lookup. All names are settled before the first
-    picture is made. Raises NerfbakeError.
+    Reads `source` (a PlenOctree, an octree, a volume or a lattice), the cameras and the mesh. Writes `pictures`, with
+    their depth and alpha files. All output paths are checked before the first picture is rendered. Raises
+    NerfbakeError.
 
-    >>> render_views("a.npz", "views", Shots(turntable=2, size=(32, 32)))
+    lod      level of an octree to render
+    choice   the grids of a volume
+    options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
+             trained it and ignores the lookup
+
+    >>> render_views("a.npz", "views", ViewSelection(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
-    >>> render_views("a.npz", Pictures("a.png", depth="npy"), Shots(size=(32, 32)), lookup="trilinear")
+    >>> render_views("a.npz", PictureOutputs("a.png", depth="npy"), ViewSelection(size=(32, 32)), lookup="trilinear")
     ['a.png']
     """
     source = as_source(source)
-    pictures = pictures if isinstance(pictures, Pictures) else Pictures(str(pictures))
+    pictures = pictures if isinstance(pictures, PictureOutputs) else PictureOutputs(str(pictures))
     shots.require()
     pictures.require(several=shots.several)
     field = _read(steps, source, lod, choice, alone=mesh is None)
@@ -176,47 +193,46 @@ def render_views(
     return paths
 
 
-def _read(steps: Steps, source: Source, lod: int | None, choice: Choice, *, alone: bool) -> Field:
-    """The field of a scene, made once for its cameras and all of its pictures; of a lattice itself, if it stands alone
-    in them."""
-    others = () if lod is not None else (nerfbake.N3Tree, nerfbake.Volume, nerfbake.LatticeField)
-    scene = choice.of(steps, source, source.read(steps, *others, nerfbake.SparseVoxelOctree))
-    if isinstance(scene, nerfbake.LatticeField):
+def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, alone: bool) -> Field:
+    """Return the field of a scene, built once for the cameras and all pictures.
+
+    alone: there is no mesh in the pictures. A lattice is then returned unchanged, otherwise it becomes an octree.
+    """
+    others = () if lod is not None else (N3Tree, Volume, LatticeField)
+    scene = choice.of(steps, source, source.read(steps, *others, SparseVoxelOctree))
+    if isinstance(scene, LatticeField):
         if alone:
-            tell_notes(steps, source, scene)
+            print_notes(steps, source, scene)
             return scene
-        scene = octree_of(steps, source, scene)
+        scene = sample_lattice(steps, source, scene)
     if lod is not None:
         with source.blamed(steps, f"cutting at level {lod}"):
-            scene = nerfbake.cut_octree(scene, level=lod)
+            scene = cut_octree(scene, level=lod)
     with source.blamed(steps, "building the field"):
-        return nerfbake.build_field(scene)
+        return build_field(scene)
 
 
-def _renderer(
-    field: Field, mesh: PlacedMesh | None, samples: int, options: dict[str, Any]
-) -> Callable[..., nerfbake.Image]:
-    """What makes a picture of a camera. A lattice has a lookup of its own."""
-    if isinstance(field, nerfbake.LatticeField):
-        own = {name: value for name, value in options.items() if name != "lookup"}
-        return partial(nerfbake.render_lattice, field, samples=samples, **own)
+def _renderer(field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions) -> Callable[..., Image]:
+    """Return the function that renders a camera. A lattice has its own lookup, so that option is dropped."""
+    if isinstance(field, LatticeField):
+        if "lookup" in options:
+            del options["lookup"]
+        return partial(render_lattice, field, samples=samples, **options)  # type: ignore[misc]
     if mesh is None:
-        return partial(nerfbake.render_field, field, samples=samples, **options)
-    return partial(nerfbake.render_field_and_meshes, field, mesh.read(), how=mesh.how, samples=samples, **options)
+        return partial(render_field, field, samples=samples, **options)
+    return partial(render_field_and_meshes, field, mesh.read(), how=mesh.how, samples=samples, **options)
 
 
-def _drawn(
-    steps: Steps, source: Source, views: Sequence[nerfbake.Camera], render: Callable[..., nerfbake.Image]
-) -> Iterator[nerfbake.Image]:
-    """One picture after the other, each made when it is asked for."""
+def _drawn(steps: Steps, source: Source, views: Sequence[Camera], render: Callable[..., Image]) -> Iterator[Image]:
+    """Yield the picture of each view, rendered on demand."""
     for view in views:
         with source.blamed(steps, f"rendering {view.name}"):
             image = render(camera=view)
         yield image
 
 
-def _write_together(steps: Steps, pictures: Pictures, kind: str, images: list[nerfbake.Image], rays: str) -> None:
+def _write_together(steps: Steps, pictures: PictureOutputs, kind: str, images: list[Image], rays: str) -> None:
     with steps.phase(f"writing {pictures.out}"), io.blame(pictures.out):
-        whole = nerfbake.Animation(tuple(images)) if kind == "Animation" else nerfbake.Image.tiled(images)
+        whole = Animation(tuple(images)) if kind == "Animation" else Image.tiled(images)
         written = io.save(pictures.out, whole, force=pictures.force)
     steps.say(f"{pictures.out}: {whole}{rays}, {written:,} bytes")

@@ -1,64 +1,77 @@
-"""An octree that looks like a finer scene, or like photographs, without a node more."""
+"""Fit the values of an octree to a finer scene or to photographs, without adding nodes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import nerfbake
 from nerfbake import io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.fit_course import Clock
+from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.octrees import read_octree
-from nerfbake.jobs.photographs import ALL, Album, Posed, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.brick_field import BrickField
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.views import Views
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.brick_field_to_octree import fill_octree
+from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.octree_to_brick_field import build_bricks
+from nerfbake.stages.pictures_to_views import build_views
+from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
+from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.views_to_error import measure_views
 
 if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
 
 
-class Model(NamedTuple):
-    """What an octree is to look like: a finer scene or photographs.
+class RefitTarget(NamedTuple):
+    """What an octree is fitted to: a finer scene or photographs.
 
-    like    a PlenOctree, an octree or a volume, whose pictures are taken from all around
-    frames  how many; edge: their pixels along an edge
-    views   a capture; album: which of its photographs
+    like    a PlenOctree, an octree or a volume, rendered from all sides
+    frames  number of these pictures; edge: their width and height in pixels
+    views   a capture; album: options for its photographs
     """
 
     like: str | None = None
     views: str | None = None
     frames: int = 100
     edge: int = EDGE
-    album: Album = ALL
+    album: PhotographOptions = ALL
 
     def require(self) -> None:
-        """Raises UsageError, before any work is done, unless there is one of them."""
+        """Raise UsageError unless exactly one of like and views is given. Call it before doing any work."""
         if (self.like is None) == (self.views is None):
-            given = "both say" if self.like else "neither says"
-            raise UsageError(f"`like` and `views`: {given} what IN is to look like; allowed: one of them")
+            given = "both are given" if self.like else "neither is given"
+            raise UsageError(f"`like` and `views`: {given}; allowed: one of them, which IN is fitted to")
         self.album.require()
 
-    def posed(self, steps: Steps, samples: int) -> Posed:
-        """Its pictures: those to fit to, and others to judge by. samples: rays along each edge of a pixel."""
+    def posed(self, steps: Steps, samples: int) -> SplitViews:
+        """Return the training views and the held-out views. samples: rays along each edge of a pixel."""
         if self.views is not None:
             return read_photographs(steps, Source(self.views), self.album)
         bigger = Source(str(self.like))
-        scene = bigger.read(steps, nerfbake.N3Tree, nerfbake.SparseVoxelOctree, nerfbake.Volume)
-        with bigger.blamed(steps, f"taking pictures of {bigger.name}"):
-            field = nerfbake.build_field(scene)
-            around = nerfbake.sphere_cameras(field, frames=self.frames, edge=self.edge)
-            judges = nerfbake.orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
-            return Posed(*(_taken(field, cameras, samples) for cameras in progress.each((around, judges))))
+        scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume)
+        with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
+            field = build_field(scene)
+            around = scatter_cameras(field, frames=self.frames, edge=self.edge)
+            judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
+            return SplitViews(*(_render_views(field, cameras, samples) for cameras in progress.each((around, judges))))
 
 
-class Again(NamedTuple):
-    """How the octree is fitted.
+class RefitOptions(NamedTuple):
+    """Options of a refit.
 
-    epochs   how often every picture is looked at
-    samples  rays along each edge of a pixel, as pictures of the octree are to be made: 1 or 2
-    seed     of the order of the pictures: the same gives the same bytes
+    epochs   number of passes over the pictures
+    samples  rays along each edge of a pixel, 1 or 2: choose the value that the octree will be rendered with
+    seed     seed for the order of the pictures: the same seed gives the same bytes
     """
 
     epochs: int = 2
@@ -66,15 +79,15 @@ class Again(NamedTuple):
     seed: int = 0
 
 
-TWICE = Again()
+TWICE = RefitOptions()
 
 
-class Refitted(NamedTuple):
-    """What refitting has changed, as the written file shows it.
+class RefitResult(NamedTuple):
+    """The result of a refit, measured on the written file.
 
-    path    of the file, and its content in words, and its bytes
-    before  how near IN came to each of the pictures that judge; after: how near the file does
-    worked  CPU seconds, without compiling kernels, taking pictures and judging
+    path    path of the file; content: description of its contents; bytes: its size
+    before  error of IN on each of the held-out views; after: error of the file
+    worked  CPU seconds, without compiling kernels, rendering pictures and measuring
     """
 
     path: str
@@ -86,7 +99,7 @@ class Refitted(NamedTuple):
 
     @property
     def psnr(self) -> tuple[float, float]:
-        """dB before and after, the means over the pictures."""
+        """Mean PSNR over the views in dB, before and after."""
         before, after = (sum(view.psnr for view in views) / len(views) for views in (self.before, self.after))
         return before, after
 
@@ -94,19 +107,20 @@ class Refitted(NamedTuple):
 def refit_file(
     source: AnySource,
     target: AnyTarget,
-    model: Model,
+    model: RefitTarget,
     *,
-    again: Again = TWICE,
+    again: RefitOptions = TWICE,
     no_child: int | None = None,
     steps: Steps = SILENT,
-) -> Refitted:
-    """Fits the values of an octree's leaves to what it is to look like, and gives what came of it; `nerfbake refit`.
+) -> RefitResult:
+    """Fit the leaf values of an octree to a finer scene or to photographs. This is `nerfbake refit`.
 
-    Reads `source`, a PlenOctree or an octree, and what `model` names; writes the octree `target`, whose nodes are
-    those of `source`. no_child: how the file spells 'no child', 0 or -1; None: as is usual for the format. Raises
-    NerfbakeError.
+    Reads `source`, a PlenOctree or an octree, and the files of `model`. Writes the octree `target`, which has the nodes
+    of `source`. Returns the quality before and after. Raises NerfbakeError.
 
-    >>> refitted = refit_file("octree.svo.npz", "refitted.svo.npz", Model(like="a.npz", frames=8, edge=64))
+    no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
+
+    >>> refitted = refit_file("octree.svo.npz", "refitted.svo.npz", RefitTarget(like="a.npz", frames=8, edge=64))
     >>> refitted.psnr[1] > 20
     True
     """
@@ -115,44 +129,45 @@ def refit_file(
     _require(target, no_child)
     octree = read_octree(steps, source)
     with source.blamed(steps, "preparing"):
-        cells = nerfbake.bricks_of_octree(octree)
+        cells = build_bricks(octree)
     posed = model.posed(steps, again.samples)
-    before = _seen(steps, source, octree, posed, again)
+    before = _measure(steps, source, octree, posed, again)
     field, worked = _fit(steps, source, cells, posed, again)
-    with source.blamed(steps, "putting values back"):
-        refitted = nerfbake.fill_octree(octree, field)
+    with source.blamed(steps, "storing the values"):
+        refitted = fill_octree(octree, field)
     target.write(steps, refitted, no_child=no_child)
     del octree, cells, field, refitted
     loaded = Source(target.path).read_with_format(steps)
-    after = _seen(steps, Source(target.path), loaded.scene, posed, again)
-    found = Refitted(target.path, str(loaded.scene), loaded.size, before, after, worked)
+    after = _measure(steps, Source(target.path), loaded.scene, posed, again)
+    found = RefitResult(target.path, str(loaded.scene), loaded.size, before, after, worked)
     was, now = found.psnr
+    io.report_result(psnr=now)
     steps.say(f"{target.path}: {now:.2f} dB on {posed.judges}, where {source.name} has {was:.2f}")
     return found
 
 
 def _require(target: Target, no_child: int | None) -> None:
-    """Raises, before any work is done, if no octree can be written there."""
+    """Raise NerfbakeError if an octree cannot be written to the target."""
     if target.path == io.STREAM:
-        raise UsageError("refit judges the file that it wrote; allowed: an OUT other than '-'")
+        raise UsageError("refit measures the file that it wrote; allowed: an OUT other than '-'")
     target.require("SparseVoxelOctree", no_child=no_child)
 
 
-def _taken(field: nerfbake.RadianceField, cameras: nerfbake.Cameras, samples: int) -> nerfbake.Views:
-    """Pictures of a field."""
+def _render_views(field: RadianceField, cameras: Cameras, samples: int) -> Views:
+    """Render the pictures of a field."""
     cameras.require_memory()
 
     def pictures() -> Iterator[Any]:
         for camera in progress.each(cameras.cameras):
-            yield nerfbake.render_field(field, camera, background=None, samples=samples).pixels
+            yield render_field(field, camera, background=None, samples=samples).pixels
 
-    return nerfbake.build_views(cameras, pictures())
+    return build_views(cameras, pictures())
 
 
 def _fit(
-    steps: Steps, source: Source, cells: nerfbake.BrickField, posed: Posed, again: Again
-) -> tuple[nerfbake.BrickField, float]:
-    """The field that has the same cells and looks more like the pictures, and CPU seconds."""
+    steps: Steps, source: Source, cells: BrickField, posed: SplitViews, again: RefitOptions
+) -> tuple[BrickField, float]:
+    """Fit the values of the cells to the pictures. Return the new field and the CPU seconds."""
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
 
     clock, count = Clock(), again.epochs * len(posed.trained.pictures)
@@ -162,7 +177,7 @@ def _fit(
         return now.field(), clock.worked
 
 
-def _seen(steps: Steps, file: Source, scene: Any, posed: Posed, again: Again) -> tuple[ViewError, ...]:
-    """How near pictures of a scene come to those that judge."""
-    with file.blamed(steps, f"judging {file.name} by {len(posed.judges.pictures)} pictures"):
-        return nerfbake.measure_views(nerfbake.build_field(scene), posed.judges, samples=again.samples)
+def _measure(steps: Steps, file: Source, scene: Any, posed: SplitViews, again: RefitOptions) -> tuple[ViewError, ...]:
+    """Measure the pictures of a scene on the held-out views."""
+    with file.blamed(steps, f"measuring {file.name} on {len(posed.judges.pictures)} pictures"):
+        return measure_views(build_field(scene), posed.judges, samples=again.samples)

@@ -1,37 +1,47 @@
-"""Synthetic scenes as files, to try things out without a download."""
+"""Write synthetic scenes, to try nerfbake without a download."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import nerfbake
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnyTarget, FolderTarget, as_target
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.stage1 import Stage1
+from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.scene_to_cameras import scatter_cameras
+from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.shapes_to_n3tree import sample_n3tree
+from nerfbake.stages.shapes_to_stage1 import sample_stage1
 
 
-def write_sample_n3tree(target: AnyTarget, *, steps: Steps = SILENT, **options: Any) -> nerfbake.N3Tree:
-    """Writes a PlenOctree of shiny shapes, and gives it; `nerfbake sample octree`.
+def write_sample_n3tree(
+    target: AnyTarget, *, resolution: int = 128, basis: str = "SH9", seed: int = 0, steps: Steps = SILENT
+) -> N3Tree:
+    """Write a PlenOctree of shiny shapes and return it. This is `nerfbake sample octree`.
 
-    Reads nothing, writes `target`. Options go to sample_n3tree(). Raises NerfbakeError.
+    Reads nothing and writes `target`. The options are those of sample_n3tree(). Raises NerfbakeError.
 
     >>> write_sample_n3tree("small.npz", resolution=16).resolution
     16
     """
     target = as_target(target)
     target.require("N3Tree")
-    with steps.phase("growing the tree"):
-        tree = nerfbake.sample_n3tree(**options)
+    with steps.phase("building the tree"):
+        tree = sample_n3tree(resolution=resolution, basis=basis, seed=seed)
     target.write(steps, tree)
     return tree
 
 
-def write_sample_stage1(target: FolderTarget | str | Path, *, steps: Steps = SILENT, **options: Any) -> nerfbake.Stage1:
-    """Writes a stage-1 folder of nerf2mesh with a glossy torus, and gives it; `nerfbake sample nerf2mesh`.
+def write_sample_stage1(
+    target: FolderTarget | str | Path, *, resolution: int = 512, seed: int = 0, steps: Steps = SILENT
+) -> Stage1:
+    """Write a stage-1 folder of nerf2mesh with a glossy torus and return it. This is `nerfbake sample nerf2mesh`.
 
-    Reads nothing, writes the folder `target`. Options go to sample_stage1(). Raises NerfbakeError.
+    Reads nothing and writes the folder `target`. The options are those of sample_stage1(). Raises NerfbakeError.
 
     >>> len(write_sample_stage1("torus", resolution=64).fields)
     1
@@ -39,14 +49,14 @@ def write_sample_stage1(target: FolderTarget | str | Path, *, steps: Steps = SIL
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
     with steps.phase("fitting the MLP"):
-        scene = nerfbake.sample_stage1(**options)
+        scene = sample_stage1(resolution=resolution, seed=seed)
     sizes = target.write(steps, scene)
     steps.say(f"{target.path}: {scene}, {sum(sizes.values()):,} bytes")
     return scene
 
 
 CAMERAS, ZOOM = "transforms.json", 1.2
-SAMPLES = 2  # rays along each edge of a pixel: photographs are averages
+SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages
 
 
 def write_sample_capture(
@@ -57,11 +67,11 @@ def write_sample_capture(
     seed: int = 0,
     force: bool = False,
     steps: Steps = SILENT,
-) -> nerfbake.Cameras:
-    """Writes photographs of shiny shapes from all sides, gives their cameras; `nerfbake sample capture`.
+) -> Cameras:
+    """Write photographs of shiny shapes from all sides and return their cameras. This is `nerfbake sample capture`.
 
-    Reads nothing, writes NNNN.png with alpha, edge x edge pixels of 2 x 2 rays each, and transforms.json into `folder`.
-    seed: as sample_n3tree() takes it. force: replace files that are there. Raises NerfbakeError.
+    Reads nothing. Writes NNNN.png with alpha, edge x edge pixels of 2 x 2 rays each, and transforms.json to `folder`.
+    seed: as in sample_n3tree(). force: replace existing files. Raises NerfbakeError.
 
     >>> print(write_sample_capture("capture", frames=3, edge=32))
     3 cameras
@@ -71,12 +81,12 @@ def write_sample_capture(
     folder = Path(folder)
     paths = [folder / f"{i:04d}.png" for i in range(frames)]
     io.require_room([str(path) for path in (*paths, folder / CAMERAS)], force=force)
-    with steps.phase("growing the tree"):
-        field = nerfbake.build_field(nerfbake.sample_n3tree(seed=seed))
-        cameras = nerfbake.sphere_cameras(field, frames=frames, edge=edge, zoom=ZOOM).chosen(samples=SAMPLES)
+    with steps.phase("building the tree"):
+        field = build_field(sample_n3tree(seed=seed))
+        cameras = scatter_cameras(field, frames=frames, edge=edge, zoom=ZOOM).chosen(samples=SAMPLES)
     for path, camera in zip(paths, cameras.cameras, strict=True):
         with steps.phase(f"rendering {camera.name}"):
-            image = nerfbake.render_field(field, camera, background=None, samples=SAMPLES)
+            image = render_field(field, camera, background=None, samples=SAMPLES)
         io.save(path, image, force=force, parents=True)
     io.save(folder / CAMERAS, cameras, force=force)
     steps.say(f"{folder}: {cameras} and their photographs, {edge}x{edge} pixels")

@@ -1,4 +1,4 @@
-"""The shader twins as files, for an engine or a page of one's own."""
+"""Write the package's shaders to a folder, for an engine or a web page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nerfbake.jobs.files import FolderTarget
 from nerfbake.jobs.steps import SILENT, Steps
 
 LANGUAGES = ("glsl", "hlsl", "wgsl", "c")
-NEEDS = {  # each file, and the files that it includes; WGSL has no #include, so they are pasted above it
+NEEDS = {  # each shader and the files that it includes; WGSL has no #include, so paste them above it
     "octree": ("common",),
     "vdb_index": ("common",),
     "march": ("common", "harmonics"),
@@ -34,12 +34,13 @@ def write_shaders(
     what: Sequence[str] = (),
     steps: Steps = SILENT,
 ) -> dict[str, int]:
-    """Writes lookups, marcher, harmonics and transforms as shaders, gives the files' sizes; `nerfbake shaders`.
+    """Write lookups, ray marcher, harmonics and transforms as shaders. This is `nerfbake shaders`.
 
-    Reads nothing, writes the folder `target`: a page that says how to feed them, and a folder for each language.
-    languages, what: of LANGUAGES and NEEDS; none are all. What another file needs is written with it; of C there is
-    nanovdb alone, which is HLSL, too.
-    Raises NerfbakeError.
+    Reads nothing. Writes the folder `target`: a page that explains the inputs, and a folder for each language. Returns
+    the size in bytes of each file. Raises NerfbakeError.
+
+    languages  some of LANGUAGES; none: all. In C there is only nanovdb, a file that is also valid HLSL
+    what       some of NEEDS; none: all. Files that they include are written, too
 
     >>> sorted(write_shaders("shaders", languages=["hlsl"], what=["octree"]))
     ['README.md', 'hlsl/common.hlsl', 'hlsl/octree.hlsl']
@@ -50,13 +51,13 @@ def write_shaders(
     paths = {path: None for language in languages or LANGUAGES for name in wanted if (path := _path(language, name))}
     if not paths:
         allowed = "nanovdb in hlsl and c, all else in glsl, hlsl and wgsl"
-        raise UsageError(f"{', '.join(what)} is not there in {', '.join(languages)}; allowed: {allowed}")
+        raise UsageError(f"{', '.join(what)} does not exist in {', '.join(languages)}; allowed: {allowed}")
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
     files = [(path, [shader_text(path).encode()]) for path in (PAGE, *paths)]
     with steps.phase(f"writing {target.path}"):
         sizes = io.save_files(target.path, files, force=target.force)
-    steps.say(f"{target.path}: {len(sizes)} files, {sum(sizes.values()):,} bytes; {PAGE} says how to feed them")
+    steps.say(f"{target.path}: {len(sizes)} files, {sum(sizes.values()):,} bytes; {PAGE} explains their inputs")
     return sizes
 
 
@@ -67,17 +68,20 @@ def _require_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
 
 
 def _path(language: str, name: str) -> str:
-    """Where a file stands, both here and there; '' where the language has none. What is C and HLSL at once is one."""
+    """Return the path of a shader in the package and in the output; '' if the language has none.
+
+    C and HLSL share one nanovdb file.
+    """
     if name == "nanovdb":
         return "pnanovdb/nanovdb.h" if language in ("hlsl", "c") else ""
     return "" if language == "c" else f"{language}/{name}.{language}"
 
 
 def shader_text(name: str) -> str:
-    """A shader of the package, ready to be compiled: "glsl/octree.glsl".
+    """Return the text of a shader of the package, such as "glsl/octree.glsl", ready to be compiled.
 
-    WebGL has no #include, so a GLSL file carries the text of what it includes, behind the same guards: of several files
-    that are pasted one below the other only the first copy counts.
+    WebGL has no #include, so a GLSL file contains the text of its includes, with their include guards. If you paste
+    several files into one, only the first copy of an include is compiled.
     """
     data = pkgutil.get_data("nerfbake", f"shaders/{name}")
     assert data is not None

@@ -1,4 +1,4 @@
-"""What a job says while it works, to whoever listens: a terminal, a log, nobody."""
+"""Messages and progress of a job: the protocol for a listener, such as a terminal or a log, and a silent one."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ Tell = Callable[[str], None]
 
 
 class Steps(Protocol):
-    """What every job takes as `steps`. The command line's words are one; SILENT is another."""
+    """The `steps` argument of every job. cli.console.Console is one implementation, SILENT another."""
 
     def say(self, text: str) -> None:
-        """A line about something that was found or written."""
+        """Print a line about something that was found or written."""
 
     def phase(self, text: str) -> AbstractContextManager[Tell]:
-        """A step of the work: it lasts as long as the block, which may tell where it is. nerfbake.progress.report()
-        says how much of it is done."""
+        """Run a block as a step of the work, which calls the yielded function with details.
+
+        The block reports the share that is done with nerfbake.progress.report().
+        """
 
 
 class _Silent:
-    """Nobody listens."""
+    """Discards all messages."""
 
     def say(self, text: str) -> None:
         pass

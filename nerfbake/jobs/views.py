@@ -1,18 +1,19 @@
-"""The cameras that a scene is looked at with: those of a capture, or an orbit around the scene."""
+"""Cameras of a job: those of a capture, or an orbit around the scene."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import nerfbake
 from nerfbake import io
 from nerfbake.jobs.steps import Steps
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.stages.scene_to_cameras import orbit_cameras
 
 
-def read_cameras(steps: Steps, path: str) -> nerfbake.Cameras:
-    """The cameras of a file or a folder; says which file of a folder it took, and what it took for granted."""
+def read_cameras(steps: Steps, path: str) -> Cameras:
+    """Read the cameras of a file or folder. Print which file of a folder was read, and the assumptions made."""
     with steps.phase(f"reading {path}"):
-        read = io.load(path, nerfbake.Cameras)
+        read = io.load(path, Cameras)
     if read.source:
         steps.say(f"{path}: {read} from {read.source}")
     for note in read.notes:
@@ -20,18 +21,18 @@ def read_cameras(steps: Steps, path: str) -> nerfbake.Cameras:
     return read
 
 
-def shown(steps: Steps, scene: Any, name: str) -> Any:
-    """What cameras and pictures are made of: the scene itself, or its field, built once for all of them.
+def renderable_scene(steps: Steps, scene: Any, name: str) -> Any:
+    """Return an object that can be rendered: the scene itself, or its field, built once for all pictures.
 
-    name: the scene's, for errors.
+    name: name of the scene in errors.
     """
-    # Imported here: commands that show nothing need no stage.
-    from nerfbake.stages._picture import Visible, visible
+    # Imported here, because commands that render nothing do not need it.
+    from nerfbake.stages._picture import Visible, renderable
 
     if isinstance(scene, Visible):
         return scene
     with steps.phase("building the field"), io.blame(name):
-        return visible(scene)
+        return renderable(scene)
 
 
 def views_of(
@@ -44,26 +45,29 @@ def views_of(
     edge: int,
     size: tuple[int, int] | None = None,
     samples: int | None = None,
-) -> nerfbake.Cameras:
-    """The cameras of a capture; without one those of an orbit of so many frames, `edge` pixels wide and high.
+) -> Cameras:
+    """Return the cameras of a capture; without one, an orbit of `frames` views, `edge` pixels wide and high.
 
-    name: the scene's, for errors. size: (W, H) pixels, samples: rays along each edge of a pixel, where they are to be
-    others than the capture's, or than one ray a pixel.
+    name     name of the scene in errors
+    size     (W, H) pixels; None: that of the capture or orbit
+    samples  rays along each edge of a pixel; None: from the capture, else 1
     """
     if cameras is None:
         width, height = size or (edge, edge)
         with steps.phase("framing"), io.blame(name):
-            orbit = nerfbake.orbit_cameras(scene, frames=frames, width=width, height=height)
+            orbit = orbit_cameras(scene, frames=frames, width=width, height=height)
         return orbit.chosen(samples=samples)
     return read_cameras(steps, cameras).chosen(size=size, samples=samples)
 
 
-def page_views(steps: Steps, scene: Any, cameras: str | None, *, name: str) -> tuple[nerfbake.Cameras, nerfbake.Camera]:
-    """Where a page is looked at from, as views_of() has it, and the view of its cover: what the first of the cameras
-    sees, of its shorter edge."""
+def page_views(steps: Steps, scene: Any, cameras: str | None, *, name: str) -> tuple[Cameras, Camera]:
+    """Return the cameras of a page, from views_of(), and the camera of its cover picture.
+
+    The cover is square: it shows what the first camera sees along its shorter edge.
+    """
     from nerfbake.scene.page import COVER
 
     views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER)
     first = views.cameras[0]
     focal = first.fx * COVER / min(first.width, first.height)
-    return views, nerfbake.Camera(COVER, COVER, focal, first.pose, first.name)
+    return views, Camera(COVER, COVER, focal, first.pose, first.name)

@@ -1,4 +1,4 @@
-"""Short names for the arrays that functions take and give; shapes and units stand in their docstrings."""
+"""Type aliases for NumPy arrays. The docstrings of the functions give shapes and units."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 Bits = npt.NDArray[np.bool_]
-Coords = npt.NDArray[np.int32]  # (..., 3) of voxels
+Coords = npt.NDArray[np.int32]  # (..., 3) voxel coordinates
 Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.signedinteger[Any]]  # whole numbers of any width
+Indices = npt.NDArray[np.signedinteger[Any]]  # integers of any width
 Ints = npt.NDArray[np.int64]
 Points = npt.NDArray[np.float64]  # (..., 3)
 Singles = npt.NDArray[np.float32]

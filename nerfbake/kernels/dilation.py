@@ -1,4 +1,4 @@
-"""What is next to something, in boxes of bits."""
+"""Dilation of boolean voxel grids."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nerfbake.kernels.arrays import Bits
 
 
 def dilated(held: Bits) -> Bits:
-    """(X, Y, Z) with the 26 neighbours of each, or with 8 where an edge is 1: one axis after the other."""
+    """Return the grid (X, Y, Z) with the 26 neighbours of each set cell (8 if an axis has length 1)."""
     wider = held
     for axis in range(3):
         along = np.moveaxis(wider, axis, 0)

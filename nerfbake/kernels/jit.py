@@ -1,7 +1,9 @@
-"""numba's compiler, with the options that every kernel here uses and the types that it drops.
+"""The numba compiler with the options that all kernels share.
 
-Compiled code is kept beside the module, or in the user's cache, so that only the first run ever pays for it; where
-neither can be written, every run does. It lets go of the interpreter, for kernels.parallel.
+compiled() keeps the type of the function, which numba's decorator drops.
+
+Compiled code is cached beside the module or in the user's cache folder, so only the first run compiles. If neither is
+writable, every run compiles. Compiled kernels release the GIL, for kernels.parallel.
 """
 
 from __future__ import annotations
@@ -14,48 +16,48 @@ from typing import Any, Literal, NamedTuple, TypeVar, cast
 import numba
 from numba.core import event
 
-# Of the libraries that share a parallel loop out to threads, numba would take TBB wherever it is installed. There each
-# loop takes longer than the loops before it (1,500 small ones, six times over: 0.09, 0.15, 0.29, 0.58, 0.84 and 1.14
-# CPU seconds); OpenMP's stay as they are. Numba's own `workqueue` ends a process that starts two loops side by side.
+# Numba prefers TBB as its threading layer if it is installed. With TBB, each parallel loop takes longer than the loops
+# before it (1,500 small loops, six times in a row: 0.09, 0.15, 0.29, 0.58, 0.84 and 1.14 CPU seconds). With OpenMP, the
+# time stays constant. Numba's own `workqueue` aborts a process that runs two loops at the same time.
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
 
-# A thread of OpenMP's that waits for the others keeps its core busy for a while, unless it is told not to before the
-# library is loaded. On two cores a sample of nerf2mesh took 1.9 CPU seconds and not 1.0; with a second process doing
-# the same beside it, 4.0 and not 0.9, the first of each process 11.5 and not 1.5.
+# An OpenMP thread that waits for the others keeps its core busy for a while, unless this policy is set before the
+# library is loaded. On two cores a sample of nerf2mesh took 1.9 CPU seconds instead of 1.0. With a second process doing
+# the same at the same time, it took 4.0 instead of 0.9, and the first sample of each process 11.5 instead of 1.5.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-uncached: list[str] = []  # kernels that are compiled anew in every process
+uncached: list[str] = []  # names of kernels that are compiled again in every process
 
 
-class Compiling(NamedTuple):
-    """Seconds of the compiler's own thread, and seconds that passed meanwhile."""
+class CompileTime(NamedTuple):
+    """CPU seconds of the compiling thread, and elapsed seconds."""
 
     worked: float = 0.0
     passed: float = 0.0
 
 
 class _Stopwatch(event.Listener):
-    """Compiling one kernel may make it compile another."""
+    """Measures compile times. Compiling one kernel may start the compilation of another."""
 
     def __init__(self) -> None:
-        self.total, self._depth, self._start = Compiling(), 0, Compiling()
+        self.total, self._depth, self._start = CompileTime(), 0, CompileTime()
 
     def on_start(self, event: object) -> None:
         if not self._depth:
-            self._start = Compiling(time.thread_time(), time.perf_counter())
+            self._start = CompileTime(time.thread_time(), time.perf_counter())
         self._depth += 1
 
     @property
     def seconds(self) -> float:
-        """Since the kernel that is being compiled was begun; 0 where there is none."""
+        """Seconds since the outermost compilation in progress started; 0 if there is none."""
         return time.perf_counter() - self._start.passed if self._depth else 0.0
 
     def on_end(self, event: object) -> None:
         self._depth -= 1
         if not self._depth:
             worked = self.total.worked + time.thread_time() - self._start.worked
-            self.total = Compiling(worked, self.total.passed + time.perf_counter() - self._start.passed)
+            self.total = CompileTime(worked, self.total.passed + time.perf_counter() - self._start.passed)
 
 
 _stopwatch = _Stopwatch()
@@ -64,27 +66,29 @@ event.register("numba:compile", _stopwatch)  # type: ignore[no-untyped-call]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiling() -> Compiling:
-    """What this process has spent on compiling kernels: only a first run does."""
+def compiling() -> CompileTime:
+    """Return the time that this process has spent on compiling kernels: only a first run compiles."""
     return _stopwatch.total
 
 
 def compiling_for() -> float:
-    """For how many seconds a kernel has been compiled by now; 0 where none is."""
+    """Return for how many seconds a kernel has been compiling; 0 if none is."""
     return _stopwatch.seconds
 
 
 def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:
-    """Compiles a function.
+    """Compile a function.
 
-    inline and merged put it into its callers: inline before types are known, merged when machine code is made. A merged
-    one costs nothing for arrays in tuples if it names them where it uses them (`coder.data[i]`); arrays that are first
-    unpacked, and rows of arrays, have their references counted, which takes longer than what is done with them.
+    inline and merged copy the function into its callers: inline before type inference, merged when machine code is
+    generated. A merged function costs nothing for arrays in tuples if it names them where it uses them
+    (`coder.data[i]`). Arrays that are unpacked first, and rows of arrays, have their references counted, which takes
+    longer than the work on them.
 
-    A division by zero gives what IEEE 754 says: a kernel that asks before each one cannot be vectorised.
+    A division by zero returns what IEEE 754 defines: a check before each division would prevent vectorisation.
 
-    There is no fastmath: it lets the compiler reorder, fuse and estimate by what the CPU has, and the last bits of what
-    comes out would tell one CPU from another. Where a sum is to be vectorised, the code says which terms go together.
+    fastmath is off: it lets the compiler reorder, fuse and approximate operations depending on the CPU, so the last
+    bits of the results would differ between CPUs. Where a sum is to be vectorised, the code states which terms are
+    added together.
     """
 
     def compile_(function: Function) -> Function:
@@ -93,9 +97,29 @@ def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = Fal
         options["error_model"] = "numpy"
         try:
             result: Any = numba.njit(function, cache=True, **options)
-        except RuntimeError:  # numba found no folder that it may write to
+            _ignore_unreadable_index(result)
+        except RuntimeError:  # numba found no writable cache folder
             uncached.append(function.__name__)
             result = numba.njit(function, **options)
         return cast(Function, result)
 
     return compile_
+
+
+def _ignore_unreadable_index(dispatcher: Any) -> None:
+    """Compile anew if the cache of an older version refers to types that no longer exist.
+
+    Numba unpickles an index, with the types of the arguments, before it compares the index with the source file.
+    """
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return
+    file = dispatcher._cache._cache_file
+    load = file._load_index
+
+    def load_index() -> Any:
+        try:
+            return load()
+        except (AttributeError, ImportError):
+            return {}
+
+    file._load_index = load_index

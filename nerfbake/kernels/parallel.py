@@ -1,4 +1,4 @@
-"""Work in chunks on every core: NumPy lets go of the interpreter while it copies and adds."""
+"""Run work in chunks on every core. NumPy releases the GIL while it copies and adds."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ Item = TypeVar("Item")
 
 
 def cores() -> int:
-    """How many threads share the work: as many as numba's own loops have, so that a batch bounds both."""
+    """Return the number of threads: the same as for numba's parallel loops, so NUMBA_NUM_THREADS limits both."""
     bound = os.environ.get("NUMBA_NUM_THREADS", "")
     return max(1, int(bound) if bound.isdecimal() else os.cpu_count() or 1)
 
 
 def on_every_core(work: Callable[[int, int], None]) -> None:
-    """work(first, step) on every core at once: each does every step-th of some tasks, from `first` on.
+    """Call work(first, step) on every core at once. Each call does every step-th task, starting at `first`.
 
-    Threads take a kernel that is compiled without parallel loops: of one with many arrays in tuples, numba takes 14 s
-    to compile such a loop, which does nothing but call another kernel.
+    Use this for compiled kernels without parallel loops: for a kernel with many arrays in tuples, numba takes 14 s to
+    compile a parallel loop that does nothing but call another kernel.
     """
     threads = cores()
     over_chunks(lambda first, _: work(first, threads), threads, 1)
 
 
 def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> None:
-    """work(begin, end) for every chunk of 0 .. count, shared out among the cores.
+    """Call work(begin, end) for every chunk of 0 .. count, distributed over the cores.
 
-    Each chunk must write to places of its own; then what comes out does not depend on the number of cores. The
-    first error ends the other threads' work and is raised here.
+    Each chunk must write to a separate part of the output; the result then does not depend on the number of cores. The
+    first error stops the other threads and is raised here.
     """
     starts = range(0, count, chunk)
     threads = min(len(starts), cores())
@@ -54,8 +54,8 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
         raise errors[0]
 
 
-def ahead(items: Iterable[Item]) -> Generator[Item]:
-    """The same items, each made while the one before it is used."""
+def prefetched(items: Iterable[Item]) -> Generator[Item]:
+    """Yield the same items. Each item is computed while the caller uses the previous one."""
     source, made = iter(items), list[Item]()
     errors: list[BaseException] = []
 
@@ -78,9 +78,11 @@ def ahead(items: Iterable[Item]) -> Generator[Item]:
         raise errors[0]
 
 
-def in_relay(work: Callable[[int, int, int], None], runners: int, count: int, chunk: int) -> None:
-    """work(runner, begin, end) for every chunk of 0 .. count in order, a thread for each runner: a chunk is a runner's
-    when the one before it has done with it. The first error ends all of them and is raised here.
+def run_in_turn(work: Callable[[int, int, int], None], runners: int, count: int, chunk: int) -> None:
+    """Call work(runner, begin, end) for every chunk of 0 .. count in order, with one thread for each runner.
+
+    A runner gets a chunk when the previous runner has finished it. The first error stops all runners and is raised
+    here.
     """
     done = [Semaphore(0) for _ in range(runners)]
     errors: list[BaseException] = []
@@ -97,7 +99,7 @@ def in_relay(work: Callable[[int, int, int], None], runners: int, count: int, ch
         except BaseException as error:
             errors.append(error)
         finally:
-            done[runner].release(-(-count // chunk) + 1)  # nobody waits for a runner who has stopped
+            done[runner].release(-(-count // chunk) + 1)  # a stopped runner blocks no other
 
     others = [Thread(target=run, args=(runner,)) for runner in range(1, runners)]
     for thread in others:

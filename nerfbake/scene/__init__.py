@@ -1,1 +1,1 @@
-"""Nouns: frozen dataclasses of arrays that know their shapes, their order and what is wrong with them."""
+"""Scene types: frozen dataclasses of arrays that check their shapes, their order and their values."""

@@ -1,4 +1,4 @@
-"""Octahedral maps in place of an MLP, and the textures that say which of them a texel shows."""
+"""Octahedral maps that replace an MLP, and the textures that select a map for each texel."""
 
 from __future__ import annotations
 
@@ -14,32 +14,34 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.surface import octahedron
 from nerfbake.kernels.surface.octahedron import TexelLookup
 from nerfbake.scene.base import Scene
+from nerfbake.scene.compact_repr import CompactRepr
 from nerfbake.scene.mesh import Mesh
-from nerfbake.scene.shown import Shown
 
 Method = Literal["kmeans", "affine", "grid"]
 METHODS: tuple[Method, ...] = ("kmeans", "affine", "grid")
 MAX_TILES = 1 << 16  # labels are 16-bit
 MAX_MAP_SIZE = 1024
-ZERO_SLOPE = 128  # the byte of an affine map that means 0
-ZERO_OFFSET = 127  # the byte of an affine feature that means 0
+ZERO_SLOPE = 128  # the byte of an affine map that represents 0
+ZERO_OFFSET = 127  # the byte of an affine feature that represents 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OctahedralAtlas(Shown):
-    """Specular colour = sum over a few maps of weight x map(direction); the method says which maps and weights.
+class OctahedralAtlas(CompactRepr):
+    """The specular colour as a sum over a few maps: weight x map(direction). The method defines maps and weights.
 
     kmeans  one map, tile `label`, weight 1
     affine  tiles 4 label + i: M0 + sum over i = 1, 2, 3 of J_i o_i; o = (feature byte - 127) / 255 is the texel's
-            feature less its cluster's centre, J_i = (byte - 128) / 127 slope slopes[label] / 255
-    grid    n^3 nodes in feature space, tile (r n + g) n + b; the tetrahedron's four corners around the texel's feature
+            feature minus its cluster's centre, J_i = (byte - 128) / 127 slope slopes[label] / 255
+    grid    n^3 nodes in feature space, tile (r n + g) n + b; the four corners of the tetrahedron around the texel's
+            feature
 
-    tiles     (T, R, R, 3) uint8, without gutter; kernels.surface.octahedron says what a texel is; linear values
+    tiles     (T, R, R, 3) uint8, without gutter, linear values; kernels.surface.octahedron defines the texels
     labels    (H, W) uint16; all zeros for grid
-    features  (H, W, 3) uint8: nothing (None), offsets, or features, by method; row 0 is the image's top
+    features  (H, W, 3) uint8: none for kmeans (None), offsets for affine, features for grid; row 0 is the image's top
     border    texels of gutter around each tile in the atlas image
-    slope     of `affine`: what byte 255 stands for in maps 1 to 3 of the cluster with the steepest ones
-    slopes    (K,) uint8, of `affine`: each cluster's share of that
+    slope     for `affine`: the value of byte 255 in maps 1 to 3 of the cluster with the steepest ones
+    slopes    (K,) uint8, for `affine`: each cluster's share of `slope`, in 255ths
+
     Source: docs/formats/atlas.md, "Octahedral maps"; `kmeans` is "The thesis' method" there.
 
     >>> import numpy as np
@@ -73,7 +75,7 @@ class OctahedralAtlas(Shown):
             found = f"have shape {self.labels.shape}, dtype {self.labels.dtype}"
             raise InvalidScene(Problem("labels", found, "(H, W) uint16"))
         if (self.features is None) != (self.method == "kmeans"):
-            found = "are missing" if self.features is None else "are there"
+            found = "are missing" if self.features is None else "are present"
             raise InvalidScene(Problem("features", found, "offsets for affine, features for grid, none for kmeans"))
         if self.features is not None and (
             self.features.shape != (*self.labels.shape, 3) or self.features.dtype != np.uint8
@@ -115,7 +117,7 @@ class OctahedralAtlas(Shown):
 
     @property
     def K(self) -> int:
-        """Clusters: one more than the largest label there can be."""
+        """Number of clusters: one more than the largest possible label."""
         return len(self.tiles) // self.maps_per_cluster
 
     @property
@@ -125,11 +127,11 @@ class OctahedralAtlas(Shown):
 
     @property
     def image(self) -> npt.NDArray[np.uint8]:
-        """(rows, columns, 3) uint8: every tile with its gutter."""
+        """(rows, columns, 3) uint8: the atlas image, every tile with its gutter."""
         return octahedron.pack(self.tiles, self.border)
 
     def show(self, directions: npt.NDArray[np.float64], lookup: TexelLookup) -> npt.NDArray[np.float32]:
-        """(T, N, 3) what each tile shows in N directions, decoded: colours in 0..1, slopes in -1..1."""
+        """The decoded values (T, N, 3) of each tile in N directions: colours in 0..1, slopes in -1..1."""
         return self._decoded(octahedron.read_maps(self.tiles, directions, lookup), np.arange(len(self.tiles))[:, None])
 
     def specular(
@@ -138,16 +140,17 @@ class OctahedralAtlas(Shown):
         features: npt.NDArray[np.uint8] | None,
         directions: npt.NDArray[np.float64],
     ) -> npt.NDArray[np.float32]:
-        """(m, 3) in 0..1: what m texels of these labels (m,) and features (m, 3) show, in a direction each, (m, 3).
+        """The specular colours of m texels, each in its own direction: (m, 3) in 0..1.
 
-        Maps are read between texel centres, as atlas.glsl does.
+        labels is (m,), features (m, 3) and directions (m, 3). Maps are interpolated between texel centres, as in
+        atlas.glsl.
         """
         tiles, weights = self.terms(labels, np.zeros((len(labels), 3), np.uint8) if features is None else features)
         shown = octahedron.read_maps(self.tiles, directions[:, None], "bilinear", tiles)
         return np.asarray((weights[..., None] * self._decoded(shown, tiles)).sum(axis=1), np.float32)
 
     def _decoded(self, shown: npt.NDArray[np.float32], tiles: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Bytes (..., 3) of these tiles (...) as colours or slopes."""
+        """Decode bytes (..., 3) of these tiles (...) as colours or slopes."""
         if self.method != "affine":
             return shown / np.float32(255)
         colour = (tiles % 4 == 0)[..., None]
@@ -156,7 +159,7 @@ class OctahedralAtlas(Shown):
     def terms(
         self, labels: npt.NDArray[np.uint16], features: npt.NDArray[np.uint8]
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
-        """(m, t) tiles and weights for m texels of these labels (m,) and features (m, 3); t is 1 or 4."""
+        """The tiles and weights, (m, t) each, of m texels with labels (m,) and features (m, 3); t is 1 or 4."""
         label = labels.astype(np.int32)[:, None]
         if self.method == "kmeans":
             return label, np.ones(label.shape, np.float32)
@@ -169,10 +172,11 @@ class OctahedralAtlas(Shown):
 
 
 def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
-    """(m, 4) nodes of an n^3 grid over 0..255 and their weights, for (m, 3) features; each cube is cut in six.
+    """The nodes of an n^3 grid over 0..255 and their weights, (m, 4) each, for features (m, 3).
 
-    The walk from the cube's low corner to its high one takes the axis with the largest fraction first: the corners on
-    the way span the tetrahedron. Of equal fractions the first axis goes first; the weight between them is zero.
+    Each cube is cut in six. The path from the cube's low corner to its high corner steps along the axis with the
+    largest fraction first. The corners on this path span the tetrahedron. Of equal fractions the first axis comes
+    first; the weight between them is zero.
     """
     place = features.astype(np.float32) * np.float32((n - 1) / 255)
     low = np.minimum(place.astype(np.int32), n - 2)
@@ -187,11 +191,11 @@ def tetrahedron(features: npt.NDArray[Any], n: int) -> tuple[npt.NDArray[np.int3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BakedAtlas(Scene):
-    """Atlases of all cascades of a scene with what an engine needs beside them; cascade c is entry c.
+    """The atlases of all cascades of a scene, with the files that an engine needs; cascade c is entry c.
 
-    meshes  None where there is none
-    files   meshes and diffuse textures, by name, as they were given
-    facts   how it was baked and how well, for atlas.json
+    meshes  None for a cascade without a mesh
+    files   meshes and diffuse textures by name, unchanged
+    facts   parameters and quality of the bake, for atlas.json
 
     >>> import numpy as np
     >>> from nerfbake import BakedAtlas, OctahedralAtlas

@@ -1,4 +1,4 @@
-"""What every scene that a file can hold answers: is it sound, and what is wrong with it?"""
+"""Base class of the scenes that can be stored in a file, with the checks that all of them share."""
 
 from __future__ import annotations
 
@@ -9,59 +9,59 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import all_within, count_problem
-from nerfbake.scene.shown import Shown, described
+from nerfbake.scene.compact_repr import CompactRepr, described
 
-MAX_WORLD = 1e15  # world units of a place or an edge, and of what one over an edge is: their squares are numbers, too
+MAX_WORLD = 1e15  # largest coordinate, edge and 1 / edge in world units: their squares stay finite
 
 
-class Scene(Shown):
-    """Shapes and dtypes are checked as a scene is made; a structure or values that cannot be right are told here."""
+class Scene(CompactRepr):
+    """A scene. The constructor checks shapes and dtypes; the methods report an invalid structure and invalid values."""
 
     def _repr_html_(self) -> str | None:
-        """Facts and a thumbnail, in the cell of a notebook; None where it is a picture itself."""
+        """Facts and a thumbnail for a notebook cell; None for a scene that is a picture itself."""
         return None if hasattr(self, "_repr_png_") else described(self)
 
     def structure_problems(self) -> list[Problem]:
-        """What keeps the scene from being read at all."""
+        """Problems that prevent reading the scene."""
         return []
 
     def value_problems(self) -> list[Problem]:
-        """Values that nobody can use; the structure must be sound."""
+        """Values that cannot be used. The structure must be valid."""
         return []
 
     def unread_problems(self) -> list[Problem]:
-        """What the file holds beside the scene that nobody here can read; the scene itself is none the worse for it."""
+        """Parts of the file that nerfbake cannot read; the scene is valid without them."""
         return []
 
     def problems(self) -> list[Problem]:
-        """Everything that is wrong; values are looked at once the structure is sound."""
+        """All problems. Values are checked only if the structure is valid."""
         return [*self.unread_problems(), *(self.structure_problems() or self.value_problems())]
 
     def require_sound(self) -> None:
-        """Raises InvalidScene with the first structural problem, if there is one."""
+        """Raise InvalidScene with the first structural problem, if there is one."""
         if problems := self.structure_problems():
             raise InvalidScene(problems[0])
 
     def require_usable(self) -> None:
-        """Raises InvalidScene with the first problem of the structure, or else of the values, if there is one."""
+        """Raise InvalidScene with the first problem of the structure, or else of the values, if there is one."""
         if problems := self.structure_problems() or self.value_problems():
             raise InvalidScene(problems[0])
 
 
 def require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
-    """Raises InvalidScene unless the array has this shape and this number type. name: for the error."""
+    """Raise InvalidScene unless the array has this shape and dtype. name: the array's name in the error."""
     if array.shape != shape or array.dtype != dtype:
         found = f"has shape {array.shape}, dtype {array.dtype}"
         raise InvalidScene(Problem(name, found, f"{shape} {np.dtype(dtype)}"))
 
 
 def place_problems(name: str, place: npt.NDArray[np.float64]) -> list[Problem]:
-    """Coordinates that are not finite, or too far away to calculate with."""
+    """Coordinates that are not finite, or larger than MAX_WORLD."""
     return count_problem(name, ~(np.abs(place) <= MAX_WORLD), place, f"a finite number, up to {MAX_WORLD:g}")
 
 
 def edge_problems(name: str, edges: npt.NDArray[np.float64]) -> list[Problem]:
-    """Lengths (or one over a length) that are not above 0, too short or too long to calculate with."""
+    """Lengths (or 1 / length) that are not positive, or outside 1 / MAX_WORLD to MAX_WORLD."""
     wrong = ~((edges >= 1 / MAX_WORLD) & (edges <= MAX_WORLD))
     return count_problem(name, wrong, edges, f"a finite number above 0, {1 / MAX_WORLD:g} to {MAX_WORLD:g}")
 
@@ -69,7 +69,10 @@ def edge_problems(name: str, edges: npt.NDArray[np.float64]) -> list[Problem]:
 def number_problems(
     name: str, values: npt.NDArray[Any], *, where: npt.NDArray[np.bool_] | None = None, most: float = np.inf
 ) -> list[Problem]:
-    """Of all values, or of those `where` (broadcast to them) is True: NaN and infinity, and what is above `most`."""
+    """NaN, infinity and magnitudes above `most` among the values.
+
+    where: a mask, broadcast to the values, of those to check; None: all.
+    """
     if all_within(values, most):
         return []
     finite = np.isfinite(values)

@@ -1,4 +1,4 @@
-"""What the D values of a node mean: svox's `data_format`."""
+"""The meaning of a node's D values: svox's `data_format`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import numpy as np
 from nerfbake.errors import InvalidScene, Problem
 
 SH_SIZES = (1, 4, 9, 16, 25)
-_SIGNS = {-1: "m", 0: "", 1: "p"}  # as the shaders call coefficients, too
+_SIGNS = {-1: "m", 0: "", 1: "p"}  # the shaders use the same names
 
 
 class Basis(NamedTuple):
-    """kind is 'SH', 'SG', 'ASG' or 'RGBA'; size is B, the number of basis functions per colour channel.
+    """The basis functions of a colour.
 
-    The D values are all B coefficients of red, then of green, then of blue, density sigma last: D = 3 B + 1.
-    RGBA has B = 1: red, green, blue, sigma.
+    kind  'SH', 'SG', 'ASG' or 'RGBA'
+    size  B, the number of basis functions per colour channel
+
+    The D values are all B coefficients of red, then of green, then of blue, then the density sigma: D = 3 B + 1. RGBA
+    has B = 1: red, green, blue, sigma.
     """
 
     kind: str
@@ -32,7 +35,7 @@ class Basis(NamedTuple):
 
 
 def parse_basis(data_format: str) -> Basis:
-    """'SH9' -> Basis('SH', 9). Raises InvalidScene for a name that svox does not know."""
+    """'SH9' -> Basis('SH', 9). Raises InvalidScene for a name that svox does not define."""
     match = re.fullmatch(r"(SH|SG|ASG)([1-9][0-9]{0,3})|RGBA", data_format)
     if match and not match[1]:
         return Basis("RGBA", 1)
@@ -42,8 +45,8 @@ def parse_basis(data_format: str) -> Basis:
     raise InvalidScene(Problem("data_format", f"is {data_format[:40]!r}", known))
 
 
-def shown_basis(data_format: str) -> Basis:
-    """The same, of what pictures can be made of: SH and RGBA. Raises InvalidScene for other bases and for ''."""
+def renderable_basis(data_format: str) -> Basis:
+    """Like parse_basis(), for bases that can be rendered: SH and RGBA. Raises InvalidScene for other bases and ''."""
     if not data_format:
         raise InvalidScene(Problem("data_format", "is not known", "SHk or RGBA"))
     basis = parse_basis(data_format)
@@ -53,7 +56,10 @@ def shown_basis(data_format: str) -> Basis:
 
 
 def guess_data_format(data_dim: int) -> str:
-    """The format of a file that does not say: 4 values are RGBA, 3 k + 1 are SHk (svox's rule); else ''."""
+    """The format of a file that does not name one, by svox's rule: 4 values are RGBA, 3 k + 1 are SHk.
+
+    '' if neither applies.
+    """
     if data_dim == 4:
         return "RGBA"
     size, rest = divmod(data_dim - 1, 3)
@@ -61,7 +67,7 @@ def guess_data_format(data_dim: int) -> str:
 
 
 def coefficient_names(basis: Basis) -> list[str]:
-    """What the B coefficients of a colour are called, in their order: f1_m1 stands for f1^-1, as a name cannot hold it.
+    """The names of a colour's B coefficients, in order. f1_m1 is f1^-1, because a name cannot contain a sign.
 
     >>> coefficient_names(parse_basis("SH4"))
     ['f0_0', 'f1_m1', 'f1_0', 'f1_p1']
@@ -73,7 +79,9 @@ def coefficient_names(basis: Basis) -> list[str]:
 
 
 def voxel_dtype(basis: Basis, number: np.dtype[Any]) -> np.dtype[Any]:
-    """A node's values by name, in the order in which they stand: red, green and blue, each with its coefficients, then
-    sigma. A colour of RGBA is one number."""
+    """The structured dtype of a node's values, in storage order.
+
+    Red, green and blue have their coefficients as fields; sigma is last. A colour of RGBA is a single number.
+    """
     colour = number if basis.kind == "RGBA" else np.dtype([(name, number) for name in coefficient_names(basis)])
     return np.dtype([("red", colour), ("green", colour), ("blue", colour), ("sigma", number)])

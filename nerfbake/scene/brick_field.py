@@ -1,4 +1,4 @@
-"""The field that is fitted to pictures: bricks of 8^3 cells, whose cells may also come eight at a time."""
+"""The field that is fitted to pictures: bricks of 8^3 cells, in which eight cells may be merged into one wide cell."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Coords, Ints, Points, Singles
-from nerfbake.kernels.fit.topgrid import top_grid
+from nerfbake.kernels.fit.bricks import top_grid
 from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, require_shape
-from nerfbake.scene.basis import Basis, shown_basis
+from nerfbake.scene.basis import Basis, renderable_basis
 
 EDGE = 8  # cells along an axis of a brick
 MAX_RESOLUTION = 4096
@@ -22,17 +22,17 @@ EMPTY = -1
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BrickField(Scene):
-    """A radiance field over a lattice of cells, of which only bricks of 8^3 that hold something are there.
+    """A radiance field over a lattice of cells. Only non-empty bricks of 8^3 cells are stored.
 
     resolution  cells of the finest lattice along each axis, a power of two from 8
-    box     (2, 3) float64: the lattice's lowest and highest corner in the world; cells may be oblong
+    box     (2, 3) float64: lowest and highest corner of the lattice in the world; cells may be oblong
     basis   SH1 to SH25
-    top     (r, r, r) int32, r = resolution / 8: the number of the brick there, 0 or more, in raster order; or -d,
-            where the nearest brick is d bricks away along the axis that is furthest (r if there is no brick at all)
-    rows    (b, 512) int32: the cells of each brick, x-major (x << 6 | y << 3 | z). -1 is empty, else row << 1 | wide.
-            A wide cell is 2^3 cells of the lattice at an even position, which all hold the same number
-    values  (n, 3 B + 1) float32: a row for each cell, in the order in which `rows` first meets them: B coefficients of
-            red, of green, of blue (the colour is the sigmoid of their sum), then the density per world unit
+    top     (r, r, r) int32, r = resolution / 8: the number of the brick, 0 or more, in raster order; -d for an empty
+            place whose nearest brick is d bricks away along the farthest axis (r if there is no brick at all)
+    rows    (b, 512) int32: the cells of each brick, x-major (x << 6 | y << 3 | z). -1 is empty, else row << 1 | wide. A
+            wide cell covers 2^3 cells of the lattice at an even position, which all store the same number
+    values  (n, 3 B + 1) float32: a row for each cell, in order of first occurrence in `rows`: B coefficients of red, of
+            green, of blue (the colour is the sigmoid of their sum), then the density per world unit
 
     >>> import numpy as np
     >>> from nerfbake import BrickField
@@ -58,7 +58,7 @@ class BrickField(Scene):
         if not EDGE <= self.resolution <= MAX_RESOLUTION or self.resolution & (self.resolution - 1):
             allowed = f"a power of two, {EDGE} to {MAX_RESOLUTION}"
             raise InvalidScene(Problem("resolution", f"is {self.resolution}", allowed))
-        if shown_basis(str(self.basis)).kind != "SH":
+        if renderable_basis(str(self.basis)).kind != "SH":
             raise InvalidScene(Problem("basis", f"is {self.basis}", "SH1, SH4, SH9, SH16, SH25"))
         r = self.resolution // EDGE
         require_shape("the field's box", self.box, (2, 3), np.float64)
@@ -73,12 +73,12 @@ class BrickField(Scene):
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
     def n(self) -> int:
-        """Cells that hold something, wide ones counted once."""
+        """Number of non-empty cells; a wide cell counts once."""
         return len(self.values)
 
     @property
     def b(self) -> int:
-        """Bricks."""
+        """Number of bricks."""
         return len(self.rows)
 
     @property
@@ -94,7 +94,7 @@ class BrickField(Scene):
 
     @cached_property
     def corners(self) -> Coords:
-        """(n, 3) int32: the lowest cell of the lattice in each row's cell."""
+        """(n, 3) int32: the lowest lattice cell of each row's cell."""
         flat, first = self.rows.reshape(-1), self._first
         brick, cell = first // EDGE**3, first % EDGE**3
         within = np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
@@ -103,12 +103,12 @@ class BrickField(Scene):
 
     @cached_property
     def wide(self) -> Bits:
-        """(n,) bool: the cells that are 2^3 cells of the lattice."""
+        """(n,) bool: the cells that cover 2^3 cells of the lattice."""
         return (self.rows.reshape(-1)[self._first] & 1).astype(bool)
 
     @cached_property
     def _first(self) -> Ints:
-        """(n,) the first place of each row in the flat table of rows."""
+        """(n,) the first index of each row in the flattened `rows`."""
         flat = self.rows.reshape(-1)
         held = np.flatnonzero(flat >= 0)
         numbers = flat[held] >> 1
@@ -118,7 +118,7 @@ class BrickField(Scene):
 
     # -- reading -----------------------------------------------------------------------------------------------
     def rows_at(self, points: Points) -> Ints:
-        """(m,) the row of the cell around each world point (m, 3), -1 for empty space and outside."""
+        """(m,) the row of the cell around each world point (m, 3); -1 in empty space and outside."""
         cells = (points - self.box[0]) / self.cell_size
         inside = ((cells >= 0) & (cells < self.resolution)).all(axis=1)
         x, y, z = np.where(inside[:, None], cells, 0).astype(np.int64).T
@@ -126,11 +126,11 @@ class BrickField(Scene):
         found = np.full(len(points), EMPTY, np.int64)
         at = np.flatnonzero(brick >= 0)
         slots = self.rows[brick[at], (x[at] & 7) << 6 | (y[at] & 7) << 3 | z[at] & 7]
-        found[at] = slots >> 1  # an empty cell's -1 stays -1
+        found[at] = slots >> 1  # -1 (empty) stays -1
         return found
 
     def sample(self, points: Points) -> Singles:
-        """(m, 3) in the world -> (m, 3 B + 1) of the cell around each point, zeros where there is none."""
+        """The values (m, 3 B + 1) of the cells around world points (m, 3); zeros in empty space and outside."""
         rows = self.rows_at(points)
         found = np.zeros((len(points), self.basis.data_dim), np.float32)
         found[rows >= 0] = self.values[rows[rows >= 0]]
@@ -138,13 +138,13 @@ class BrickField(Scene):
 
     # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
-        """A box without room, bricks or rows that are not numbered in order, wide cells in pieces."""
+        """An empty box, bricks or rows that are not numbered in order, incomplete wide cells."""
         world = place_problems("box", self.box)
         world = world or edge_problems("box's edges", self.box[1] - self.box[0])
         return world + (self._brick_problems() or self._row_problems())
 
     def value_problems(self) -> list[Problem]:
-        """Values that no renderer can use."""
+        """Values that cannot be rendered."""
         sigma = self.values[:, -1]
         return number_problems("values", self.values) + count_problem(
             "sigma", sigma < 0, sigma, "a density of 0 or more"
@@ -153,7 +153,7 @@ class BrickField(Scene):
     def _brick_problems(self) -> list[Problem]:
         held = int(np.count_nonzero(self.top >= 0))
         if held != self.b:
-            return [Problem("top", f"numbers {plural(held, 'brick')}", f"{self.b:,}, one a row of `rows`")]
+            return [Problem("top", f"numbers {plural(held, 'brick')}", f"{self.b:,}, one per row of `rows`")]
         wrong = self.top != top_grid(self.top >= 0)
         return count_problem("top", wrong, self.top, "bricks in raster order, and the distance to the nearest")
 
@@ -165,11 +165,15 @@ class BrickField(Scene):
         met = flat[flat >= 0] >> 1
         most = np.maximum.accumulate(met) if len(met) else met
         if np.any(most[1:] > most[:-1] + 1) or (len(met) and met[0]) or int(most[-1] if len(met) else -1) != self.n - 1:
-            return [Problem("rows", "are not numbered in order", "0, 1, 2, ... as cells first meet them, each once")]
+            return [Problem("rows", "are not numbered in order", "0, 1, 2, ... in order of first occurrence")]
         pairs = self.rows.reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, 8)
         wide = (pairs >= 0) & (pairs & 1 == 1)
         if np.any(wide.any(axis=1) & (pairs != pairs[:, :1]).any(axis=1)):
-            return [Problem("rows", "have a wide cell in pieces", "2^3 cells at an even position, all eight the same")]
+            return [
+                Problem("rows", "have an incomplete wide cell", "2^3 cells at an even position, all eight the same")
+            ]
         if np.any(np.bincount(met, minlength=self.n) != np.where(self.wide, 8, 1)):
-            return [Problem("rows", "name a cell twice", "each row once, a wide one in the eight cells it fills")]
+            return [
+                Problem("rows", "contain a cell twice", "each row once, a wide one in the eight cells that it covers")
+            ]
         return []

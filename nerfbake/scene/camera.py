@@ -1,41 +1,145 @@
-"""A camera in OpenGL's axes: x to the right, y up, looking down -z; pixel centres at halves."""
+"""Cameras and lenses.
+
+Camera axes are those of OpenGL: x right, y up, viewing direction -z. Pixel centres are at half-integer coordinates.
+Lens distortion uses the polynomial models that structure from motion fits.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.affine import turned
+from nerfbake.kernels.march import lens
+from nerfbake.kernels.maths.affine import rotate
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD, Scene
-from nerfbake.scene.lens import Lens, Raster, blind_rim, pixel_looks
-from nerfbake.scene.shown import Shown
+from nerfbake.scene.compact_repr import CompactRepr
+
+LensModel = Literal["polynomial", "rational", "fisheye"]
+MOST = 1e6  # largest coefficient
+_COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Distortion on the plane at distance 1 in front of the camera; kernels.march.lens has the formulas.
+
+    polynomial  k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, and p1, p2: OpenCV's and COLMAP's models up to k3, nerfstudio's all
+    rational    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and p1, p2: COLMAP's FULL_OPENCV
+    fisheye     the angle theta from the axis appears at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye
+                module
+    """
+
+    model: LensModel
+    k: tuple[float, ...] = ()
+    p: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        while self.k and self.k[-1] == 0:  # equal lenses compare equal
+            object.__setattr__(self, "k", self.k[:-1])
+        if len(self.k) > _COUNT[self.model]:
+            found = f"has {len(self.k)} coefficients"
+            raise InvalidScene(Problem(f"the {self.model} lens", found, f"{_COUNT[self.model]} at most"))
+        for name, values in (("k", self.k), ("p", self.p)):
+            for i, value in enumerate(values, start=1):
+                if not abs(value) <= MOST:
+                    raise InvalidScene(Problem(f"{name}{i}", f"is {value:g}", f"-{MOST:g} to {MOST:g}"))
+        if self.model == "fisheye" and any(self.p):
+            raise InvalidScene(Problem("p1, p2", "are set for a fisheye lens", "0"))
+
+    @property
+    def bends(self) -> bool:
+        """False if the lens is equivalent to a pinhole."""
+        return self.model == "fisheye" or any(self.k) or any(self.p)
+
+    def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """The viewing directions of points (m, 2) on the plane: (m, 3) unit vectors, x right, y down, z forward.
+
+        Also returns (m,) bool: the points for which a direction exists.
+        """
+        most = np.pi if self.model == "fisheye" else np.inf
+        plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
+        plane[~fine] = 0
+        r = np.sqrt((plane * plane).sum(axis=1))
+        looks = np.empty((len(plane), 3))
+        if self.model == "fisheye":
+            sine, looks[:, 2] = sine_cosine(r)
+            looks[:, :2] = plane * np.divide(sine, r, out=np.ones_like(r), where=r > 0)[:, None]
+        else:
+            ahead = 1 / np.sqrt(1 + r * r)
+            looks[:, :2] = plane * ahead[:, None]
+            looks[:, 2] = ahead
+        return looks, fine
+
+    @property
+    def _coefficients(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return (self.k[:3], self.k[3:]) if self.model == "rational" else (self.k, ())
+
+
+class Raster(NamedTuple):
+    """The positions of a picture's pixels on the plane in front of the camera, without the lens."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def points(self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """(..., 2) centres of these pixels, x right, y down."""
+        x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
+        return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+
+@lru_cache(maxsize=1)  # shared by the frames of a capture: solving for it takes as long as rendering a small picture
+def pixel_directions(raster: Raster, lens: Lens) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """The viewing directions of all pixel centres through a lens, (H, W, 3), x right, y down, z forward.
+
+    Also returns (H W,) bool: the pixels for which a direction exists.
+    """
+    points = raster.points(np.arange(raster.width), np.arange(raster.height)[:, None])
+    looks, fine = lens.looks(points.reshape(-1, 2))
+    return looks.reshape(*points.shape[:2], 3), fine
+
+
+@lru_cache(maxsize=64)
+def first_blind_pixel(raster: Raster, lens: Lens) -> int | None:
+    """The first pixel on the picture's rim that has no viewing direction, or None."""
+    x, y = np.arange(raster.width), np.arange(raster.height)
+    columns = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, raster.width - 1)])
+    rows = np.concatenate([np.zeros_like(x), np.full_like(x, raster.height - 1), y, y])
+    _, fine = lens.looks(raster.points(columns, rows))
+    return None if fine.all() else int((rows * raster.width + columns)[~fine].min())
+
 
 FOCAL_LENGTHS = (1e-6, 1e9)  # pixels
-MAX_AXIS = 1e6  # of a pose's axes, whose length nothing depends on
-MIN_VOLUME = 1e-12  # of the box that they span
-ORTHOGONAL = 1e-3  # how far a rotation's axes may be from it, for a writer's rounding
+MAX_AXIS = 1e6  # largest component of a pose's axes; their length has no effect
+MIN_VOLUME = 1e-12  # smallest volume of the box that a pose's axes span
+ORTHOGONAL = 1e-3  # tolerance for the axes of a rotation, for rounding in files
 WORLD = np.eye(3)
 MAX_SAMPLES = 8  # rays along an edge of a pixel
-PICTURE_BYTES = 72  # a pixel of a picture that is kept, put into a sheet, and made into bytes (72 measured)
+PICTURE_BYTES = 72  # per pixel of a picture that is kept, copied into a contact sheet and encoded (72 measured)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Camera(Shown):
-    """width, height in pixels; pose (4, 4) float64 is camera to world; name is the frame's.
+class Camera(CompactRepr):
+    """A camera. width and height are in pixels; pose (4, 4) float64 maps camera to world; name is the frame's name.
 
-    focal   in pixels: one for both axes, or (fx, fy)
-    centre  (cx, cy), where the optical axis meets the picture, in pixels from its upper left corner; None: the middle
-    lens    what it does beside perspective; None: a pinhole
-    picture  what it took: a path in its capture's folder, whose ending may be missing; '' where none is known
+    focal   focal length in pixels: one for both axes, or (fx, fy)
+    centre  (cx, cy), the intersection of the optical axis and the picture, in pixels from the upper left corner; None:
+            the middle
+    lens    distortion in addition to perspective; None: a pinhole
+    picture  the photograph: a path in the capture's folder, possibly without extension; '' if unknown
 
     >>> import numpy as np
     >>> from nerfbake import Camera
@@ -56,7 +160,7 @@ class Camera(Shown):
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= MAX_EDGE and 1 <= self.height <= MAX_EDGE):
-            raise self._wrong(f"has {self.width}x{self.height} pixels", f"1 to {MAX_EDGE:,} an edge")
+            raise self._wrong(f"has {self.width}x{self.height} pixels", f"1 to {MAX_EDGE:,} per edge")
         for focal in (self.fx, self.fy):
             if not FOCAL_LENGTHS[0] <= focal <= FOCAL_LENGTHS[1]:
                 raise self._wrong(f"has focal length {focal:g}", f"{FOCAL_LENGTHS[0]:g} to {FOCAL_LENGTHS[1]:g} pixels")
@@ -72,26 +176,28 @@ class Camera(Shown):
 
     @property
     def fx(self) -> float:
-        """Focal length across, in pixels."""
+        """Horizontal focal length in pixels."""
         return self.focal[0] if isinstance(self.focal, tuple) else self.focal
 
     @property
     def fy(self) -> float:
-        """Focal length down, in pixels."""
+        """Vertical focal length in pixels."""
         return self.focal[1] if isinstance(self.focal, tuple) else self.focal
 
     @property
     def cx(self) -> float:
-        """Of the optical axis, pixels from the left edge."""
+        """Position of the optical axis, in pixels from the left edge."""
         return self.width / 2 if self.centre is None else self.centre[0]
 
     @property
     def cy(self) -> float:
-        """Of the optical axis, pixels from the upper edge."""
+        """Position of the optical axis, in pixels from the upper edge."""
         return self.height / 2 if self.centre is None else self.centre[1]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view in another number of pixels: the field of view across stays, and so does a pixel's shape."""
+        """The same view with another number of pixels; the horizontal field of view and the pixel's shape stay the
+        same.
+        """
         focal = self.fx * width / self.width, self.fy * width / self.width
         centre = None
         if self.centre is not None:
@@ -100,19 +206,19 @@ class Camera(Shown):
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
     def part(self, columns: slice, rows: slice, *, finer: int = 1) -> Camera:
-        """Some of the picture's pixels as a picture of their own, each divided into finer x finer."""
+        """The camera of a crop of the picture, with each pixel divided into finer x finer pixels."""
         width, height = (finer * (pixels.stop - pixels.start) for pixels in (columns, rows))
         centre = finer * (self.cx - columns.start), finer * (self.cy - rows.start)
         return replace(self, width=width, height=height, focal=(finer * self.fx, finer * self.fy), centre=centre)
 
     def require_memory(self, pixel_bytes: int) -> None:
-        """Raises MemoryLimit if so many bytes for each pixel do not fit."""
+        """Raise MemoryLimit if `pixel_bytes` bytes per pixel do not fit."""
         memory.require(f"a picture of {self.width}x{self.height} pixels", pixel_bytes * self.width * self.height)
 
     def rays(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """The camera's place (3,) and a unit direction for each pixel (height * width, 3), rows from the top.
+        """The camera's position (3,) and a unit direction for each pixel (height * width, 3), rows from the top.
 
-        Raises InvalidScene where the lens shows nothing at a pixel.
+        Raises InvalidScene if a pixel has no viewing direction through the lens.
         """
         right, up, back = self.pose[:3, :3].T
         if self.lens is None or not self.lens.bends:
@@ -120,7 +226,7 @@ class Camera(Shown):
             y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
             directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
         else:
-            looks, fine = pixel_looks(self._seen, self.lens)
+            looks, fine = pixel_directions(self._seen, self.lens)
             if not fine.all():
                 raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
             directions = np.empty_like(looks)
@@ -131,10 +237,13 @@ class Camera(Shown):
         return self.pose[:3, 3], directions.reshape(-1, 3)
 
     def lens_problems(self) -> list[Problem]:
-        """What rays() would raise, told from the picture's rim: what is seen there, is seen inside it, too."""
+        """The error that rays() would raise, computed from the picture's rim only.
+
+        If all pixels on the rim have a viewing direction, so do all pixels inside it.
+        """
         if self.lens is None or not self.lens.bends:
             return []
-        pixel = blind_rim(self._seen, self.lens)
+        pixel = first_blind_pixel(self._seen, self.lens)
         return [] if pixel is None else [self._no_look(pixel, 1)]
 
     @property
@@ -144,7 +253,7 @@ class Camera(Shown):
     def _no_look(self, pixel: int, times: int) -> Problem:
         assert self.lens is not None
         y, x = divmod(pixel, self.width)
-        found = f"shows nothing at pixel {x}, {y}: its {self.lens.model} distortion cannot be undone there"
+        found = f"shows nothing at pixel {x}, {y}: its {self.lens.model} distortion cannot be inverted there"
         return Problem(f"camera {self.name}".strip(), found, "a lens that covers the picture", times)
 
 
@@ -152,10 +261,11 @@ class Camera(Shown):
 class Cameras(Scene):
     """The cameras of a capture, in order.
 
-    dialect  whose conventions their file follows; '' for cameras that were made and not read
-    source   the file or files of a folder that they were read from; '' for a file of its own
-    notes    what was taken for granted, a line each
-    samples  pictures are to have samples x samples rays a pixel, 1 to 8: as their photographs were averaged
+    dialect  the program whose conventions the file follows; '' for cameras that were not read from a file
+    source   the file or files of a folder that the cameras were read from; '' for a single file
+    notes    assumptions made while reading, one line each
+    samples  rays along each edge of a pixel, 1 to 8: pictures get samples x samples rays per pixel, as their
+             photographs were averaged
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras
@@ -180,11 +290,11 @@ class Cameras(Scene):
 
     @property
     def rays_told(self) -> str:
-        """What is said of their pictures where they are to have more than one ray a pixel."""
+        """Suffix for messages about pictures with more than one ray per pixel, else ''."""
         return rays_told(self.samples)
 
     def chosen(self, *, size: tuple[int, int] | None = None, samples: int | None = None) -> Cameras:
-        """The same cameras with pictures of another size (W, H) and another number of samples, where they are given."""
+        """The same cameras with another picture size (W, H) and another number of samples; None: unchanged."""
         cameras = self.cameras if size is None else tuple(camera.resized(*size) for camera in self.cameras)
         return replace(self, cameras=cameras, samples=self.samples if samples is None else samples)
 
@@ -193,12 +303,12 @@ class Cameras(Scene):
         return [camera.name for camera in self.cameras]
 
     def fitting(self, pictures: Iterable[Any]) -> Cameras:
-        """The same cameras, each for pictures as large as its own of these, which have a `size` (W, H)."""
+        """The same cameras, each resized to its picture, which has a `size` (W, H)."""
         sized = tuple(view.resized(*picture.size) for view, picture in zip(self.cameras, pictures, strict=True))
         return replace(self, cameras=sized)
 
     def value_problems(self) -> list[Problem]:
-        """Poses that are no rotation, and lenses that do not cover their picture."""
+        """Poses that are not rotations, and lenses that do not cover their picture."""
         turns = np.stack([camera.pose[:3, :3] for camera in self.cameras])
         gram = (turns[:, :, :, None] * turns[:, :, None]).sum(axis=1)
         handed = (np.cross(turns[:, 0], turns[:, 1]) * turns[:, 2]).sum(axis=1)
@@ -208,42 +318,45 @@ class Cameras(Scene):
             name = self.cameras[int(np.argmax(skew))].name
             allowed = "right-handed axes of length 1, at right angles"
             problems.append(
-                Problem(f"camera {name}".strip(), "has a pose that is no rotation", allowed, int(skew.sum()))
+                Problem(f"camera {name}".strip(), "has a pose that is not a rotation", allowed, int(skew.sum()))
             )
         blind = [problem for camera in self.cameras for problem in camera.lens_problems()]
         return problems + [problem._replace(times=len(blind)) for problem in blind[:1]]
 
     def require_covered(self) -> None:
-        """Raises InvalidScene for the first lens that does not cover its picture: asked before any is rendered."""
+        """Raise InvalidScene for the first lens that does not cover its picture. Call this before rendering."""
         for camera in self.cameras:
             for problem in camera.lens_problems():
                 raise InvalidScene(problem)
 
     def require_memory(self, *, pictures: int = 1) -> None:
-        """Raises MemoryLimit if so many pictures of every camera do not fit into memory all at once."""
+        """Raise MemoryLimit if `pictures` pictures of every camera do not fit into memory at once."""
         need = PICTURE_BYTES * pictures * sum(camera.width * camera.height for camera in self.cameras)
         memory.require(f"keeping {pictures * len(self.cameras):,} pictures at once", need)
 
 
 def require_samples(samples: int) -> int:
-    """The number itself, of rays along each edge of a pixel. Raises InvalidScene if it is not 1 to 8."""
+    """Return the number of rays along each edge of a pixel. Raises InvalidScene if it is not 1 to 8."""
     if samples not in range(1, MAX_SAMPLES + 1):
         raise InvalidScene(Problem("samples", f"are {samples!r:.40}", f"1 to {MAX_SAMPLES}"))
     return int(samples)
 
 
 def rays_told(samples: int) -> str:
-    """What is said of pictures with more than one ray a pixel, behind a comma; '' of all others."""
+    """Suffix for messages about pictures with more than one ray per pixel, starting with a comma, else ''."""
     return "" if samples == 1 else f", {samples}x{samples} rays a pixel"
 
 
 def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:
-    """What is wrong with 4 x 4 numbers, and what is allowed; in plain numbers, since captures have many frames."""
+    """What was found and what is allowed, for an invalid pose of 4 x 4 numbers; None if it is valid.
+
+    Plain Python numbers are fast enough for captures with many frames.
+    """
     if not all(math.isfinite(value) for row in rows for value in row):
         return "has a pose with NaN or infinity", "4 x 4 finite numbers"
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
     if (most := max(abs(x), abs(y), abs(z))) > MAX_WORLD:
-        return f"stands {most:g} away", f"up to {MAX_WORLD:g} world units"
+        return f"has a coordinate of {most:g}", f"up to {MAX_WORLD:g} world units"
     if (most := max(abs(value) for row in rows[:3] for value in row[:3])) > MAX_AXIS:
         return f"has a pose with an axis of {most:g}", f"a rotation, or axes up to {MAX_AXIS:g}"
     if not abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) > MIN_VOLUME:
@@ -260,7 +373,10 @@ def look_at(
     distance: float,
     axes: npt.NDArray[np.float64] = WORLD,
 ) -> npt.NDArray[np.float64]:
-    """(4, 4) pose that looks at a point from so far away; angles in radians, in these axes (rows; the third is up)."""
+    """(4, 4) pose at `distance` from a point, looking at it.
+
+    Angles are in radians, in `axes` (rows; the third is up).
+    """
     (across, along), (up, flat) = sine_cosine(azimuth), sine_cosine(elevation)
     away = np.array([flat * along, flat * across, up])
     return _posed(centre, away, np.array([-across, along, 0.0]), distance, axes)
@@ -272,7 +388,7 @@ def look_from(
     distance: float,
     axes: npt.NDArray[np.float64] = WORLD,
 ) -> npt.NDArray[np.float64]:
-    """The same from a direction (3,) of length 1 in these axes, which is not the third's own."""
+    """Like look_at(), for a unit direction (3,) in `axes` instead of angles, not parallel to the third axis."""
     flat = np.sqrt(away[0] * away[0] + away[1] * away[1])
     return _posed(centre, away, np.array([-away[1] / flat, away[0] / flat, 0.0]), distance, axes)
 
@@ -285,6 +401,6 @@ def _posed(
     axes: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.float64]:
     pose = np.eye(4)
-    pose[:3, :3] = turned(np.stack([right, np.cross(away, right), away]), axes.T).T
-    pose[:3, 3] = centre + distance * turned(away, axes.T)
+    pose[:3, :3] = rotate(np.stack([right, np.cross(away, right), away]), axes.T).T
+    pose[:3, 3] = centre + distance * rotate(away, axes.T)
     return pose

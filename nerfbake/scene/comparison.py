@@ -1,4 +1,4 @@
-"""How far two scenes are apart, seen by the same cameras."""
+"""The difference between two scenes in pictures from the same cameras."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import BudgetMissed, Problem
-from nerfbake.kernels.picture import lettering
+from nerfbake.kernels.picture import drawing
 from nerfbake.scene.base import Scene
+from nerfbake.scene.compact_repr import encode_first, framed
 from nerfbake.scene.image import GAP, Image
-from nerfbake.scene.shown import encoded, framed
 
-AMPLIFIED = 8  # times: how much stronger the pictures of differences are
+AMPLIFIED = 8  # factor of the difference pictures
 TITLES = {"truth": "TRUTH", "a": "IN", "b": "IN2"}
 TITLES |= {pair: f"{AMPLIFIED} X {TITLES[pair[0]]}-{TITLES[pair[2:]]}" for pair in ("a_b", "a_truth", "b_truth")}
 
 
 class Verdict(NamedTuple):
-    """A budget (an argument's name), what was found, what is allowed, and whether it holds."""
+    """A quality limit (the name of an argument), the value found, the value allowed, and whether it is met."""
 
     budget: str
     found: float
@@ -34,10 +34,10 @@ class Verdict(NamedTuple):
 class Comparison(Scene):
     """views: for each camera its name and {psnr, ssim, max_error} of a against b, and of both against the truth.
 
-    values   {sigma, dc, higher}: mean and largest absolute difference at the centres of a's leaves; {} where the two
-             hold values of different kinds
-    pictures for each camera the truth (or None), a and b, over white; () where they were not kept
-    samples  the pictures of a and b have samples x samples rays a pixel
+    values   {sigma, dc, higher}: mean and largest absolute difference at the centres of a's leaves; {} if the two
+             scenes store different kinds of values
+    pictures for each camera the truth (or None), a and b, over white; () if they were not kept
+    samples  the pictures of a and b have samples x samples rays per pixel
 
     >>> from nerfbake import build_field, build_octree, compare_scenes, orbit_cameras, sample_n3tree
     >>> tree = sample_n3tree(resolution=8)
@@ -53,12 +53,12 @@ class Comparison(Scene):
     samples: int = 1
 
     def _repr_html_(self) -> str:
-        """Its page, in the cell of a notebook."""
-        return framed(encoded(self), scripts=False, height=700)
+        """The comparison page, for a notebook cell."""
+        return framed(encode_first(self), scripts=False, height=700)
 
     @property
     def means(self) -> dict[str, Any]:
-        """The views' means, and the largest of their errors."""
+        """The means over all views, and the maximum of max_error."""
         found = {}
         for pair in [key for key in self.views[0] if key != "name"]:
             columns = {key: [view[pair][key] for view in self.views] for key in self.views[0][pair]}
@@ -67,7 +67,7 @@ class Comparison(Scene):
         return found
 
     def judge(self, *, min_psnr: float | None = None, max_error: float | None = None) -> list[Verdict]:
-        """Each budget that is given: b's mean PSNR against a (dB), and how far a pixel's channel is off (0..1)."""
+        """Check each limit that is set: b's mean PSNR against a (dB), and the largest error of a channel (0..1)."""
         verdicts = []
         psnr, error = self.means["a_b"]["psnr"], self.means["a_b"]["max_error"]
         if min_psnr is not None:
@@ -79,14 +79,15 @@ class Comparison(Scene):
         return verdicts
 
     def require(self, *, min_psnr: float | None = None, max_error: float | None = None) -> None:
-        """Raises BudgetMissed with the first budget that does not hold."""
+        """Raise BudgetMissed for the first limit that is missed."""
         for verdict in self.judge(min_psnr=min_psnr, max_error=max_error):
             if not verdict.holds:
                 raise BudgetMissed(verdict.problem)
 
     def rows(self) -> Iterator[dict[str, Image]]:
-        """For each camera its pictures by name, in order: truth (if there is one), a, b; and how far a is from b and
-        each from the truth, AMPLIFIED: a_b, a_truth, b_truth, as in `views`.
+        """For each camera its pictures by name, in order: truth (if there is one), a, b; then the differences.
+
+        The differences are multiplied by AMPLIFIED and named a_b, a_truth, b_truth, as in `views`.
         """
         for truth, a, b in self.pictures:
             if truth is None:
@@ -97,7 +98,7 @@ class Comparison(Scene):
 
     @property
     def sheet(self) -> Image:
-        """All pictures, a row for each camera, below a line that says what is in each column."""
+        """A contact sheet of all pictures, one row per camera, with a title above each column."""
         rows = list(self.rows())
         tiled = Image.tiled([image for row in rows for image in row.values()], columns=len(rows[0]))
         edge = max(image.size[0] for row in rows for image in row.values()) + GAP
@@ -113,12 +114,12 @@ def _difference(a: Image, b: Image) -> Image:
 
 
 def _titles(names: list[str], edge: int, width: int) -> npt.NDArray[np.float32]:
-    """(h, width, 3) black on white, one name at the left of each column."""
+    """(h, width, 3) black text on white, one name at the left of each column."""
     texts = [TITLES[name] for name in names]
-    scale = max(1, min((edge - GAP) // (max(map(len, texts)) * lettering.ADVANCE), 2))
-    colour = np.ones((scale * lettering.HEIGHT + 2 * GAP, width, 3), np.float32)
+    scale = max(1, min((edge - GAP) // (max(map(len, texts)) * drawing.ADVANCE), 2))
+    colour = np.ones((scale * drawing.HEIGHT + 2 * GAP, width, 3), np.float32)
     for i, text in enumerate(texts):
-        letters = np.kron(lettering.written(text), np.ones((scale, scale), bool))[:, : edge - GAP]
+        letters = np.kron(drawing.letter_dots(text), np.ones((scale, scale), bool))[:, : edge - GAP]
         letters = letters[:, : width - i * edge]
         colour[GAP : GAP + len(letters), i * edge : i * edge + letters.shape[1]][letters] = 0
     return colour

@@ -1,4 +1,4 @@
-"""A compressed octree with what it costs."""
+"""A compressed octree with its size and its loss."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from nerfbake.errors import BudgetMissed, Problem
+from nerfbake.scene.compact_repr import CompactRepr
 from nerfbake.scene.quantised_octree import QuantisedOctree
-from nerfbake.scene.shown import Shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Compression(Shown):
-    """What a search found.
+class Compression(CompactRepr):
+    """The result of a search for compression parameters.
 
-    pruned       the share of leaves, of those with a density, that were left out
-    size         bytes of its file
+    pruned       the share of the leaves with a density that were pruned
+    size         bytes of the file
     error        the mean squared difference of its pictures from the original's, sRGB in 0..1
     loss         dB of PSNR against photographs: measured, or predicted as 10 log10(1 + error / M)
-    source_psnr  dB of the original against photographs, as it was measured, or assumed for M
-    views        how many views error and loss are of
+    source_psnr  dB of the original against photographs, measured, or assumed to compute M
+    views        the number of views for error and loss
 
     >>> from nerfbake import build_octree, compress_octree, sample_n3tree
     >>> octree = build_octree(sample_n3tree(resolution=16))
@@ -43,12 +43,12 @@ class Compression(Shown):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What a script wants to read."""
+        """The result for scripts."""
         facts = {name: value for name, value in vars(self).items() if name != "quantised"}
         return {"leaves": self.quantised.m, "step": self.quantised.colour_step, **facts}
 
     def require(self, max_loss: float) -> None:
-        """Raises BudgetMissed where it loses more."""
+        """Raise BudgetMissed if the loss exceeds max_loss."""
         if self.loss > max_loss:
             problem = Problem("the octree", f"loses {self.loss:.3f} dB at the finest step", f"`max_loss={max_loss:g}`")
             raise BudgetMissed(problem)

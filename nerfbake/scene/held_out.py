@@ -1,4 +1,4 @@
-"""Pixels of photographs that a scene was not fitted to: by them a later step measures what it loses."""
+"""Held-out pixels: pixels of photographs that a scene was not fitted to. Later steps measure their loss with them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.compact_repr import CompactRepr
 from nerfbake.scene.image import WHITE, Image
-from nerfbake.scene.shown import Shown
 
-RAYS = 500_000  # enough to measure 0.1 dB to a hundredth
+RAYS = 500_000  # enough to measure 0.1 dB with a precision of 0.01 dB
 MAX_EVERY = 1 << 16
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class HeldOut(Shown):
-    """Every k-th pixel of every k-th row of photographs, from the first on.
+class HeldOut(CompactRepr):
+    """Every k-th pixel of every k-th row of photographs, starting with the first.
 
-    cameras     each in its photograph's size; their samples are the rays along each edge of a pixel
+    cameras     each in its photograph's size; `samples` is the number of rays along each edge of a pixel
     pixels      (h, w, 3) uint8 for each camera: sRGB over the background, h = ceil(height / every)
     every       k
     background  sRGB, 0..1
@@ -44,7 +44,7 @@ class HeldOut(Shown):
         if len(self.background) != 3 or not all(0 <= part <= 1 for part in self.background):
             raise InvalidScene(Problem("background", f"is {self.background}", "three numbers, 0 to 1"))
         if len(self.pixels) != len(self.cameras.cameras):
-            allowed = f"{len(self.cameras.cameras)}, one a camera"
+            allowed = f"{len(self.cameras.cameras)}, one per camera"
             raise InvalidScene(Problem("truth", f"has {len(self.pixels)} pictures", allowed))
         for camera, pixels in zip(self.cameras.cameras, self.pixels, strict=True):
             if pixels.shape != (*thinned_size(camera, self.every), 3) or pixels.dtype != np.uint8:
@@ -64,9 +64,10 @@ class HeldOut(Shown):
         *,
         background: tuple[float, float, float] = WHITE,
     ) -> HeldOut:
-        """Pixels of photographs (H, W, 3), sRGB in 0..1 over the background: all of them where these take up to RAYS
-        rays, else as many as take RAYS to 4 RAYS. Raises InvalidScene for photographs of another number or size than
-        the cameras'.
+        """Select pixels of photographs (H, W, 3), sRGB in 0..1 over the background.
+
+        All pixels are kept if they take up to RAYS rays, else so many that they take RAYS to 4 RAYS. Raises
+        InvalidScene if the number or the sizes of the photographs differ from those of the cameras.
         """
         total = sum(camera.width * camera.height for camera in cameras.cameras)
         every = min(max(1, int(cameras.samples * np.sqrt(total / RAYS))), MAX_EVERY)
@@ -81,18 +82,20 @@ class HeldOut(Shown):
 
     @classmethod
     def of_images(cls, cameras: Cameras, photographs: Iterable[Image]) -> HeldOut:
-        """The same of pictures, laid over white."""
+        """Like of(), for pictures, which are composited over white."""
         return cls.of(cameras, (image.over(WHITE).colour for image in photographs), background=WHITE)
 
     def looks(self) -> list[list[Camera]]:
-        """For each view the cameras whose pictures' mean is what it sees at these pixels: one for each ray of a pixel,
-        to the last bits."""
+        """For each view the cameras of its pixels, one for each ray of a pixel.
+
+        The mean of their pictures equals the view at these pixels, except for the last bits.
+        """
         N = self.cameras.samples
         parts = [(i + 0.5) / N for i in range(N)]
         return [[self._thinned(camera, x, y) for y in parts for x in parts] for camera in self.cameras.cameras]
 
     def _thinned(self, camera: Camera, x: float, y: float) -> Camera:
-        """The camera of one ray of each of the pixels, at x, y in 0..1."""
+        """The camera of one ray per pixel, at x, y in 0..1 of the pixel."""
         height, width = thinned_size(camera, self.every)
         return replace(
             camera,
@@ -104,5 +107,5 @@ class HeldOut(Shown):
 
 
 def thinned_size(camera: Camera, every: int) -> tuple[int, int]:
-    """(h, w): how many of a picture's rows, and pixels of a row, are there."""
+    """(h, w): the number of selected rows, and of selected pixels in a row."""
     return -(-camera.height // every), -(-camera.width // every)

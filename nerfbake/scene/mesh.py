@@ -1,4 +1,4 @@
-"""Triangle meshes and how they look."""
+"""Triangle meshes with textures and colours."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.affine import turned
+from nerfbake.kernels.maths.affine import rotate
 from nerfbake.kernels.soundness import count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
-from nerfbake.scene.shown import Shown
+from nerfbake.scene.compact_repr import CompactRepr
 
-Composite = Literal["stop", "ztest"]  # how meshes and a field are seen together
+Composite = Literal["stop", "ztest"]  # how meshes and a field are composited
 MAX_MESHES = 10_000
-MAX_UV = 1e6  # float32 has no digits for texels beyond it
-UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for a writer's rounding
+MAX_UV = 1e6  # beyond it float32 cannot resolve texels
+UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for rounding in files
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Mesh(Shown):
-    """Triangles over vertices that carry their texture coordinates, as glTF has them.
+class Mesh(CompactRepr):
+    """Triangles over vertices with texture coordinates, as in glTF.
 
-    positions  (v, 3) float32, in the field's own world
-    uvs        (v, 2) float32, v down: (0, 0) is the upper left corner of the texture, which repeats; None: none
+    positions  (v, 3) float32, in the world of the field
+    uvs        (v, 2) float32, v down: (0, 0) is the upper left corner of the texture, which repeats; None: no texture
+               coordinates
     faces      (t, 3) uint32, counter-clockwise from outside
-    texture    (H, W, 3) uint8, sRGB, shown as it is; None: a surface of one colour, lit from the camera
-    colours    (v, 3) float32, sRGB in 0..1, times the texture; None: white on a texture, else grey
+    texture    (H, W, 3) uint8, sRGB, shown unlit; None: a surface of one colour, lit from the camera
+    colours    (v, 3) float32, sRGB in 0..1, multiplied by the texture; None: white on a texture, else grey
 
     >>> import numpy as np
     >>> from nerfbake import Mesh
@@ -74,13 +75,15 @@ class Mesh(Shown):
             raise InvalidScene(problems[0])
 
     def require_uvs(self) -> npt.NDArray[np.float32]:
-        """Its texture coordinates. Raises InvalidScene if it has none."""
+        """Return the texture coordinates. Raises InvalidScene if there are none."""
         if self.uvs is None:
-            raise InvalidScene(Problem("the mesh", "has no texture coordinates", "some for every vertex"))
+            raise InvalidScene(
+                Problem("the mesh", "has no texture coordinates", "texture coordinates for every vertex")
+            )
         return self.uvs
 
     def require_unwrapped(self) -> npt.NDArray[np.float32]:
-        """Its texture coordinates. Raises InvalidScene if it has none, or some outside the texture."""
+        """Return the texture coordinates. Raises InvalidScene if there are none, or any outside the texture."""
         uvs = self.require_uvs()
         outside = ~((uvs >= -UV_MARGIN) & (uvs <= 1 + UV_MARGIN))
         for problem in count_problem("mesh uvs", outside, uvs, "0 to 1"):
@@ -89,14 +92,14 @@ class Mesh(Shown):
 
 
 def require_few(count: int) -> None:
-    """Raises InvalidScene for more meshes than a file may show: each has arrays of its own."""
+    """Raise InvalidScene if a file shows more meshes than allowed, because each has its own arrays."""
     if count > MAX_MESHES:
-        raise InvalidScene(Problem("the scene", f"shows {count:,} meshes or more", f"{MAX_MESHES:,}, one a material"))
+        raise InvalidScene(Problem("the scene", f"shows {count:,} meshes or more", f"{MAX_MESHES:,}, one per material"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Meshes(Scene):
-    """Everything that a mesh file shows, a mesh for each material.
+    """All meshes of a file, one for each material.
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes
@@ -113,11 +116,14 @@ class Meshes(Scene):
         require_few(len(self.meshes))
 
     def with_up(self, up: Literal["y", "z"]) -> Meshes:
-        """The same, turned so that its y, which is up in glTF, is this axis: z puts (x, y, z) at (x, -z, y)."""
+        """The same meshes, rotated so that the y axis, which is up in glTF, becomes the axis `up`.
+
+        z maps (x, y, z) to (x, -z, y).
+        """
         if up == "y":
             return self
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float64)
-        return Meshes(tuple(replace(m, positions=turned(m.positions, turn).astype(np.float32)) for m in self.meshes))
+        return Meshes(tuple(replace(m, positions=rotate(m.positions, turn).astype(np.float32)) for m in self.meshes))
 
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)
@@ -135,7 +141,10 @@ def vertex_box(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:
 def joined_meshes(
     meshes: Sequence[Mesh],
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
-    """Positions (v, 3) and faces (t, 3) of all meshes as one, and (n + 1,) where each mesh's faces start."""
+    """All meshes as one: positions (v, 3) and faces (t, 3).
+
+    Also returns (n + 1,): the index of each mesh's first face, and the number of faces.
+    """
     vertex = np.cumsum([0] + [len(mesh.positions) for mesh in meshes])
     first = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
     faces = [mesh.faces + np.uint32(shift) for mesh, shift in zip(meshes, vertex, strict=False)]

@@ -1,4 +1,4 @@
-"""The PlenOctree as svox stores it: a table of nodes with N^3 cells each, children by relative offset."""
+"""The PlenOctree as svox stores it: a table of nodes with N^3 cells each, and children as relative offsets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nerfbake.scene.base import Scene, edge_problems, number_problems, place_pro
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.held_out import HeldOut
 
-MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: keeps every coordinate exact in int64
+MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: coordinates stay exact in int64
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,14 +25,15 @@ class N3Tree(Scene):
     """A sparse N^3 tree over the cube [0, 1]^3. Source: docs/formats/n3tree.md, "Keys"; svox.
 
     child    (n, N, N, N) int32: offset of the child's row from this row, 0 = leaf; cells are [x][y][z]
-    data     (n, N, N, N, D) float16 or float32: a row for EVERY cell; only those of leaves mean anything
+    data     (n, N, N, N, D) float16 or float32: a row for EVERY cell; only the rows of leaves are used
     offset, invradius  (3,) float64: world to tree, p = world * invradius + offset
-    data_format  'SH9', 'RGBA', 'SG25', ...: scene.basis says how D is laid out; sigma (1/world unit) is last
+    data_format  'SH9', 'RGBA', 'SG25', ...: scene.basis defines the layout of D; sigma (1/world unit) is last
     extra_data   the lobes of SG and ASG (B, 4 or 11) float32, else None
-    dialect  how the file spelled it: 'svox', 'legacy', 'quantised', 'quantised+retained'
-    held_out pixels of photographs that the tree was not fitted to, by which compress_octree() measures; None: unknown
+    dialect  variant of the file format: 'svox', 'legacy', 'quantised', 'quantised+retained'
+    held_out held-out pixels, with which compress_octree() measures its loss; None: unknown
     ndc      True for a forward-facing scene, whose cube is not a box of the world
-    Rows that the root does not reach (freed ones) are junk and never read.
+
+    Rows that are not reachable from the root (freed ones) are invalid and never read.
 
     >>> from nerfbake import sample_n3tree
     >>> tree = sample_n3tree(resolution=8)
@@ -59,7 +60,9 @@ class N3Tree(Scene):
         if self.child.dtype != np.int32:
             raise InvalidScene(Problem("child", f"has dtype {self.child.dtype}", "int32"))
         if self.data.shape[:-1] != shape or self.data.ndim != 5:
-            raise InvalidScene(Problem("data", f"has shape {self.data.shape}", f"{(*shape, 'D')} as child has it"))
+            raise InvalidScene(
+                Problem("data", f"has shape {self.data.shape}", f"{(*shape, 'D')} with the shape of child")
+            )
         if self.data.dtype not in (np.float16, np.float32):
             raise InvalidScene(Problem("data", f"has dtype {self.data.dtype}", "float16 or float32"))
         basis = parse_basis(self.data_format)
@@ -76,12 +79,12 @@ class N3Tree(Scene):
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
     def N(self) -> int:
-        """Cells per node and axis."""
+        """Cells of a node along each axis."""
         return int(self.child.shape[1])
 
     @property
     def n(self) -> int:
-        """Rows of the table, freed ones included."""
+        """Rows of the table, including freed ones."""
         return int(self.child.shape[0])
 
     @property
@@ -111,7 +114,7 @@ class N3Tree(Scene):
 
     @property
     def parent_cells(self) -> list[npt.NDArray[np.int64]]:
-        """Like levels: the flat cell (row * N^3 + cell) that points to each node; -1 for the root."""
+        """For each node in `levels`, the flat cell (row * N^3 + cell) that points to it; -1 for the root."""
         self.require_sound()
         return self._walk.cells
 
@@ -122,7 +125,7 @@ class N3Tree(Scene):
 
     @property
     def leaf_mask(self) -> npt.NDArray[np.bool_]:
-        """(n, N, N, N) bool: cells that mean something, that is leaves of live nodes."""
+        """(n, N, N, N) bool: the cells whose values are used, that is leaves of live nodes."""
         live = np.zeros(self.n, bool)
         for rows in self.levels:
             live[rows] = True
@@ -131,7 +134,7 @@ class N3Tree(Scene):
 
     @property
     def sigma(self) -> npt.NDArray[np.float32]:
-        """(n, N, N, N) density in 1/world unit, of which only that of leaves means anything; a copy."""
+        """(n, N, N, N) density in 1/world unit, a copy; only the values of leaves are valid."""
         return np.ascontiguousarray(self.data[..., -1], np.float32)
 
     # -- soundness ---------------------------------------------------------------------------------------------
@@ -143,7 +146,7 @@ class N3Tree(Scene):
         ]
 
     def value_problems(self, *, negative_is_empty: bool = False) -> list[Problem]:
-        """Values that no renderer can use; only live leaves count. The structure must be sound."""
+        """Values that cannot be rendered. Only live leaves are checked. The structure must be valid."""
         leaf, sigma, problems = self.leaf_mask, self.sigma, []
         problems += number_problems("data", self.data, where=leaf[..., None])
         negative = leaf & (sigma < 0)
@@ -158,11 +161,11 @@ class N3Tree(Scene):
 
     # -- reading -----------------------------------------------------------------------------------------------
     def sample(self, points: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """The values of the leaves that hold these points: (..., 3) world coordinates -> (..., D) float32.
+        """The values of the leaves that contain these points: (..., 3) world coordinates -> (..., D) float32.
 
-        A point on a boundary belongs to the upper cell; within 1e-12 of the cube's edge length below one it
-        counts as on it, so that the rounding of a world coordinate does not choose. Empty leaves (sigma <= 0)
-        and points outside the cube read as zeros.
+        A point on a boundary belongs to the upper cell. Points up to 1e-12 of the cube's edge length below a boundary
+        count as on it, so that the rounding of a world coordinate does not select the cell. Empty leaves (sigma <= 0)
+        and points outside the cube return zeros.
         """
         tree_points = as_points(points) * self.invradius + self.offset
         flat_child, levels = self.child.reshape(self.n, -1), len(self.levels)

@@ -17,9 +17,9 @@ from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.soundness import all_finite, count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis, voxel_dtype
-from nerfbake.scene.rows import MadeOnce, RowsOfNodes
+from nerfbake.scene.rows import LazyRows, RowsOfNodes
 
-_PROVEN = 1 << 15  # rows at a time: temporaries stay in the cache, and memory bounded
+_PROVEN = 1 << 15  # rows at a time: temporaries stay in the cache, and memory is bounded
 MAX_SIZE = 4096  # voxels along an axis
 Layout = Literal["full", "compact"]
 Lookup = Literal["nearest", "trilinear"]
@@ -34,9 +34,9 @@ def _ones() -> npt.NDArray[np.float64]:
 
 
 class _Order(NamedTuple):
-    """Of nodes in breadth-first order (n,) which have no children, and where each level ends.
+    """The leaves (n,) of nodes in breadth-first order, and where each level ends.
 
-    There is one level more than the grid has at most, which tells that there are too many.
+    `ends` has at most one level more than the grid allows, which shows that there are too many.
     """
 
     childless: npt.NDArray[np.bool_]
@@ -49,16 +49,16 @@ class SparseVoxelOctree(Scene):
 
     size           (W, H, D) voxels along x, y, z; the root's cube is the next power of two
     node_children  (c, 8) int32: row of each child, 0 = none; octant = x + 2y + 4z (1 = the upper half)
-    node_data      (n, D) float32 or float16, a row for EVERY node; density sigma (1/world unit) is last. Given as Rows
-                   it is made when it is first read; who writes a file takes node_rows, a part at a time
-    data_format    scene.basis says how D is laid out; '' if nobody knows
+    node_data      (n, D) float32 or float16, a row for EVERY node; density sigma (1/world unit) is last. If it is given
+                   as Rows, the array is computed on first access; to write a file, read node_rows in parts
+    data_format    scene.basis defines the layout of D; '' if unknown
     origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size, voxel (0, 0, 0) starts at origin
-    extra_data     the lobes of SG and ASG, (B, 4 or 11), else None; one row is taken as (B, -1)
+    extra_data     the lobes of SG and ASG, (B, 4 or 11), else None; one row is reshaped to (B, -1)
 
-    Nodes stand in breadth-first order, so that each level is contiguous and children are numbered 1, 2, 3, ...
-    as they are met. c = n is the report's `full` layout; c = nodes above the last level is `compact`.
-    A node without any child is a leaf and fills its cube; in a node that has children, an octant without one
-    is empty. What an internal node holds is what its level should show (stages.n3tree_to_octree has the rule).
+    Nodes are in breadth-first order: each level is contiguous, and children are numbered 1, 2, 3, ... in the order of
+    traversal. c = n is the report's `full` layout; c = nodes above the last level is `compact`. A node without any
+    child is a leaf and fills its cube. In a node that has children, an octant without a child is empty. An internal
+    node stores the values for its level of detail (stages.n3tree_to_octree defines them).
 
     >>> import numpy as np
     >>> from nerfbake import SparseVoxelOctree
@@ -70,7 +70,7 @@ class SparseVoxelOctree(Scene):
 
     size: tuple[int, int, int]
     node_children: npt.NDArray[np.int32]
-    node_data: MadeOnce = MadeOnce("node_data", "node_rows")  # noqa: RUF009 - a descriptor, no default
+    node_data: LazyRows = LazyRows("node_data", "node_rows")  # noqa: RUF009 - a descriptor, no default
     data_format: str = ""
     origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
     voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
@@ -89,12 +89,12 @@ class SparseVoxelOctree(Scene):
             found = f"has shape {shape}, dtype {dtype}"
             raise InvalidScene(Problem("node_data", found, "(n, D) float16 or float32, n and D at least 1"))
         if self.c > self.n:
-            raise InvalidScene(Problem("node_children", f"has {plural(self.c, 'row')}", f"{self.n:,}, one a node"))
+            raise InvalidScene(Problem("node_children", f"has {plural(self.c, 'row')}", f"{self.n:,}, one per node"))
         if self.data_format and (dim := parse_basis(self.data_format).data_dim) != self.data_dim:
             found = f"has {self.data_dim} values per node"
             raise InvalidScene(Problem("node_data", found, f"{dim} for data_format {self.data_format}"))
         if self.extra_data is not None and self.extra_data.ndim == 1 and self.data_format:
-            # Files without a shape for it give one row a lobe back, so that is its shape from the start.
+            # Files that do not store its shape return one row per lobe, so use that shape from the start.
             B, count = parse_basis(self.data_format).size, self.extra_data.size
             if count % B:
                 raise InvalidScene(Problem("extra_data", f"has {count:,} numbers", f"a multiple of {B}"))
@@ -111,7 +111,7 @@ class SparseVoxelOctree(Scene):
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
     def node_rows(self) -> RowsOfNodes:
-        """node_data, not made yet perhaps."""
+        """node_data, possibly not computed yet."""
         rows: RowsOfNodes = self.__dict__["node_rows"]
         return rows
 
@@ -121,7 +121,7 @@ class SparseVoxelOctree(Scene):
 
     @property
     def c(self) -> int:
-        """Nodes that have child slots."""
+        """Number of nodes that have child slots."""
         return int(self.node_children.shape[0])
 
     @property
@@ -139,7 +139,7 @@ class SparseVoxelOctree(Scene):
 
     @property
     def sigma(self) -> npt.NDArray[Any]:
-        """(n,) density in 1/world unit; a view where the rows are an array."""
+        """(n,) density in 1/world unit; a view if the rows are an array."""
         rows = self.node_rows
         if isinstance(rows, np.ndarray):
             return rows[:, -1]
@@ -151,9 +151,11 @@ class SparseVoxelOctree(Scene):
 
     @property
     def voxels(self) -> npt.NDArray[Any]:
-        """(n,) node_data by name, a view: `voxels["red"]["f1_m1"]` is red's coefficient f1^-1, `voxels["sigma"]` the
-        density; the colours of RGBA are plain numbers. Raises InvalidScene where nobody knows what the values are.
-        Source: TR-24-01 (docs/sources.md), 5.1."""
+        """(n,) node_data with named fields, a view.
+
+        `voxels["red"]["f1_m1"]` is red's coefficient f1^-1, `voxels["sigma"]` the density. The colours of RGBA are
+        single numbers. Raises InvalidScene if the data format is unknown. Source: TR-24-01 (docs/sources.md), 5.1.
+        """
         if not self.data_format:
             raise InvalidScene(
                 Problem("data_format", "is not known", "SHk, SGk, ASGk or RGBA, whose values have names")
@@ -163,7 +165,7 @@ class SparseVoxelOctree(Scene):
 
     @property
     def level_sizes(self) -> list[int]:
-        """Nodes in each level, the root's first. Raises InvalidScene if the structure is not sound."""
+        """Nodes in each level, the root's first. Raises InvalidScene if the structure is invalid."""
         self.require_sound()
         assert self._order is not None
         return [int(size) for size in np.diff(self._order.ends, prepend=0)]
@@ -171,7 +173,7 @@ class SparseVoxelOctree(Scene):
     @cached_property
     def childless(self) -> npt.NDArray[np.bool_]:
         """(n,) bool: the leaves."""
-        if self._order is not None:  # known from the proof of soundness: a tenth of the time
+        if self._order is not None:  # computed by the structure check: ten times as fast
             return self._order.childless
         childless = np.ones(self.n, bool)
         childless[: self.c] = ~self.node_children.any(axis=1)
@@ -180,9 +182,9 @@ class SparseVoxelOctree(Scene):
     # -- soundness ---------------------------------------------------------------------------------------------
     @cached_property
     def _order(self) -> _Order | None:
-        """What one pass over the table proves of nodes in breadth-first order; None where they are not in that.
+        """Leaves and levels from one pass over the table; None if the nodes are not in breadth-first order.
 
-        There the children read 1, 2, ..., n - 1, row by row, each behind its parent: the table is sound.
+        In that order the children read 1, 2, ..., n - 1, row by row, each after its parent. The table is then valid.
         """
         memory.require("node_children's order", self.n)
         childless, ends, met = np.ones(self.n, bool), [1], 0
@@ -196,7 +198,7 @@ class SparseVoxelOctree(Scene):
                 return None
             childless[own] = False
             while ends[-1] < self.n and ends[-1] <= start + len(rows) and len(ends) < self.grid_level + 2:
-                # Children are numbered as they are met: a level ends behind the last child of the level above.
+                # Children are numbered in order of traversal: a level ends after the last child of the level above.
                 ends.append(1 + before + int(np.searchsorted(own, ends[-1])))
         return _Order(childless, ends) if met == self.n - 1 else None
 
@@ -232,8 +234,10 @@ class SparseVoxelOctree(Scene):
         return [Problem("node_children", "is not in breadth-first order", "children numbered 1, 2, 3, ... as met")]
 
     def breadth_first(self) -> SparseVoxelOctree:
-        """The same octree in breadth-first order; itself where it is so already, or where its order is not all
-        that is wrong with it."""
+        """The same octree in breadth-first order.
+
+        Returns the octree itself if it is in this order already, or if it has other structural problems.
+        """
         if self._order is not None or self._walk.problems:
             return self
         order = np.concatenate(self._walk.levels)
@@ -244,18 +248,18 @@ class SparseVoxelOctree(Scene):
         table[: self.c] = self.node_children
         rank = np.zeros(self.n, np.int32)
         rank[order] = np.arange(self.n, dtype=np.int32)
-        # The root is row 0 in both orders and nobody's child: rank[0] = 0 keeps "no child" as it is.
+        # The root is row 0 in both orders and never a child: rank[0] = 0 leaves "no child" unchanged.
         return replace(self, node_children=rank[table[order]], node_data=self.node_data[order])
 
     def value_problems(self) -> list[Problem]:
-        """Values that no renderer can use."""
+        """Values that cannot be rendered."""
         problems = [] if self._usable_rows() else self._row_problems()
         if self.extra_data is not None:
             problems += number_problems("extra_data", self.extra_data)
         return problems
 
     def _usable_rows(self) -> bool:
-        """Whether no value is out of order, a part of them at a time."""
+        """Whether all values can be rendered; checked in parts."""
         rows = self.node_rows
         for start in range(0, self.n, _PROVEN):
             some = rows[start : start + _PROVEN]
@@ -281,8 +285,8 @@ class SparseVoxelOctree(Scene):
     def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
         """The values at these points: (..., 3) world coordinates -> (..., D) float32.
 
-        nearest: the voxel that holds the point. trilinear: the eight voxels whose centres surround it, weighted
-        as usual. Empty space and everything outside the W x H x D grid read as zeros.
+        nearest: the voxel that contains the point. trilinear: the eight voxels whose centres surround it, with
+        trilinear weights. Empty space and points outside the W x H x D grid return zeros.
         """
         if lookup not in ("nearest", "trilinear"):
             raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))

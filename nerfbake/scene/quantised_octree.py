@@ -1,4 +1,4 @@
-"""An octree as the whole numbers of a compressed file: which nodes there are, and coefficients of a transform."""
+"""A compressed octree as integers: which nodes exist, and the coefficients of a transform."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.casting import cast
-from nerfbake.kernels.maths.elementary import expm1
+from nerfbake.kernels.maths.elementary import cast, expm1
 from nerfbake.kernels.octree import haar
-from nerfbake.kernels.octree.haar_blocks import restore
-from nerfbake.kernels.octree.means import mean_edge
+from nerfbake.kernels.octree.haar import restore
 from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
-from nerfbake.kernels.octree.pyramid import Level, children_table
+from nerfbake.kernels.octree.pyramid import Level, children_table, mean_edge
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 
-MAX_VALUE = (1 << 30) - 1  # of a coefficient, in steps
-STEPS = (1e-9, 1e9)  # what a step and a scale may be
+MAX_VALUE = (1 << 30) - 1  # largest coefficient, in steps
+STEPS = (1e-9, 1e9)  # range of steps and scales
 _CHUNK = 1 << 15  # leaves at a time
 
 
@@ -36,18 +34,18 @@ def _ones() -> npt.NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuantisedOctree(Scene):
-    """The m leaves of an octree over a grid of W x H x D voxels, transformed and rounded to whole numbers.
+    """The m leaves of an octree over a grid of W x H x D voxels, transformed and quantised to integers.
 
-    size           (W, H, D) voxels along x, y, z, as SparseVoxelOctree has it
-    masks          (c,) uint8 which children each node has that is above the level of single voxels, breadth-first; bit
-                   x + 2y + 4z for the octant; 0 = a leaf
+    size           (W, H, D) voxels along x, y, z, as in SparseVoxelOctree
+    masks          (c,) uint8: the children of each node above the level of single voxels, breadth-first; bit x + 2y +
+                   4z for the octant; 0 = a leaf
     values         (m, 3B + 1) int32, in steps: the channels of colour in falling variance, then density. Row 0 is the
                    sum of all leaves; then there is a row for each pair of the region-adaptive Haar transform
                    (kernels.octree.haar), from the coarsest binary level to the finest, in Morton order within each
     mixing         (3B, 3B) int16: the basis's coefficients (rows; red, green, blue) = mixing_scale * mixing * channels
-    mixing_scale   one unit of mixing
-    colour_step    of every channel of colour
-    density_step   of the channel of density v
+    mixing_scale   the unit of `mixing`
+    colour_step    quantisation step of every channel of colour
+    density_step   quantisation step of the channel of density v
     density_scale  sigma = density_scale * (e^v - 1), in 1/world unit
     data_format    SHk or RGBA
     origin, voxel_size  (3,) float64: world = origin + voxel * voxel_size
@@ -99,7 +97,7 @@ class QuantisedOctree(Scene):
 
     @property
     def m(self) -> int:
-        """Leaves."""
+        """Number of leaves."""
         return len(self.values)
 
     @property
@@ -113,12 +111,12 @@ class QuantisedOctree(Scene):
 
     @property
     def level_sizes(self) -> list[int]:
-        """Nodes in each level from the root to the last that has any; the masks must be sound."""
+        """Nodes in each level from the root to the last non-empty one. The masks must be valid."""
         return mask_levels(self.masks, self.grid_level)
 
     @property
     def steps(self) -> npt.NDArray[np.float64]:
-        """(3B + 1,) the step of each channel."""
+        """(3B + 1,) the quantisation step of each channel."""
         return np.append(np.full(3 * self.basis.size, self.colour_step), self.density_step)
 
     # -- soundness ---------------------------------------------------------------------------------------------
@@ -134,7 +132,7 @@ class QuantisedOctree(Scene):
         leaves = sum(sizes) - int(np.count_nonzero(self.masks))
         if leaves != self.m:
             found = f"have {plural(self.m, 'row')}"
-            problems.append(Problem("values", found, f"{leaves:,}, one a leaf"))
+            problems.append(Problem("values", found, f"{leaves:,}, one per leaf"))
         return problems
 
     def value_problems(self) -> list[Problem]:
@@ -143,12 +141,12 @@ class QuantisedOctree(Scene):
 
     # -- the octree again --------------------------------------------------------------------------------------
     def leaf_values(self) -> npt.NDArray[np.float32]:
-        """(m, 3B + 1) float32 what the leaves hold, breadth-first; the same bits on every CPU.
+        """The values of the leaves, (m, 3B + 1) float32, breadth-first; the same bits on every CPU.
 
-        The coefficients times their steps go backwards through the Haar transform. A coefficient of the basis is then
-        the sum over the channels, from the first to the last, of the channel times (mixing times mixing_scale), and
-        the density density_scale * expm1(v), with kernels.maths.elementary's expm1 and 0 for a v below 0. All of it is
-        float64, one operation after the other, and what comes out is rounded to float32. The structure must be sound.
+        The inverse Haar transform is applied to the coefficients times their steps. A coefficient of the basis is then
+        the sum over the channels, from the first to the last, of the channel times (mixing times mixing_scale). The
+        density is density_scale * expm1(v), with kernels.maths.elementary's expm1, and 0 for negative v. All operations
+        are float64, one after the other, and the result is rounded to float32. The structure must be valid.
         """
         return self._leaf_values(haar.levels_of(self.masks, self.grid_level))
 
@@ -161,14 +159,16 @@ class QuantisedOctree(Scene):
         values, density = restore(self.values, self.steps, merges, mixing, leaf)
         for first in range(0, self.m, _CHUNK):
             part = slice(first, first + _CHUNK)
-            with np.errstate(over="ignore"):  # infinite then, which the octree's check refuses
+            with np.errstate(over="ignore"):  # becomes infinite, which the octree's check rejects
                 dense = self.density_scale * expm1(np.maximum(density[part], 0))
             values[part, -1] = cast(dense, np.float32)
         return values
 
     def restored(self) -> SparseVoxelOctree:
-        """The octree that this stands for, `full`: its leaves, and inner nodes by build_octree's rule, with a voxel's
-        width for the finest cell's. Raises InvalidScene, MemoryLimit."""
+        """Return the decoded octree in layout `full`. Raises InvalidScene, MemoryLimit.
+
+        Inner nodes are computed by build_octree's rule, with the width of a voxel as that of the finest cell.
+        """
         self.require_usable()
         levels = haar.levels_of(self.masks, self.grid_level)
         leaves = LeafRows(self._leaf_values(levels), mean_edge(self.voxel_size))
@@ -183,8 +183,10 @@ class QuantisedOctree(Scene):
 
 
 def mask_levels(masks: npt.NDArray[np.uint8], levels: int) -> list[int]:
-    """Nodes in each level that these masks speak of, the root's first; the sum of the first `levels` is how many masks
-    there should be. It ends where the masks do."""
+    """Nodes in each level according to these masks, the root's first.
+
+    The sum of the first `levels` entries is the expected number of masks. The list ends where the masks end.
+    """
     bits = np.array([bin(mask).count("1") for mask in range(256)])
     sizes, first = [1], 0
     while len(sizes) <= levels and sizes[-1] and first + sizes[-1] <= len(masks):

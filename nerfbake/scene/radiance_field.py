@@ -1,4 +1,4 @@
-"""What a marcher reads, whatever it was made from: a tree of cells, the values of what is not empty, and its place."""
+"""The input of the ray marcher: a tree of cells, the values of its leaves, and its position in the world."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from nerfbake import memory
 from nerfbake.errors import UsageError
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.march.cells import EMPTY, Cells, rows_at
-from nerfbake.kernels.maths.affine import inverse, placed, turned
+from nerfbake.kernels.maths.affine import inverse, rotate, transform_points
 from nerfbake.scene.base import require_shape
-from nerfbake.scene.basis import Basis, shown_basis
-from nerfbake.scene.shown import Shown
+from nerfbake.scene.basis import Basis, renderable_basis
+from nerfbake.scene.compact_repr import CompactRepr
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RadianceField(Shown):
-    """A radiance field over a tree of cells, ready to be looked at as often as wanted.
+class RadianceField(CompactRepr):
+    """A radiance field over a tree of cells, ready to be rendered any number of times.
 
-    cells   the tree (kernels.march.cells); a leaf's slot says which row of the values is its own
+    cells   the tree (kernels.march.cells); a leaf's slot is its row in `values`
     values  (leaves, 3 B + 1) float32: B coefficients of red, of green, of blue, then the density per world unit
     place   (3, 4) float64: cells of the last level = place @ (world, 1)
-    box     (2, 3) float64: in cells, around all leaves, or the whole tree where there are none
+    box     (2, 3) float64: in cells, around all leaves, or the whole tree if there are none
     basis   SH or RGBA, in the field's own axes
 
     >>> import numpy as np
@@ -46,7 +46,7 @@ class RadianceField(Shown):
     basis: Basis
 
     def __post_init__(self) -> None:
-        shown_basis(str(self.basis))
+        renderable_basis(str(self.basis))
         require_shape("the field's values", self.values, (len(self.values), self.basis.data_dim), np.float32)
         require_shape("the field's place", self.place, (3, 4), np.float64)
         require_shape("the field's box", self.box, (2, 3), np.float64)
@@ -56,43 +56,46 @@ class RadianceField(Shown):
 
     @property
     def axes(self) -> Points:
-        """(3, 3) the field's own axes in the world, a row each, unit vectors; its SH are in these."""
+        """(3, 3) the field's own axes in the world, unit vectors as rows; the SH are in these axes."""
         rows = self.place[:, :3] / np.linalg.norm(self.place[:, :3], axis=1, keepdims=True)
         return np.asarray(rows, np.float64)
 
     @cached_property
     def densities(self) -> npt.NDArray[np.float32]:
-        """(leaves,) of the values, on their own: a core's cache holds them, where it cannot hold all values."""
+        """(leaves,) densities in an array of their own, which fits into a core's cache when `values` does not."""
         memory.require("the field's densities", 4 * len(self.values))
         return np.ascontiguousarray(self.values[:, -1])
 
     def world(self, points: Points) -> Points:
-        """(m, 3) in cells -> the world."""
-        return turned(points - self.place[:, 3], inverse(self.place[:, :3]))
+        """Convert points (m, 3) from cells to the world."""
+        return rotate(points - self.place[:, 3], inverse(self.place[:, :3]))
 
     def sample(self, points: Points) -> npt.NDArray[np.float32]:
-        """(m, 3) in the world -> (m, 3 B + 1) of the leaf around each point, zeros where there is none."""
-        rows = rows_at(self.cells, placed(points, self.place))
+        """The values (m, 3 B + 1) of the leaves around world points (m, 3); zeros if there is none."""
+        rows = rows_at(self.cells, transform_points(points, self.place))
         found = np.zeros((len(points), self.basis.data_dim), np.float32)
         found[rows >= 0] = self.values[rows[rows >= 0]]
         return found
 
     def leaf_centres(self, most: int) -> Points:
-        """(m, 3) world centres of the leaves, evenly thinned out to `most`."""
+        """World centres (m, 3) of the leaves, at most `most` of them, evenly selected."""
         centres = [corners + width / 2 for corners, width in leaves_of(self.cells)] or [np.empty((0, 3))]
         found = np.concatenate(centres)
         return self.world(found[np.linspace(0, len(found) - 1, most).astype(int)] if len(found) > most else found)
 
 
 def require_field(scene: Any) -> RadianceField:
-    """The field itself. Raises UsageError for anything else: making one costs too much to be done for each picture."""
+    """Return the field itself. Raises UsageError for any other scene.
+
+    Building a field is too expensive to be repeated for each picture.
+    """
     if not isinstance(scene, RadianceField):
-        raise UsageError(f"{type(scene).__name__} is no RadianceField; allowed: what build_field() makes of it")
+        raise UsageError(f"{type(scene).__name__} is not a RadianceField; allowed: the result of build_field()")
     return scene
 
 
 def leaves_of(cells: Cells) -> Iterator[tuple[Points, float]]:
-    """The lowest corners (m, 3) of each level's leaves, and their width, in cells of the last level."""
+    """Yield the lowest corners (m, 3) of each level's leaves and their width, in cells of the last level."""
     nodes, corner = np.zeros(1, np.int64), np.zeros((1, 3))
     for first, bits, width in zip(cells.first, cells.bits, cells.width, strict=True):
         steps = np.stack(np.unravel_index(np.arange(1 << 3 * bits), (1 << bits,) * 3), axis=1)
@@ -105,7 +108,7 @@ def leaves_of(cells: Cells) -> Iterator[tuple[Points, float]]:
 
 
 def leaf_box(cells: Cells, limit: npt.ArrayLike = np.inf) -> Points:
-    """(2, 3) around all leaves, up to `limit`; around the whole tree where there are none."""
+    """(2, 3) box around all leaves, up to `limit`; around the whole tree if there are none."""
     low, high = np.full(3, float(cells.edge)), np.zeros(3)
     for corners, width in leaves_of(cells):
         low = np.minimum(low, corners.min(axis=0))

@@ -1,4 +1,4 @@
-"""Rows of values that a scene holds, as an array or still to be made."""
+"""Rows of values in a scene, as an array or computed on demand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nerfbake import memory
 
 
 class Rows(Protocol):
-    """(n, D) values, or what makes them: some rows at a time, or all with np.asarray()."""
+    """(n, D) values, or an object that computes them: a slice of rows, or all with np.asarray()."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -29,13 +29,13 @@ class RowsOfNodes(Rows, Protocol):
     """Rows of an octree's nodes."""
 
     def take(self, rows: npt.NDArray[Any], axis: int) -> npt.NDArray[Any]:
-        """(m, D) those of these leaves, in this order; axis is 0."""
+        """Return (m, D) values of these leaves, in this order; axis is 0."""
 
 
-class MadeOnce:
-    """A field of rows: those that are still to be made become an array when the field is first read.
+class LazyRows:
+    """A dataclass field of Rows, which are converted to an array on first access.
 
-    As they were given they are kept under another name.
+    The original Rows are stored under another attribute name.
     """
 
     def __init__(self, name: str, given: str) -> None:

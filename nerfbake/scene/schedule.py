@@ -1,4 +1,4 @@
-"""How a field is fitted: stages from coarse to fine, as text, as presets, and by the time that they take."""
+"""Schedules of a fit: stages from coarse to fine, as text, from presets, or for a given time."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from nerfbake.errors import InvalidScene, Problem
 
-Rates = tuple[float, float]  # of the first and of the last step
+Rates = tuple[float, float]  # learning rates of the first and of the last step
 RESOLUTIONS = (8, 1024)
 MAX_MINUTES = 10_000.0
-_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 16.0  # of divided cells and before them
+_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 16.0  # before the first split, and of each epoch after it
 MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
 _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
 
@@ -20,13 +20,14 @@ _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "pru
 class Stage(NamedTuple):
     """Epochs over all pictures with one set of cells.
 
-    cells    along an axis of the lattice; a stage has as many as the one before it, or twice as many
-    scale    pictures are that many times smaller
-    epochs   times that every picture is seen
-    density, colour  rates of the first and of the last step; they fall geometrically
-    rays     along an edge of a pixel: 2 are 2 x 2 rays a pixel, whose mean is compared with the picture
-    split    before the stage, this share of the cells is divided into eight: those that pictures blame most
-    prune    after the stage, cells go whose largest weight in any ray is below this
+    cells    along an axis of the lattice; the same number as in the stage before, or twice as many
+    scale    pictures are downscaled by this factor
+    epochs   how often every picture is used
+    density, colour  learning rates of the first and of the last step; they decrease geometrically
+    rays     along an edge of a pixel: 2 is 2 x 2 rays per pixel, whose mean is compared with the picture
+    split    before the stage, this share of the cells is divided into eight: the cells with the largest error in the
+             pictures
+    prune    after the stage, cells are removed if their largest weight in any ray is below this
     """
 
     cells: int
@@ -44,14 +45,14 @@ class Stage(NamedTuple):
         return ",".join(f"{name}={value}" for name, value in zip(_NAMES, values, strict=True))
 
 
-VIEWS = 100  # that the epochs of presets are meant for; of fewer, each is seen the more often
+VIEWS = 100  # number of pictures that the presets are made for; if there are fewer, each is used more often
 _BEFORE = 3, 3, 1  # epochs of the stages of R / 4, R / 2 and R cells
-PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # and of R with some cells divided
-_AGAIN = 6  # epochs of divided cells from which on some more are divided halfway
+PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cells with some cells split
+_AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
 
 
 class Schedule(tuple[Stage, ...]):
-    """Stages in order; str() is what parse_schedule() reads.
+    """Stages in order; str() is the text that parse_schedule() reads.
 
     >>> from nerfbake.scene.schedule import parse_schedule
     >>> schedule = parse_schedule("cells=32,scale=2,epochs=2/cells=64,epochs=3,rays=2")
@@ -73,7 +74,7 @@ class Schedule(tuple[Stage, ...]):
             whole = not any(earlier.split for earlier in made[: number + 1])
             grown = (before.cells, 2 * before.cells) if whole else (before.cells,)
             if stage.cells not in grown:
-                allowed = " or ".join(map(str, grown)) + ("" if whole else ", as cells are divided")
+                allowed = " or ".join(map(str, grown)) + ("" if whole else ", because cells are split already")
                 raise InvalidScene(Problem(f"stage {number + 1}, cells", f"is {stage.cells}", allowed))
         return made
 
@@ -82,25 +83,26 @@ class Schedule(tuple[Stage, ...]):
 
     @property
     def resolution(self) -> int:
-        """Cells along an axis in the last stage; what was split is twice as fine."""
+        """Cells along an axis in the last stage; cells that were split are twice as fine."""
         return self[-1].cells
 
     @property
     def epochs(self) -> int:
-        """Of all stages together."""
+        """Epochs of all stages together."""
         return sum(stage.epochs for stage in self)
 
 
 def parse_schedule(text: str) -> Schedule:
-    """The schedule that str() writes; what a stage leaves out has the default of Stage. Raises InvalidScene."""
+    """Parse the text of a schedule. Missing values of a stage have the defaults of Stage. Raises InvalidScene."""
     return Schedule(_parse_stage(part, f"stage {number}") for number, part in enumerate(text.split("/"), start=1))
 
 
 def preset_schedule(name: str = "balanced", *, resolution: int = 256, samples: int = 2, views: int = VIEWS) -> Schedule:
-    """A preset's stages for a lattice of so many cells, 16 or more; samples: rays along an edge of a pixel.
+    """A preset's stages for a lattice of `resolution` cells along an axis, 16 or more.
 
-    views: how many there are. A fit takes as many steps for a few of them as for a hundred, in about as much time.
-    With samples = 1 the last epoch has single rays, so that pictures of single rays look best.
+    samples: rays along an edge of a pixel. views: number of pictures. A fit takes as many steps for a few views as for
+    a hundred, in about the same time. With samples = 1 the last epoch has single rays, so that pictures with single
+    rays look best.
     """
     if name not in PRESETS:
         raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(PRESETS)))
@@ -108,8 +110,9 @@ def preset_schedule(name: str = "balanced", *, resolution: int = 256, samples: i
 
 
 def schedule_for(minutes: float, *, resolution: int = 256, samples: int = 2, views: int = VIEWS) -> Schedule:
-    """The longest schedule that takes about so many minutes of two cores for a scene like NeRF-Synthetic's chair;
-    views: how many there are, as preset_schedule() has it.
+    """The longest schedule that takes about `minutes` on two cores for a scene like NeRF-Synthetic's chair.
+
+    views: number of pictures, as in preset_schedule().
     """
     if not 0 < minutes <= MAX_MINUTES:
         raise InvalidScene(Problem("minutes", f"are {minutes:g}", f"above 0, to {MAX_MINUTES:g}"))
@@ -143,7 +146,7 @@ def _parse_stage(text: str, place: str) -> Stage:
         name, _, value = word.strip().partition("=")
         if name not in _NAMES or name in found:
             raise InvalidScene(
-                Problem(place, f"has {word.strip()[:40]!r}", f"{', '.join(_NAMES)}, each once, as cells=64")
+                Problem(place, f"has {word.strip()[:40]!r}", f"{', '.join(_NAMES)}, each once, such as cells=64")
             )
         found[name] = value
     if "cells" not in found:
@@ -160,13 +163,13 @@ def _parse_stage(text: str, place: str) -> Stage:
             else:
                 values[name] = float(value) if name in ("split", "prune") else int(value)
         except ValueError:
-            allowed = "rates as 0.1..0.02" if name in ("density", "colour") else "a number"
+            allowed = "rates such as 0.1..0.02" if name in ("density", "colour") else "a number"
             raise InvalidScene(Problem(f"{place}, {name}", f"is {value[:40]!r}", allowed)) from None
     return Stage(**values)  # type: ignore[arg-type]
 
 
 def _require_stage(stage: Stage, number: int) -> None:
-    """Raises InvalidScene for what cannot be done."""
+    """Raise InvalidScene if a value of the stage is out of range."""
     place = f"stage {number + 1}, "
     low, high = RESOLUTIONS
     if not low <= stage.cells <= high or stage.cells & (stage.cells - 1):
@@ -181,6 +184,6 @@ def _require_stage(stage: Stage, number: int) -> None:
                 raise InvalidScene(Problem(place + name, f"is {rate:g}", f"rates above 0, to {MAX_RATE:g}"))
     for name, share in (("split", stage.split), ("prune", stage.prune)):
         if not 0 <= share < 1:
-            raise InvalidScene(Problem(place + name, f"is {share:g}", "0 to 1, without 1"))
+            raise InvalidScene(Problem(place + name, f"is {share:g}", "0 or more, below 1"))
     if stage.split and not number:
         raise InvalidScene(Problem(place + "split", f"is {stage.split:g}", "0 in the first stage"))

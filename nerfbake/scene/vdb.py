@@ -1,4 +1,4 @@
-"""Grids over a VDB tree: values of one or three channels, or a table that one topology indexes."""
+"""Grids over a VDB tree: values of one or three channels, or a table that is indexed by one topology."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.octree.lookup import as_points
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.slots import FAR
+from nerfbake.kernels.vdb.bitmask import FAR
 from nerfbake.scene.base import number_problems
+from nerfbake.scene.compact_repr import CompactRepr
 from nerfbake.scene.octree import Lookup
-from nerfbake.scene.rows import MadeOnce, Rows
-from nerfbake.scene.shown import Shown
+from nerfbake.scene.rows import LazyRows, Rows
 from nerfbake.scene.vdb_topology import VdbTopology
 
-MOST_DENSE = 16  # a leaf's voxels for each active one, up to which all of them are kept to be read
-READ_CHUNK = 1 << 14  # points that a core reads in one go
+MOST_DENSE = 16  # largest ratio of leaf voxels to active voxels for which the table is dense
+READ_CHUNK = 1 << 14  # points per work item of a core
 
 GridClass = Literal["unknown", "fog volume", "level set", "staggered"]
 GRID_CLASSES: tuple[GridClass, ...] = ("unknown", "fog volume", "level set", "staggered")
 
 
 class TableRows(NamedTuple):
-    """What kernels.vdb.accessor reads.
+    """The input of kernels.vdb.accessor.
 
-    table (m + 1, C) float32, row 0 the background; or, dense, a row for each voxel of each leaf and of
-    one that is empty.
+    table: (m + 1, C) float32, row 0 is the background; or, if dense, a row for each voxel of each leaf and of one empty
+    leaf.
     """
 
     dense: bool
@@ -39,20 +39,20 @@ class TableRows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VdbTree(Shown):
-    """A grid of values at voxels and tiles; everywhere else it is the background.
+class VdbTree(CompactRepr):
+    """A grid of values at voxels and tiles; all other voxels have the background value.
 
     values (count, c) float32 or float16, c = 1 (a density) or 3 (a colour), in the topology's order
     background (c,) float32
-    grid_class  what OpenVDB calls it; unless told otherwise one channel is a fog volume, three are unknown
-    active      (count,) bool: False for values that belong to inactive voxels, as those inside a level set's surface,
-                which are minus the background; None where all are active
-    place       (3, 4) float64 the grid's own transform, where it is not the volume's
-    stored      how its file held the values, where that says more than their dtype: 'double', 'Fp8', ...
+    grid_class  OpenVDB's class of the grid; by default a fog volume for one channel, unknown for three
+    active      (count,) bool: False for values of inactive voxels, such as those inside a level set's surface, which
+                are minus the background; None if all are active
+    place       (3, 4) float64: the grid's own transform, if it differs from the volume's
+    stored      how the file stored the values, if their dtype does not tell it: 'double', 'Fp8', ...
 
     >>> import numpy as np
     >>> from nerfbake import VdbTree
-    >>> from nerfbake.scene.vdb_voxels import topology_of
+    >>> from nerfbake.scene.vdb_topology import topology_of
     >>> topology, order = topology_of(np.array([[1, 0, 0], [0, 0, 0]]))
     >>> tree = VdbTree("density", topology, np.array([[3], [1]], np.float32)[order], np.zeros(1, np.float32))
     >>> tree.sample([[0.5, 0, 0]], lookup="trilinear")
@@ -81,49 +81,49 @@ class VdbTree(Shown):
         if self.active is not None and (self.active.shape != self.values.shape[:1] or self.active.all()):
             if self.active.shape != self.values.shape[:1]:
                 found = f"has {len(self.active):,} active states"
-                raise InvalidScene(Problem(f"grid {self.name!r}", found, f"{len(self.values):,}, one a value"))
+                raise InvalidScene(Problem(f"grid {self.name!r}", found, f"{len(self.values):,}, one per value"))
             object.__setattr__(self, "active", None)
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the values."""
+        """The dtype of the values."""
         return self.values.dtype
 
     @cached_property
     def active_topology(self) -> VdbTopology:
-        """The active voxels and tiles alone; its nodes are the topology's."""
+        """The active voxels and tiles alone, over the same nodes."""
         return self.topology if self.active is None else self.topology.only(self.active)
 
     @property
     def active_values(self) -> npt.NDArray[Any]:
-        """Those of active voxels and tiles, in the order of active_topology."""
+        """The values of active voxels and tiles, in the order of active_topology."""
         return self.values if self.active is None else self.values[self.active]
 
     def structure_problems(self) -> list[Problem]:
         return self.topology.structure_problems() or _count_problems(self.name, self.topology.count, len(self.values))
 
     def value_problems(self) -> list[Problem]:
-        """Values that no renderer can use."""
+        """Values that cannot be rendered."""
         return number_problems(self.name, self.values) + number_problems("background", self.background)
 
     @cached_property
     def rows(self) -> TableRows:
-        """The values of voxels in leaves as they are read."""
+        """The values of voxels in leaves, as a table for lookups."""
         table = np.concatenate([self.background[None], self.values[: self.topology.m]], dtype=np.float32)
         return _rows(self.topology, table)
 
     def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
-        """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., c) float32.
+        """The values at these points: (..., 3) in voxels, centres at integers -> (..., c) float32.
 
-        nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight around the point,
-        weighted as usual. What has no value of its own reads as the background.
+        nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight voxels around the point,
+        with trilinear weights. A voxel without a value has the background value.
         """
         if self.topology.tiles is None:
             return _sample(self.topology, self.rows, points, lookup)
         return self._sample_tiles(points, lookup)
 
     def _sample_tiles(self, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:
-        """The same where there are tiles: masks are searched for every voxel anew."""
+        """sample() for trees with tiles: the masks are searched for every voxel."""
         _require_lookup(lookup)
         array = as_points(points)
         flat = np.clip(np.nan_to_num(array.reshape(-1, 3), nan=FAR), -FAR, FAR)
@@ -141,11 +141,11 @@ class VdbTree(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class IndexGrid(Shown):
-    """One topology for any number of channels: voxel i of the order of VdbTopology has row i + 1 of the table.
+class IndexGrid(CompactRepr):
+    """One topology for any number of channels: voxel i in the order of VdbTopology has row i + 1 of the table.
 
-    table (m + 1, C) float32 or float16; row 0 is the background.  Source: PlenVDB, 4.2 (its M_vdb). Given as Rows it is
-    made when it is first read; who writes a file takes table_rows, a part at a time.
+    table (m + 1, C) float32 or float16; row 0 is the background. Source: PlenVDB, 4.2 (its M_vdb). If it is given as
+    Rows, the array is computed on first access; to write a file, read table_rows in parts.
 
     >>> from nerfbake import build_octree, build_vdb, sample_n3tree
     >>> (grid,) = build_vdb(build_octree(sample_n3tree(resolution=8)), grids=("index",)).grids
@@ -157,7 +157,7 @@ class IndexGrid(Shown):
 
     name: str
     topology: VdbTopology
-    table: MadeOnce = MadeOnce("table", "table_rows")  # noqa: RUF009 - a descriptor, no default
+    table: LazyRows = LazyRows("table", "table_rows")  # noqa: RUF009 - a descriptor, no default
 
     def __post_init__(self) -> None:
         shape, dtype = self.table_rows.shape, self.table_rows.dtype
@@ -167,54 +167,56 @@ class IndexGrid(Shown):
 
     @property
     def table_rows(self) -> Rows:
-        """The table, not made yet perhaps."""
+        """The table, possibly not computed yet."""
         rows: Rows = self.__dict__["table_rows"]
         return rows
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the values."""
+        """The dtype of the values."""
         return self.table_rows.dtype
 
     @property
     def values(self) -> npt.NDArray[Any]:
-        """(m, C) the rows of the active voxels; a view."""
+        """(m, C) the rows of the active voxels, a view."""
         return self.table[1:]
 
     @property
     def background(self) -> npt.NDArray[np.float32]:
-        """(C,) what is read everywhere else."""
+        """(C,) the value of all other voxels."""
         background: npt.NDArray[np.float32] = self.table_rows[:1][0].astype(np.float32)
         return background
 
     def structure_problems(self) -> list[Problem]:
         if self.topology.tiles is not None:
-            return [Problem(f"grid {self.name!r}", "is an index with tiles", "an index of voxels")]
+            return [Problem(f"grid {self.name!r}", "is an index grid with tiles", "an index grid without tiles")]
         return self.topology.structure_problems() or _count_problems(
             self.name, self.topology.m, self.table_rows.shape[0] - 1
         )
 
     def value_problems(self) -> list[Problem]:
-        """Values that no renderer can use."""
+        """Values that cannot be rendered."""
         return number_problems(self.name, self.table)
 
     @cached_property
     def rows(self) -> TableRows:
-        """The table as it is read; itself where it is float32."""
+        """The table for lookups, in float32; a view if it is float32 already."""
         return TableRows(False, np.ascontiguousarray(self.table, np.float32))
 
     def sample(self, points: npt.ArrayLike, *, lookup: Lookup = "nearest") -> npt.NDArray[np.float32]:
-        """The values at these points: (..., 3) in voxels, centres at whole numbers -> (..., C) float32.
+        """The values at these points: (..., 3) in voxels, centres at integers -> (..., C) float32.
 
-        nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight around the point,
-        weighted as usual. Inactive voxels read as the background.
+        nearest: the voxel whose centre is nearest (of two the upper one). trilinear: the eight voxels around the point,
+        with trilinear weights. Inactive voxels have the background value.
         """
         return _sample(self.topology, self.rows, points, lookup)
 
 
 def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> TableRows:
-    """One channel is read faster where each leaf has all of its voxels, as NanoVDB has them; where that is much more
-    than there is, it stays as it is."""
+    """Return the table in dense form if that is fast and not too large, else unchanged.
+
+    One channel is read faster if each leaf has all of its voxels, as in NanoVDB.
+    """
     from nerfbake.kernels.vdb.accessor import dense_leaves
 
     if table.shape[1] > 1 or 512 * len(topology.leaf_mask) > MOST_DENSE * len(table):
@@ -223,7 +225,7 @@ def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> TableRows:
 
 
 def _sample(topology: VdbTopology, rows: TableRows, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:
-    # Imported on first use: numba takes half a second, and only reads need it.
+    # Imported on first use: numba takes half a second, and only lookups need it.
     from nerfbake.kernels.vdb.accessor import nearest, trilinear
 
     _require_lookup(lookup)
@@ -245,4 +247,4 @@ def _require_lookup(lookup: str) -> None:
 
 
 def _count_problems(name: str, count: int, rows: int) -> list[Problem]:
-    return [] if count == rows else [Problem(f"grid {name!r}", f"has {rows:,} values", f"{count:,}, one a voxel")]
+    return [] if count == rows else [Problem(f"grid {name!r}", f"has {rows:,} values", f"{count:,}, one per voxel")]

@@ -1,14 +1,18 @@
 """The VDB tree, 5-4-3: a root of 4096^3 tiles, upper nodes of 32^3, lower nodes of 16^3, leaves of 8^3 voxels.
 
-Slots are x-major. Of the voxel (x, y, z), from the leaf up:
+Slots are x-major. For the voxel (x, y, z), from the leaf to the root:
 
     voxel in leaf     (x & 7) << 6        | (y & 7) << 3        | z & 7
     leaf in lower     (x >> 3 & 15) << 8  | (y >> 3 & 15) << 4  | z >> 3 & 15
     lower in upper    (x >> 7 & 31) << 10 | (y >> 7 & 31) << 5  | z >> 7 & 31
     tile in root      (x >> 12) << 42     | (y >> 12) << 21     | z >> 12, each cut to 20 bits
 
-Sorting by all of these in turn puts every level into breadth-first order, so that masks alone say which node is whose
-child: no offsets, no origins but the root's. In place of a child a slot may be a tile: a cube that has one value.
+Sorting by the slots from the root to the leaf puts every level into breadth-first order. The masks alone then define
+which node is the child of which: no offsets are stored, and no origins except the root's. Instead of a child, a slot
+may have a tile: a cube with one value.
+
+topology_of() and topology_of_leaves() build the tree from voxels or leaves.
+
 Source: docs/formats/vdb.md, "The VDB tree"; PlenVDB (docs/sources.md, "PlenVDB"), section 4.
 """
 
@@ -16,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,23 +28,124 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Coords, Ints, Words
 from nerfbake.kernels.soundness import count_problem, plural
-from nerfbake.kernels.vdb.bitmask import bits_kept, exclusive_sum, numbers_of, popcount
-from nerfbake.kernels.vdb.runs import rows_of_runs
-from nerfbake.kernels.vdb.slots import origins_of, root_keys, slots_at, tiles_at
-from nerfbake.scene.vdb_tiles import TILE_EDGES, Cubes, VdbTiles, no_tiles
+from nerfbake.kernels.vdb.bitmask import (
+    ROOT_BITS,
+    bits_kept,
+    exclusive_sum,
+    group_bits,
+    numbers_of,
+    origins_of,
+    popcount,
+    root_keys,
+    rows_of_runs,
+    slots_at,
+    tiles_at,
+)
+
+LEAF_BITS, LOWER_BITS, UPPER_BITS = 9, 12, 15
+_STEPS = ((5, 7), (4, 3), (3, 0))  # bits of a slot along an axis, and the number of lower bits of the coordinate
+
+
+def topology_of(coords: npt.NDArray[np.integer[Any]]) -> tuple[VdbTopology, Ints]:
+    """Build the tree over these voxels: (m, 3) -> topology, and the order (m,) that sorts the voxels.
+
+    Raises InvalidScene if a voxel occurs twice or its coordinates exceed 32 bits.
+    """
+    if len(coords) and not -(1 << 31) <= int(coords.min()) <= int(coords.max()) < 1 << 31:
+        raise InvalidScene(Problem("a voxel", f"lies at {int(np.abs(coords).max())}", "coordinates of 32 bits"))
+    tiles, key = _paths(coords, _STEPS)
+    order = _sorting(key, coords, "voxel")
+    leaves, leaf_mask = group_bits(key[order], LEAF_BITS)
+    return _topology(tiles, leaves, leaf_mask), order
+
+
+def topology_of_leaves(low: npt.NDArray[np.integer[Any]], masks: Words) -> tuple[VdbTopology, Ints]:
+    """Build the tree over leaves: (l, 3) multiples of 8 and (l, 8) masks -> topology.
+
+    Also returns the order that sorts the non-empty leaves.
+    """
+    held = np.flatnonzero(masks.any(axis=1))
+    tiles, key = _paths(low[held], _STEPS[:2])
+    order = _sorting(key, low[held], "leaf")
+    return _topology(tiles, key[order], masks[held[order]]), held[order]
+
+
+def _paths(coords: npt.NDArray[np.integer[Any]], steps: tuple[tuple[int, int], ...]) -> tuple[Ints, Ints]:
+    """The root tiles by number; and (m,) keys of the root tile's row and the slots on the path to each voxel."""
+    keys = root_keys(coords)
+    # Most trees have one root tile, which needs no sort.
+    one = not len(keys) or bool((keys == keys[0]).all())
+    tiles, key = (keys[:1], np.zeros(len(keys), np.int64)) if one else np.unique(keys, return_inverse=True)
+    for width, shift in steps:
+        for axis in range(3):
+            key = key << width | coords[:, axis].astype(np.int64) >> shift & (1 << width) - 1
+    return tiles, key
+
+
+def _sorting(key: Ints, coords: npt.NDArray[np.integer[Any]], what: str) -> Ints:
+    """The order that sorts the keys. Raises InvalidScene if a key occurs twice."""
+    order = np.argsort(key)
+    if len(twice := np.flatnonzero(np.diff(key[order]) == 0)):
+        place = ", ".join(map(str, coords[order[twice[0]]]))
+        raise InvalidScene(Problem(f"{what} ({place})", "occurs twice", f"each {what} once"))
+    return order
+
+
+def _topology(tiles: Ints, leaves: Ints, leaf_mask: Words) -> VdbTopology:
+    """Build the topology from sorted keys of leaves (l,)."""
+    lowers, lower_mask = group_bits(leaves, LOWER_BITS)
+    _, upper_mask = group_bits(lowers, UPPER_BITS)
+    half = 1 << ROOT_BITS - 1
+    tile_numbers = np.stack([tiles >> 42, tiles >> 21, tiles], axis=1) & (1 << ROOT_BITS) - 1
+    root_origin = ((tile_numbers + half) % (2 * half) - half) * 4096  # two's complement of 20 bits
+    return VdbTopology(root_origin.astype(np.int32), upper_mask, lower_mask, leaf_mask)
+
+
+TILE_EDGES = (8, 128, 4096)  # voxels along a tile in a lower node, in an upper node, in the root
+
+
+class Cubes(NamedTuple):
+    """low (q, 3) int32: lowest voxels of cubes that are `edge` voxels wide."""
+
+    low: Coords
+    edge: int
+
+
+@dataclass(frozen=True, eq=False)
+class VdbTiles:
+    """Tiles: cubes with one value each, in place of nodes.
+
+    lower_mask (k, 64) uint64   the slots of each lower node that are tiles, of 8^3 voxels
+    upper_mask (u, 512) uint64  the slots of each upper node that are tiles, of 128^3 voxels
+    root_origin (r, 3) int32    lowest voxel of tiles of 4096^3, in the order of root_keys()
+    """
+
+    lower_mask: Words
+    upper_mask: Words
+    root_origin: Coords
+
+    @cached_property
+    def counts(self) -> tuple[int, int, int]:
+        """Number of tiles of 8^3, of 128^3, of 4096^3."""
+        return int(popcount(self.lower_mask).sum()), int(popcount(self.upper_mask).sum()), len(self.root_origin)
+
+
+def no_tiles(upper_mask: Words, lower_mask: Words) -> VdbTiles:
+    """A VdbTiles without tiles, for these child masks."""
+    return VdbTiles(np.zeros_like(lower_mask), np.zeros_like(upper_mask), np.zeros((0, 3), np.int32))
 
 
 @dataclass(frozen=True, eq=False)
 class VdbTopology:
-    """Which voxels, and which tiles, have a value of their own: in nearly all grids those that are active.
+    """The voxels and tiles that have a value: in nearly all grids those that are active.
 
     root_origin (u, 3) int32   lowest voxel of each upper node, multiples of 4096, in the order of root_keys()
-    upper_mask  (u, 512) uint64  the lower nodes that each upper node has
-    lower_mask  (k, 64) uint64   the leaves that each lower node has
-    leaf_mask   (l, 8) uint64    the voxels that each leaf has; m of them altogether
-    tiles       None where there are none
+    upper_mask  (u, 512) uint64  the lower nodes of each upper node
+    lower_mask  (k, 64) uint64   the leaves of each lower node
+    leaf_mask   (l, 8) uint64    the voxels of each leaf; m in total
+    tiles       None if there are none
 
-    Values stand in this order: the voxels, leaf after leaf, then the tiles of 8^3, of 128^3, of 4096^3.
+    Order of the values: the voxels, leaf after leaf, then the tiles of 8^3, of 128^3, of 4096^3.
     """
 
     root_origin: Coords
@@ -55,7 +160,7 @@ class VdbTopology:
             _require_shape(name, getattr(self, name), width, np.uint64)
         if len(self.root_origin) != len(self.upper_mask):
             found = f"has {plural(len(self.upper_mask), 'row')}"
-            raise InvalidScene(Problem("upper_mask", found, f"{len(self.root_origin):,} as root_origin"))
+            raise InvalidScene(Problem("upper_mask", found, f"{len(self.root_origin):,}, as in root_origin"))
         if self.tiles is not None:
             _require_shape("tiles.root_origin", self.tiles.root_origin, 3, np.int32)
             for name in ("upper_mask", "lower_mask"):
@@ -68,33 +173,33 @@ class VdbTopology:
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
     def node_counts(self) -> tuple[int, int, int]:
-        """Upper nodes, lower nodes, leaves."""
+        """Number of upper nodes, lower nodes, leaves."""
         return len(self.upper_mask), len(self.lower_mask), len(self.leaf_mask)
 
     @property
     def tile_counts(self) -> tuple[int, int, int]:
-        """Tiles of 8^3, of 128^3, of 4096^3."""
+        """Number of tiles of 8^3, of 128^3, of 4096^3."""
         return self.tiles.counts if self.tiles else (0, 0, 0)
 
     @cached_property
     def m(self) -> int:
-        """Voxels in leaves."""
+        """Number of voxels in leaves."""
         return int(popcount(self.leaf_mask).sum())
 
     @property
     def count(self) -> int:
-        """Values: of voxels in leaves and of tiles."""
+        """Number of values: of voxels in leaves and of tiles."""
         return self.m + sum(self.tile_counts)
 
     @property
     def voxel_count(self) -> int:
-        """Voxels in leaves and in tiles."""
+        """Number of voxels in leaves and in tiles."""
         return self.m + sum(count * edge**3 for count, edge in zip(self.tile_counts, TILE_EDGES, strict=True))
 
     # -- places ------------------------------------------------------------------------------------------------
     @cached_property
     def first(self) -> Ints:
-        """(l,) the number of each leaf's first voxel."""
+        """(l,) the index of each leaf's first voxel."""
         return exclusive_sum(popcount(self.leaf_mask))
 
     @cached_property
@@ -109,12 +214,12 @@ class VdbTopology:
 
     @property
     def coords(self) -> Coords:
-        """(m, 3) the voxels in leaves, in order."""
+        """(m, 3) coordinates of the voxels in leaves, in order."""
         return origins_of(self.leaf_origin, self.leaf_mask, 3, 1)
 
     @property
     def tile_cubes(self) -> list[Cubes]:
-        """The tiles of 8^3, of 128^3, of 4096^3, in order; an empty list where there are none."""
+        """The tiles of 8^3, of 128^3, of 4096^3, in order; an empty list if there are none."""
         if self.tiles is None:
             return []
         lower = origins_of(self.lower_origin, self.tiles.lower_mask, 4, 8)
@@ -123,7 +228,7 @@ class VdbTopology:
 
     @cached_property
     def box(self) -> tuple[Ints, Ints] | None:
-        """The lowest and the highest voxel on each axis, both included; None where there is none."""
+        """The lowest and the highest voxel on each axis, both included; None if there are no voxels."""
         held = self.leaf_mask.any(axis=1)
         ends = [(low[held], high[held]) for low, high in [self.leaf_boxes]]
         ends += [(low.astype(np.int64), low.astype(np.int64) + edge - 1) for low, edge in self.tile_cubes]
@@ -132,7 +237,7 @@ class VdbTopology:
 
     @cached_property
     def leaf_boxes(self) -> tuple[Ints, Ints]:
-        """(l, 3) lowest and highest voxel of each leaf; an empty leaf gives its own whole cube."""
+        """(l, 3) lowest and highest voxel of each leaf; the whole cube for an empty leaf."""
         octets = np.unpackbits(self.leaf_mask.astype("<u8").view(np.uint8).reshape(-1, 64), axis=1, bitorder="little")
         solid = octets.reshape(-1, 8, 8, 8)
         low, high = np.empty((len(solid), 3), np.int64), np.empty((len(solid), 3), np.int64)
@@ -143,21 +248,21 @@ class VdbTopology:
 
     @cached_property
     def tables(self) -> Any:
-        """The masks with their ranks, for kernels.accessor."""
+        """The masks with their ranks, for kernels.vdb.accessor."""
         from nerfbake.kernels.vdb.accessor import tables_of
 
         return tables_of(self.root_origin, self.upper_mask, self.lower_mask, self.leaf_mask)
 
     # -- lookups -----------------------------------------------------------------------------------------------
     def nodes_at(self, coords: npt.NDArray[np.integer[Any]]) -> list[Ints]:
-        """The upper node, the lower node and the leaf around each voxel (q, 3): three times (q,), -1 for none."""
+        """The upper node, the lower node and the leaf around each voxel (q, 3): three arrays (q,), -1 for none."""
         keys, own = root_keys(coords), root_keys(self.root_origin)
         upper = tiles_at(own, keys, coords)
         lower = numbers_of(self.upper_mask, upper, slots_at(coords, 5, 7))
         return [upper, lower, numbers_of(self.lower_mask, lower, slots_at(coords, 4, 3))]
 
     def rows_at(self, coords: npt.NDArray[np.integer[Any]]) -> Ints:
-        """The number of the value that each voxel (q, 3) has, in a leaf or in a tile; -1 where it has none."""
+        """The index of each voxel's value (q,), in a leaf or a tile, for voxels (q, 3); -1 if it has none."""
         upper, lower, leaf = self.nodes_at(coords)
         rows = numbers_of(self.leaf_mask, leaf, slots_at(coords, 3, 0))
         if self.tiles is None:
@@ -173,10 +278,10 @@ class VdbTopology:
 
     # -- other trees -------------------------------------------------------------------------------------------
     def in_order(self) -> tuple[VdbTopology, Ints | None]:
-        """The same tree with the root's tiles sorted, and (count,) the value here that each value there is; None
-        where nothing moves.
+        """The same tree with sorted root tiles.
 
-        Other programs keep the tiles as they like. The masks must agree.
+        Also returns (count,): the index here of each of its values; None if nothing moves. Other programs store the
+        root tiles in any order. The masks must be consistent.
         """
         tiles = self.tiles or no_tiles(self.upper_mask, self.lower_mask)
         upper, root = (np.argsort(root_keys(o), kind="stable") for o in (self.root_origin, tiles.root_origin))
@@ -196,7 +301,7 @@ class VdbTopology:
         return VdbTopology(self.root_origin[upper], *masks, sorted_tiles), np.concatenate(rows)
 
     def only(self, keep: npt.NDArray[np.bool_]) -> VdbTopology:
-        """The same nodes, which may be empty then, with only some of the voxels and tiles: keep is (count,)."""
+        """The same nodes, possibly empty, with a selection of the voxels and tiles: keep is (count,)."""
         leaf_mask = bits_kept(self.leaf_mask, keep[: self.m])
         tiles = None
         if self.tiles:
@@ -219,7 +324,7 @@ class VdbTopology:
 
     # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
-        """Masks that disagree about how many nodes there are, and tiles out of order."""
+        """Masks with inconsistent numbers of nodes, and root tiles out of order."""
         keys = root_keys(self.root_origin)
         astray = np.asarray(np.mod(self.root_origin, 4096) != 0)
         problems = count_problem("root_origin", astray, self.root_origin, "multiples of 4096")
@@ -232,14 +337,14 @@ class VdbTopology:
             return []
         own, problems = root_keys(self.tiles.root_origin), []
         if np.mod(self.tiles.root_origin, 4096).any() or (np.diff(own) <= 0).any() or np.isin(own, keys).any():
-            problems.append(Problem("root tiles", "overlap or lie astray", "multiples of 4096, each place once"))
+            problems.append(Problem("root tiles", "overlap or are misaligned", "multiples of 4096, each place once"))
         for name in ("upper_mask", "lower_mask"):
             if (getattr(self, name) & getattr(self.tiles, name)).any():
                 problems.append(Problem(name, "has slots that are child and tile at once", "one of them"))
         return problems
 
     def mask_problems(self) -> list[Problem]:
-        """Masks that disagree about how many nodes there are."""
+        """Masks with inconsistent numbers of nodes."""
         problems = []
         for name, above, below in (("upper_mask", "lower", self.lower_mask), ("lower_mask", "leaf", self.leaf_mask)):
             claimed = int(popcount(getattr(self, name)).sum())

@@ -1,4 +1,4 @@
-"""Posed pictures: what a field is fitted to, and judged by."""
+"""Pictures with cameras, to which a field is fitted and with which it is evaluated."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.camera import Cameras
 
-PLAIN = 16  # of 255: a pixel of a plain background differs from its colour by no more in any channel
+PLAIN = 16  # of 255: largest difference of a background pixel from the background colour in any channel
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Views(Scene):
-    """Cameras with what they saw.
+    """Cameras with their pictures.
 
-    cameras     each in its own picture's size
-    pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as files have them
-    background  sRGB, 0..1: what stands behind the object; pictures with alpha are laid over it
-    masked      alpha tells the object from what is behind it; else alpha is 255 everywhere
+    cameras     each in the size of its picture
+    pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as in files
+    background  sRGB, 0..1: the colour behind the object; pictures with alpha are composited over it
+    masked      True: alpha separates the object from the background; False: alpha is 255 everywhere
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, Views
@@ -40,7 +40,7 @@ class Views(Scene):
     def __post_init__(self) -> None:
         if len(self.pictures) != len(self.cameras.cameras):
             found = f"are {len(self.pictures):,}"
-            raise InvalidScene(Problem("pictures", found, f"{len(self.cameras.cameras):,}, one a camera"))
+            raise InvalidScene(Problem("pictures", found, f"{len(self.cameras.cameras):,}, one per camera"))
         for camera, picture in zip(self.cameras.cameras, self.pictures, strict=True):
             shape = (camera.height, camera.width, 4)
             if picture.shape != shape or picture.dtype != np.uint8:
@@ -56,20 +56,20 @@ class Views(Scene):
         return replace(self, cameras=cameras, pictures=tuple(self.pictures[i] for i in numbers))
 
     def photograph(self, number: int) -> npt.NDArray[np.float32]:
-        """(H, W, 3) sRGB in 0..1 of a picture, over the background."""
+        """A picture composited over the background, (H, W, 3) sRGB in 0..1."""
         pixels = self.pictures[number]
         alpha = pixels[..., 3:] / np.float32(255)
         colour = pixels[..., :3] / np.float32(255)
         return np.asarray(colour * alpha + (1 - alpha) * np.array(self.background, np.float32), np.float32)
 
     def behind(self, number: int) -> npt.NDArray[np.bool_]:
-        """(H, W) the pixels of a picture where nothing but the background is seen: no alpha, or its plain colour."""
+        """(H, W) bool: the pixels of a picture that show only background: alpha 0, or its plain colour."""
         pixels = self.pictures[number]
         return pixels[..., 3] == 0 if self.masked else near_colour(pixels, self.background)
 
 
 def world_box(corners: Sequence[float]) -> npt.NDArray[np.float64]:
-    """(2, 3) lowest and highest corner of x0, y0, z0, x1, y1, z1 in the world. Raises InvalidScene."""
+    """(2, 3) lowest and highest corner of the box x0, y0, z0, x1, y1, z1 in the world. Raises InvalidScene."""
     box = np.array(corners, np.float64).reshape(-1)
     if box.shape != (6,) or not (np.abs(box) <= MAX_WORLD).all() or not (box[:3] < box[3:]).all():
         found = f"is {', '.join(f'{value:g}' for value in box.tolist())}"
@@ -78,6 +78,6 @@ def world_box(corners: Sequence[float]) -> npt.NDArray[np.float64]:
 
 
 def near_colour(pixels: npt.NDArray[np.uint8], colour: tuple[float, float, float]) -> npt.NDArray[np.bool_]:
-    """(..., 4) uint8 -> (...) bool: which of them differ from an sRGB colour (0..1) by PLAIN at most."""
+    """(..., 4) uint8 -> (...) bool: the pixels that differ from an sRGB colour (0..1) by at most PLAIN."""
     plain = np.rint(255 * np.array(colour)).astype(np.int16)
     return np.asarray((np.abs(pixels[..., :3] - plain) <= PLAIN).all(axis=-1))

@@ -1,4 +1,4 @@
-"""What a .vdb or .nvdb file holds: grids with their places in the world, and what an octree needs to come back."""
+"""The contents of a .vdb or .nvdb file: grids with transforms, and the facts that restore an octree from them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.affine import inverse, turned
+from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import MAX_WORLD, Scene, place_problems
 from nerfbake.scene.octree import Layout
@@ -23,7 +23,7 @@ Transform = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OctreeFrame:
-    """Of a SparseVoxelOctree all but its nodes; the fields are its own."""
+    """The fields of a SparseVoxelOctree except for its nodes."""
 
     size: tuple[int, int, int]
     data_format: str
@@ -35,14 +35,14 @@ class OctreeFrame:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Volume(Scene):
-    """Grids of one world.
+    """Grids in one world.
 
     grids      VdbTree and IndexGrid, each with its own topology
-    transform  (3, 4) float64: world = transform @ (x, y, z, 1), of a voxel's CENTRE (VDB's samples stand there), for
-               all grids that have no `place` of their own
-    frame      what turns the voxels back into the octree they came from; None in files of other programs
-    checksum   what the file said of itself: 'none', 'half' or 'full'
-    unread     grids of the file that are not here: what each is instead of what it might be
+    transform  (3, 4) float64: world = transform @ (x, y, z, 1), for the CENTRE of a voxel (VDB's samples are there),
+               for all grids without a `place` of their own
+    frame      restores the octree that the voxels were made from; None for files of other programs
+    checksum   the file's kind of checksum: 'none', 'half' or 'full'
+    unread     grids of the file that could not be read: for each what it is, and what is allowed
 
     >>> from nerfbake import build_octree, build_vdb, sample_n3tree
     >>> volume = build_vdb(build_octree(sample_n3tree(resolution=8)))
@@ -76,8 +76,7 @@ class Volume(Scene):
     # -- grids by name -----------------------------------------------------------------------------------------
     @property
     def labels(self) -> list[str]:
-        """What each grid is called: its name, or where it has none, or others have the same, name[i] as OpenVDB's
-        tools number them."""
+        """The name of each grid; name[i], as in OpenVDB's tools, if it has no name or a name that is not unique."""
         names = [grid.name for grid in self.grids]
         held, met, labels = Counter(names), Counter[str](), []
         for name in names:
@@ -86,14 +85,14 @@ class Volume(Scene):
         return labels
 
     def grid(self, name: str) -> VdbTree | IndexGrid:
-        """The first grid of this name. Raises InvalidScene if there is none."""
+        """Return the first grid of this name. Raises InvalidScene if there is none."""
         for grid in self.grids:
             if grid.name == name:
                 return grid
         raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(self.labels)))
 
     def only(self, wanted: Sequence[str]) -> Volume:
-        """These grids alone, each given by its label or by its number in the file, from 0. Raises InvalidScene."""
+        """A volume of these grids alone, given by label or by number in the file, from 0. Raises InvalidScene."""
         labels, grids = self.labels, []
         for name in wanted:
             if name not in labels and not (name.isascii() and name.isdecimal() and int(name[:9]) < len(labels)):
@@ -104,7 +103,7 @@ class Volume(Scene):
     # -- places ------------------------------------------------------------------------------------------------
     @property
     def transforms(self) -> list[Transform]:
-        """(3, 4) of each grid."""
+        """The transform (3, 4) of each grid."""
         return [self.transform_of(grid) for grid in self.grids]
 
     def transform_of(self, grid: VdbTree | IndexGrid) -> Transform:
@@ -117,13 +116,13 @@ class Volume(Scene):
         return edges_of(self.transform)
 
     def index_of(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """(..., 3) world coordinates -> voxels, for a grid's sample()."""
+        """Convert world coordinates (..., 3) to voxels, for a grid's sample()."""
         apart = np.asarray(points, np.float64) - self.transform[:, 3]
-        return np.asarray(turned(apart, inverse(self.transform[:, :3])), np.float64)
+        return np.asarray(rotate(apart, inverse(self.transform[:, :3])), np.float64)
 
     # -- other volumes -----------------------------------------------------------------------------------------
     def turned(self) -> Volume:
-        """A volume whose y axis is up, with z up as here: (x, y, z) becomes (x, -z, y) in the transforms alone."""
+        """Convert a volume whose up axis is y to z up: (x, y, z) becomes (x, -z, y), in the transforms only."""
         grids = tuple(
             replace(grid, place=_turned(grid.place)) if isinstance(grid, VdbTree) and grid.place is not None else grid
             for grid in self.grids
@@ -135,7 +134,7 @@ class Volume(Scene):
         return self._world_problems() + [problem for grid in self.grids for problem in grid.structure_problems()]
 
     def _world_problems(self) -> list[Problem]:
-        """Transforms that nobody can calculate with, or that flatten the world."""
+        """Transforms that are out of range or singular."""
         problems = []
         for transform in {each.tobytes(): each for each in self.transforms}.values():
             with np.errstate(all="ignore"):
@@ -148,16 +147,16 @@ class Volume(Scene):
         return problems
 
     def value_problems(self) -> list[Problem]:
-        """Values that no renderer can use."""
+        """Values that cannot be rendered."""
         return [problem for grid in self.grids for problem in grid.value_problems()]
 
     def unread_problems(self) -> list[Problem]:
-        """Grids of the file that are not here."""
+        """Grids of the file that could not be read."""
         return list(self.unread)
 
 
 def edges_of(transform: Transform) -> npt.NDArray[np.float64]:
-    """(3,) lengths of a voxel's edges in the world; infinite where float64 has no room for their squares."""
+    """(3,) lengths of a voxel's edges in the world; infinite if their squares overflow float64."""
     with np.errstate(over="ignore"):
         lengths: npt.NDArray[np.float64] = np.sqrt((transform[:, :3] ** 2).sum(axis=0))
     return lengths

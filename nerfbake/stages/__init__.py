@@ -1,1 +1,1 @@
-"""Verbs: one pure function a file, named <from>_to_<to>.py, so that the listing is the pipeline graph."""
+"""Conversions between scenes: pure functions in files named <from>_to_<to>.py, so the listing is the pipeline graph."""

@@ -1,4 +1,4 @@
-"""What a field's coefficients are multiplied by in a direction."""
+"""Values of a field's basis functions in given directions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from nerfbake.scene.basis import Basis
 
 
 def basis_at(basis: Basis, directions: Points, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
-    """(m, B) at directions (m, 3) of a field's own world; RGBA's only function is 1 everywhere."""
+    """Return the basis functions (m, B) at directions (m, 3), in the field's own axes.
+
+    The only function of RGBA is 1 everywhere.
+    """
     if basis.kind == "RGBA":
         return np.ones((len(directions), 1), dtype)
     return sh_basis(directions, basis.size, dtype)

@@ -1,4 +1,4 @@
-"""The leaves of an octree as coefficients of a transform, which every step rounds anew."""
+"""Transform the leaves of an octree to coefficients, and round these to multiples of a step."""
 
 from __future__ import annotations
 
@@ -9,31 +9,36 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.eigen import cholesky, eigenvectors
 from nerfbake.kernels.maths.elementary import log
-from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.maths.linear import cholesky, eigenvectors, product
 from nerfbake.kernels.octree import haar
-from nerfbake.kernels.octree.means import mean_edge
-from nerfbake.scene.basis import shown_basis
+from nerfbake.kernels.octree.pyramid import mean_edge
+from nerfbake.scene.basis import renderable_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import MAX_VALUE, QuantisedOctree
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
-# The density's own unit and step were tried on the chair at equal loss: a quarter of the unit costs 0.6 % of the bytes
-# and three times it 3.8 %, a step like the colours' costs 0.7 % (docs/compression.md).
-_DEPTH = 6  # voxels of the unit density have an optical depth of 1
-_DENSITY_STEPS = 2  # a step of density is so many of colour
-_SAMPLE = 1 << 17  # leaves that the channels are found from
+# The unit and the step of the density were measured on the chair at equal loss: a quarter of the unit costs 0.6 % of
+# the bytes, three times the unit 3.8 %, and the colour's step 0.7 % (docs/compression.md).
+_DEPTH = 6  # number of voxels of unit density that have an optical depth of 1
+_DENSITY_STEPS = 2  # step of density / step of colour
+_SAMPLE = 1 << 17  # largest number of leaves from which the channels are computed
 _CHUNK = 1 << 15  # leaves at a time
-_ROUNDING = 32767  # the largest entry of the mixing matrix
+_ROUNDING = 32767  # largest entry of the mixing matrix
 
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """points (m, 3B + 1) float32, not rounded, of which order (m,) makes the rows of QuantisedOctree.values; rows (m,)
-    the octree's row of each leaf, breadth-first; the rest is the quantised octree's."""
+    """The transformed leaves of an octree, before rounding.
+
+    rows    (m,) the octree's row of each leaf, breadth-first
+    points  (m, 3B + 1) float32: the coefficients; points[order] are the rows of QuantisedOctree.values
+    order   (m,) int32
+
+    The other fields are those of QuantisedOctree.
+    """
 
     octree: SparseVoxelOctree
     rows: Rows
@@ -45,7 +50,7 @@ class Coefficients:
     density_scale: float
 
     def rounded(self, step: float) -> QuantisedOctree:
-        """Plain rounding; step is that of colour. Raises InvalidScene where a step is too small for whole numbers."""
+        """Round to the nearest multiple of a step of colour. Raises InvalidScene if integers would be too large."""
         steps = np.full(self.points.shape[1], step)
         steps[-1] *= _DENSITY_STEPS
         memory.require("the rounded leaves", 4 * self.points.size)
@@ -53,7 +58,7 @@ class Coefficients:
         for first in range(0, len(values), _CHUNK):
             part = np.rint(self.points[self.order[first : first + _CHUNK]] / steps)
             if (most := float(np.abs(part).max())) > MAX_VALUE:
-                found = f"makes {most:g} steps of what the leaves hold"
+                found = f"rounds coefficients to up to {most:g} steps"
                 raise InvalidScene(Problem(f"a step of {step:g}", found, f"{MAX_VALUE:,}"))
             values[first : first + _CHUNK] = part
         return QuantisedOctree(
@@ -72,21 +77,23 @@ class Coefficients:
 
 
 def visible_leaves(octree: SparseVoxelOctree) -> Rows:
-    """The rows of the leaves that a field has: those with a density above 0, breadth-first. Raises InvalidScene for
-    what cannot be shown, and where there is none."""
-    shown_basis(octree.data_format)
+    """Return the rows of the leaves with a density above 0, breadth-first: the leaves of build_field(octree).
+
+    Raises InvalidScene for an octree that cannot be rendered, or without such a leaf.
+    """
+    renderable_basis(octree.data_format)
     octree.require_usable()
     rows = np.flatnonzero(octree.childless & (octree.sigma > 0))
     if not len(rows):
-        raise InvalidScene(Problem("the octree", "holds nothing", "a leaf with a density above 0"))
+        raise InvalidScene(Problem("the octree", "is empty", "a leaf with a density above 0"))
     return rows
 
 
 def transform(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> Coefficients:
-    """The leaves in these rows, all others being empty: Gram's metric, a Karhunen-Loeve transform of what a leaf holds,
-    and the region-adaptive Haar transform over the leaves. Raises MemoryLimit.
+    """Transform the leaves in these rows; all other leaves are treated as empty.
 
-    gram (B, B): stages.field_to_importance.
+    The values of a leaf go through the metric of `gram` and a Karhunen-Loeve transform, then the leaves go through the
+    region-adaptive Haar transform. gram (B, B): Importance.gram. Raises MemoryLimit.
     """
     width = octree.data_dim
     memory.require("the transformed leaves", len(rows) * width * 4 + _SAMPLE * width * 16)
@@ -106,7 +113,7 @@ def transform(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> Coefficien
 
 
 def _masks(octree: SparseVoxelOctree, rows: Rows) -> npt.NDArray[np.uint8]:
-    """Which children the nodes above the last level keep, where only these leaves stay."""
+    """Return a child mask (uint8) for each node above the last level that has one of these leaves below it."""
     alive = np.zeros(octree.n, bool)
     alive[rows] = True
     sizes = octree.level_sizes
@@ -122,9 +129,9 @@ def _masks(octree: SparseVoxelOctree, rows: Rows) -> npt.NDArray[np.uint8]:
 
 
 def _channels(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> tuple[npt.NDArray[np.int16], float, Floats]:
-    """(3B, 3B) from channels to coefficients, in whole numbers; their unit; and (3B, 3B) back, its exact inverse.
+    """Return the mixing matrix (3B, 3B) from channels to coefficients as integers, their unit, and the exact inverse.
 
-    With gram = L L^T, L^T turns a colour's coefficients into numbers whose squares are what is seen of them.
+    With gram = L L^T, the squared norm of L^T c is the mean square of the colour with coefficients c.
     """
     B = len(gram)
     L = cholesky(gram)
@@ -140,13 +147,13 @@ def _channels(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> tuple[npt.
     scale = float(np.abs(exact).max()) / _ROUNDING
     mixing = np.rint(exact / scale).astype(np.int16)
     used = mixing * scale
-    for _ in range(3):  # Newton's steps from the inverse before rounding: each doubles the digits
+    for _ in range(3):  # Newton's method from the inverse before rounding: each step doubles the correct digits
         back = 2 * back - product(product(back, used), back)
     return mixing, scale, back
 
 
 def _inverse_triangle(L: Floats) -> Floats:
-    """Of a lower triangle."""
+    """Return the inverse of a lower triangular matrix."""
     n = len(L)
     found = np.zeros((n, n))
     for j in range(n):

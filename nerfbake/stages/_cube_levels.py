@@ -1,4 +1,4 @@
-"""Voxels and tiles of a VDB tree -> the levels of an octree that has them as leaves, without cutting a tile up."""
+"""Build an octree from cubes of any power-of-two size, such as VDB voxels and tiles. Each cube stays one leaf."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.kernels.arrays import Ints
-from nerfbake.kernels.octree.means import mean_edge
-from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.lookup import dilate
 from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
-from nerfbake.kernels.octree.pyramid import INNER, Level, children_table, merge_equal
+from nerfbake.kernels.octree.pyramid import INNER, Level, children_table, mean_edge, merge_equal
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame
 
-_WORK_BYTES = 64  # a leaf's place and its nodes while the levels are made
+_WORK_BYTES = 64  # per leaf, for its position and its nodes, while the levels are computed
 
 
 class Block(NamedTuple):
-    """low (q, 3) int64 lowest voxels of cubes that are 2^height voxels wide, and the row of values of each (q,)."""
+    """Cubes of 2^height voxels: their lowest voxels low (q, 3) int64, and the row of values of each cube, row (q,)."""
 
     low: Ints
     height: int
@@ -30,7 +29,7 @@ class Block(NamedTuple):
 
 
 def blocks_of(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> list[Block]:
-    """The voxels and the tiles that hold something: held (count,)."""
+    """Return the voxels and tiles of a topology that are not empty, grouped by size; held (count,) selects them."""
     cubes, first, blocks = [(topology.coords, 1), *topology.tile_cubes], 0, []
     for low, edge in cubes:
         row = first + np.flatnonzero(held[first : first + len(low)])
@@ -41,10 +40,10 @@ def blocks_of(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> list[Block]
 
 
 def octree_of_blocks(blocks: list[Block], data: npt.NDArray[Any], frame: OctreeFrame) -> SparseVoxelOctree:
-    """The octree of these cubes, none of which may overlap or reach beyond the frame; data (rows, D), density last.
+    """Return the octree whose leaves are these cubes. data (rows, D): their values, density last.
 
-    Eight equal neighbours are one leaf; inner nodes hold the mean of their children by build_octree's rule, with the
-    voxel's width for the finest cell's.
+    Cubes must not overlap or extend beyond the frame. Eight equal siblings are merged to one leaf. Inner nodes store
+    the mean of their children by the rule of build_octree(), with the voxel width instead of the finest cell's width.
     """
     count = sum(len(block.low) for block in blocks)
     memory.require("the octree", count * (data.shape[1] * data.itemsize + _WORK_BYTES))
@@ -63,7 +62,7 @@ def octree_of_blocks(blocks: list[Block], data: npt.NDArray[Any], frame: OctreeF
 
 
 def _levels(blocks: list[Block], height: int) -> list[Level]:
-    """All levels of a root 2^height voxels wide, breadth-first; what has no leaf below it is not there."""
+    """Return all levels of a root of 2^height voxels, breadth-first, without nodes that have no leaf below them."""
     own = {block.height: _sorted(block) for block in blocks}
     codes, rows = np.zeros(0, np.int64), []
     for level in range(height + 1):
@@ -85,7 +84,7 @@ def _levels(blocks: list[Block], height: int) -> list[Level]:
 
 
 def _sorted(block: Block) -> tuple[Ints, Ints]:
-    """Morton codes of the cubes at their own level, rising, and their rows."""
+    """Return the Morton codes of the cubes at their level, in ascending order, and the cubes' rows."""
     x, y, z = (dilate(block.low[:, axis] >> block.height) for axis in range(3))
     codes = x | y << 1 | z << 2
     order = np.argsort(codes)

@@ -1,4 +1,4 @@
-"""Colours that are deferred: what stages make of a diffuse colour and of what an MLP adds to it."""
+"""Deferred colours: a diffuse colour plus the output of an MLP that depends on the direction."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from nerfbake.kernels.lattice.harmonics import LEAST, inverse_of
 from nerfbake.kernels.lattice.mlp import layers_for, logits_along
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import log, sigmoid
-from nerfbake.kernels.maths.products import product
-from nerfbake.scene.lattice_colour import DeferredColour
+from nerfbake.kernels.maths.linear import product
+from nerfbake.scene.lattice_field import DeferredColour
 
 Seen = Callable[[Singles, Ints], Singles]
-_THINNEST = np.float32(1e-6)  # of what values are divided by
+_THINNEST = np.float32(1e-6)  # smallest opacity that features are divided by
 
 
-def bare(colour: DeferredColour, features: Singles) -> Singles:
-    """(k, 3 + others) the colour and the MLP's values of features (k, C), without the opacity in them."""
+def diffuse_and_inputs(colour: DeferredColour, features: Singles) -> Singles:
+    """Return the diffuse colour and the MLP's inputs (k, 3 + others) of features (k, C), without the opacity factor."""
     if colour.squashed:
         return sigmoid(features).astype(np.float32)
     return np.asarray(features[:, :-1] / np.maximum(features[:, -1:], _THINNEST), np.float32)
 
 
-def seen_of(colour: DeferredColour, directions: Points) -> Seen:
-    """What makes colours (k, 3) of bare values (k, 3 + others), each in the direction with its number (k,)."""
+def colour_function(colour: DeferredColour, directions: Points) -> Seen:
+    """Return a function of bare() values (k, 3 + others) and indices (k,) into `directions` to colours (k, 3)."""
     if colour.mlp is None:
         return lambda values, ray: np.asarray(np.minimum(values[:, :3], 1), np.float32)
     layers = layers_for(directions, colour.mlp.frequencies, *colour.mlp.weights)
@@ -39,8 +39,11 @@ def seen_of(colour: DeferredColour, directions: Points) -> Seen:
 
 
 def fit_of_deferred(colour: DeferredColour, directions: Points, B: int) -> Callable[[Singles], Singles]:
-    """What makes the 3 B coefficients of a sigmoid's sums of bare values, by least squares of logits in directions."""
-    inverse, seen = inverse_of(sh_basis(directions, B)), seen_of(colour, directions)
+    """Return a function of bare() values (m, 3 + others) to SH coefficients (m, 3 B) of colours behind a sigmoid.
+
+    The coefficients are the least-squares fit of the colours' logits in these directions.
+    """
+    inverse, seen = inverse_of(sh_basis(directions, B)), colour_function(colour, directions)
 
     def fit(values: Singles) -> Singles:
         out = np.zeros((len(values), 3, B))

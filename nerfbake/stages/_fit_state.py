@@ -1,4 +1,7 @@
-"""Where a fit stands: all that it takes to look at its field, to save it, and to go on."""
+"""The state of a fit: the data needed to return its field, to save it, and to resume it.
+
+A state may come from a file, so all its arrays are validated before compiled code uses their indices.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +12,119 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Points
-from nerfbake.kernels.fit.bricks import Bricks
+from nerfbake.kernels.fit.bricks import EMPTY, SIZE, BrickGrid, top_grid
 from nerfbake.kernels.maths.elementary import log
+from nerfbake.scene.base import edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.schedule import RESOLUTIONS, Schedule, parse_schedule
-from nerfbake.stages._bricks import Cells, field_of_cells, lattice
-from nerfbake.stages._fit_arrays import BRICKS, COUNTERS, own_arrays
+from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame
+
+BRICKS = ("top", "slots", "first", "places", "values")
+COUNTERS = ("stage", "epoch", "view", "built", "divided", "seed")
+_MOST_TEXT = 1 << 16  # most bytes of the text of a basis and a schedule
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int, int]) -> Arrays:
+    """Validate the arrays of a state, and return copies of them.
+
+    resolutions: smallest and largest number of cells along an axis of the lattice. Raises InvalidScene, MemoryLimit.
+    """
+    b, n = (len(arrays[name]) if name in arrays and arrays[name].ndim else 0 for name in ("slots", "places"))
+    r = len(arrays["top"]) if "top" in arrays and arrays["top"].ndim else 0
+    shapes: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
+        "top": (np.int32, (r, r, r)),
+        "slots": (np.int16, (b, SIZE)),
+        "first": (np.int32, (b + 1,)),
+        "places": (np.int16, (n,)),
+        "values": (np.float32, (None,)),
+        "means": (np.float32, (n, 2)),
+        "seen": (np.float32, (n, 2)),
+        "box": (np.float64, (2, 3)),
+        "counters": (np.int64, (len(COUNTERS),)),
+        "sums": (np.float64, (2,)),
+        "text": (np.uint8, (None,)),
+    }
+    if missing := sorted(shapes.keys() - arrays.keys()):
+        raise InvalidScene(Problem("the state", f"has no {missing[0]}", ", ".join(shapes)))
+    for name, (dtype, shape) in shapes.items():
+        array = arrays[name]
+        fits = array.ndim == len(shape) and all(a in (None, b) for a, b in zip(shape, array.shape, strict=True))
+        if array.dtype != dtype or not fits:
+            found = f"has shape {array.shape}, dtype {array.dtype}"
+            words = ", ".join("any" if edge is None else str(edge) for edge in shape)
+            raise InvalidScene(Problem(f"the state's {name}", found, f"({words}) {np.dtype(dtype)}"))
+    if not (resolutions[0] <= 8 * r <= resolutions[1] and not r & (r - 1) and n and arrays["text"].size <= _MOST_TEXT):
+        allowed = f"a power of two of bricks, {resolutions[0] // 8} to {resolutions[1] // 8}, with cells in them"
+        raise InvalidScene(Problem("the state's lattice", f"has {r} bricks an axis, {n:,} cells", allowed))
+    memory.require("the state", memory.size_of({name: arrays[name] for name in shapes}))
+    own = {name: np.array(arrays[name]) for name in shapes}
+    _require_bricks(own)
+    _require_numbers(own)
+    return own
+
+
+def _require_bricks(own: Arrays) -> None:
+    """Raise InvalidScene if the tables of bricks and of cells do not match each other."""
+    top, slots, first, places = (own[name] for name in ("top", "slots", "first", "places"))
+    counts = first[1:].astype(np.int64) - first[:-1]
+    counted = first[0] == 0 and first[-1] == len(places) and bool(((counts >= 1) & (counts <= SIZE)).all())
+    problem = None
+    if int(np.count_nonzero(top >= 0)) != len(slots) or (top != top_grid(top >= 0)).any():
+        problem = Problem(
+            "the state's top", "does not number its bricks", "raster order, or minus the distance to the nearest brick"
+        )
+    elif not counted:
+        problem = Problem("the state's first", "does not count its cells", f"from 0, up by 1 to {SIZE} a brick")
+    elif (slots < EMPTY).any() or (slots >> 1 >= counts[:, None]).any():
+        problem = Problem("the state's slots", "point to cells that do not exist", "-2, -1, or a cell of the brick")
+    elif (places < 0).any() or (places >> 1 >= SIZE).any():
+        problem = Problem("the state's places", "lie outside of a brick", f"place << 1 | wide, place 0 to {SIZE - 1}")
+    else:
+        held = np.repeat(np.arange(len(slots)), counts)
+        own_slot = (np.arange(len(places)) - first[held]) << 1 | places & 1
+        if (slots[held, places >> 1] != own_slot).any():
+            problem = Problem("the state's places", "do not match the slots", "for each cell the place of its slot")
+    if problem is not None:
+        raise InvalidScene(problem)
+
+
+def _require_numbers(own: Arrays) -> None:
+    """Raise InvalidScene for numbers that are not possible in a fit, such as NaN or negative sums."""
+    problems = place_problems("the state's box", own["box"])
+    problems = problems or edge_problems("the state's box", own["box"][1] - own["box"][0])
+    for name in ("values", "means", "seen", "sums"):
+        problems = problems or number_problems(f"the state's {name}", own[name])
+    for name in ("means", "seen", "sums", "counters"):
+        if not problems and (own[name] < 0).any():
+            problems = [Problem(f"the state's {name}", "are below 0", "0 or more")]
+    if problems:
+        raise InvalidScene(problems[0])
+
 
 _LN_10 = 2.302585092994046
 
 
 @dataclass(eq=False)
 class FitState:
-    """Changes while the fit goes on: what is wanted of it later has to be copied or written before.
+    """The state of a fit. The fit changes it in place, so copy or write anything that you need later.
 
-    stage, epoch, view  how many stages are done, epochs of the next stage, and views of its next epoch
-    built     the stage that the cells are of
-    divided   cells are of two widths
-    error, values  the sum of squares of what this epoch's pixels were off, and how many numbers that were
+    stage, epoch, view  number of finished stages, of finished epochs in the next stage, and of views in its next epoch
+    built          the stage that the cells were built for
+    divided        1 if there are cells of two widths, else 0
+    error, values  sum of the squared pixel errors of this epoch, and their number (three per pixel)
     """
 
     schedule: Schedule
     basis: Basis
     seed: int
     box: Points
-    cells: Cells
+    cells: BrickCells
     stage: int = 0
     epoch: int = 0
     view: int = 0
@@ -51,20 +139,20 @@ class FitState:
 
     @property
     def resolution(self) -> int:
-        """Cells of the lattice along an axis."""
+        """Number of cells of the lattice along an axis."""
         return 8 * len(self.cells.bricks.top)
 
     @property
     def train_psnr(self) -> float:
-        """dB, of the pixels that this epoch has seen so far, as they were when they were seen; 0 before the first."""
+        """PSNR in dB over the pixels of this epoch so far, each rendered before its step; 0 before the first pixel."""
         return -10 / _LN_10 * float(log(self.error / self.values)) if self.error > 0 else 0.0
 
     def field(self) -> BrickField:
-        """What has been fitted so far. Raises MemoryLimit."""
+        """Return the field as fitted so far. Raises MemoryLimit."""
         return field_of_cells(self.cells, self.box, self.basis)
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """All that of_arrays() needs, by name; the arrays are the fit's own."""
+        """Return the arrays that of_arrays() takes, by name. They are not copies: the fit will change them."""
         made = {name: getattr(self.cells.bricks, name) for name in BRICKS}
         counters = np.array([getattr(self, name) for name in COUNTERS], np.int64)
         sums = np.array([self.error, self.values])
@@ -74,15 +162,15 @@ class FitState:
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> FitState:
-        """The state whose arrays() these were; it goes on in copies. Raises InvalidScene for others."""
+        """Return the state with these arrays(), which are copied. Raises InvalidScene if they are not a valid state."""
         held = own_arrays(arrays, resolutions=(RESOLUTIONS[0], 2 * RESOLUTIONS[1]))
         basis, _, schedule = held["text"].tobytes().decode("ascii", "replace").partition(" ")
         made: dict[str, Any] = {name: held[name] for name in BRICKS}
-        low, size, width = lattice(held["box"], 8 * len(held["top"]))
-        bricks = Bricks(**made, low=low, size=size, width=width)
+        low, size, width = lattice_frame(held["box"], 8 * len(held["top"]))
+        bricks = BrickGrid(**made, low=low, size=size, width=width)
         counters = dict(zip(COUNTERS, map(int, held["counters"]), strict=True))
         error, values = map(float, held["sums"])
-        cells = Cells(bricks, held["means"], held["seen"])
+        cells = BrickCells(bricks, held["means"], held["seen"])
         state = FitState(
             parse_schedule(schedule),
             parse_basis(basis),
@@ -97,7 +185,7 @@ class FitState:
 
 
 def _require_sound(state: FitState) -> None:
-    """Raises InvalidScene for a state that its own schedule does not come to."""
+    """Raise InvalidScene for a state that is not reachable with its schedule."""
     size, found, stages = state.cells.n * state.basis.data_dim, len(state.cells.bricks.values), len(state.schedule)
     if found != size:
         raise InvalidScene(Problem("the state's values", f"are {found:,}", f"{size:,}, for {state.basis}"))
@@ -105,7 +193,7 @@ def _require_sound(state: FitState) -> None:
     begun = begun or (state.stage == stages and state.epoch == state.view == 0)
     if not (begun and state.built in (state.stage, state.stage - 1) and state.divided <= 1):
         counters = ", ".join(f"{name} {getattr(state, name)}" for name in COUNTERS[:5])
-        raise InvalidScene(Problem("the state", f"stands at {counters}", f"a place in its schedule of {stages} stages"))
+        raise InvalidScene(Problem("the state", f"is at {counters}", f"a position in its schedule of {stages} stages"))
     cells = state.schedule[min(state.built, stages - 1)].cells << state.divided
     if state.resolution != cells:
         raise InvalidScene(Problem("the state's lattice", f"has {state.resolution} cells an axis", f"{cells}"))

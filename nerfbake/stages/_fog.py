@@ -1,4 +1,4 @@
-"""Which grid of a volume is its density."""
+"""Find the density grid of a volume."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from nerfbake.scene.volume import Volume
 
 
 def density_of(volume: Volume) -> VdbTree:
-    """The grid `density`, or else the only one with one channel. Raises InvalidScene, also where it is a level set."""
+    """Return the grid `density`, or else the only grid with one channel.
+
+    Raises InvalidScene if there is no such grid, or if it is a level set.
+    """
     scalars = [grid for grid in volume.grids if isinstance(grid, VdbTree) and grid.values.shape[1] == 1]
     named = [grid for grid in scalars if grid.name == "density"]
     fogs = [grid for grid in scalars if grid.grid_class != "level set"]

@@ -1,4 +1,4 @@
-"""What stages ask of a lattice field: densities and colours at places, and coefficients of a sigmoid's sums."""
+"""Evaluate a lattice field: densities and colours at points, and fits of its colours by SH behind a sigmoid."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from nerfbake import memory
 from nerfbake.kernels.arrays import Floats, Ints, Points, Singles
 from nerfbake.kernels.lattice import harmonics
 from nerfbake.kernels.lattice.blocks import NO_PLANES, BlockNodes, sums_at
-from nerfbake.kernels.lattice.mlp import encoded, layers_for, logits_along, projected
+from nerfbake.kernels.lattice.mlp import layers_for, logits_along, positional_encoding, project_logits
 from nerfbake.kernels.lattice.nodes import (
     EXPONENTIAL,
     OPACITY,
     RELU,
     SOFTPLUS,
-    Nodes,
-    blended,
+    DensityNodes,
     cells_in,
     in_nodes,
+    interpolate_rows,
     nearest_in,
 )
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.elementary import log, sigmoid
-from nerfbake.kernels.maths.sphere import fibonacci
-from nerfbake.kernels.octree.halves import widened
+from nerfbake.kernels.maths.elementary import fibonacci, log, sigmoid
+from nerfbake.kernels.octree.node_values import to_float32
 from nerfbake.scene.lattice_field import Blocks, DeferredColour, LatticeField, MlpColour, ShColour
-from nerfbake.stages._deferred import bare, fit_of_deferred, seen_of
+from nerfbake.stages._deferred import colour_function, diffuse_and_inputs, fit_of_deferred
 
-DIRECTIONS = 256  # in which colours are compared while coefficients are chosen
-# The same of an MLP, whose time they are. Of one fitted to the chair's colours, RMS in 400 others: SH4 12.49 in 24 and
-# 12.47 in 256, SH9 2.18 in 48, 2.15 in 64 and 2.11 in 256, SH25 1.85 in 100 and 1.81 in 256.
+DIRECTIONS = 256  # directions in which coefficients are fitted to colours
+# Fewer directions for an MLP, because its evaluation takes most of the time. RMS in 400 other directions, for an MLP
+# fitted to the chair's colours: SH4 12.49 with 24 directions and 12.47 with 256; SH9 2.18 with 48, 2.15 with 64 and
+# 2.11 with 256; SH25 1.85 with 100 and 1.81 with 256.
 MLP_DIRECTIONS, FEW_DIRECTIONS = 64, 24
 _KINDS = {"relu": RELU, "softplus": SOFTPLUS, "opacity": OPACITY, "exponential": EXPONENTIAL}
-_Y0 = 0.28209479177387814  # the first of the spherical harmonics, a constant
+_Y0 = 0.28209479177387814  # the first spherical harmonic, a constant
 
 Looked = Callable[[Floats], Singles]
 Seen = Callable[[Singles, Ints], Singles]
 Fit = Callable[[Singles], Singles]
 
 
-def nodes_of(lattice: LatticeField) -> Nodes:
-    """Its densities, as kernels take them."""
+def nodes_of(lattice: LatticeField) -> DensityNodes:
+    """Return the lattice's densities as arguments for the kernels."""
     kind, shift, scale = lattice.activation
     mask = np.ones((1, 1, 1), bool) if lattice.occupied is None else np.ascontiguousarray(lattice.occupied)
     least = -float(log(1 - lattice.least)) / lattice.step
@@ -51,7 +51,9 @@ def nodes_of(lattice: LatticeField) -> Nodes:
     corners = int(lattice.at_corners)
     own = lattice.mask_box
     times, plus = nearest_in(mask) if own is None else cells_in(mask, lattice.box, own)
-    nodes = Nodes(lattice.links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least)
+    nodes = DensityNodes(
+        lattice.links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least
+    )
     if lattice.blocks is None:
         return nodes
     planes = NO_PLANES if lattice.planes is None else np.ascontiguousarray(lattice.planes.density)
@@ -59,7 +61,7 @@ def nodes_of(lattice: LatticeField) -> Nodes:
 
 
 def _blocks(lattice: LatticeField, blocks: Blocks) -> BlockNodes:
-    """Where these and the nodes of its planes are, as kernels take them."""
+    """Return the positions of the blocks and of the planes' nodes as arguments for the kernels."""
     times, plus = cells_in(lattice.links >= 0, lattice.box, blocks.box)
     planes = lattice.planes
     across, first = (0.0, 0.0) if planes is None else (float(planes.across), float(planes.first))
@@ -67,11 +69,13 @@ def _blocks(lattice: LatticeField, blocks: Blocks) -> BlockNodes:
 
 
 def features_of(lattice: LatticeField) -> Looked:
-    """What looks features (m, C) up at places (m, 3) in the box. Raises MemoryLimit."""
+    """Return a function of places (m, 3) in the box to interpolated features (m, C). Raises MemoryLimit."""
     memory.require("the lattice's colours", 4 * lattice.n * lattice.features.shape[1])
     table = table_of(lattice)
     if lattice.blocks is None:
-        return lambda places: blended(lattice.links, table, in_nodes(places, lattice.shape, lattice.at_corners))
+        return lambda places: interpolate_rows(
+            lattice.links, table, in_nodes(places, lattice.shape, lattice.at_corners)
+        )
     blocks, C = _blocks(lattice, lattice.blocks), table.shape[1]
     planes = np.zeros((3, 0, 0, C), np.float32)
     if lattice.planes is not None:
@@ -80,20 +84,20 @@ def features_of(lattice: LatticeField) -> Looked:
 
 
 def table_of(lattice: LatticeField, rows: npt.NDArray[np.int32] | slice = slice(None)) -> Singles:
-    """(m, C) the features of some rows, or of all, lying together."""
-    return np.ascontiguousarray(widened(lattice.features[rows]), np.float32)
+    """Return the features (m, C) of some rows, or of all, as a contiguous float32 array."""
+    return np.ascontiguousarray(to_float32(lattice.features[rows]), np.float32)
 
 
 def places_of(lattice: LatticeField, points: Points) -> Points:
-    """Points (m, 3) of the world as shares of the lattice's box."""
+    """Return points (m, 3) in the world as fractions of the lattice's box."""
     return np.asarray((points - lattice.box[0]) / (lattice.box[1] - lattice.box[0]), np.float64)
 
 
 def seen_along(lattice: LatticeField, directions: Points) -> Seen:
-    """What makes colours (k, 3) of features (k, C), each in the direction with its number (k,); 0 or more."""
+    """Return a function of features (k, C) and indices (k,) into `directions` to colours (k, 3), which are >= 0."""
     if isinstance(lattice.colour, ShColour):
         basis = sh_basis(directions, lattice.colour.size, np.float32)
-        return lambda features, ray: harmonics.shown(features, basis, ray)
+        return lambda features, ray: harmonics.evaluate_colours(features, basis, ray)
     if isinstance(lattice.colour, MlpColour):
         whole, layers = lattice.colour, layers_for(directions, lattice.colour.frequencies, *lattice.colour.weights)
 
@@ -103,19 +107,19 @@ def seen_along(lattice: LatticeField, directions: Points) -> Seen:
 
         return seen
     if isinstance(lattice.colour, DeferredColour):
-        shown = seen_of(lattice.colour, directions)
+        shown = colour_function(lattice.colour, directions)
         whole_colour = lattice.colour
-        return lambda features, ray: shown(bare(whole_colour, features), ray)
+        return lambda features, ray: shown(diffuse_and_inputs(whole_colour, features), ray)
     return lambda features, ray: sigmoid(features).astype(np.float32)
 
 
 def fit_of(lattice: LatticeField, B: int) -> Fit:
-    """What makes the 3 B coefficients of a sigmoid's sums of features (m, C)."""
+    """Return a function of features (m, C) to SH coefficients (m, 3 B) of colours behind a sigmoid."""
     if isinstance(lattice.colour, ShColour):
         directions = fibonacci(DIRECTIONS)
         basis = sh_basis(directions, lattice.colour.size, np.float32)
         inverse = harmonics.inverse_of(sh_basis(directions, B))
-        return lambda features: harmonics.refitted(features, basis, inverse)
+        return lambda features: harmonics.refit_coefficients(features, basis, inverse)
     if isinstance(lattice.colour, MlpColour):
         count = FEW_DIRECTIONS if B <= 4 else max(MLP_DIRECTIONS, 4 * B)
         directions, whole = fibonacci(count), lattice.colour
@@ -124,33 +128,35 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
 
         def fit(features: Singles) -> Singles:
             own, added = _split(whole, features)
-            return projected(own, layers, inverse) + _constant(added, B)
+            return project_logits(own, layers, inverse) + _constant(added, B)
 
         return fit
     if isinstance(lattice.colour, DeferredColour):
         deferred, fit_bare = lattice.colour, fit_of_bare(lattice.colour, B)
-        return lambda features: fit_bare(bare(deferred, features))
+        return lambda features: fit_bare(diffuse_and_inputs(deferred, features))
     return lambda features: _constant(features, B)
 
 
 def fit_of_bare(colour: DeferredColour, B: int) -> Fit:
-    """The same of a deferred colour's bare values (m, 3 + others)."""
+    """Return the same function for the bare() values (m, 3 + others) of a deferred colour."""
     return fit_of_deferred(colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
 
 
 def _split(mlp: MlpColour, features: Singles) -> tuple[Singles, Singles]:
-    """What goes through the MLP, and (m, 3) what is added to its logits."""
+    """Return the features that are inputs of the MLP, and those (m, 3) that are added to its logits."""
     own, added = features, np.zeros((len(features), 3), np.float32)
     if not mlp.direct:
         own, added = np.ascontiguousarray(features[:, 3:]), features[:, :3]
     if mlp.feature_frequencies and mlp.encoded:
-        sines = encoded(own[:, -mlp.encoded :].astype(np.float64), mlp.feature_frequencies)[:, mlp.encoded :]
+        sines = positional_encoding(own[:, -mlp.encoded :].astype(np.float64), mlp.feature_frequencies)[
+            :, mlp.encoded :
+        ]
         own = np.concatenate([own, sines.astype(np.float32)], axis=1)
     return own, added
 
 
 def _constant(features: Singles, B: int) -> Singles:
-    """The same in every direction: the first coefficient of each channel alone."""
+    """Return coefficients of colours that do not depend on the direction: only the first of each channel is not 0."""
     out = np.zeros((len(features), 3 * B), np.float32)
     out[:, ::B] = features / np.float32(_Y0)
     return out

@@ -1,4 +1,4 @@
-"""What a change of a scene costs in its pictures, in dB: measured against photographs, or predicted."""
+"""The loss in dB that a change of a scene causes in its pictures: measured against photographs, or predicted."""
 
 from __future__ import annotations
 
@@ -16,78 +16,85 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import WHITE
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages.field_to_image import render_field
-from nerfbake.stages.scene_to_cameras import sphere_cameras, without_strays
+from nerfbake.stages.scene_to_cameras import scatter_cameras, without_strays
 
 _LN_10 = 2.302585092994046
-# Other places than those that importance is collected from; seen a little larger than where all is framed, so that the
-# real chair covers a little more of the pictures (0.24) than of its photographs (0.20), on which M is measured.
+# These positions differ from those of the cameras that importance is computed from. The zoom is a little above 1: the
+# real chair covers a little more of these pictures (0.24) than of its photographs (0.20), on which M is measured.
 _FRAMES, _EDGE, _ZOOM = 24, 144, 1.13
 
 Pixels = npt.NDArray[np.float64]
 
 
-class Cost(NamedTuple):
-    """error: the mean squared difference from the original's pictures; loss: dB against photographs."""
+class Loss(NamedTuple):
+    """error: mean squared difference from the original's pictures; loss: PSNR lost against the photographs, in dB."""
 
     error: float
     loss: float
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
-    """cameras and references, the original's pictures; truth, the photographs, and how near the original comes to them
-    in dB, or None where there are none and the loss is predicted for a source of source_psnr.
+class LossMeter:
+    """Measures or predicts the loss of a changed field.
 
-    A picture is the mean of those of its cameras, each of which has one of the rays of every pixel."""
+    cameras      the cameras of each picture; the picture is the mean over these, each with one ray of every pixel
+    references   the original's pictures
+    truth        the photographs; None: there are none, and the loss is predicted
+    source_psnr  PSNR of the original against the photographs, in dB
+    """
 
     cameras: list[list[Camera]]
     references: list[Pixels]
     truth: list[Pixels] | None
     source_psnr: float
-    views: int  # how many of the photographs or of the places around the scene
+    views: int  # number of photographs, or of camera positions around the scene
     background: tuple[float, float, float] = WHITE
 
     @property
     def source_error(self) -> float:
-        """M: the mean squared error of the original against the photographs that it was made from."""
+        """M: the mean squared error of the original against the photographs that it was trained on."""
         return float(exp(-self.source_psnr * _LN_10 / 10))
 
     def allowed_error(self, loss: float) -> float:
-        """The m whose predicted loss this is."""
+        """Return the mean squared difference m for which this loss is predicted."""
         return self.source_error * (float(exp(loss * _LN_10 / 10)) - 1)
 
-    def cost(self, field: RadianceField) -> Cost:
+    def cost(self, field: RadianceField) -> Loss:
+        """Render the field, and return its loss."""
         pictures = [_picture(field, camera, self.background) for camera in progress.each(self.cameras)]
         pairs = zip(pictures, self.references, strict=True)
         squares = sum(float(np.square(picture - reference).sum()) for picture, reference in pairs)
         error = squares / sum(reference.size for reference in self.references)
         if self.truth is None:
-            return Cost(error, 10 / _LN_10 * float(log(1 + error / self.source_error)))
-        return Cost(error, self.source_psnr - _mean_psnr(pictures, self.truth))
+            return Loss(error, 10 / _LN_10 * float(log(1 + error / self.source_error)))
+        return Loss(error, self.source_psnr - _mean_psnr(pictures, self.truth))
 
 
-def predicting_judge(field: RadianceField, *, source_psnr: float) -> Judge:
-    """Predicts by 10 log10(1 + m / M), as if errors were independent of those that the original makes itself."""
-    cameras = sphere_cameras(without_strays(field), frames=_FRAMES, edge=_EDGE, zoom=_ZOOM)
+def predicting_judge(field: RadianceField, *, source_psnr: float) -> LossMeter:
+    """Return a meter that predicts the loss as 10 log10(1 + m / M), for errors independent of the original's own."""
+    cameras = scatter_cameras(without_strays(field), frames=_FRAMES, edge=_EDGE, zoom=_ZOOM)
     looks = [[camera] for camera in cameras.cameras]
     _require_memory(looks, 1)
     references = [_picture(field, camera, WHITE) for camera in progress.each(looks)]
-    return Judge(looks, references, None, source_psnr, len(references))
+    return LossMeter(looks, references, None, source_psnr, len(references))
 
 
-def measuring_judge(field: RadianceField, held_out: HeldOut) -> Judge:
-    """Measures on pixels of photographs. Raises MemoryLimit, InvalidScene for lenses that miss a corner."""
+def measuring_judge(field: RadianceField, held_out: HeldOut) -> LossMeter:
+    """Return a meter that measures the loss on pixels of photographs.
+
+    Raises MemoryLimit, and InvalidScene for lenses that do not cover the corners of their pictures.
+    """
     held_out.cameras.require_covered()
     looks, background = held_out.looks(), held_out.background
     _require_memory(looks, 2)
     truth = [pixels / 255 for pixels in held_out.pixels]
     references = [_picture(field, each, background) for each in looks]
-    return Judge(looks, references, truth, _mean_psnr(references, truth), len(looks), background)
+    return LossMeter(looks, references, truth, _mean_psnr(references, truth), len(looks), background)
 
 
 def _require_memory(looks: list[list[Camera]], kept: int) -> None:
     pixels = sum(camera.width * camera.height for camera, *_ in looks)
-    memory.require("the pictures that judge", pixels * 24 * (kept + 1))
+    memory.require("the pictures that the loss is measured on", pixels * 24 * (kept + 1))
 
 
 def _picture(field: RadianceField, cameras: list[Camera], background: tuple[float, float, float]) -> Pixels:

@@ -1,4 +1,4 @@
-"""Whatever can be looked at: its picture, and what frames it."""
+"""Render a scene of any visible type, and return the box that frames it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 Visible = RadianceField | LatticeField | Meshes | Stage1 | BakedAtlas
 
 
-def visible(scene: Visible | FieldSource) -> Visible:
-    """The same scene, or the field that is built of it. Raises as build_field()."""
+def renderable(scene: Visible | FieldSource) -> Visible:
+    """Return the scene itself if it can be rendered, else its radiance field. Raises the errors of build_field()."""
     return scene if isinstance(scene, Visible) else build_field(scene)
 
 
-def picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
-    """What the camera sees, over white, with samples x samples rays a pixel."""
+def render_picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
+    """Render the scene over white, with samples x samples rays per pixel."""
     if isinstance(scene, Meshes):
         return render_meshes(scene, camera, samples=samples)
     if isinstance(scene, Stage1 | BakedAtlas):
@@ -37,10 +37,10 @@ def picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
     return render_field(scene, camera, samples=samples)
 
 
-def frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Opposite corners (2, 3) of the box around everything that is there, in the world, and the scene's own axes.
+def scene_frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return opposite corners (2, 3) of the box around the scene, in the world, and the scene's axes (3, 3).
 
-    The third axis is up: a field's own, and the world's for meshes, as nerf2mesh and its viewer have it.
+    The third axis is up. It is the field's own axis, or for meshes the world's, as in nerf2mesh and its viewer.
     """
     if isinstance(scene, Meshes):
         return vertex_box(scene.meshes), WORLD

@@ -1,4 +1,4 @@
-"""N x N rays a pixel: pictures of finer pixels, and their means."""
+"""Supersampling with N x N rays per pixel: render finer pixels, and average them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import Image
 
-RAYS = 1 << 18  # at a time: some 50 MB, and enough to do for every core
-_PIXEL_BYTES = 20  # of the whole picture, which is held while its parts are made
+RAYS = 1 << 18  # rays at a time: about 50 MB, and enough work for every core
+_PIXEL_BYTES = 20  # per pixel of the whole picture, which stays in memory while its parts are rendered
 
 
 def supersampled(render: Callable[[Camera], Image], camera: Camera, samples: int) -> Image:
-    """What render() makes of the camera with samples x samples rays a pixel, through the middles of as many squares.
+    """Call render() for samples x samples rays per pixel, through the centres of equal squares, and average them.
 
-    Colour and alpha are means, of sRGB values as they are; depth is the mean weighted by alpha. One ray a pixel is
-    what render() itself makes. The picture is made in parts of at most RAYS rays, or a row of pixels. Raises
-    InvalidScene for another number of samples than 1 to 8.
+    Colour and alpha are means; colours are averaged in sRGB. Depth is the mean weighted by alpha. With one sample the
+    result is that of render(). The picture is rendered in parts of at most RAYS rays, or one row of pixels. Raises
+    InvalidScene unless there are 1 to 8 samples.
     """
     N = require_samples(samples)
     if N == 1:
@@ -40,7 +40,7 @@ def supersampled(render: Callable[[Camera], Image], camera: Camera, samples: int
 
 
 def _means(fine: Image, N: int) -> Image:
-    """One pixel for each N x N. Added up in a fixed order: the same bits on every CPU."""
+    """Average each N x N pixels to one. The order of the sums is fixed, so that every CPU returns the same bits."""
     H, W = fine.alpha.shape
     colour, alpha, far = np.zeros((H // N, W // N, 3)), np.zeros((H // N, W // N)), np.zeros((H // N, W // N))
     for y, x in product(range(N), range(N)):

@@ -1,4 +1,4 @@
-"""Meshes in front of a camera -> a picture, whatever gives them their colours."""
+"""Rasterise meshes, with a callback that computes the colours."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Mesh, joined_meshes
 
-_PIXEL_BYTES = 220  # while a picture is made (195 measured, and a lens' 25)
+_PIXEL_BYTES = 220  # per pixel while a picture is rendered (195 measured, plus 25 for a lens)
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The m pixels that one mesh fills.
+    """The m pixels in which one mesh is visible.
 
-    faces       (m,) which of its triangles
-    weights     (m, 3) of the triangle's corners
-    directions  (m, 3) unit, from the camera to the surface
+    faces       (m,) the triangle of each pixel
+    weights     (m, 3) barycentric weights of the triangle's corners
+    directions  (m, 3) unit vectors from the camera to the surface
     """
 
     mesh: Mesh
@@ -31,23 +31,23 @@ class Hits:
     directions: npt.NDArray[np.float64]
 
     def mixed(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """(m, k) of what its vertices have, (v, k)."""
+        """Interpolate values of the mesh's vertices (v, k); returns (m, k)."""
         corners = values[self.mesh.faces[self.faces]]
         return np.asarray((self.weights[..., None] * corners).sum(axis=1), np.float32)
 
     @property
     def uvs(self) -> npt.NDArray[np.float32]:
-        """(m, 2). Raises InvalidScene for a mesh without texture coordinates."""
+        """Texture coordinates (m, 2). Raises InvalidScene for a mesh without them."""
         return self.mixed(self.mesh.require_uvs())
 
 
-def paint(
+def shade_surfaces(
     meshes: Sequence[Mesh],
     camera: Camera,
     colours: Callable[[int, Hits], npt.NDArray[np.float32]],
     background: tuple[float, float, float] | None,
 ) -> Image:
-    """A picture whose alpha is 0 or 1. colours(i, hits): (m, 3) sRGB in 0..1 of what is seen of mesh i."""
+    """Return a picture whose alpha is 0 or 1. colours(i, hits) returns the sRGB colours (m, 3) in 0..1 of mesh i."""
     camera.require_memory(_PIXEL_BYTES)
     shape = (camera.height, camera.width)
     _, directions = camera.rays()

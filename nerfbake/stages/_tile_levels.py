@@ -1,4 +1,4 @@
-"""The small octree that leads down to equal cubes, wherever they stand."""
+"""Build the levels of a small octree above tiles of equal size."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.march.cells import EMPTY
-from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.lookup import dilate
 
 
 def tile_levels(tiles: Ints, number: Ints, *, height: int | None = None) -> list[npt.NDArray[Any]]:
-    """Octree levels (nodes, 8) down to tiles (u, 3) from 0 on, with the number of each; none where there is one tile.
+    """Return octree levels (nodes, 8) above tiles at (u, 3), coordinates from 0; the last level stores their numbers.
 
-    height: how many levels; None: as few as it takes.
+    height: number of levels; None: as few as possible, which is none for a single tile at the origin.
     """
     height = int(tiles.max(initial=0)).bit_length() if height is None else height
     x, y, z = (dilate(tiles[:, axis]) for axis in range(3))

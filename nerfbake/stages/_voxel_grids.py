@@ -1,4 +1,4 @@
-"""Voxels in bricks of 8^3, and the rows that they hold -> VDB grids: density, colour, SH coefficients, or one index."""
+"""Convert voxels in bricks of 8^3 to VDB grids: density, colour, SH coefficients, or one index grid."""
 
 from __future__ import annotations
 
@@ -10,41 +10,42 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.affine import combined
+from nerfbake.kernels.maths.affine import compose
 from nerfbake.kernels.maths.elementary import sigmoid
-from nerfbake.kernels.octree.node_values import MadeRows
+from nerfbake.kernels.octree.node_values import ComputedRows
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import popcount
+from nerfbake.kernels.vdb.bitmask import in_order_of, popcount
 from nerfbake.kernels.vdb.bricks import Bricks, NodeNumbers
-from nerfbake.kernels.vdb.runs import in_order_of
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.rows import RowsOfNodes
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTopology
-from nerfbake.scene.vdb_voxels import topology_of_leaves
+from nerfbake.scene.vdb_topology import VdbTopology, topology_of_leaves
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
-from nerfbake.stages._half import rounded
+from nerfbake.stages._half import cast_values
 
 GRIDS = ("density", "Cd", "sh", "index")
-WORK_BYTES = 64  # a voxel's node and place while the tree is built
+WORK_BYTES = 64  # per voxel, for its node and position while the tree is built
 _CHUNK = 1 << 14  # voxels at a time
 
 
 def require_grids(grids: tuple[str, ...], up: str, data_format: str, data_dim: int) -> None:
-    """Raises InvalidScene for grids that are none, or that this data_format has no values for, and for another axis."""
+    """Raise InvalidScene for unknown grids, grids that are not available for this data_format, and an unknown axis."""
     known = set(grids) <= set(GRIDS) and len(set(grids)) == len(grids) > 0
     if not known or ("index" in grids and len(grids) > 1):
         raise InvalidScene(Problem("grids", f"are {','.join(grids)!r}", "some of density, Cd, sh, or index alone"))
     if up not in ("y", "z"):
         raise InvalidScene(Problem("up", f"is {up!r}", "y, z"))
     if "Cd" in grids and (not data_format or parse_basis(data_format).kind not in ("SH", "RGBA")):
-        raise InvalidScene(Problem("grid 'Cd'", f"of data_format {data_format!r}", "SH and RGBA"))
+        raise InvalidScene(Problem("grid 'Cd'", f"is not available for data_format {data_format!r}", "SH and RGBA"))
     if "sh" in grids and data_dim % 3 != 1:
-        raise InvalidScene(Problem("grid 'sh'", f"of {data_dim} values a node", "3 B + 1 values"))
+        raise InvalidScene(Problem("grid 'sh'", f"is not available for {data_dim} values per node", "3 B + 1 values"))
 
 
-def made_later(data: RowsOfNodes, dtype: np.dtype[Any]) -> bool:
-    """Whether the table of an index is left to be made as it is written: where data are, and nothing is rounded."""
+def is_lazy(data: RowsOfNodes, dtype: np.dtype[Any]) -> bool:
+    """Return True if the table of an index grid is computed only while it is written.
+
+    This is so if the data are computed on demand as well, and need no rounding.
+    """
     return not isinstance(data, np.ndarray) and data.dtype == dtype
 
 
@@ -58,9 +59,9 @@ def volume_of_voxels(
     dtype: np.dtype[Any],
     up: Up,
 ) -> Volume:
-    """The grids of these voxels; bricks.node says which row of data (n, D), and of sigma (n,), each of them holds.
+    """Return the grids of these voxels. bricks.node is the row of each voxel in data (n, D) and in sigma (n,).
 
-    The table of an index whose data are still to be made is still to be made, too.
+    If the data are computed on demand, the table of an index grid is, too (see is_lazy()).
     """
     topology, order = topology_of_leaves(bricks.low, bricks.mask)
     node = in_order_of(bricks.node, popcount(bricks.mask), order)
@@ -70,7 +71,12 @@ def volume_of_voxels(
 
 
 class _Rows(NamedTuple):
-    """data (n, D), in this data_format, sigma (n,) where density is asked for, (m,) the row that each voxel holds."""
+    """The values of m voxels.
+
+    data   (n, D), in this data_format
+    sigma  (n,), if a density grid is requested
+    node   (m,) the row of each voxel in data and sigma
+    """
 
     data: RowsOfNodes
     sigma: npt.NDArray[Any] | None
@@ -78,8 +84,8 @@ class _Rows(NamedTuple):
     node: NodeNumbers
 
 
-class _TableRows(MadeRows):
-    """(m + 1, D) zeros, and each voxel's node: rows that are made when they are asked for."""
+class _TableRows(ComputedRows):
+    """Rows (m + 1, D), computed on demand: one row of zeros, then the values of each voxel."""
 
     def __init__(self, data: RowsOfNodes, node: NodeNumbers) -> None:
         self._data, self._node = data, node
@@ -87,7 +93,7 @@ class _TableRows(MadeRows):
 
     @property
     def held(self) -> int:
-        """What is in memory before any of them is asked for, beside the octree's own rows."""
+        """Bytes in memory before any row is computed, in addition to the octree's rows."""
         return self._node.nbytes
 
     def __getitem__(self, rows: slice) -> npt.NDArray[Any]:
@@ -107,7 +113,7 @@ def _grids(
     for grid in grids:
         if grid == "index":
             table = _TableRows(data, node)
-            whole = table if made_later(data, dtype) else _rounded(grid, np.asarray(table), dtype)
+            whole = table if is_lazy(data, dtype) else _rounded(grid, np.asarray(table), dtype)
             yield IndexGrid("index", topology, whole)
         elif grid == "density":
             assert rows.sigma is not None
@@ -120,7 +126,7 @@ def _grids(
 
 
 def _colour(rows: _Rows) -> npt.NDArray[np.float32]:
-    """(m, 3) sRGB: what a voxel shows on average."""
+    """Return sRGB colours (m, 3): the sigmoid of each voxel's mean over all directions."""
     basis = parse_basis(rows.data_format)
     first = _picked(rows.data, rows.node, [0, basis.size, 2 * basis.size])
     scale = 1.0 if basis.kind == "RGBA" else float(sh_basis(np.array([[0.0, 0.0, 1.0]]), 1)[0, 0])
@@ -134,12 +140,12 @@ def _colour(rows: _Rows) -> npt.NDArray[np.float32]:
 
 
 def _picked(data: RowsOfNodes, node: NodeNumbers, columns: list[int]) -> npt.NDArray[Any]:
-    """(m, len(columns)) of each voxel's node these values."""
+    """Return these columns of the data for each voxel, (m, len(columns))."""
     flat, width = np.asarray(data).reshape(-1), np.int64(data.shape[1])
     picked = np.empty((len(node), len(columns)), data.dtype)
 
     def work(begin: int, end: int) -> None:
-        # By their places in the flat array: two thirds of the time of data[node, columns].
+        # Indexing the flat array takes two thirds of the time of data[node, columns].
         picked[begin:end] = flat[node[begin:end, None] * width + columns]
 
     over_chunks(work, len(node), _CHUNK)
@@ -147,12 +153,12 @@ def _picked(data: RowsOfNodes, node: NodeNumbers, columns: list[int]) -> npt.NDA
 
 
 def _rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    return rounded(values, dtype, what=f"grid {name!r}", asked="`half`")
+    return cast_values(values, dtype, what=f"grid {name!r}", asked="`half`")
 
 
 def _transform(frame: OctreeFrame, up: Up) -> npt.NDArray[np.float64]:
-    """(3, 4) from a voxel's index to its centre in the world."""
+    """Return the transform (3, 4) from a voxel's index to its centre in the world."""
     transform = np.column_stack([np.diag(frame.voxel_size), frame.origin + frame.voxel_size / 2])
     if up == "z":
         return transform
-    return combined(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), transform)
+    return compose(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), transform)

@@ -1,4 +1,4 @@
-"""Field of bricks and posed pictures -> the same cells, with values that look more like the pictures."""
+"""Field of bricks and posed pictures -> the same cells, with values refitted to the pictures."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _DENSITY, _COLOUR = (0.1, 0.02), (0.6, 0.1)  # rates of the first and of the las
 def refit_bricks(
     field: BrickField, views: Views, *, epochs: int = 2, samples: int = 2, seed: int = 0
 ) -> Iterator[FitState]:
-    """Fits the values of a field's cells to pictures, and gives its state, always the same object, after every picture.
+    """Fit the values of a field's cells to pictures. Yields the state of the fit after every picture.
 
-    No cell comes or goes. samples: rays along each edge of a pixel. The same arguments give the same bytes. Raises
-    InvalidScene, MemoryLimit.
+    Each yield returns the same object. Cells are neither added nor removed. samples: rays along each edge of a pixel.
+    The same arguments give the same bytes. Raises InvalidScene, MemoryLimit.
 
-    >>> from nerfbake import bricks_of_octree, build_field, build_octree, build_views, refit_bricks, render_field
-    >>> from nerfbake import sample_n3tree, sphere_cameras
+    >>> from nerfbake import build_bricks, build_field, build_octree, build_views, refit_bricks, render_field
+    >>> from nerfbake import sample_n3tree, scatter_cameras
     >>> tree = sample_n3tree(resolution=16, basis="SH1")
-    >>> cameras = sphere_cameras(build_field(tree), frames=6, edge=32)
+    >>> cameras = scatter_cameras(build_field(tree), frames=6, edge=32)
     >>> pictures = [render_field(build_field(tree), each, background=None).pixels for each in cameras.cameras]
-    >>> coarse = bricks_of_octree(build_octree(tree, resolution=8))
+    >>> coarse = build_bricks(build_octree(tree, resolution=8))
     >>> *_, state = refit_bricks(coarse, build_views(cameras, pictures))
     >>> state.done, state.field().n == coarse.n
     (True, True)

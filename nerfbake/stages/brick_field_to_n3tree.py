@@ -10,40 +10,41 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.kernels.arrays import Bits, Indices, Ints
 from nerfbake.kernels.octree.brick_nodes import brick_nodes, numbered
-from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.lookup import dilate
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import exclusive_sum
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.stages._half import rounded
+from nerfbake.stages._half import cast_values
 
 _CHUNK = 256  # bricks at a time: their cells stay in the second-level cache
 
 
-def n3tree_of_bricks(field: BrickField, *, dtype: Literal["float32", "float16"] = "float32") -> N3Tree:
-    """The same field as a PlenOctree (N = 2): each cell is a leaf at its own depth and keeps its values.
+def build_n3tree(field: BrickField, *, dtype: Literal["float32", "float16"] = "float32") -> N3Tree:
+    """Convert a field of bricks to a PlenOctree (N = 2). Each cell becomes a leaf of its size and keeps its values.
 
-    Cells of density 0 are empty leaves. The tree's cube is the field's box, whose edges may differ. float16 rounds the
-    values. Raises InvalidScene for a broken field and for values that float16 cannot hold; MemoryLimit.
+    Cells of density 0 are empty leaves. The tree's cube is the field's box, whose edges may differ in length. float16
+    rounds the values. Raises InvalidScene for a broken field and for values that are too large for float16;
+    MemoryLimit.
 
     >>> import numpy as np
-    >>> from nerfbake import BrickField, n3tree_of_bricks
+    >>> from nerfbake import BrickField, build_n3tree
     >>> from nerfbake.scene.basis import Basis
     >>> rows = np.full((1, 512), -1, np.int32)
     >>> rows[0, 0] = 0
     >>> grey, box = np.array([[0, 0, 0, 50]], np.float32), np.array([[0.0] * 3, [1.0] * 3])
-    >>> tree = n3tree_of_bricks(BrickField(8, box, Basis("SH", 1), np.zeros((1, 1, 1), np.int32), rows, grey))
+    >>> tree = build_n3tree(BrickField(8, box, Basis("SH", 1), np.zeros((1, 1, 1), np.int32), rows, grey))
     >>> print(tree)
     SH1 PlenOctree of 8^3, 3 nodes
     >>> tree.sample([[0.1, 0.1, 0.1], [0.2, 0.1, 0.1]])[:, 3]
     array([50.,  0.], dtype=float32)
     """
     field.require_usable()
-    values = rounded(field.values, np.dtype(dtype), what="the field", asked="float16")
+    values = cast_values(field.values, np.dtype(dtype), what="the field", asked="float16")
     filled = values[:, -1] > 0
     bricks, codes = _bricks(field, filled)
     above = _above(codes, (field.resolution // 8).bit_length() - 1)
-    first = sum(len(level) for level, _ in above)  # the bricks' nodes stand behind all nodes above them
+    first = sum(len(level) for level, _ in above)  # the bricks' nodes follow all nodes above them
     n = max(first + int(bricks.nodes.sum()), 1)
     width = field.basis.data_dim
     memory.require("the tree", n * 8 * (width * values.itemsize + 4))
@@ -62,15 +63,18 @@ def n3tree_of_bricks(field: BrickField, *, dtype: Literal["float32", "float16"] 
 
 
 class _Bricks(NamedTuple):
-    """order (q,) the bricks that hold something, along the tree; nodes (q, 3) how many each has that are 8^3, 4^3 and
-    2^3 cells wide."""
+    """The bricks that are not empty.
+
+    order  (q,) their indices, in the order of the tree
+    nodes  (q, 3) number of nodes of 8^3, 4^3 and 2^3 cells in each
+    """
 
     order: Ints
     nodes: Ints
 
 
 def _bricks(field: BrickField, filled: Bits) -> tuple[_Bricks, Ints]:
-    """The bricks and (q,) the path from the root to each, octants 4x + 2y + z, rising."""
+    """Return the bricks, and their paths from the root (q,) as octants 4x + 2y + z, in ascending order."""
     x, y, z = (dilate(field.brick_corners[:, axis].astype(np.int64) >> 3) for axis in range(3))
     codes = x << 2 | y << 1 | z
     order = np.argsort(codes)
@@ -88,8 +92,10 @@ def _bricks(field: BrickField, filled: Bits) -> tuple[_Bricks, Ints]:
 
 
 def _above(codes: Ints, height: int) -> list[tuple[Ints, Ints]]:
-    """Of each level above the bricks: (m,) its nodes' paths, and the paths of the nodes below it; a tree of one brick
-    has no such level, and one of none its root alone."""
+    """Return for each level above the bricks the paths of its nodes (m,), and the paths of the nodes one level below.
+
+    A tree of one brick has no such level; a tree without bricks consists of its root.
+    """
     levels: list[tuple[Ints, Ints]] = []
     for _ in range(height):
         parents = codes >> 3
@@ -116,7 +122,7 @@ def _fill(
     child: npt.NDArray[np.int32],
     data: npt.NDArray[np.float32] | npt.NDArray[np.float16],
 ) -> None:
-    """Links the nodes below the bricks, level after level, and copies each cell to its leaf."""
+    """Link the nodes in the bricks, level by level, and copy each cell to its leaf."""
     of_level = bricks.nodes.sum(axis=0)
     starts = first + exclusive_sum(of_level) + (np.cumsum(bricks.nodes, axis=0) - bricks.nodes)
     octants = np.arange(8)

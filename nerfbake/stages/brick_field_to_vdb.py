@@ -14,29 +14,29 @@ from nerfbake.kernels.vdb.bitmask import words_of
 from nerfbake.kernels.vdb.bricks import Bricks
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
-from nerfbake.stages._half import rounded
+from nerfbake.stages._half import cast_values
 from nerfbake.stages._voxel_grids import WORK_BYTES, require_grids, volume_of_voxels
 
 _CHUNK = 512  # bricks at a time
 
 
-def vdb_of_bricks(
+def build_vdb_from_bricks(
     field: BrickField, *, grids: tuple[str, ...] = ("density", "Cd"), half: bool = False, up: Up = "z"
 ) -> Volume:
-    """The same field as grids over one topology; grids, half and up are build_vdb's.
+    """Convert a field of bricks to grids with one common topology. For grids, half and up see build_vdb().
 
-    A voxel is a cell of the finest lattice, so that a wide cell is eight voxels, which all hold its values; cells of
-    density 0 are background. What comes back from the grids is octree_of_bricks' octree. Raises InvalidScene;
-    MemoryLimit, before any grid is made.
+    A voxel is a cell of the finest lattice. A wide cell becomes eight voxels with the same values; cells of density 0
+    are background. build_octree_from_volume() of the grids returns the octree of build_octree_from_bricks(). Raises
+    InvalidScene, and MemoryLimit before any grid is built.
 
     >>> import numpy as np
-    >>> from nerfbake import BrickField, vdb_of_bricks
+    >>> from nerfbake import BrickField, build_vdb_from_bricks
     >>> from nerfbake.scene.basis import Basis
     >>> rows = np.full((1, 512), -1, np.int32)
     >>> rows[0, [0, 1, 8, 9, 64, 65, 72, 73]] = 0 << 1 | 1
     >>> grey, box = np.array([[0, 0, 0, 50]], np.float32), np.array([[0.0] * 3, [1.0] * 3])
     >>> field = BrickField(8, box, Basis("SH", 1), np.zeros((1, 1, 1), np.int32), rows, grey)
-    >>> print(vdb_of_bricks(field, grids=("index",)))
+    >>> print(build_vdb_from_bricks(field, grids=("index",)))
     VDB index grid (index), 8 voxels, float32
     """
     field.require_usable()
@@ -44,8 +44,8 @@ def vdb_of_bricks(
     sigma = np.ascontiguousarray(field.values[:, -1])
     values: npt.NDArray[Any] = field.values
     dtype = np.dtype(np.float16 if half else np.float32)
-    if half and "index" in grids:  # rounded before wide cells become eight voxels: a third of the memory
-        values = rounded(values, dtype, what="the field", asked="float16")
+    if half and "index" in grids:  # rounding before wide cells become eight voxels takes a third of the memory
+        values = cast_values(values, dtype, what="the field", asked="float16")
     bricks = _bricks(field, sigma > 0)
     memory.require("the field as voxels", len(bricks.node) * (values.itemsize * field.basis.data_dim + WORK_BYTES))
     edge = field.resolution
@@ -54,7 +54,7 @@ def vdb_of_bricks(
 
 
 def _bricks(field: BrickField, filled: Bits) -> Bricks:
-    """The bricks with the rows that their voxels hold, of those that are filled (n,)."""
+    """Return the bricks with the row of each voxel, for the cells that are filled (n,)."""
     mask = np.zeros((field.b, 8), np.uint64)
     nodes = [np.zeros(0, np.int32)] * (-(-field.b // _CHUNK) or 1)
 

@@ -1,8 +1,8 @@
-"""Radiance field, opaque meshes and camera -> one picture of both."""
+"""Radiance field, opaque meshes and camera -> a picture of both."""
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -10,9 +10,10 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Composite, Meshes
+from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.stages._supersampled import supersampled
-from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.meshes_to_image import render_meshes
 
 
@@ -23,18 +24,21 @@ def render_field_and_meshes(
     *,
     how: Composite = "stop",
     background: tuple[float, float, float] | None = WHITE,
+    transmittance_cut: float = 1e-4,
+    lookup: Lookup = "nearest",
     samples: int = 1,
-    **options: Any,
 ) -> Image:
-    """What the camera sees of a field with meshes in it; both stand in the same world. Options go to render_field().
+    """Render a field with opaque meshes in the same world coordinates. For the other options see render_field().
 
-    stop   rays end at the mesh, which is seen through what is in front of it.
-    ztest  the field is rendered as if it were alone; where its expected depth is nearer than the mesh, all of it is
-           laid over the mesh, elsewhere the mesh is seen alone. For pictures with depth that are there already; wrong
-           where a ray meets something on both sides of the mesh.
-    Of samples x samples rays a pixel each ends, or is tested, on its own; the pixel is their mean, as render_field()
-    has it: at the rim of a mesh, too.
-    Source: TR-24-01 (docs/sources.md), section 5.2.
+    `how` selects how the two are combined:
+
+    stop   rays end at the mesh, which is visible through the part of the field in front of it
+    ztest  the field is rendered without the mesh; where its expected depth is nearer than the mesh, the whole field is
+           composited over the mesh, elsewhere only the mesh is visible. Suitable for existing pictures with depth;
+           wrong where a ray crosses parts of the field on both sides of the mesh
+
+    With samples x samples rays per pixel, each ray ends or is tested separately, and the pixel is their mean as in
+    render_field(), also at the edges of a mesh. Source: TR-24-01 (docs/sources.md), section 5.2.
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes, build_field, orbit_cameras, render_field_and_meshes, sample_n3tree
@@ -47,16 +51,17 @@ def render_field_and_meshes(
     if how not in get_args(Composite):
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))
     require_field(field)
+    options: RenderOptions = {"background": None, "transmittance_cut": transmittance_cut, "lookup": lookup}
     image = supersampled(lambda part: _rendered(field, meshes, part, how, options), camera, samples)
     return image if background is None else image.over(background)
 
 
-def _rendered(field: RadianceField, meshes: Meshes, camera: Camera, how: Composite, options: dict[str, Any]) -> Image:
-    """With one ray a pixel, over nothing."""
+def _rendered(field: RadianceField, meshes: Meshes, camera: Camera, how: Composite, options: RenderOptions) -> Image:
+    """Render with one ray per pixel over a transparent background."""
     mesh = render_meshes(meshes, camera, background=None)
     solid = mesh.alpha > 0
     stop = np.where(solid, mesh.depth, np.inf).astype(np.float64) if how == "stop" else None
-    fog = render_field(field, camera, background=None, stop=stop, **options)
+    fog = render_field(field, camera, stop=stop, **options)
     hidden = solid & (fog.depth >= mesh.depth) & (how == "ztest")
     near = np.where(hidden, 0, fog.alpha).astype(np.float32)
     left = (1 - near) * mesh.alpha

@@ -1,21 +1,31 @@
-"""Radiance field and camera -> picture: the reference that every bake is judged by."""
+"""Radiance field and camera -> picture. This is the reference renderer that every bake is compared with."""
 
 from __future__ import annotations
+
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.affine import placed
+from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.stages._supersampled import supersampled
 
-_RAYS = 1 << 17  # at a time, so that a large picture can say how much of it is done
-_RAY_BYTES, _BASIS_BYTES = 130, 5  # a pixel, and a pixel and coefficient, while rays are marched (129 and 4.8 measured)
+_RAYS = 1 << 17  # rays at a time, so that progress is reported during a large picture
+_RAY_BYTES, _BASIS_BYTES = 130, 5  # per pixel, and per pixel and coefficient, during the march (129 and 4.8 measured)
+
+
+class RenderOptions(TypedDict, total=False):
+    """Options of render_field() for callers that pass them on."""
+
+    background: tuple[float, float, float] | None
+    transmittance_cut: float
+    lookup: Lookup
 
 
 def render_field(
@@ -28,19 +38,22 @@ def render_field(
     stop: npt.NDArray[np.float64] | None = None,
     samples: int = 1,
 ) -> Image:
-    """What the camera sees of the field. Source: docs/conventions.md, "How a picture is made".
+    """Render the field as seen by a camera. Source: docs/conventions.md, "How a picture is made".
 
-    Emission and absorption along the ray through each pixel's centre, front to back over a background (sRGB in 0..1;
-    None: transparent). A ray ends where it lets less than transmittance_cut through, and at its stop: (H, W) distances
-    from the camera in world units, infinite where nothing stands in the way.
+    Integrates emission and absorption along the ray through each pixel's centre, front to back over a background.
 
-    lookup  nearest: each leaf is a cell of constant density and of the colour that it has in the ray's direction;
-            sums along the ray are exact. trilinear: between the centres of cells of the finest level, density and
-            coefficients are interpolated, the coefficients by density.
-    samples samples x samples rays a pixel (1 to 8), through the middles of as many squares, and their mean: of colours
-            as they are, in sRGB, and of depths by alpha. A stop is one ray's: it goes with one ray a pixel alone.
+    background         sRGB in 0..1; None: transparent
+    transmittance_cut  a ray ends where its transmittance falls below this value
+    lookup             nearest: each leaf is a cell with constant density and with its colour in the ray's direction;
+                       the integral along the ray is exact. trilinear: density and coefficients are interpolated
+                       between the centres of cells of the finest level, the coefficients weighted by density
+    stop               (H, W) distances from the camera, in world units, at which rays end; infinite for no end.
+                       Requires samples=1, because a distance belongs to one ray
+    samples            samples x samples rays per pixel (1 to 8), through the centres of equal squares. Colours are
+                       averaged in sRGB, and depths are averaged with alpha as weight
 
-    build_field() makes the field of a scene, once for all pictures; a scene itself is refused with UsageError.
+    Build the field of a scene once with build_field(), and use it for all pictures. Raises UsageError for a scene that
+    is not a field.
 
     >>> from nerfbake import build_field, orbit_cameras, render_field, sample_n3tree
     >>> field = build_field(sample_n3tree(resolution=8))
@@ -50,13 +63,13 @@ def render_field(
     """
     require_field(field)
     if not 0 <= transmittance_cut < 1:
-        raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, without 1"))
+        raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, excluding 1"))
     if lookup not in ("nearest", "trilinear"):
         raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
     if stop is not None and stop.shape != (camera.height, camera.width):
         raise InvalidScene(Problem("stop", f"has shape {stop.shape}", f"{(camera.height, camera.width)}"))
     if stop is not None and samples != 1:
-        found = f"has a distance a pixel, for {samples!r:.40} samples"
+        found = f"has one distance per pixel for {samples!r:.40} samples"
         raise InvalidScene(Problem("stop", found, "1 sample; render_field_and_meshes() for more"))
     return supersampled(
         lambda part: _rendered(field, part, background, transmittance_cut, lookup, stop), camera, samples
@@ -71,7 +84,7 @@ def _rendered(
     lookup: Lookup,
     stop: npt.NDArray[np.float64] | None,
 ) -> Image:
-    """With one ray a pixel."""
+    """Render with one ray per pixel."""
     shape = (camera.height, camera.width)
     camera.require_memory(_RAY_BYTES + _BASIS_BYTES * field.basis.size)
     far_away = np.full(camera.height * camera.width, np.inf) if stop is None else stop.astype(np.float64).reshape(-1)
@@ -86,12 +99,12 @@ def _rendered(
 def _marched(
     field: RadianceField, camera: Camera, stop: npt.NDArray[np.float64], cut: float, lookup: Lookup
 ) -> npt.NDArray[np.float32]:
-    from nerfbake.kernels.march.looks import faced
+    from nerfbake.kernels.march.directions import rotate_and_project
 
     origin, looks = camera.rays()
-    place = placed(origin, field.place)
+    place = transform_points(origin, field.place)
     # SH are in the field's own axes.
-    ways, basis = faced(looks, np.ascontiguousarray(field.place[:, :3]), field.axes, field.basis.size)
+    ways, basis = rotate_and_project(looks, np.ascontiguousarray(field.place[:, :3]), field.axes, field.basis.size)
     if field.basis.kind == "RGBA":
         basis[:] = 1
     out = np.empty((len(looks), 5), np.float32)
@@ -102,9 +115,9 @@ def _marched(
     else:
         from nerfbake.kernels.march.traversal_smooth import march_smooth as march
 
-        # Positions from centre to centre; what is occupied reaches one further on each side.
+        # Positions are relative to cell centres. Interpolation extends the box to the next centre on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
-    # A whole number would be another type, for which all of it would be compiled anew.
+    # An integer would be another type, for which numba would compile the kernel again.
     for first in progress.each(range(0, len(looks), _RAYS)):
         some = slice(first, first + _RAYS)
         march(

@@ -1,4 +1,4 @@
-"""Radiance field -> a mesh around all that can be seen of it, made of boxes."""
+"""Radiance field -> a mesh of boxes that encloses all visible leaves."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from nerfbake.kernels.arrays import Bits, Ints
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.radiance_field import RadianceField, leaves_of, require_field
 
-FINEST = 12  # 4096 boxes along an axis: an octree has no more voxels
-_BOX_BYTES = 12  # that finding the faces takes for each box of the grid
-_FACE_BYTES = 400  # and for each face
+FINEST = 12  # 4096 boxes along an axis, the largest number of voxels in an octree
+_BOX_BYTES = 12  # per box of the grid, while the faces are computed
+_FACE_BYTES = 400  # per face
 
 
 def build_hull(field: RadianceField, *, level: int = 5) -> Meshes:
-    """The faces between boxes that hold something and boxes that hold nothing, in world units.
+    """Return the faces between occupied and empty boxes, in world units.
 
-    level: the longest edge of the box around all leaves is at most 2^level boxes long, and one more where these do not
-    start with it: boxes are cubes of 2^k voxels, as the nodes of an octree are, and never smaller than a voxel. Boxes
-    that reach beyond the box around all leaves end with it. Every leaf with a density is inside, up to the rounding
-    to float32; trilinear lookup reaches half a voxel further. Faces are counter-clockwise from outside, two triangles
-    for each side of a box, without an edge that ends within another one. Vertices are shared: where no two boxes touch
-    along an edge or in a corner alone, the surface is a manifold; it has no gap anywhere.
+    level: the longest edge of the box around all leaves is at most 2^level boxes long, plus one if the boxes are not
+    aligned with it. Boxes are cubes of 2^k voxels, aligned like the nodes of an octree, and never smaller than a
+    voxel. They are clipped to the box around all leaves.
 
-    Raises InvalidScene where nothing is to be seen, MemoryLimit. Source: TR-24-01 (docs/sources.md), 3.4.
+    The mesh encloses every leaf with a density, up to the rounding to float32; trilinear lookup extends half a voxel
+    further. Faces are counter-clockwise seen from outside. Each side of a box is two triangles, and there are no
+    T-junctions. Vertices are shared. The surface has no gaps; it is a manifold unless two boxes touch only along an
+    edge or at a corner.
+
+    Raises InvalidScene if nothing is visible, MemoryLimit. Source: TR-24-01 (docs/sources.md), 3.4.
 
     >>> from nerfbake import build_field, build_hull, sample_n3tree
     >>> print(build_hull(build_field(sample_n3tree(resolution=16)), level=2))
@@ -44,7 +46,7 @@ def build_hull(field: RadianceField, *, level: int = 5) -> Meshes:
         raise InvalidScene(problem)
     corners, faces = _surface(held)
     positions = field.world(np.clip((first + corners) * edge, low, high).astype(np.float64)).astype(np.float32)
-    # A place that mirrors the world turns every face around.
+    # A transform that mirrors the world inverts the winding of every face.
     x, y, z = field.place[:, :3]
     if (np.cross(x, y) * z).sum() < 0:
         faces = faces[:, ::-1]
@@ -52,13 +54,13 @@ def build_hull(field: RadianceField, *, level: int = 5) -> Meshes:
 
 
 def _held(field: RadianceField, first: Ints, shape: Ints, edge: int) -> Bits:
-    """(X, Y, Z) bool: the boxes that hold a part of a leaf."""
+    """Return (X, Y, Z) bool: the boxes that contain a part of a leaf."""
     x, y, z = (int(count) + 1 for count in shape)
     memory.require("the hull's boxes", _BOX_BYTES * x * y * z)
-    # A leaf adds one from its lowest box on and takes it away behind its last, along each axis: sums count the leaves.
+    # Along each axis, a leaf adds 1 at its first box and subtracts 1 after its last: prefix sums count the leaves.
     count = np.zeros((x, y, z), np.int32)
     for corners, width in leaves_of(field.cells):
-        # What lies outside of an octree's grid is never seen.
+        # Leaves outside an octree's grid are never visible.
         lower = corners[(corners < field.box[1]).all(axis=1)].astype(np.int64)
         ends = [np.minimum(end - first, shape) for end in (lower // edge, -(-(lower + int(width)) // edge))]
         for corner in range(8):
@@ -71,7 +73,7 @@ def _held(field: RadianceField, first: Ints, shape: Ints, edge: int) -> Bits:
 
 
 def _surface(held: Bits) -> tuple[Ints, Ints]:
-    """Corners (v, 3), counted in boxes, and triangles (t, 3) of the faces around these boxes."""
+    """Return corners (v, 3), in boxes, and triangles (t, 3) of the faces around these boxes."""
     lattice = tuple(edge + 1 for edge in held.shape)
     strides = lattice[1] * lattice[2], lattice[2], 1
     quads = []

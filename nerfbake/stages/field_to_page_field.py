@@ -1,4 +1,4 @@
-"""Radiance field -> the arrays that a page's shader reads."""
+"""Radiance field -> the arrays that the shader of a page reads."""
 
 from __future__ import annotations
 
@@ -12,29 +12,19 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.march.cells import rows_at
-from nerfbake.scene.page_field import (
-    ALL,
-    BLOCK,
-    FARTHEST,
-    LARGEST,
-    WHOLE,
-    PageField,
-    density_unit,
-    grid_of,
-    texels_of,
-)
+from nerfbake.scene.page import ALL, BLOCK, FARTHEST, LARGEST, WHOLE, PageField, density_unit, grid_of, texels_of
 from nerfbake.scene.radiance_field import RadianceField, leaves_of, require_field
 
 Ints = npt.NDArray[np.int64]
-_VOXEL_BYTES = 100  # that building takes for each voxel, beside its texels
-_CELL_BYTES = 8  # and for each cell of the grid
+_VOXEL_BYTES = 100  # per voxel during the conversion, in addition to its texels
+_CELL_BYTES = 8  # per cell of the grid
 
 
 def build_page_field(field: RadianceField) -> PageField:
-    """The same field for a shader: its values rounded to float16, leaves split into voxels where they are no whole
-    blocks of 4^3 or 8^3.
+    """Convert a field to the arrays of a shader.
 
-    Raises InvalidScene where nothing is to be seen, MemoryLimit.
+    Values are rounded to float16. Leaves are split into voxels unless their width is a power of two of 4 or more, so
+    that they are whole blocks of 4^3 or cells of 8^3. Raises InvalidScene if nothing is visible, MemoryLimit.
 
     >>> from nerfbake import build_field, build_page_field, sample_n3tree
     >>> print(build_page_field(build_field(sample_n3tree(resolution=16))))
@@ -56,7 +46,7 @@ def build_page_field(field: RadianceField) -> PageField:
 
 
 def round_field(field: RadianceField) -> RadianceField:
-    """The same field with its values as build_page_field() keeps them, in float16.
+    """Return the field with its values rounded to float16 as in build_page_field().
 
     >>> from nerfbake import build_field, round_field, sample_n3tree
     >>> field = build_field(sample_n3tree(resolution=8))
@@ -71,7 +61,10 @@ def round_field(field: RadianceField) -> RadianceField:
 
 
 class _Parts(NamedTuple):
-    """Voxels (v, 3) in the order of their rows, their leaves (v,); whole leaves' corners (w, 3), widths and leaves."""
+    """Voxels (v, 3) in the order of their rows, with the field's row of each (v,), and leaves that stay whole.
+
+    The latter are given by their corners (w, 3), widths (w,) and the field's rows (w,).
+    """
 
     voxels: Ints
     voxel_rows: Ints
@@ -81,7 +74,7 @@ class _Parts(NamedTuple):
 
 
 def _parts_of(field: RadianceField, start: Ints) -> _Parts:
-    """Leaves that are whole blocks or cells, in the order of their rows, and the voxels of all others."""
+    """Return leaves that are whole blocks or cells, in the order of their rows, and the voxels of all other leaves."""
     voxels, voxel_rows = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
     whole = [(np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for corners, width in leaves_of(field.cells):
@@ -96,7 +89,7 @@ def _parts_of(field: RadianceField, start: Ints) -> _Parts:
         voxel_rows.append(np.repeat(rows, edge**3))
     all_voxels, leaves = np.concatenate(voxels), np.concatenate(voxel_rows)
     corners, widths, rows = (np.concatenate(each) for each in zip(*whole, strict=True))
-    # What lies outside of an octree's grid is never seen.
+    # Voxels and leaves outside an octree's grid are never visible.
     end = np.ceil(field.box[1]).astype(np.int64) - start
     order = np.argsort(_key(all_voxels), kind="stable")
     order = order[(all_voxels[order] < end).all(axis=1)]
@@ -106,7 +99,7 @@ def _parts_of(field: RadianceField, start: Ints) -> _Parts:
 
 
 def _key(voxels: Ints) -> Ints:
-    """Numbers that put voxels into the order of cells, blocks in them and bits in those."""
+    """Return sort keys: voxels are ordered by cell, then by block, then by bit."""
     x, y, z = voxels.T
     cell = (x >> 3) << 40 | (y >> 3) << 20 | z >> 3
     return np.asarray(cell << 9 | _block_and_bit(voxels), np.int64)
@@ -119,7 +112,7 @@ def _block_and_bit(voxels: Ints) -> Ints:
 
 
 def _structure(parts: _Parts, shape: tuple[int, int, int]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint32]]:
-    """The grid and the blocks; whole leaves' rows follow those of the voxels."""
+    """Return the grid and the blocks. The rows of whole leaves follow those of the voxels."""
     top = np.full(shape, -1, np.int32)
     blocky = parts.widths == BLOCK
     numbers = len(parts.voxels) + np.arange(len(parts.rows))
@@ -151,7 +144,7 @@ def _structure(parts: _Parts, shape: tuple[int, int, int]) -> tuple[npt.NDArray[
 
 
 def _set_distances(top: npt.NDArray[np.int32]) -> None:
-    """Of each empty cell how far the next one is that is not, along the axis along which it is farthest."""
+    """Write minus the Chebyshev distance to the nearest occupied cell into each empty cell, at most FARTHEST."""
     reached = top >= 0
     for distance in range(1, FARTHEST + 1):
         top[~reached] = -distance

@@ -1,34 +1,188 @@
-"""Lattice field -> sparse voxel octree: values between the nodes become voxels, and colours a sigmoid's sums."""
+"""Lattice field -> sparse voxel octree: interpolated values become voxels, and colours become SH behind a sigmoid.
+
+For a lattice of blocks, voxels store means of samples. They are computed in parts, because MERF has too many cells to
+compute them all at once. The density of a voxel is the mean of its samples' densities. Its diffuse colour and the
+inputs of the MLP are means weighted by the samples' opacities, like the sums along a ray in MERF. The MLP is then
+evaluated once per voxel, as MERF evaluates it once per ray.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Coords, Ints, Singles
-from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
+from nerfbake.kernels.arrays import Coords, Floats, Ints, Singles
+from nerfbake.kernels.lattice.blocks import weighted_means
+from nerfbake.kernels.lattice.nodes import DensityNodes, densities, in_nodes, interpolate_rows
+from nerfbake.kernels.octree.pyramid import mean_edge, opacity
 from nerfbake.scene.basis import parse_basis
-from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.lattice_field import DeferredColour, LatticeField
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.scene.volume import OctreeFrame
-from nerfbake.stages._block_voxels import Held, colour_blocks, held_of_blocks
 from nerfbake.stages._cube_levels import Block, octree_of_blocks
-from nerfbake.stages._half import rounded
-from nerfbake.stages._lattice import fit_of, nodes_of, table_of
+from nerfbake.stages._deferred import diffuse_and_inputs
+from nerfbake.stages._half import cast_values
+from nerfbake.stages._lattice import features_of, fit_of, fit_of_bare, nodes_of, table_of
 from nerfbake.stages.octree_to_octree import cut_octree
 
-_TESTED = 1 << 18  # voxels whose density is asked at a time
-_FITTED = 1 << 15  # voxels whose colours are made at a time
-_FOUND = 0.3  # of the work is done when the voxels that hold something are found
-_FOUND_BYTES = 16  # a voxel's place and density, while colours are not made yet
+_TOGETHER = 1 << 18  # samples that are evaluated at a time
+_SAMPLE_BYTES = 160  # per sample: its position, its raw values, and their sigmoids
+_FITTED = 1 << 15  # most voxels whose colours are computed at a time
+_FOUND_BYTES = 16  # per voxel: its position and density
+_COARSEST = 64  # voxels along an axis; the resolution is not reduced any further to save memory
+
+Size = tuple[int, int, int]
 
 
-def octree_of_lattice(
+class FilledVoxels(NamedTuple):
+    """The voxels of a grid that are not empty.
+
+    size   (W, H, D) voxels
+    cells  (m, 3) the voxels that are not empty, x-major
+    sigma  (m,) their densities
+    """
+
+    size: Size
+    cells: Coords
+    sigma: Singles
+
+
+class _Samples(NamedTuple):
+    """Sample positions in the voxels of a grid of this size, `times` along each axis of a voxel."""
+
+    nodes: DensityNodes
+    size: Size
+    times: int
+
+    @property
+    def in_voxel(self) -> int:
+        """Number of samples in a voxel."""
+        return self.times**3
+
+    @property
+    def at_once(self) -> int:
+        """Number of voxels whose samples are evaluated at a time."""
+        return max(1, _TOGETHER // self.in_voxel)
+
+    def places(self, cells: Coords | Ints) -> Floats:
+        """Return the samples (k times^3, 3) of cells (k, 3), cell by cell."""
+        inside = np.stack(np.meshgrid(*[self.shares] * 3, indexing="ij"), -1).reshape(-1, 3)
+        places: Floats = ((cells[:, None] + inside) / np.array(self.size)).reshape(-1, 3)
+        return places
+
+    @property
+    def shares(self) -> Floats:
+        """Sample positions along an axis of a voxel, (times,) in 0..1."""
+        return (np.arange(self.times) + 0.5) / self.times
+
+    def blocks_along(self, axis: int) -> Ints:
+        """Return the index of the block that contains each sample along an axis, (voxels, times)."""
+        at = (np.arange(self.size[axis])[:, None] + self.shares) / self.size[axis]
+        found = (at * self.nodes.block_times[axis] + self.nodes.block_plus[axis]).astype(np.int64)
+        return np.asarray(np.clip(found, 0, self.nodes.links.shape[axis] - 1))
+
+
+def filled_voxels(lattice: LatticeField, size: Size | None, B: int, sigma_min: float) -> FilledVoxels:
+    """Return the voxels of a lattice of blocks that are not empty.
+
+    size None: one voxel per cell, halved along each axis until the octree with B coefficients fits into memory. Raises
+    InvalidScene for a size out of range.
+    """
+    if size is not None:
+        if not all(1 <= edge <= MAX_SIZE for edge in size):
+            W, H, D = size
+            raise InvalidScene(Problem("resolution", f"is {W}x{H}x{D}", f"1 to {MAX_SIZE} voxels an axis"))
+        return _block_voxels(_samples(lattice, size), sigma_min, None)
+    W, H, D = (min(edge, MAX_SIZE) for edge in lattice.cells)
+    while max(W, H, D) > _COARSEST:
+        most = memory.left() // _voxel_bytes(B)
+        found = _block_voxels(_samples(lattice, (W, H, D)), sigma_min, most)
+        if len(found.cells) <= most:
+            return found
+        W, H, D = -(-W // 2), -(-H // 2), -(-D // 2)
+    return _block_voxels(_samples(lattice, (W, H, D)), sigma_min, None)
+
+
+def _voxel_bytes(B: int) -> int:
+    """Return the most bytes per voxel while the octree is built, and while it is compared with the lattice."""
+    return 4 * (3 * B + 1) * 3 + 150
+
+
+def _samples(lattice: LatticeField, size: Size) -> _Samples:
+    """Return samples: at least two per voxel along each axis, and at least as many as there are cells."""
+    times = 2
+    while any(times * edge < cells for edge, cells in zip(size, lattice.cells, strict=True)):
+        times *= 2
+    return _Samples(nodes_of(lattice), size, times)
+
+
+def _block_voxels(samples: _Samples, sigma_min: float, most: int | None) -> FilledVoxels:
+    """Return the voxels that are not empty. Stops early if there are more than `most`."""
+    found, sigma, count = [], [], 0
+    equal = np.ones(samples.at_once * samples.in_voxel)
+    for cells in _near_blocks(samples):
+        for begin in range(0, len(cells), samples.at_once):
+            some = cells[begin : begin + samples.at_once]
+            own = densities(samples.nodes, samples.places(some))
+            own[own < sigma_min] = 0
+            mean = weighted_means(own[:, None], equal[: len(own)], samples.in_voxel)[:, 0]
+            keep = mean > 0
+            count += int(np.count_nonzero(keep))
+            memory.require("the voxels' places", count * _FOUND_BYTES)
+            found.append(some[keep].astype(np.int32))
+            sigma.append(mean[keep])
+        if most is not None and count > most:
+            break
+    if not found:
+        return FilledVoxels(samples.size, np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
+    return FilledVoxels(samples.size, np.concatenate(found), np.concatenate(sigma))
+
+
+def _near_blocks(samples: _Samples) -> Iterator[Ints]:
+    """Yield the voxels (k, 3) that have a sample in a block, in parts."""
+    held = samples.nodes.links >= 0
+    blocks = [samples.blocks_along(axis) for axis in range(3)]
+    planes = max(1, _TOGETHER // (samples.size[1] * samples.size[2]))
+    for begin in progress.each(range(0, samples.size[0], planes)):
+        near = held
+        for axis, each in enumerate((blocks[0][begin : begin + planes], *blocks[1:])):
+            found = near.take(each[:, 0], axis)
+            for sample in range(1, samples.times):
+                found |= near.take(each[:, sample], axis)
+            near = found
+            if not near.any():
+                break
+        else:
+            yield np.argwhere(near) + np.array([begin, 0, 0])
+
+
+def colour_blocks(lattice: LatticeField, held: FilledVoxels, B: int, sigma_min: float, values: Singles) -> None:
+    """Write the SH coefficients of all voxels of a lattice of blocks into values (m, 3 B + 1)."""
+    colour = lattice.colour
+    assert isinstance(colour, DeferredColour)
+    samples = _samples(lattice, held.size)
+    fit, looked = fit_of_bare(colour, B), features_of(lattice)
+    length = mean_edge((lattice.box[1] - lattice.box[0]) / held.size) / samples.times
+    step = min(samples.at_once, _FITTED)
+    for begin in progress.each(range(0, len(held.cells), step)):
+        memory.require("the voxels' samples", min(step, len(held.cells)) * samples.in_voxel * _SAMPLE_BYTES)
+        places = samples.places(held.cells[begin : begin + step])
+        sigma = densities(samples.nodes, places)
+        sigma[sigma < sigma_min] = 0
+        mean = weighted_means(diffuse_and_inputs(colour, looked(places)), opacity(sigma, length), samples.in_voxel)
+        values[begin : begin + len(mean), :-1] = fit(mean)
+
+
+_TESTED = 1 << 18  # voxels whose density is evaluated at a time
+_FOUND = 0.3  # progress when the non-empty voxels have been found
+
+
+def build_octree_from_lattice(
     lattice: LatticeField,
     *,
     resolution: tuple[int, int, int] | None = None,
@@ -37,29 +191,29 @@ def octree_of_lattice(
     dtype: Literal["float32", "float16"] = "float32",
     sigma_min: float | None = None,
 ) -> SparseVoxelOctree:
-    """The lattice as W x H x D voxels over its box, as a breadth-first octree.
+    """Resample a lattice to W x H x D voxels over its box, as a breadth-first octree.
 
-    resolution: (W, H, D), 1 to 4096; None: twice the lattice's cells. A voxel holds the density and the colour at its
-    centre, interpolated as the lattice's own program does. Where it is as coarse as a cell of the lattice or coarser,
-    it holds the mean of finer voxels, by build_octree's rule. Of a lattice of blocks, None is as many voxels as it has
-    cells, or as many halvings of that as memory asks for, and voxels hold means of samples inside them; what the MLP of
-    its colours is asked for is the mean, too.
+    resolution: (W, H, D), 1 to 4096; None: twice the lattice's cells. A voxel stores the density and the colour at its
+    centre, interpolated as in the lattice's original program. If a voxel is as large as a cell of the lattice or
+    larger, it stores the mean of finer voxels by the rule of build_octree(). For a lattice of blocks, None is one
+    voxel per cell, halved along each axis until the octree fits into memory. Its voxels store means of samples inside
+    them, and the MLP of its colours is evaluated for these means.
 
-    Colours become the sigmoid of sums of spherical harmonics, basis SH1 to SH25: by least squares of the logits over
-    256 directions (measure_lattice() tells what that costs). Voxels whose density is 0, or below sigma_min (1/world
-    unit), are empty; of means that is said of samples. Colours are made a part at a time, so that beside the octree
-    little memory is needed.
+    Colours become the sigmoid of a sum of spherical harmonics, basis SH1 to SH25, by a least-squares fit of the logits
+    in 256 directions; measure_lattice() returns the error of the fit. Voxels with a density of 0, or below sigma_min
+    (1/world unit), are empty; in a lattice of blocks these limits apply to samples. Colours are computed in parts,
+    which needs little memory in addition to the octree.
 
-    Raises InvalidScene for a broken lattice, for one that holds nothing, and for values that float16 cannot hold;
-    MemoryLimit.
+    Raises InvalidScene for a broken lattice, for one without visible voxels, and for values that are too large for
+    float16; MemoryLimit.
 
     >>> import numpy as np
-    >>> from nerfbake import LatticeField, octree_of_lattice
+    >>> from nerfbake import LatticeField, build_octree_from_lattice
     >>> from nerfbake.scene.lattice_field import Activation, RgbColour
     >>> links = np.arange(27, dtype=np.int32).reshape(3, 3, 3)
     >>> box, grey = np.array([[0.0] * 3, [1.0] * 3]), np.zeros((27, 3), np.float32)
     >>> lattice = LatticeField(links, np.ones(27, np.float32), grey, Activation(), RgbColour(), box)
-    >>> octree_of_lattice(lattice, basis="SH1").size
+    >>> build_octree_from_lattice(lattice, basis="SH1").size
     (6, 6, 6)
     """
     lattice.require_usable()
@@ -68,13 +222,13 @@ def octree_of_lattice(
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
     with progress.part(0, _FOUND):
         if lattice.blocks is not None:
-            held, levels = held_of_blocks(lattice, resolution, wanted.size, sigma_min or 0.0), 0
+            held, levels = filled_voxels(lattice, resolution, wanted.size, sigma_min or 0.0), 0
         else:
             size, levels = _sizes(lattice, resolution)
-            held = Held(size, *_held(lattice, size, sigma_min or 0.0))
+            held = FilledVoxels(size, *_held(lattice, size, sigma_min or 0.0))
     size, cells = held.size, held.cells
     if not len(cells):
-        raise InvalidScene(Problem("the lattice", "holds nothing", f"a density above {sigma_min or 0:g} somewhere"))
+        raise InvalidScene(Problem("the lattice", "is empty", f"a density above {sigma_min or 0:g} somewhere"))
     memory.require("the voxels' values", len(cells) * wanted.data_dim * 4)
     values = np.empty((len(cells), wanted.data_dim), np.float32)
     values[:, -1] = held.sigma
@@ -83,7 +237,7 @@ def octree_of_lattice(
             colour_blocks(lattice, held, wanted.size, sigma_min or 0.0, values)
         else:
             _colour(lattice, size, cells, wanted.size, values)
-    data = rounded(values, np.dtype(dtype), what="the lattice", asked="float16")
+    data = cast_values(values, np.dtype(dtype), what="the lattice", asked="float16")
     edges = (lattice.box[1] - lattice.box[0]) / size
     frame = OctreeFrame(size, basis, layout, lattice.box[0].copy(), edges)
     rows = np.arange(len(cells))
@@ -94,7 +248,7 @@ def octree_of_lattice(
 
 
 def _sizes(lattice: LatticeField, resolution: tuple[int, int, int] | None) -> tuple[tuple[int, int, int], int]:
-    """The voxels that are sampled along each axis, and how many levels finer these are than those that are wanted."""
+    """Return the number of voxels to sample along each axis, and how many levels finer they are than requested."""
     x, y, z = resolution or (min(2 * edge, MAX_SIZE) for edge in lattice.cells)
     if not all(1 <= edge <= MAX_SIZE for edge in (x, y, z)):
         raise InvalidScene(Problem("resolution", f"is {x}x{y}x{z}", f"1 to {MAX_SIZE} voxels an axis"))
@@ -108,7 +262,7 @@ def _sizes(lattice: LatticeField, resolution: tuple[int, int, int] | None) -> tu
 
 
 def _held(lattice: LatticeField, size: tuple[int, int, int], sigma_min: float) -> tuple[Coords, Singles]:
-    """(m, 3) the voxels that hold something, x-major, and (m,) their densities."""
+    """Return the voxels that are not empty (m, 3), x-major, and their densities (m,)."""
     nodes, found, sigma, count = nodes_of(lattice), [], [], 0
     for cells in _near(lattice, size):
         density = densities(nodes, (cells + 0.5) / size)
@@ -121,10 +275,10 @@ def _held(lattice: LatticeField, size: tuple[int, int, int], sigma_min: float) -
 
 
 def _near(lattice: LatticeField, size: tuple[int, int, int]) -> Iterator[Ints]:
-    """The voxels (k, 3), some at a time, that have a node with values among the eight around their centre."""
+    """Yield the voxels (k, 3), in parts, that have a stored node among the eight around their centre."""
     low = [_node_below(lattice, size, axis) for axis in range(3)]
     planes = max(1, _TESTED // (size[1] * size[2]))
-    rows = max(1, _TESTED // (planes * size[2]))  # of a plane: all of them, unless one alone has too many voxels
+    rows = max(1, _TESTED // (planes * size[2]))  # all rows of a plane, unless a single plane has too many voxels
     for begin in progress.each(range(0, size[0], planes)):
         x = low[0][begin : begin + planes]
         for first in range(0, size[1], rows):
@@ -136,25 +290,25 @@ def _near(lattice: LatticeField, size: tuple[int, int, int]) -> Iterator[Ints]:
 
 
 def _node_below(lattice: LatticeField, size: tuple[int, int, int], axis: int) -> Ints:
-    """(voxels,) the last node along an axis that is not beyond a voxel's centre."""
+    """Return for each voxel along an axis (voxels,) the last node at or before its centre."""
     centres = (np.arange(size[axis])[:, None] + 0.5) / size[axis]
     return in_nodes(np.repeat(centres, 3, 1), lattice.shape, lattice.at_corners)[:, axis].astype(np.int64)
 
 
 def _colour(lattice: LatticeField, size: tuple[int, int, int], cells: Coords, B: int, values: Singles) -> None:
-    """Writes the coefficients of all cells into the values (m, 3 B + 1)."""
+    """Write the SH coefficients of all cells into values (m, 3 B + 1)."""
     fit = fit_of(lattice, B)
     for begin in progress.each(range(0, len(cells), _FITTED)):
         at = in_nodes((cells[begin : begin + _FITTED] + 0.5) / size, lattice.shape, lattice.at_corners)
-        # Only the nodes of some planes, whose links lead into a table of their own.
+        # Gather only the nodes of the planes needed for this part, with links into a smaller table.
         first = int(at[0, 0])
         links, table = _planes(lattice, first, int(at[-1, 0]) + 2)
         at[:, 0] -= first
-        values[begin : begin + len(at), :-1] = fit(blended(links, table, at))
+        values[begin : begin + len(at), :-1] = fit(interpolate_rows(links, table, at))
 
 
 def _planes(lattice: LatticeField, first: int, last: int) -> tuple[npt.NDArray[np.int32], Singles]:
-    """The links and the features of the nodes from x = first to last."""
+    """Return the links and the features of the nodes with first <= x < last."""
     links = lattice.links[first:last]
     held = links >= 0
     rows = links[held]

@@ -10,20 +10,20 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.stages._supersampled import supersampled
-from nerfbake.stages._surface import Hits, paint
+from nerfbake.stages._surface import Hits, shade_surfaces
 
 GREY = np.float32(0.75)
-_AMBIENT = np.float32(0.25)  # of the colour, where a surface is seen edge-on
+_AMBIENT = np.float32(0.25)  # fraction of the colour where a surface is viewed edge-on
 
 
 def render_meshes(
     scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE, samples: int = 1
 ) -> Image:
-    """What the camera sees of opaque triangles, from both of their sides, over a background (None: transparent).
+    """Render opaque, two-sided triangles as seen by a camera, over a background (None: transparent).
 
-    A texture is shown as it is, between its texels' centres; a mesh without one is grey, or has its vertices' colours,
-    and is lit from the camera. Alpha is 0 or 1 of a ray, depth the distance along it. With one ray a pixel nothing is
-    smoothed at edges; samples x samples rays are averaged as render_field() does it.
+    Textures are interpolated bilinearly and not lit. A mesh without a texture is grey, or has its vertex colours, and
+    is lit from the camera. Alpha is 0 or 1 for a ray, and depth is the distance along it. With one ray per pixel,
+    edges are not smoothed; samples x samples rays are averaged as in render_field().
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes, orbit_cameras, render_meshes
@@ -34,13 +34,13 @@ def render_meshes(
     """
 
     def rendered(part: Camera) -> Image:
-        return paint(scene.meshes, part, lambda _, hits: surface_colours(hits), background)
+        return shade_surfaces(scene.meshes, part, lambda _, hits: surface_colours(hits), background)
 
     return supersampled(rendered, camera, samples)
 
 
 def surface_colours(hits: Hits) -> npt.NDArray[np.float32]:
-    """(m, 3) sRGB in 0..1, before anything that depends on the view but a headlight."""
+    """Return sRGB colours (m, 3) in 0..1. The only part that depends on the view is the headlight."""
     mesh = hits.mesh
     if mesh.texture is not None:
         colours = bilinear(mesh.texture, hits.uvs)

@@ -1,4 +1,4 @@
-"""Octree -> field of bricks, whose cells are the octree's leaves."""
+"""Sparse voxel octree -> field of bricks, whose cells are the octree's leaves."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.kernels.arrays import Ints
-from nerfbake.kernels.fit.topgrid import top_grid
+from nerfbake.kernels.fit.bricks import top_grid
 from nerfbake.kernels.vdb.bitmask import bits_of
 from nerfbake.kernels.vdb.bricks import bricks_of
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.octree import SparseVoxelOctree
 
-_CELL_BYTES = 16  # of a brick's place for a cell, while cells are numbered
-_ODD = 1 << 6 | 1 << 3 | 1  # the bits of a slot that tell a cell from the others of its block of 2^3
+_CELL_BYTES = 16  # per slot of a brick, while cells are numbered
+_ODD = 1 << 6 | 1 << 3 | 1  # the bits of a slot that give the position of a cell in its block of 2^3
 
 
-def bricks_of_octree(octree: SparseVoxelOctree) -> BrickField:
-    """The octree's leaves of a density above 0 as cells, in a lattice over its root's cube (of 8^3 cells at least).
+def build_bricks(octree: SparseVoxelOctree) -> BrickField:
+    """Convert the leaves with a density above 0 to cells, in a lattice over the root's cube of at least 8^3 cells.
 
-    A leaf of the last level is a cell, one of the level above is a wide cell, and larger ones are as many wide cells
-    as they are large, which all hold the leaf's values; what the grid's end cuts off is not there. Raises InvalidScene
-    for a broken octree and for other bases than SH; MemoryLimit.
+    A leaf of the last level becomes a cell, and a leaf of the level above a wide cell. A larger leaf becomes several
+    wide cells, which all store its values. Cells outside the octree's grid are dropped. Raises InvalidScene for a
+    broken octree and for other bases than SH; MemoryLimit.
 
-    >>> from nerfbake import bricks_of_octree, build_octree, sample_n3tree
-    >>> print(bricks_of_octree(build_octree(sample_n3tree(resolution=8))))
+    >>> from nerfbake import build_bricks, build_octree, sample_n3tree
+    >>> print(build_bricks(build_octree(sample_n3tree(resolution=8))))
     SH9 field of 167 cells in 1 brick of 8^3, in a lattice of 8^3
     """
     octree.require_usable()
@@ -55,7 +55,7 @@ def bricks_of_octree(octree: SparseVoxelOctree) -> BrickField:
 
 
 def _above(octree: SparseVoxelOctree) -> npt.NDArray[np.bool_]:
-    """(n,) bool: the nodes above the level of single voxels."""
+    """Return (n,) bool: the nodes above the level of single voxels."""
     sizes = octree.level_sizes
     above = np.ones(octree.n, bool)
     if len(sizes) > octree.grid_level:
@@ -64,15 +64,17 @@ def _above(octree: SparseVoxelOctree) -> npt.NDArray[np.bool_]:
 
 
 def _numbered(node: npt.NDArray[np.int32], above: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int32], Ints]:
-    """The rows of a BrickField, numbered as cells first meet them, and (n,) the node of each: node (b, 512), -1 for an
-    empty cell; above (nodes,) those whose cells are wide."""
+    """Return the rows of a BrickField, numbered in order of first occurrence, and the node of each (n,).
+
+    node (b, 512): the octree's node of each cell, -1 for an empty cell. above (nodes,): nodes whose cells are wide.
+    """
     held = node >= 0
     wide = np.zeros(node.shape, bool)
     wide[held] = above[node[held]]
-    # A leaf that the grid's end cuts is cells of their own there.
+    # A leaf that the boundary of the grid cuts becomes single cells there.
     blocks = held.reshape(-1, 4, 2, 4, 2, 4, 2).all(axis=(2, 4, 6), keepdims=True)
     wide &= np.broadcast_to(blocks, (len(node), 4, 2, 4, 2, 4, 2)).reshape(node.shape)
-    # A wide cell is first met in its lowest cell, where the slot's odd bits are 0.
+    # The first occurrence of a wide cell is its lowest cell, where the slot's odd bits are 0.
     slots = np.arange(512)
     first = held & ~(wide & (slots & _ODD != 0))
     number = np.cumsum(first, dtype=np.int32).reshape(node.shape) - 1

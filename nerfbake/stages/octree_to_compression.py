@@ -1,4 +1,4 @@
-"""Octree -> the whole numbers of a file that is as small, or as good, as was asked for."""
+"""Sparse voxel octree -> quantised octree, with given parameters or with parameters found for a loss or a file size."""
 
 from __future__ import annotations
 
@@ -19,26 +19,61 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages._coefficients import Coefficients, Rows, transform, visible_leaves
-from nerfbake.stages._loss import Cost, Judge, measuring_judge, predicting_judge
+from nerfbake.stages._loss import Loss, LossMeter, measuring_judge, predicting_judge
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
-from nerfbake.stages.octree_to_field import field_of_octree
 from nerfbake.stages.octree_to_octree import lower_basis, require_lower
-from nerfbake.stages.octree_to_quantised import by_importance, most_important
-from nerfbake.stages.scene_to_cameras import sphere_cameras, without_strays
+from nerfbake.stages.scene_to_cameras import scatter_cameras, without_strays
+from nerfbake.stages.scene_to_field import build_field_from_octree
 
-STEPS = (1e-4, 16.0)  # what is tried
-# Cameras that importance is collected from, and their pixels along an edge for octrees of up to so many voxels an axis.
-# Finer octrees need more pixels, or no ray hits most of their leaves: 10 % fewer bytes at 512^3 for the same loss.
+
+def quantise_octree(
+    octree: SparseVoxelOctree, importance: Importance, *, step: float, prune: float = 0.0
+) -> QuantisedOctree:
+    """Transform the leaves, and round them to multiples of a step: docs/compression.md, "What is done".
+
+    importance: weigh_leaves() of build_field(octree). prune: share of the leaves to prune, the least important first,
+    0 to 1; at least one leaf remains. step: of colour before the sigmoid, as its root mean square over the rays.
+    Raises InvalidScene for SG and ASG, for broken octrees and for octrees without visible leaves; MemoryLimit.
+
+    >>> from nerfbake import build_field, build_octree, quantise_octree, sample_n3tree, scatter_cameras, weigh_leaves
+    >>> octree = build_octree(sample_n3tree(resolution=16))
+    >>> field = build_field(octree)
+    >>> importance = weigh_leaves(field, scatter_cameras(field, frames=8, edge=64))
+    >>> print(quantise_octree(octree, importance, step=0.1, prune=0.2))
+    SH9 octree of 16x16x16, 459 leaves, step 0.1
+    """
+    if not 0 <= prune <= 1:
+        raise InvalidScene(Problem("prune", f"is {prune:g}", "a share of 0 to 1"))
+    rows = visible_leaves(octree)
+    keep = most_important(by_importance(importance), prune)
+    return memory.kept(transform(octree, rows[keep], importance.gram).rounded(step))
+
+
+def by_importance(importance: Importance) -> Rows:
+    """Return the field's leaves in order of importance, the least important first; ties keep their order."""
+    return np.argsort(importance.largest, kind="stable")
+
+
+def most_important(order: Rows, prune: float) -> Rows:
+    """Return the leaves that remain if this share is pruned from the start of `order`, in ascending order."""
+    stays = np.zeros(len(order), bool)
+    stays[order[min(int(prune * len(order)), len(order) - 1) :]] = True
+    return np.flatnonzero(stays)
+
+
+STEPS = (1e-4, 16.0)  # smallest and largest step of the search
+# Importance is computed from _FRAMES cameras with _EDGE pixels along an edge, for octrees of up to _VOXELS along an
+# axis. Finer octrees need more pixels, or no ray hits most leaves: 10 % fewer bytes at 512^3 for the same loss.
 _FRAMES, _EDGE, _VOXELS = 64, 200, 256
-_PRUNED = 0.12  # of the squared error that is allowed may come from leaves that are left out
+_PRUNED = 0.12  # share of the allowed squared error that pruning may cause
 _MOST_PRUNED, _HALVINGS = 0.95, 7
-_NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # of what is allowed: near enough
-_SIZE_SLOPE = 0.8  # of the logarithm of bytes, falling with that of the step
-_TRIALS, _SHARES = 16, 4  # at most; and after how many the share that goes stays, so that sizes fall with the step
-_AIM, _STRIDE = 0.985, 2.0  # of what is allowed; of a step's logarithm where only one side is known
-_WEIGHED, _SHARED = 0.15, 0.5  # of the work is done when the leaves are weighed, and when their share is found
-_USUAL = 3  # trials
-_FIRST = 22.0  # steps for the root of the squared error that is allowed: of the real chair
+_NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # the search ends at this fraction of the allowed loss or size
+_SIZE_SLOPE = 0.8  # -d log(size) / d log(step)
+_TRIALS, _SHARES = 16, 4  # most trials; after _SHARES trials the share is fixed, so that sizes decrease with the step
+_AIM, _STRIDE = 0.985, 2.0  # target as a fraction of what is allowed; largest change of log(step) when extrapolating
+_WEIGHED, _SHARED = 0.15, 0.5  # progress when the leaves are weighted, and when the share to prune is found
+_USUAL = 3  # usual number of trials
+_FIRST = 22.0  # first step / sqrt(allowed squared error), measured on the real chair
 
 
 def compress_octree(
@@ -54,17 +89,17 @@ def compress_octree(
     field: RadianceField | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Compression:
-    """The octree with as few leaves and as coarse a step as one of these allows:
+    """Prune and quantise an octree as far as one of these limits allows:
 
-    max_loss  dB against photographs, above 0
-    max_size  bytes, as coded_size() finds them; never exceeded, and at least 95 % of it used where quality rises.
-              Together with max_loss: the loss is exceeded where it would take more bytes
-    step      of colour, as it is; only which leaves are left out is searched
+    max_loss  dB of PSNR against photographs, above 0
+    max_size  bytes returned by coded_size(); never exceeded, and at least 95 % used if that improves the quality. If
+              max_loss is given too and would need more bytes, the loss is exceeded
+    step      of colour, used as it is; only the leaves to prune are searched
 
-    basis: SHk of a lower degree, whose cost is part of the loss. Leaves are left out while that makes an eighth of the
-    squared error. The loss is measured on held_out, pixels of photographs, or else predicted for a source of
-    source_psnr (Judge). field: build_field() of the octree, if the caller has it. tell() gets a line for each trial.
-    Raises InvalidScene for what cannot be shown, BudgetMissed where the goal is out of reach, MemoryLimit.
+    basis: SHk of a lower degree; its error is part of the loss. Pruning may cause about an eighth of the squared error.
+    The loss is measured on held_out, pixels of photographs, or else predicted for a source of source_psnr. field:
+    build_field() of the octree, if you have already built it. tell() is called with a line of text for each trial.
+    Raises InvalidScene for an octree that cannot be rendered, BudgetMissed if the limit cannot be met, MemoryLimit.
 
     >>> from nerfbake import build_octree, compress_octree, sample_n3tree
     >>> octree = build_octree(sample_n3tree(resolution=16))
@@ -73,13 +108,13 @@ def compress_octree(
     (True, False)
     """
     if (step is None) == (max_loss is None and max_size is None):
-        raise InvalidScene(Problem("the goal", "is not one", "max_loss, max_size or both of them, or step"))
+        raise InvalidScene(Problem("the goal", "is missing or ambiguous", "max_loss, max_size or both, or else step"))
     if basis is not None:
-        require_lower(octree, basis)  # before the work, not after it
+        require_lower(octree, basis)  # fail before the expensive part
     rows = visible_leaves(octree)
-    own = field_of_octree(octree) if field is None else field
+    own = build_field_from_octree(octree) if field is None else field
     with progress.part(0, _WEIGHED):
-        importance = weigh_leaves(own, sphere_cameras(without_strays(own), frames=_FRAMES, edge=_edge(octree)))
+        importance = weigh_leaves(own, scatter_cameras(without_strays(own), frames=_FRAMES, edge=_edge(octree)))
     tell(f"{len(rows):,} leaves weighed")
     with progress.listening(None):
         if held_out is not None:
@@ -88,7 +123,7 @@ def compress_octree(
             judge = predicting_judge(own, source_psnr=source_psnr)
     if basis is not None:
         octree = lower_basis(octree, basis, importance.gram)
-        own, size = field_of_octree(octree), octree.data_dim // 3
+        own, size = build_field_from_octree(octree), octree.data_dim // 3
         importance = importance._replace(gram=importance.gram[:size, :size])
     search = _Search(octree, own, rows, importance, judge, coded_size, tell)
     if max_loss is not None:
@@ -103,7 +138,7 @@ def compress_octree(
 
 
 class _Tried(NamedTuple):
-    """What came of a step and a share of leaves that were left out."""
+    """The result of a trial: its step and share of pruned leaves, and their size and error."""
 
     step: float
     share: float
@@ -116,7 +151,7 @@ class _Tried(NamedTuple):
 
 
 class _Search:
-    """Trials of a share of leaves that are left out and a step; the best that is allowed is kept."""
+    """A search over the share of pruned leaves and the step. The best allowed result is kept."""
 
     def __init__(
         self,
@@ -124,14 +159,14 @@ class _Search:
         own: RadianceField,
         rows: Rows,
         importance: Importance,
-        judge: Judge,
+        judge: LossMeter,
         coded_size: Callable[[QuantisedOctree], int],
         tell: Callable[[str], None],
     ) -> None:
         self._octree, self._own, self._rows = octree, own, rows
         self._gram, self._order = importance.gram, by_importance(importance)
         self._judge, self._coded_size, self._tell = judge, coded_size, tell
-        # The squared error by share: what a lower basis costs is there from the first.
+        # Squared error by share. The error of a lower basis is included, as that of share 0.
         with progress.listening(None):
             self._pruning = {0.0: judge.cost(own).error}
         self._trials = 0
@@ -139,6 +174,7 @@ class _Search:
 
     # -- the three goals ---------------------------------------------------------------------------------------
     def within_loss(self, most: float, size: int | None) -> Compression:
+        """Search the smallest octree with a loss of at most `most`, or within_size() if it exceeds `size` bytes."""
         allowed = self._judge.allowed_error(most)
         allowed = max(allowed - self._pruning[0.0], 0.01 * allowed)
         share, step = self._share_for(_PRUNED * allowed), _FIRST * float(np.sqrt(allowed))
@@ -146,13 +182,13 @@ class _Search:
         made: Compression | None = None
         points: list[tuple[float, float]] = []
         for _ in range(_TRIALS):
-            made = None  # unless it is the best, its memory is needed
+            made = None  # frees its memory, unless it is the best
             made = self._trial(share, step)
             points.append((step, made.loss / most))
             if made.loss <= most and (best is None or made.size < best.size):
                 best = made
             if size is not None and made.size > size and made.loss >= _NEAR_LOSS * most:
-                near, made, best = _Tried.of(made), None, None  # whose leaves would be in the way
+                near, made, best = _Tried.of(made), None, None  # frees the memory of their leaves
                 return self.within_size(size, near)
             if best is not None and best.loss >= _NEAR_LOSS * most:
                 break
@@ -167,7 +203,7 @@ class _Search:
         return found
 
     def within_size(self, most: int, near: _Tried | None = None) -> Compression:
-        """near: what was tried before, which is too large."""
+        """Search the best octree of at most `most` bytes. near: an earlier trial, which was too large."""
         share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
         if near is not None:
             step = near.step * (near.size / most) ** (1 / _SIZE_SLOPE)
@@ -191,10 +227,11 @@ class _Search:
                 points = points if share == made.pruned else points[-1:]
         if best is None:
             assert made is not None
-            raise BudgetMissed(Problem("the octree", f"takes {made.size:,} bytes at the least", f"`max_size={most:,}`"))
+            raise BudgetMissed(Problem("the octree", f"takes at least {made.size:,} bytes", f"`max_size={most:,}`"))
         return best
 
     def at_step(self, step: float) -> Compression:
+        """Quantise with this step; only the share of pruned leaves is searched."""
         whole = self._trial(0.0, step)
         rounding = whole.error - self._pruning[0.0]
         share = self._share_for(_PRUNED / (1 - _PRUNED) * max(rounding, 0.0))
@@ -210,7 +247,7 @@ class _Search:
     def _tried(self, share: float, step: float) -> Compression:
         keep = most_important(self._order, share)
         if self._coefficients is None or self._coefficients[0] != share:
-            self._coefficients = None  # lets go of the old ones before there are new ones
+            self._coefficients = None  # frees the old ones before the new ones are computed
             self._coefficients = share, transform(self._octree, self._rows[keep], self._gram)
         quantised = self._coefficients[1].rounded(step)
         cost, size = self._cost(keep, quantised.leaf_values()), self._coded_size(quantised)
@@ -220,12 +257,12 @@ class _Search:
         return Compression(quantised, share, size, *cost, measured, judge.source_psnr, judge.views)
 
     def _share_for_rounding(self, near: _Tried, step: float) -> float:
-        """The share for another step, given what was lost with one."""
+        """Return the share to prune at another step, from the rounding error of a trial."""
         rounding = max(near.error - self._pruning[near.share], 0.0) * (step / near.step) ** 2
         return self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
 
     def _share_for(self, allowed: float) -> float:
-        """The largest share that adds no more than this squared error, by halving; the error rises with the share."""
+        """Return the largest share that adds at most this squared error, by bisection: the error grows with it."""
         low, high = 0.0, _MOST_PRUNED
         allowed += self._pruning[low]
         for _ in self._halvings():
@@ -237,13 +274,13 @@ class _Search:
         return low
 
     def _halvings(self) -> Iterator[int]:
-        """The rounds that find the first share are a step of their own; later ones know most of the errors."""
+        """Iterate with progress for the first share only. Later searches find most of their errors in the cache."""
         first = len(self._pruning) == 1 and not self._trials
         with progress.part(_WEIGHED, _SHARED) if first else progress.listening(None):
             yield from progress.each(range(_HALVINGS))
 
-    def _cost(self, keep: Rows, values: npt.NDArray[np.float32]) -> Cost:
-        """Of the field with only these leaves, which hold these values."""
+    def _cost(self, keep: Rows, values: npt.NDArray[np.float32]) -> Loss:
+        """Return the loss of the field with only these leaves, and with these values."""
         own = self._own
         slot = np.full(len(own.values), EMPTY, np.int32)
         slot[keep] = np.where(values[:, -1] > 0, -2 - np.arange(len(keep)), EMPTY)
@@ -251,20 +288,20 @@ class _Search:
 
 
 def _edge(octree: SparseVoxelOctree) -> int:
-    """Pixels along an edge, in proportion to the octree's voxels, up to four times _EDGE."""
+    """Return the pixels along an edge, proportional to the octree's voxels, from _EDGE to four times _EDGE."""
     return _EDGE * min(max(_VOXELS, *octree.size), 4 * _VOXELS) // _VOXELS
 
 
 def _done(trials: int, begin: float) -> float:
-    """The share of the work that is done after so many trials: nobody knows how many there will be."""
+    """Return the progress after a number of trials. It is an estimate, since their total number is unknown."""
     return begin + (1 - begin) * trials / (trials + max(1, _USUAL - trials))
 
 
 def next_step(points: list[tuple[float, float]], *, slope: float) -> float:
-    """The step to try next, from (step, what was found over what is allowed) of all that were tried.
+    """Return the next step to try, from pairs (step, result / allowed result) of all earlier trials.
 
-    A little on the allowed side of 1, on a line in logarithms: between the nearest two steps around it, else with this
-    slope from the nearest; within STEPS.
+    The target is a ratio a little below 1. The step is interpolated on a logarithmic line between the two nearest
+    steps on both sides of the target, or extrapolated with this slope from the nearest one. It stays within STEPS.
     """
     sign = 1.0 if slope > 0 else -1.0
     known = sorted((step, sign * float(log(max(value, 1e-6) / _AIM))) for step, value in points)

@@ -1,70 +1,159 @@
-"""Sparse voxel octree -> lattice field: a node at each voxel's centre, features, and an MLP that makes them colours."""
+"""Sparse voxel octree -> lattice field: a node at each voxel's centre, and colours as features of a fitted MLP."""
 
 from __future__ import annotations
 
 from itertools import product as combinations
 from math import prod
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Bits, Coords, Floats, Points, Singles
+from nerfbake.kernels.arrays import Bits, Coords, Floats, Ints, Points, Singles
 from nerfbake.kernels.dilation import dilated
-from nerfbake.kernels.maths.elementary import expm1, log, power
-from nerfbake.scene.lattice_field import MAX_EDGE, STEP, Activation, LatticeField
+from nerfbake.kernels.lattice.mlp import positional_encoding
+from nerfbake.kernels.lattice.training import TrainingRows, train
+from nerfbake.kernels.maths.elementary import expm1, fibonacci, log, power
+from nerfbake.kernels.maths.linear import principal_axes, product
+from nerfbake.scene.lattice_field import MAX_EDGE, STEP, Activation, LatticeField, MlpColour
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.stages._mlp_of_colours import FEATURES, ROUNDS, fit_mlp
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.stages._basis_functions import basis_at
 from nerfbake.stages.field_to_importance import weigh_leaves
-from nerfbake.stages.octree_to_field import field_of_octree
 from nerfbake.stages.octree_to_vdb import build_vdb
-from nerfbake.stages.scene_to_cameras import sphere_cameras
+from nerfbake.stages.scene_to_cameras import scatter_cameras
+from nerfbake.stages.scene_to_field import build_field_from_octree
 
-LEAST = 1e-4  # the opacity of a step below which PlenVDB skips a sample
-_NOTHING = 1e-4  # that of a voxel whose raw value is 0: less than LEAST in a step, which is half a voxel
-# How much lower nodes beside voxels are before the softplus than their neighbours, and than 0: where the surface stands
-# between the two. Pictures of the real chair at 256^3 are 35.3 dB from its own with 8 (which is nearly nothing), 36.3
-# with 4, 36.7 with 3, 37.1 with 2, 37.2 with 1 and a rim around it, 36.3 with 0.
+# The sizes that PlenVDB trains, and that its fast renderer requires.
+FEATURES, UNITS = 12, 128
+FREQUENCIES = (1.0, 2.0, 4.0, 8.0)
+
+# RMS error for the real chair at 256^3: 4.2/255 for a linear code of 12 features along the colours' principal axes,
+# without an MLP; 4.6/255 for the MLP after 1,000 rounds, 3.7/255 after 3,000.
+ROUNDS = 3000
+_ROWS, _DIRECTIONS = 1 << 16, 1 << 13  # numbers of leaves and directions that the MLP is trained on
+_SEEN_BY_NOBODY = 1 / 64  # added to the weight of each leaf in the draw; 1 is the weight of a leaf that nothing hides
+_COLOURS_AT_ONCE = 1 << 15
+
+
+class ColourCode(NamedTuple):
+    """A linear map to features: (coefficients - mean) @ axes.
+
+    mean  (3 B,)
+    axes  (3 B, 12), in descending order of variance
+    """
+
+    mean: Floats
+    axes: Floats
+
+    def features(self, coefficients: npt.NDArray[np.generic]) -> Singles:
+        """Return features (m, 12) of coefficients (m, 3 B)."""
+        out = np.empty((len(coefficients), FEATURES), np.float32)
+        for begin in range(0, len(out), _COLOURS_AT_ONCE):
+            apart = coefficients[begin : begin + _COLOURS_AT_ONCE].astype(np.float64) - self.mean
+            out[begin : begin + _COLOURS_AT_ONCE] = product(apart, self.axes)
+        return out
+
+
+def fit_mlp(field: RadianceField, seen: Singles, *, rounds: int, seed: int) -> tuple[ColourCode, MlpColour]:
+    """Return a map from a field's coefficients to features, and an MLP fitted to compute the colours from these.
+
+    seen (leaves,): visibility of each leaf, 0 to 1. Leaves are drawn in proportion to it, with directions from the
+    whole sphere. The MLP has two hidden layers of 128 units.
+    """
+    random = np.random.default_rng(seed)
+    coefficients = field.values[_drawn(seen, random), :-1]
+    code = _code(coefficients.astype(np.float64))
+    directions = fibonacci(_DIRECTIONS)
+    inputs = positional_encoding(directions, FREQUENCIES).astype(np.float32)
+    basis = basis_at(field.basis, directions, np.float32)
+    pairs = TrainingRows(code.features(coefficients), coefficients, inputs, basis)
+    weights = train(pairs, UNITS, rounds=rounds, seed=seed)
+    layers = weights.first, weights.first_bias, weights.middle[None], weights.middle_bias[None]
+    return code, MlpColour(*layers, weights.last, weights.last_bias, FREQUENCIES)
+
+
+def _drawn(seen: Singles, random: np.random.Generator) -> Ints:
+    """Draw rows (_ROWS,) at random, in proportion to their visibility."""
+    upto = np.cumsum(seen.astype(np.float64) + _SEEN_BY_NOBODY)
+    rows: Ints = np.searchsorted(upto, random.random(_ROWS) * upto[-1])
+    return np.minimum(rows, len(seen) - 1)
+
+
+def _code(coefficients: Floats) -> ColourCode:
+    """Return the map to features with mean 0 and mean square 1 each.
+
+    If the colours have fewer than 12 principal axes, the other features repeat the first one: PlenVDB requires the
+    same number of leaves in each of its colour grids, and a grid of zeros has none.
+    """
+    count = len(coefficients)
+    ones = np.full((1, count), 1 / count)
+    mean = product(ones, coefficients)[0]
+    apart = coefficients - mean
+    axes = np.zeros((len(mean), FEATURES))
+    told = min(FEATURES, len(mean))
+    axes[:, :told] = principal_axes(apart, told)
+    square = product(ones, product(apart, axes) ** 2)[0]
+    square[told:] = 0
+    axes *= np.where(square > 0, 1 / np.sqrt(np.where(square > 0, square, 1)), 0)
+    axes[:, square == 0] = axes[:, :1]
+    return ColourCode(mean, axes)
+
+
+LEAST = 1e-4  # PlenVDB skips a sample if the opacity of its step is below this
+_NOTHING = 1e-4  # opacity of a voxel whose raw value is 0; per step, which is half a voxel, it is less than LEAST
+# How far the raw value (before the softplus) of a node beside voxels is below its neighbours' mean, and below 0. This
+# decides where the surface lies between the two. PSNR of the real chair at 256^3 against its own pictures: 35.3 dB
+# with 8 (almost no density), 36.3 with 4, 36.7 with 3, 37.1 with 2, 37.2 with 1 and a rim around it, 36.3 with 0.
 _LOWER = 2.0
-_WEIGHED = 0.1  # of the work is done when it is known which leaves are seen
-_FRAMES, _EDGE = 48, 256  # of the cameras that tell which leaves there are to be seen
-_ASTRAY = 0.01  # of a voxel: how far float32 may move the box
-_CHUNK = 1 << 16  # nodes at a time
-_NODE_BYTES = 4 * 2 * (FEATURES + 1) + 8 * 6  # while the lattice is made
+_WEIGHED = 0.1  # progress when the visibility of the leaves is computed
+_FRAMES, _EDGE = 48, 256  # number of cameras for the visibility of the leaves, and pixels along their edges
+_ASTRAY = 0.01  # largest shift of the box by the rounding to float32, in voxels
+_NODES_AT_ONCE = 1 << 16  # nodes at a time
+_NODE_BYTES = 4 * 2 * (FEATURES + 1) + 8 * 6  # per node, while the lattice is built
 _AROUND = [step for step in combinations((-1, 0, 1), repeat=3) if any(step)]
 
 
-def lattice_of_octree(
+class LatticeOptions(TypedDict, total=False):
+    """Options of build_lattice() for callers that pass them on."""
+
+    rounds: int
+    seed: int
+
+
+def build_lattice(
     octree: SparseVoxelOctree, *, rounds: int = ROUNDS, seed: int = 0, sigma_min: float | None = None
 ) -> LatticeField:
-    """The octree as PlenVDB trains a field: values between nodes are interpolated, and only then activated.
+    """Convert an octree to a lattice as PlenVDB trains it: values are interpolated first and then activated.
 
-    A node stands at the centre of each voxel that is thick enough to be seen by its renderer, and has the voxel's
-    density there. Around those, nodes one further have colours that are the means of their neighbours', and hardly any
-    density; all others are 0, which stands for an opacity of 1e-4 in a voxel. The lattice is the box around the first
-    two, its short edges made two thirds of its longest at least: of a box PlenVDB works out how many nodes it has, and
-    of others it could not.
+    Each voxel that is dense enough for PlenVDB's renderer becomes a node at its centre, with the voxel's density. Nodes
+    next to these have the mean colour of their neighbours, and almost no density. All other nodes are 0, which is an
+    opacity of 1e-4 per voxel. The lattice is the box around both kinds of nodes. Its short edges are extended to at
+    least two thirds of the longest edge, because PlenVDB computes the number of nodes from the box, and cannot do so
+    for other boxes.
 
-    Colours are 12 features for an MLP of two hidden layers of 128 units, fitted in so many `rounds` of 2,048 leaves and
-    directions each; the leaves that cameras all around see are shown the more often. measure_lattice() tells what that
-    costs. The same octree, rounds and seed give the same bits on every processor.
+    Colours are 12 features for an MLP with two hidden layers of 128 units. The MLP is fitted in `rounds` steps of 2,048
+    pairs of a leaf and a direction; leaves that are visible from cameras all around are drawn more often.
+    measure_lattice() returns the error of the fit. The same octree, rounds and seed give the same bits on every
+    processor.
 
-    sigma_min: treat leaves of less density (1/world unit) as empty. Raises InvalidScene for a broken octree, one that
-    holds nothing or has other colours than SH and RGBA, and for voxels that are no cubes; MemoryLimit.
+    sigma_min: treat leaves of less density (1/world unit) as empty. Raises InvalidScene for an octree that is broken,
+    has no visible voxels, or has other colours than SH and RGBA, and for voxels that are not cubes; MemoryLimit.
 
-    >>> from nerfbake import build_octree, lattice_of_octree, sample_n3tree
-    >>> print(lattice_of_octree(build_octree(sample_n3tree(resolution=8)), rounds=10))
+    >>> from nerfbake import build_octree, build_lattice, sample_n3tree
+    >>> print(build_lattice(build_octree(sample_n3tree(resolution=8)), rounds=10))
     lattice field of 10x10x8, 556 nodes, MLP of 2x128
     """
     if rounds < 1:
         raise InvalidScene(Problem("rounds", f"are {rounds}", "1 or more"))
-    field = field_of_octree(octree)
+    field = build_field_from_octree(octree)
     voxels, values = _voxels(octree, sigma_min)
     low, shape = _extent(voxels)
     box = _box(octree, low, shape)
     with progress.part(0, _WEIGHED):
-        seen = weigh_leaves(field, sphere_cameras(field, frames=_FRAMES, edge=_EDGE)).largest
+        seen = weigh_leaves(field, scatter_cameras(field, frames=_FRAMES, edge=_EDGE)).largest
     with progress.part(_WEIGHED, 1):
         code, colour = fit_mlp(field, seen, rounds=rounds, seed=seed)
     links, held = _numbered(voxels - low, shape)
@@ -74,7 +163,7 @@ def lattice_of_octree(
     table[rows, :-1] = code.features(values[:, :-1] if octree.data_dim > 1 else np.zeros((len(values), 3), np.float32))
     table[rows, -1] = _before_softplus(values[:, -1].astype(np.float64) * voxel)
     _edge(table, links, held)
-    shift = float(np.float32(log(1 / (1 - _NOTHING) - 1)))  # as files have it
+    shift = float(np.float32(log(1 / (1 - _NOTHING) - 1)))  # files store it as float32
     return memory.kept(
         LatticeField(
             links=links,
@@ -92,19 +181,21 @@ def lattice_of_octree(
 
 
 def _voxels(octree: SparseVoxelOctree, sigma_min: float | None) -> tuple[Coords, Singles]:
-    """(m, 3) the voxels that are seen, and their values (m, D)."""
+    """Return the voxels (m, 3) that are dense enough to be visible, and their values (m, D)."""
     (grid,) = build_vdb(octree, grids=("index",), sigma_min=sigma_min).grids
     values = grid.values
     held = -expm1(-STEP * float(octree.voxel_size.min()) * values[:, -1].astype(np.float64)) > LEAST
     if not held.any():
-        raise InvalidScene(Problem("the octree", "holds nothing", "a voxel that takes 2e-4 of the light or more"))
+        raise InvalidScene(Problem("the octree", "is empty", "a voxel that absorbs 2e-4 of the light or more"))
     memory.require("the octree's voxels", values.nbytes)
     return grid.topology.coords[held], values[held]
 
 
 def _extent(voxels: Coords) -> tuple[Coords, tuple[int, int, int]]:
-    """The lowest node's voxel, and how many nodes there are along each axis: one around the voxels, and more where an
-    edge would be shorter than two thirds of the longest."""
+    """Return the voxel of the lowest node, and the number of nodes along each axis.
+
+    The nodes extend one beyond the voxels, and further where an edge would be shorter than two thirds of the longest.
+    """
     low, high = voxels.min(axis=0) - 1, voxels.max(axis=0) + 1
     edges = high - low + 1
     longest = int(edges.max())
@@ -116,12 +207,12 @@ def _extent(voxels: Coords) -> tuple[Coords, tuple[int, int, int]]:
 
 
 def _box(octree: SparseVoxelOctree, low: Coords, shape: tuple[int, int, int]) -> Points:
-    """(2, 3) the first and the last node in the world, as float32 has them, which is what PlenVDB keeps."""
+    """Return the first and the last node in the world (2, 3), rounded to float32 as PlenVDB stores them."""
     edges = octree.voxel_size
     if not edges.max() <= edges.min() * (1 + 1e-6):
         found = "are {:g} x {:g} x {:g}".format(*edges)
         raise InvalidScene(
-            Problem("the octree's voxels", found, "cubes: a lattice's nodes are as far apart on each axis")
+            Problem("the octree's voxels", found, "cubes: a lattice has the same node spacing on each axis")
         )
     first = octree.origin + (low + 0.5) * edges
     exact = np.stack([first, first + (np.array(shape) - 1) * edges])
@@ -129,17 +220,17 @@ def _box(octree: SparseVoxelOctree, low: Coords, shape: tuple[int, int, int]) ->
         box = exact.astype(np.float32).astype(np.float64)
     if not np.abs(box - exact).max() <= _ASTRAY * edges.min():
         found = f"has its voxels of {edges.min():g} at up to {np.abs(exact).max():g}"
-        raise InvalidScene(Problem("the octree", found, "a place that float32 tells to a hundredth of a voxel"))
+        raise InvalidScene(Problem("the octree", found, "a position that float32 resolves to a hundredth of a voxel"))
     return box
 
 
 def _voxel_of(box: Points, shape: tuple[int, int, int]) -> float:
-    """The edge of the voxel that raw densities are reckoned with, as PlenVDB works it out: a node's distance."""
+    """Return the voxel edge that scales raw densities, computed like in PlenVDB: the distance between two nodes."""
     return float(power(float(np.prod(box[1] - box[0])) / prod(edge - 1 for edge in shape), 1 / 3))
 
 
 def _numbered(voxels: Coords, shape: tuple[int, int, int]) -> tuple[npt.NDArray[np.int32], Bits]:
-    """Links of the nodes of these voxels and of all around them, x-major; and (X, Y, Z) which of them are voxels."""
+    """Return links of the nodes of these voxels and their neighbours, x-major, and a mask (X, Y, Z) of the voxels."""
     memory.require("the lattice's links", 10 * prod(shape))
     held = np.zeros(shape, bool)
     held[tuple(voxels.T)] = True
@@ -152,11 +243,11 @@ def _numbered(voxels: Coords, shape: tuple[int, int, int]) -> tuple[npt.NDArray[
 
 
 def _edge(table: Singles, links: npt.NDArray[np.int32], held: Bits) -> None:
-    """Writes the rows of the nodes beside what is held: their neighbours' mean, whose density is made lower."""
+    """Write the rows of the nodes next to voxels: the mean of their neighbours, with the density lowered."""
     own = np.pad(np.where(held, links, -1), 1, constant_values=-1)
     beside = np.argwhere((links >= 0) & ~held)
-    for begin in range(0, len(beside), _CHUNK):
-        some = beside[begin : begin + _CHUNK]
+    for begin in range(0, len(beside), _NODES_AT_ONCE):
+        some = beside[begin : begin + _NODES_AT_ONCE]
         total, count = np.zeros((len(some), table.shape[1])), np.zeros((len(some), 1))
         for step in _AROUND:
             rows = own[tuple((some + 1 + step).T)]
@@ -169,5 +260,5 @@ def _edge(table: Singles, links: npt.NDArray[np.int32], held: Bits) -> None:
 
 
 def _before_softplus(thick: Floats) -> Singles:
-    """x such that ln(1 + e^x) is this."""
+    """Return the inverse of the softplus: x such that ln(1 + e^x) = thick."""
     return (thick + log(-expm1(-thick))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Octree -> the same octree at a coarser level of detail, or in a smaller basis."""
+"""Sparse voxel octree -> the same octree at a coarser level of detail, or in a smaller basis."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.maths.equations import solve_each
-from nerfbake.kernels.maths.products import product
-from nerfbake.scene.basis import SH_SIZES, parse_basis, shown_basis
+from nerfbake.kernels.maths.linear import product, solve_each
+from nerfbake.scene.basis import SH_SIZES, parse_basis, renderable_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 
 _CHUNK = 1 << 15  # nodes at a time
 
 
 def cut_octree(octree: SparseVoxelOctree, *, level: int) -> SparseVoxelOctree:
-    """The octree down to a level: nodes of that level become leaves and show what they held for it.
+    """Cut an octree at a level: nodes of that level become leaves and keep their values.
 
-    level: 0 (the root alone) to the level of single voxels. The grid is coarsened with it, a voxel to each cube of
-    that level, in place in the world. In both layouts what remains is the start of what was there; nothing is
-    computed. Source: TR-24-01 (docs/sources.md), 5.1.
+    level: 0 (only the root) to the level of single voxels. The grid gets one voxel for each node of that level, at the
+    same place in the world. In both layouts the result is the first part of the octree's arrays; no value is computed.
+    Source: TR-24-01 (docs/sources.md), 5.1.
 
     >>> from nerfbake import build_octree, cut_octree, sample_n3tree
     >>> octree = build_octree(sample_n3tree(resolution=8))
@@ -47,8 +46,8 @@ def cut_octree(octree: SparseVoxelOctree, *, level: int) -> SparseVoxelOctree:
 
 
 def require_lower(octree: SparseVoxelOctree, basis: str) -> None:
-    """Raises InvalidScene for a basis that lower_basis() cannot make of the octree's."""
-    own = shown_basis(octree.data_format)
+    """Raise InvalidScene for a basis that lower_basis() cannot convert the octree to."""
+    own = renderable_basis(octree.data_format)
     lower = [f"SH{size}" for size in SH_SIZES if own.kind == "SH" and size < own.size]
     if basis not in (str(own), *lower):
         found = f"is {basis[:40]} for an octree of {own}"
@@ -56,20 +55,21 @@ def require_lower(octree: SparseVoxelOctree, basis: str) -> None:
 
 
 def lower_basis(octree: SparseVoxelOctree, basis: str, gram: npt.NDArray[np.float64]) -> SparseVoxelOctree:
-    """The octree in SHk of a lower degree: the coefficients that look most like what there was, by least squares over
-    the directions of gram (B, B), stages.field_to_importance. In its own basis it is itself.
+    """Convert an octree to SHk of a lower degree, by a least-squares fit of the colours before the sigmoid.
 
-    Raises InvalidScene for a basis that is no SHk or has more coefficients than the octree's, MemoryLimit.
+    gram (B, B): Importance.gram of weigh_leaves(), which weights the directions of the fit. An octree that has this
+    basis already is returned unchanged. Raises InvalidScene for a basis that is not SHk or has more coefficients than
+    the octree's, MemoryLimit.
 
-    >>> from nerfbake import build_field, build_octree, lower_basis, sample_n3tree, sphere_cameras, weigh_leaves
+    >>> from nerfbake import build_field, build_octree, lower_basis, sample_n3tree, scatter_cameras, weigh_leaves
     >>> octree = build_octree(sample_n3tree(resolution=16))
     >>> field = build_field(octree)
-    >>> gram = weigh_leaves(field, sphere_cameras(field, frames=8, edge=64)).gram
+    >>> gram = weigh_leaves(field, scatter_cameras(field, frames=8, edge=64)).gram
     >>> print(lower_basis(octree, "SH4", gram))
     SH4 octree of 16x16x16, 716 nodes, float32, full
     """
     require_lower(octree, basis)
-    own, lower = shown_basis(octree.data_format), parse_basis(basis)
+    own, lower = renderable_basis(octree.data_format), parse_basis(basis)
     if lower == own:
         return octree
     k = lower.size

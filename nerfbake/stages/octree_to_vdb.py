@@ -1,4 +1,4 @@
-"""Sparse voxel octree -> VDB grids: density, colour, SH coefficients, or all of it behind one index."""
+"""Sparse voxel octree -> VDB grids: density, colour, SH coefficients, or one index grid with all values."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.vdb.bricks import bricks_of
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
-from nerfbake.stages._voxel_grids import WORK_BYTES, made_later, require_grids, volume_of_voxels
+from nerfbake.stages._voxel_grids import WORK_BYTES, is_lazy, require_grids, volume_of_voxels
 
-_VOXEL = 24  # bytes of its leaf's number and place, while bricks are made and sorted
-_BRICK = 512  # bytes of 8^3 voxels' place and mask, of the leaf that they become, and of that in a file
+_VOXEL = 24  # bytes per voxel, for its leaf's number and position while bricks are created and sorted
+_BRICK = 512  # bytes per brick of 8^3 voxels, for its position and mask, its leaf node, and this node in a file
 
 
 def build_vdb(
@@ -26,21 +26,22 @@ def build_vdb(
     sigma_min: float | None = None,
     up: Up = "z",
 ) -> Volume:
-    """The octree's voxels as grids over one topology.
+    """Convert an octree's voxels to grids with one common topology.
 
-    grids, any of these, `index` alone:
+    grids: any of these, but `index` only on its own.
+
       density  float, 1/world unit
       Cd       colour, sRGB 0..1: the sigmoid of the SH's mean over all directions. Every basis function but the
                first averages to 0 over the sphere, so that mean is the first coefficient times 1 / (2 sqrt(pi)).
-               (It is not the mean of the sigmoid, which no closed form gives; they agree where colour does not
-               depend on the view.) RGBA has its colours as they are, behind the same sigmoid.
+               (It is not the mean of the sigmoid, which has no closed form; both agree if the colour does not
+               depend on the view.) RGBA colours go through the same sigmoid
       sh       sh_0, sh_1, ...: the coefficients of red, green and blue of each basis function
       index    an IndexGrid with a table of all D values, density last
 
-    Leaves above density 0 (and from sigma_min, 1/world unit) become voxels, large ones many; the rest is background,
-    0. half: values are float16. up: the world's axis that the field's z becomes; `y` turns (x, y, z) into
-    (x, z, -y) in the transform alone, voxels and SH stay as they are. Raises InvalidScene; MemoryLimit,
-    before any voxel is made.
+    Leaves with a density above 0, and of at least sigma_min (1/world unit), become voxels; a large leaf becomes many.
+    All other voxels are background, 0. half: store values as float16. up: the world's axis that the field's z becomes;
+    `y` maps (x, y, z) to (x, z, -y) in the transform only, and does not change voxels and SH. Raises InvalidScene, and
+    MemoryLimit before any voxel is created.
 
     >>> from nerfbake import build_octree, build_vdb, sample_n3tree
     >>> octree = build_octree(sample_n3tree(resolution=8))
@@ -53,14 +54,14 @@ def build_vdb(
     require_grids(grids, up, octree.data_format, octree.data_dim)
     if sigma_min is not None and not sigma_min >= 0:
         raise InvalidScene(Problem("sigma_min", f"is {sigma_min:g}", "0 or more"))
-    sigma = np.ascontiguousarray(octree.sigma)  # a copy that lies together: a third of the time of each later read
+    sigma = np.ascontiguousarray(octree.sigma)  # a contiguous copy takes a third of the time of each later read
     occupied = octree.childless & (sigma > 0) & (sigma >= (sigma_min or 0.0))
     densities = sigma if "density" in grids else None
-    del sigma  # a large octree's index has no room for it
-    # The table of an index is made from the rows of an octree's tree as it is written; other grids pick columns.
+    del sigma  # frees memory for the index of a large octree
+    # The table of an index grid is computed from the octree's rows while it is written; other grids select columns.
     rows = octree.node_rows if grids == ("index",) else octree.node_data
     dtype = np.dtype(np.float16 if half else np.float32)
-    _require_room(octree, occupied, later=made_later(rows, dtype))
+    _require_room(octree, occupied, later=is_lazy(rows, dtype))
     bricks = bricks_of(octree.node_children, octree.level_sizes, occupied, octree.size)
     frame = OctreeFrame(
         octree.size, octree.data_format, octree.layout, octree.origin, octree.voxel_size, octree.extra_data
@@ -69,9 +70,10 @@ def build_vdb(
 
 
 def _require_room(octree: SparseVoxelOctree, occupied: npt.NDArray[np.bool_], *, later: bool) -> None:
-    """Raises MemoryLimit. Leaves that reach beyond the grid are counted whole, up to as many voxels as it has.
+    """Raise MemoryLimit if the voxels do not fit into memory.
 
-    later: their values are made as they are written; then bricks are counted, too, as nothing else takes more.
+    Leaves that extend beyond the grid are counted with all their voxels, up to the size of the grid. later: values are
+    computed while they are written; bricks are counted then, because they take the most memory.
     """
     sizes, level = octree.level_sizes, octree.grid_level
     leaves = np.add.reduceat(occupied, np.cumsum([0, *sizes[:-1]]), dtype=np.int64).tolist()

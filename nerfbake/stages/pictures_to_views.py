@@ -1,4 +1,4 @@
-"""Cameras and their pictures -> views: each camera in its picture's size, and what stands behind the object."""
+"""Cameras and their pictures -> views: cameras scaled to their pictures, and the background colour."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.image import WHITE
 from nerfbake.scene.views import Views, near_colour
 
-PLAIN_SHARE = 0.7  # of the pixels at the pictures' edges: where the object is cut off, some of them show it
+PLAIN_SHARE = 0.7  # of the pixels along the pictures' edges; below 1, because the object may be cut off
 
 Pixels = npt.NDArray[np.uint8]
 Colour = tuple[float, float, float]
 
 
 def build_views(cameras: Cameras, pictures: Iterable[Pixels], *, background: Colour | None = None) -> Views:
-    """Each camera with its picture, (H, W, 4) uint8 of straight sRGB colour and alpha.
+    """Combine cameras with their pictures, (H, W, 4) uint8 of straight sRGB colour and alpha.
 
-    A camera of another size than its picture, but of its shape, is resized. background: the sRGB colour in 0..1 that
-    stands behind the object; None: white where any of the pictures has alpha, else the median of the pixels at their
-    edges. Of pictures without alpha, seven in ten of those pixels must have that colour (+-16 of 255), since what is
-    behind the object could not be told from it otherwise.
+    A camera is resized if its size differs from its picture's, but the aspect ratio is the same. background: the sRGB
+    colour in 0..1 behind the object; None: white if any picture has alpha, else the median of the pixels along the
+    pictures' edges. In pictures without alpha, 70 % of these pixels must have that colour (+-16 of 255), since the
+    object cannot be separated from the background otherwise.
 
-    Raises InvalidScene for a picture of another shape than its camera's, for scenery behind the object, and for
-    pictures that show nothing but background.
+    Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery behind the object, and
+    for pictures that show only background.
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, build_views
@@ -51,16 +51,16 @@ def build_views(cameras: Cameras, pictures: Iterable[Pixels], *, background: Col
     views = Views(replace(cameras, cameras=tuple(fitting)), tuple(kept), behind, masked)
     if all(views.behind(i).all() for i in range(len(kept))):
         found = "show nothing but the background"
-        raise InvalidScene(Problem("the pictures", found, "an object in front of it, in one of them at least"))
+        raise InvalidScene(Problem("the pictures", found, "an object in front of it in at least one picture"))
     return views
 
 
 def _resized(camera: Camera, pixels: Pixels) -> Camera:
-    """The camera in its picture's size. Raises InvalidScene where that is no smaller or larger print of its view."""
+    """Return the camera in its picture's size. Raises InvalidScene if the aspect ratios differ."""
     height, width = pixels.shape[:2]
     if (width, height) == (camera.width, camera.height):
         return camera
-    # Both edges of a print are rounded.
+    # Both edges of a scaled picture are rounded.
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         place = f"picture {camera.picture or camera.name}"
         allowed = f"the shape of its camera's {camera.width}x{camera.height}"
@@ -68,10 +68,10 @@ def _resized(camera: Camera, pixels: Pixels) -> Camera:
     return camera.resized(width, height)
 
 
-def cut_out(pixels: Pixels, mask: Pixels) -> Pixels:
-    """A picture with a mask for its alpha, both (H, W, 4) uint8: the mask's own, or else its brightest channel.
+def apply_mask(pixels: Pixels, mask: Pixels) -> Pixels:
+    """Return a picture with a mask as its alpha, both (H, W, 4) uint8.
 
-    Raises InvalidScene for a mask of another size.
+    The mask's alpha is used, or its brightest channel if it is opaque. Raises InvalidScene if the sizes differ.
     """
     if mask.shape != pixels.shape:
         (height, width), (rows, columns) = mask.shape[:2], pixels.shape[:2]
@@ -83,7 +83,10 @@ def cut_out(pixels: Pixels, mask: Pixels) -> Pixels:
 
 
 def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
-    """The colour at the pictures' edges. Raises InvalidScene where too few of their pixels have it, or that told."""
+    """Return `told`, or else the median colour along the pictures' edges.
+
+    Raises InvalidScene if too few pixels of the edges have this colour.
+    """
     counts = np.zeros((3, 256), np.int64)
     for edge in _edges(pictures):
         for channel in range(3):
@@ -101,6 +104,6 @@ def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
 
 
 def _edges(pictures: list[Pixels]) -> Iterator[Pixels]:
-    """(m, 4) the outermost pixels of each picture."""
+    """Yield the outermost pixels (m, 4) of each picture."""
     for pixels in pictures:
         yield np.concatenate([pixels[0], pixels[-1], pixels[1:-1, 0], pixels[1:-1, -1]])

@@ -1,4 +1,4 @@
-"""Scene -> cameras around it, for pictures without a capture's own."""
+"""Scene -> cameras around it, for use without the cameras of a capture."""
 
 from __future__ import annotations
 
@@ -9,23 +9,22 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import length
-from nerfbake.kernels.maths.elementary import sine_cosine
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci, sine_cosine
 from nerfbake.scene.camera import Camera, Cameras, look_at, look_from
 from nerfbake.scene.radiance_field import RadianceField, leaves_of
-from nerfbake.stages._picture import Visible, frame
+from nerfbake.stages._picture import Visible, scene_frame
 
 FIELD_OF_VIEW = np.radians(40)
 _MARGIN = 1.05
-_CENTRES = 1 << 17  # leaves that tell where most of them are
-_STRAYS = 0.005  # of them at each end of an axis
+_CENTRES = 1 << 17  # largest number of leaves for the box without strays
+_STRAYS = 0.005  # fraction of the leaves to ignore at each end of an axis
 AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
 def orbit_cameras(scene: Visible, *, frames: int = 1, width: int = 800, height: int = 800) -> Cameras:
-    """Cameras evenly around the scene, that frame all of it; the first looks from the front left, from above.
+    """Return cameras on a circle around the scene, which frame all of it. The first is front left, looking down.
 
-    Up is the scene's own z: a volume written with its z as the world's y is seen as the tree that it was made from.
+    Up is the scene's own z axis. So a volume whose z was written as the world's y has the same views as its source.
 
     >>> from nerfbake import build_field, orbit_cameras, sample_n3tree
     >>> cameras = orbit_cameras(build_field(sample_n3tree(resolution=8)), frames=3, width=16, height=12)
@@ -38,14 +37,14 @@ def orbit_cameras(scene: Visible, *, frames: int = 1, width: int = 800, height: 
     return _cameras(poses, width, height, 1.0)
 
 
-def sphere_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0) -> Cameras:
-    """Cameras evenly on the whole sphere around the scene, from below, too; edge x edge pixels.
+def scatter_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0) -> Cameras:
+    """Return cameras of edge x edge pixels evenly on the whole sphere around the scene, also below it.
 
-    They look from the golden spiral of kernels.maths.sphere, whose places are others for every number of frames. zoom:
-    how much larger the scene is seen than where all of it is framed.
+    Their positions are a Fibonacci spiral, which differs for every number of frames. zoom: magnification relative to
+    the view that frames the whole scene.
 
-    >>> from nerfbake import build_field, sample_n3tree, sphere_cameras
-    >>> print(sphere_cameras(build_field(sample_n3tree(resolution=16)), frames=3, edge=32))
+    >>> from nerfbake import build_field, sample_n3tree, scatter_cameras
+    >>> print(scatter_cameras(build_field(sample_n3tree(resolution=16)), frames=3, edge=32))
     3 cameras
     """
     centre, distance, axes = _stand(scene, frames)
@@ -54,9 +53,9 @@ def sphere_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0)
 
 
 def without_strays(field: RadianceField) -> RadianceField:
-    """The same field with a box that leaves out the outermost 0.5 % of the leaves at each end of each axis.
+    """Return the field with a box that ignores the outermost 0.5 % of the leaves at each end of each axis.
 
-    Fits to photographs leave a few leaves far from the object, which would keep cameras that frame it far away.
+    Fits to photographs leave a few leaves far from the object, which would move cameras that frame them far away.
     """
     every = -(-len(field.values) // _CENTRES)
     centres = np.concatenate([(corners + width / 2)[::every] for corners, width in leaves_of(field.cells)])
@@ -68,10 +67,13 @@ def without_strays(field: RadianceField) -> RadianceField:
 
 
 def _stand(scene: Visible, frames: int) -> tuple[npt.NDArray[np.float64], float, npt.NDArray[np.float64]]:
-    """What cameras look at, how far away they are, and the scene's axes. Raises InvalidScene for a number of frames."""
+    """Return the target and the distance of the cameras, and the scene's axes.
+
+    Raises InvalidScene if the number of frames is out of range.
+    """
     if not 1 <= frames <= 10_000:
         raise InvalidScene(Problem("frames", f"are {frames:,}", "1 to 10,000"))
-    corners, axes = frame(scene)
+    corners, axes = scene_frame(scene)
     radius = length(corners[1] - corners[0]) / 2
     sine, _ = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
     return corners.mean(axis=0), _MARGIN * radius / sine, axes

@@ -1,4 +1,4 @@
-"""PlenOctree, octree or volume -> the page that shows it."""
+"""Scene with a radiance field -> an HTML page that displays it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from nerfbake.stages.scene_to_field import FieldSource, build_field
 
 
 def view(scene: FieldSource | RadianceField | QuantisedOctree, *, title: str = "A radiance field") -> Page:
-    """A page to look around in, which in a notebook shows itself in the cell that gives it.
+    """Return an interactive page of a scene. A notebook displays it as the output of its cell.
 
-    It carries the values as float16, or the few bytes of a QuantisedOctree; save() makes an .html of it. Raises
-    InvalidScene for what cannot be shown, UsageError for what has no field.
+    The page contains the values as float16, or the compressed data of a QuantisedOctree. save() writes it as .html.
+    Raises InvalidScene for a scene that cannot be rendered, UsageError for a type of scene that has no field.
 
     >>> from nerfbake import sample_n3tree, view
     >>> page = view(sample_n3tree(resolution=16), title="A sample")

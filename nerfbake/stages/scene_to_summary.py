@@ -1,43 +1,270 @@
-"""Any scene -> what a person or a script wants to know about it, as plain numbers and text."""
+"""Any scene -> a summary of its facts as plain numbers and text, for people and scripts."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.maths.affine import placed
-from nerfbake.kernels.maths.extremes import Extremes, extremes
-from nerfbake.scene.atlas import BakedAtlas
+from nerfbake import memory
+from nerfbake.kernels.cluster.colours import codes_of
+from nerfbake.kernels.maths.affine import transform_points
+from nerfbake.kernels.maths.elementary import Extremes, extremes
+from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.basis import parse_basis
-from nerfbake.scene.camera import Cameras
-from nerfbake.scene.depth import Depth
-from nerfbake.scene.image import Image
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.lattice_field import LatticeField
-from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.mesh import Mesh, Meshes, joined_meshes, vertex_box
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.stage1 import SpecularField, Stage1
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume, edges_of
-from nerfbake.stages._atlas_summary import summary_of_atlas, summary_of_stage1
-from nerfbake.stages._cameras_summary import summary_of_cameras
-from nerfbake.stages._lattice_summary import summary_of_lattice
-from nerfbake.stages._mesh_summary import summary_of_meshes
-from nerfbake.stages._picture_summary import summary_of_picture
+
+
+def summary_of_stage1(stage1: Stage1) -> dict[str, Any]:
+    """Return each cascade's textures, MLP and mesh, and the number of cameras."""
+    parts = zip(stage1.fields, stage1.meshes, strict=True)
+    return {
+        "kind": "nerf2mesh stage 1",
+        "cameras": None if stage1.cameras is None else len(stage1.cameras),
+        "cascades": {str(c): {**_of_field(field), **_of_mesh(mesh)} for c, (field, mesh) in enumerate(parts)},
+    }
+
+
+def summary_of_atlas(baked: BakedAtlas) -> dict[str, Any]:
+    """Return each cascade's maps, labels and mesh, with the errors and options in its atlas.json."""
+    errors = baked.facts.get("errors")
+    parts = zip(baked.atlases, baked.meshes, strict=True)
+    return {
+        "kind": "octahedral atlas",
+        "bake": _told(baked.facts.get("bake")),
+        "cascades": {
+            str(c): {
+                **_of_atlas(atlas),
+                **_of_mesh(mesh),
+                "errors": _told(errors[c] if isinstance(errors, list) and c < len(errors) else None),
+            }
+            for c, (atlas, mesh) in enumerate(parts)
+        },
+    }
+
+
+def _of_field(field: SpecularField) -> dict[str, Any]:
+    H, W, _ = field.features.shape
+    return {
+        "texture": [W, H],
+        "texels_used": int(np.count_nonzero(field.used)),
+        "colours": len(np.unique(codes_of(field.features[field.used]))),
+        "hidden_units": int(field.w0.shape[1]),
+    }
+
+
+def _of_atlas(atlas: OctahedralAtlas) -> dict[str, Any]:
+    H, W = atlas.labels.shape
+    return {
+        "method": atlas.method,
+        "clusters": atlas.K,
+        "maps": len(atlas.tiles),
+        "map_size": atlas.R,
+        "border": atlas.border,
+        "texture": [W, H],
+        "labels_used": len(np.unique(atlas.labels)),
+    }
+
+
+def _of_mesh(mesh: Mesh | None) -> dict[str, Any]:
+    diffuse = None if mesh is None or mesh.texture is None else list(mesh.texture.shape[1::-1])
+    return {"triangles": None if mesh is None else len(mesh.faces), "diffuse": diffuse}
+
+
+def _told(facts: Any) -> dict[str, Any] | None:
+    """Return the numbers and short texts of an object from a file, which may contain anything."""
+    if not isinstance(facts, Mapping):
+        return None
+    return {
+        key: value
+        for key, value in facts.items()
+        if len(key) <= 40 and (isinstance(value, bool | int | float) or (isinstance(value, str) and len(value) <= 40))
+    }
+
+
+_AGREE = 0.5  # smallest length of the mean of all cameras' up vectors; 1 if all agree
+ALONG = 0.95  # smallest share of an axis in this mean, for the axis to be reported as up
+
+
+def summary_of_cameras(cameras: Cameras) -> dict[str, Any]:
+    """Return the dialect, pictures by size, focal lengths and centres in pixels, lenses, and camera positions.
+
+    Ranges are [minimum, maximum] over all cameras. Centres are relative to the middle of the picture. up is an axis of
+    the world if the cameras' up vectors agree on it, as in a hand-held capture, else None. samples is included if
+    pictures have more than one ray per pixel.
+    """
+    all_of = cameras.cameras
+    places = np.array([camera.pose[:3, 3] for camera in all_of])
+    return {
+        "kind": "cameras",
+        "dialect": cameras.dialect or None,
+        "read_from": cameras.source or None,
+        "cameras": len(all_of),
+        "pictures": dict(Counter(f"{camera.width}x{camera.height}" for camera in all_of)),
+        "focal_x": _range([camera.fx for camera in all_of]),
+        "focal_y": _range([camera.fy for camera in all_of]),
+        "centre_x_off": _range([camera.cx - camera.width / 2 for camera in all_of]),
+        "centre_y_off": _range([camera.cy - camera.height / 2 for camera in all_of]),
+        **({} if cameras.samples == 1 else {"samples": cameras.samples}),
+        "lenses": dict(Counter(map(_lens, all_of))),
+        "position_box": [places.min(axis=0).tolist(), places.max(axis=0).tolist()],
+        "up": _up(np.array([camera.pose[:3, 1] for camera in all_of])),
+        "notes": list(cameras.notes) or None,
+    }
+
+
+def _range(values: list[float]) -> list[float]:
+    return [float(min(values)), float(max(values))]
+
+
+def _lens(camera: Camera) -> str:
+    if camera.lens is None or not camera.lens.bends:
+        return "pinhole"
+    k = ", ".join(f"k{i} {value:g}" for i, value in enumerate(camera.lens.k, start=1) if value)
+    p = ", ".join(f"p{i} {value:g}" for i, value in enumerate(camera.lens.p, start=1) if value)
+    return f"{camera.lens.model} ({', '.join(part for part in (k, p) if part)})" if k or p else camera.lens.model
+
+
+def _up(ups: npt.NDArray[np.float64]) -> str | None:
+    mean = (ups / np.linalg.norm(ups, axis=1, keepdims=True)).mean(axis=0)
+    length, axis = np.sqrt((mean * mean).sum()), int(np.argmax(np.abs(mean)))
+    if length < _AGREE or abs(mean[axis]) < ALONG * length:
+        return None
+    return f"{'-' if mean[axis] < 0 else ''}{'xyz'[axis]}"
+
+
+def summary_of_lattice(lattice: LatticeField) -> dict[str, Any]:
+    """Return the dialect, sizes, activation, colours, world box and value ranges, as JSON types."""
+    density, features = extremes(lattice.density[:, None]), extremes(lattice.features)
+    kind, shift, scale = lattice.activation
+    mask = lattice.occupied
+    held = lattice.links >= 0
+    blocks: dict[str, Any] = {}
+    if lattice.blocks is not None:
+        blocks = {"blocks": list(held.shape), "held_blocks": int(np.count_nonzero(held))}
+        blocks["planes"] = None if lattice.planes is None else lattice.planes.density.shape[1]
+    return {
+        "kind": "lattice field",
+        "dialect": lattice.dialect,
+        "resolution": list(lattice.shape),
+        "nodes": lattice.n,
+        "linked_nodes": int(np.count_nonzero(held)) if lattice.blocks is None else lattice.n,
+        **blocks,
+        "mask": None if mask is None else list(mask.shape),
+        "masked_nodes": None if mask is None else int(np.count_nonzero(mask)),
+        "colours": str(lattice.colour),
+        "dtype": lattice.features.dtype.name,
+        "activation": {"kind": kind, "shift": float(shift), "scale": float(scale)},
+        "nodes_at_corners": lattice.at_corners,
+        "world_box": lattice.box.tolist() if np.isfinite(lattice.box).all() else None,
+        "step": lattice.step if np.isfinite(lattice.step) else None,
+        "ranges": {"density": density.range(), "features": features.range()},
+        "non_finite": density.non_finite + features.non_finite,
+        "notes": list(lattice.notes) or None,
+        "bytes_in_memory": lattice.links.nbytes + lattice.density.nbytes + lattice.features.nbytes,
+    }
+
+
+# Bytes while edges are paired, as measured. A triangle has three edges, and each is in several tables.
+_PER_TRIANGLE, _PER_VERTEX = 300, 60
+
+
+def summary_of_meshes(scene: Meshes) -> dict[str, Any]:
+    """Return triangles, box, colours, and facts about the surface of all meshes together.
+
+    pieces          number of connected components
+    closed          True if every edge has two triangles: a surface without holes and borders
+    same_winding    True if all triangles with a common edge face the same side
+
+    Vertices at the same position count as one, because texture coordinates split them. Degenerate triangles are
+    ignored. All three facts are None if the memory limit is too small to compute them.
+    """
+    arrays = [(m.positions, m.faces, m.uvs, m.texture, m.colours) for m in scene.meshes]
+    box = vertex_box(scene.meshes)
+    return {
+        "kind": "triangle mesh",
+        "meshes": len(scene.meshes),
+        "triangles": sum(len(mesh.faces) for mesh in scene.meshes),
+        "vertices": sum(len(mesh.positions) for mesh in scene.meshes),
+        **_surface(scene),
+        "world_box": box.tolist(),
+        "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
+        "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
+        "bytes_in_memory": sum(array.nbytes for parts in arrays for array in parts if array is not None),
+    }
+
+
+def _surface(scene: Meshes) -> dict[str, Any]:
+    need = sum(_PER_TRIANGLE * len(mesh.faces) + _PER_VERTEX * len(mesh.positions) for mesh in scene.meshes)
+    if need > memory.left():
+        return {"pieces": None, "closed": None, "same_winding": None}
+    from trimesh import graph  # imported here, because the import is slow and only meshes need it
+
+    positions, corners, _ = joined_meshes(scene.meshes)
+    faces = _places(positions)[corners]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    if not len(faces):
+        return {"pieces": 0, "closed": False, "same_winding": True}
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    closed, same_winding = graph.is_watertight(edges)
+    labels = graph.connected_component_labels(edges)  # type: ignore[no-untyped-call]
+    return {"pieces": len(np.unique(labels[faces[:, 0]])), "closed": closed, "same_winding": same_winding}
+
+
+def _places(positions: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """Return a number 0, 1, 2, ... for each vertex (v,); vertices at exactly the same position have the same number."""
+    order = np.lexsort(positions.T)
+    in_order = positions[order]
+    numbers = np.empty(len(positions), np.int64)
+    numbers[order[0]] = 0
+    numbers[order[1:]] = np.cumsum((in_order[1:] != in_order[:-1]).any(axis=1))
+    return numbers
+
+
+def summary_of_picture(picture: Image | Depth) -> dict[str, Any]:
+    """Return the size in pixels; for a picture its opaque share, for depth the share of hits and their range."""
+    if isinstance(picture, Image):
+        H, W = picture.alpha.shape
+        return {
+            "kind": "picture",
+            "size": [W, H],
+            "opaque": float((picture.alpha == 1).mean()),
+            "transparent": float((picture.alpha == 0).mean()),
+            "mean_colour": picture.colour.mean(axis=(0, 1), dtype=np.float64).tolist(),
+        }
+    H, W = picture.distance.shape
+    met = picture.distance[picture.distance > 0]
+    return {
+        "kind": "depth",
+        "size": [W, H],
+        "met": len(met) / picture.distance.size,
+        "range": [float(met.min()), float(met.max())] if len(met) else None,
+    }
+
 
 Known = N3Tree | LatticeField | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
 
 
 def summarise_scene(scene: Known) -> dict[str, Any]:
-    """Kind, basis, resolution, nodes and leaves by level, world box, value ranges, size in memory; JSON can hold it.
+    """Return the facts of a scene as JSON types.
 
-    Of a lattice field its colours, its densities and what was left out; of a volume the same by grid, and what its file
-    said of its checksum; of a mesh its triangles, pieces and colours; of cameras their pictures and lenses, and where
-    they stand; of stage 1 and atlases textures, maps and errors.
+    For trees: kind, basis, resolution, nodes and leaves by level, world box, value ranges and size in memory. For a
+    lattice field also colours, densities and notes on ignored data. For a volume the same per grid, and the file's kind
+    of checksum. For a mesh triangles, pieces and colours. For cameras pictures, lenses and positions. For stage 1 and
+    atlases textures, maps and errors.
 
-    Ranges are over the finite values of leaves that hold something (density above 0): [least, greatest] or None.
+    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None.
 
     >>> from nerfbake import sample_n3tree, summarise_scene
     >>> facts = summarise_scene(sample_n3tree(resolution=8))
@@ -68,7 +295,7 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
     live = sum(map(len, tree.levels))
     with np.errstate(divide="ignore", invalid="ignore"):
         corners = (np.array([[0.0] * 3, [1.0] * 3]) - tree.offset) / tree.invradius
-    # A cell of a node of level d is a cube of level d + 1.
+    # A cell in a node of level d is a cube of level d + 1.
     return {
         "kind": "PlenOctree (N3Tree)",
         "dialect": tree.dialect,
@@ -144,9 +371,9 @@ def _of_grid(grid: VdbTree | IndexGrid, transform: npt.NDArray[np.float64]) -> d
     )
     box, world = active.box, None
     if box is not None:
-        ends = np.stack([box[0] - 0.5, box[1] + 0.5])  # a voxel reaches half its edge around its centre
+        ends = np.stack([box[0] - 0.5, box[1] + 0.5])  # a voxel extends half its edge around its centre
         corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
-        corners = placed(corners, transform)
+        corners = transform_points(corners, transform)
         world = _numbers(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     return {
         "type": "index" if index else "values",
@@ -178,12 +405,12 @@ def _values(data_format: str, dtype: np.dtype[Any]) -> dict[str, Any]:
 
 
 def _numbers(values: npt.NDArray[Any]) -> Any:
-    """Lists of the numbers; None where some are not finite, which JSON cannot say."""
+    """Return the numbers as lists, or None if any is not finite, since JSON has no such numbers."""
     return values.tolist() if np.isfinite(values).all() else None
 
 
 def _ranges(found: Extremes, data_format: str) -> dict[str, Any]:
-    """Density; the first coefficient of each colour ('dc'); all the higher ones ('higher')."""
+    """Return the ranges of the density, of the first coefficient of each colour ('dc') and of all others ('higher')."""
     C = len(found.low)
     B = parse_basis(data_format).size if data_format else 1
     columns = np.arange(C - 1)

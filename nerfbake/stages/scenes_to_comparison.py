@@ -1,4 +1,4 @@
-"""Two scenes seen by the same cameras -> how far they are apart, in pictures and in values."""
+"""Two scenes and cameras -> a comparison of the scenes' pictures and values."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages._picture import Visible, picture, visible
+from nerfbake.stages._picture import Visible, render_picture, renderable
 from nerfbake.stages.scene_to_field import FieldSource
 
-MAX_POINTS = 200_000  # leaves whose values are compared
-_PIXEL_BYTES = 280  # while two pictures are held and compared (238 measured, and the pictures' own)
+MAX_POINTS = 200_000  # most leaves whose values are compared
+_PIXEL_BYTES = 280  # per pixel while two pictures are compared (238 measured, plus the pictures themselves)
 
 
 def compare_scenes(
@@ -30,15 +30,15 @@ def compare_scenes(
     truth: Sequence[Image] | None = None,
     keep_pictures: bool = True,
 ) -> Comparison:
-    """Renders both scenes with every camera, over white, and measures them. truth: a photograph for each camera.
+    """Render both scenes with every camera, over white, and measure the differences.
 
-    Pictures have as many rays a pixel as the cameras ask for.
+    truth: a photograph for each camera. keep_pictures: False keeps only one view's pictures in memory at a time; the
+    comparison then has no pictures to draw.
 
-    Fields are built where they are not given: who has one already saves the time.
-
-    Without keep_pictures one view's are in memory at a time, and there is nothing to draw. Errors are on sRGB in 0..1,
-    before rounding to 8 bits. Raises InvalidScene for scenes that cannot be rendered, and for photographs of another
-    number or size than the cameras', and for lenses that do not cover their pictures.
+    The number of rays per pixel is that of the cameras. Fields are built for scenes of other types; pass a field that
+    you have already built to save this time. Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene
+    for scenes that cannot be rendered, for photographs that differ from the cameras in number or size, and for lenses
+    that do not cover their pictures.
 
     >>> from nerfbake import build_field, build_octree, compare_scenes, orbit_cameras, sample_n3tree
     >>> tree = sample_n3tree(resolution=8)
@@ -50,12 +50,12 @@ def compare_scenes(
     if truth is not None and len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
     cameras.require_covered()
-    one, other = visible(a), visible(b)
+    one, other = renderable(a), renderable(b)
     views, pictures, samples = [], [], cameras.samples
     for i, camera in progress.each(list(enumerate(cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
         both = progress.each([("a", one), ("b", other)])
-        seen = {name: picture(scene, camera, samples=samples) for name, scene in both}
+        seen = {name: render_picture(scene, camera, samples=samples) for name, scene in both}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:

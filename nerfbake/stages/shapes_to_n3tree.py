@@ -1,4 +1,4 @@
-"""A few shiny shapes -> a PlenOctree: a lively scene for demos, tests and benchmarks, without a download."""
+"""A few glossy shapes -> a PlenOctree, as a sample scene for demos, tests and benchmarks that needs no download."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from nerfbake.kernels.maths.elementary import exp, log, sine_cosine
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.n3tree import N3Tree
 
-SCENE_EDGE = 2.5  # of the scene's cube, in world units, around the origin
-SHELL = 0.05  # how deep below a surface cells are as fine as at the surface, in world units
-SIGMA = 180.0  # density of the inside, 1/world unit
+SCENE_EDGE = 2.5  # edge of the scene's cube around the origin, in world units
+SHELL = 0.05  # depth below a surface with cells as fine as at the surface, in world units
+SIGMA = 180.0  # density inside the shapes, 1/world unit
 _LIGHT = np.array([0.48, -0.36, 0.8])  # unit, towards the light; z is up
 _CHUNK = 1 << 16
-_CELL_BYTES = 40  # a cell's place, while its level is made, beside what it holds (20 to 40 measured)
+_CELL_BYTES = 40  # per cell while its level is computed, in addition to its values (20 to 40 measured)
 
 
 class Shape(NamedTuple):
-    """A torus, a box or a ball; `kind` says which. size: radius and thickness, half edges, or radius."""
+    """A shape of the scene. kind: torus, box or ball. size: radius and thickness, half edges, or radius."""
 
     kind: str
     centre: Floats
     size: Floats
     colour: Floats  # sRGB, 0..1
     gloss: float  # sharpness of the highlight, 0 = matt
-    coarseness: int  # levels that its surface stays above the finest
+    coarseness: int  # number of levels by which its surface is coarser than the finest
 
 
 def sample_n3tree(*, resolution: int = 128, basis: str = "SH9", seed: int = 0) -> N3Tree:
-    """A tree of a glossy torus, balls and a box over a matt floor, lit from above; float16, N = 2.
+    """Return a PlenOctree of a glossy torus, balls and a box over a matt floor, lit from above; float16, N = 2.
 
-    resolution: cells along an axis at the finest level, a power of two. Surfaces are as fine as that (the floor one
-    level coarser), insides and empty space as coarse as they can be. The same arguments give the same bytes.
-    Raises InvalidScene, MemoryLimit.
+    resolution: cells along an axis at the finest level, a power of two. Surfaces have the finest cells (the floor one
+    level coarser), and the inside of shapes and empty space the coarsest possible ones. The same arguments give the
+    same bytes. Raises InvalidScene, MemoryLimit.
 
     >>> from nerfbake import sample_n3tree
     >>> print(sample_n3tree(resolution=8, basis="SH4"))
@@ -55,9 +55,9 @@ def sample_n3tree(*, resolution: int = 128, basis: str = "SH9", seed: int = 0) -
 
 
 def _grown(shapes: list[Shape], finest: int, data_format: str) -> N3Tree:
-    """The tree, level by level, down to `finest`."""
+    """Build the tree level by level, down to level `finest`."""
     basis = parse_basis(data_format)
-    held = 4 + 2 * basis.data_dim  # bytes of a cell: its offset and its values, once in their level, once in the tree
+    held = 4 + 2 * basis.data_dim  # bytes per cell for its offset and values, which exist per level and in the tree
     steps = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)
     nodes = np.zeros((1, 3), np.int64)
     children, values, row = [], [], 0
@@ -102,7 +102,7 @@ def _shapes(random: np.random.Generator) -> list[Shape]:
 
 
 def _colour(random: np.random.Generator, hue: float) -> Floats:
-    """A clear colour near a hue (0..1 around the wheel)."""
+    """Return a saturated colour near a hue (0..1 around the colour wheel)."""
     phase: Floats = 2 * np.pi * (hue + random.uniform(-0.05, 0.05) - np.arange(3) / 3)
     return 0.5 + 0.36 * sine_cosine(phase)[1]
 
@@ -112,7 +112,7 @@ def _centres(cells: npt.NDArray[np.int64], width: float) -> Floats:
 
 
 def _distances(shapes: list[Shape], points: Floats) -> Floats:
-    """(shapes, m) signed distances to the surfaces, negative inside."""
+    """Return the signed distances (shapes, m) to the surfaces, negative inside."""
     found = []
     for shape in shapes:
         p = points - shape.centre
@@ -132,7 +132,7 @@ def _hypotenuse(a: Floats, b: Floats) -> Floats:
 
 
 def _divides(shapes: list[Shape], centres: Floats, width: float, levels_left: int) -> npt.NDArray[np.bool_]:
-    """Which cells have to be cut: the shell below a surface passes through, and the shape wants finer cells."""
+    """Return the cells to divide: they overlap the shell of a shape whose cells are finer at its surface."""
     reach = width * np.sqrt(3) / 2
     divides = np.zeros(len(centres), bool)
     for shape, distance in zip(shapes, _distances(shapes, centres), strict=True):
@@ -142,11 +142,11 @@ def _divides(shapes: list[Shape], centres: Floats, width: float, levels_left: in
 
 
 def _values(shapes: list[Shape], centres: Floats, width: float, B: int) -> npt.NDArray[np.float16]:
-    """(m, 3 B + 1) coefficients and density of leaves."""
+    """Return coefficients and density (m, 3 B + 1) of leaves."""
     distances = _distances(shapes, centres)
     nearest, which = distances.min(axis=0), distances.argmin(axis=0)
     out = np.zeros((len(centres), 3 * B + 1))
-    # The surface is half a cell soft.
+    # The density rises over half a cell on both sides of the surface.
     sigma = SIGMA * np.clip(0.5 - nearest / width, 0, 1)
     held = sigma > 0
     p, which = centres[held], which[held]
@@ -155,7 +155,7 @@ def _values(shapes: list[Shape], centres: Floats, width: float, B: int) -> npt.N
     stripes = 0.82 + 0.18 * np.sign(sine_cosine(9 * (p + SCENE_EDGE))[0].prod(axis=1, keepdims=True))
     facing = (normal * _LIGHT).sum(axis=1)
     lit = np.clip(colour * stripes * (0.45 + 0.55 * np.maximum(facing, 0))[:, None], 0.02, 0.98)
-    # The highlight is seen along d where -d is the mirrored light: a lobe of band weights exp(-l (l + 1) / 2 gloss).
+    # The highlight is visible along d where -d is the mirrored light: a lobe of band weights exp(-l (l + 1) / 2 gloss).
     mirrored = _LIGHT - 2 * facing[:, None] * normal
     gloss = np.array([shape.gloss for shape in shapes])[which]
     bands = band_of(B) * (band_of(B) + 1) / 2
@@ -163,7 +163,7 @@ def _values(shapes: list[Shape], centres: Floats, width: float, B: int) -> npt.N
     lobe[:, 0] = 0
     lobe *= (2.2 * (facing > 0) * (gloss > 0))[:, None]
     coefficients = np.repeat(lobe[:, None, :], 3, axis=1)
-    # Colours leave through a sigmoid; Y0 is 1 / sqrt(4 pi).
+    # The colour is the sigmoid of the SH sum; Y0 is 1 / sqrt(4 pi).
     coefficients[:, :, 0] += log(lit / (1 - lit)) * np.sqrt(4 * np.pi)
     out[held, :-1] = coefficients.reshape(len(p), 3 * B)
     out[held, -1] = sigma[held]
@@ -171,7 +171,7 @@ def _values(shapes: list[Shape], centres: Floats, width: float, B: int) -> npt.N
 
 
 def _normals(shapes: list[Shape], points: Floats, which: npt.NDArray[np.int64]) -> Floats:
-    """(m, 3) unit gradients of the distance to each point's own shape."""
+    """Return the unit gradients (m, 3) of the distance to each point's nearest shape."""
     step, rows = 1e-4, np.arange(len(points))
     gradient = np.empty_like(points)
     for axis in range(3):

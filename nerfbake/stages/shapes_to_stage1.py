@@ -1,4 +1,4 @@
-"""A glossy torus -> a nerf2mesh stage-1 scene: mesh, textures and a fitted MLP, for demos, tests and benchmarks."""
+"""A glossy torus -> a nerf2mesh stage-1 scene with mesh, textures and a fitted MLP, for demos, tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import sigmoid, sine_cosine
-from nerfbake.kernels.maths.products import product
-from nerfbake.kernels.surface.raster import cover
+from nerfbake.kernels.maths.linear import product
+from nerfbake.kernels.surface.raster import covered_texels
 from nerfbake.scene.mesh import Mesh
-from nerfbake.scene.specular import SpecularField
-from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.stage1 import SpecularField, Stage1
 
-HIDDEN = 32  # units, as nerf2mesh has them
+HIDDEN = 32  # hidden units, as in nerf2mesh
 RADIUS, THICKNESS = 0.62, 0.27  # of the torus, in world units; its axis is y, which is up
-_MARGIN = 0.04  # of the texture around the torus's patch, which no triangle uses
+_MARGIN = 0.04  # width of the texture's border that no triangle uses, as a fraction of the texture
 _RINGS, _SIDES = 96, 48
 _LIGHT = np.array([0.42, 0.8, -0.43])  # unit, towards the light
 _STEPS, _BATCH, _RATE = 1000, 1024, 0.03
-_TEXEL_BYTES = 176  # while the textures are made (172 measured)
+_TEXEL_BYTES = 176  # per texel while the textures are computed (172 measured)
 
 
 def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
-    """A torus whose features are its normals and gloss, and an MLP that turns them into a highlight and a sheen.
+    """Return a torus whose features are its normals and gloss, and an MLP for its highlight and sheen.
 
     resolution: texels along the textures' edges, 16 to 8192. The same arguments give the same bytes. Raises
     InvalidScene, MemoryLimit.
@@ -45,7 +44,7 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
     gloss = 0.55 + 0.45 * np.sign(sine_cosine(14 * np.pi * u)[0] * sine_cosine(7 * np.pi * v)[0])
     features = _features(normals, gloss)
     mesh = _mesh()
-    used = cover(mesh.require_uvs(), mesh.faces, resolution, resolution)
+    used = covered_texels(mesh.require_uvs(), mesh.faces, resolution, resolution)
     features[~used] = 0
     base = np.array([0.55, 0.13, 0.1]) + np.array([0.12, 0.1, 0.08]) * gloss[..., None]
     lit = base * (0.45 + 0.55 * np.maximum((normals * _LIGHT).sum(axis=-1), 0))[..., None]
@@ -55,7 +54,7 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
 
 
 def _torus(u: Floats, v: Floats) -> tuple[Floats, Floats]:
-    """Points and unit normals (..., 3) at texture coordinates: u around the axis, v around the tube."""
+    """Return points and unit normals (..., 3) at texture coordinates: u around the axis, v around the tube."""
     around, across = ((2 * np.pi * (t - _MARGIN) / (1 - 2 * _MARGIN)) for t in (u, v))
     (sine, cosine), (up, flat) = sine_cosine(around), sine_cosine(across)
     normals = np.stack([cosine * flat, up, sine * flat], axis=-1)
@@ -75,12 +74,15 @@ def _mesh() -> Mesh:
 
 
 def _features(normals: Floats, gloss: Floats) -> npt.NDArray[np.uint8]:
-    """(..., 3) uint8: the normal, shorter where the surface is matt."""
+    """Return features (..., 3) uint8: the normal, which is shorter where the surface is matt."""
     return np.rint(255 * (0.5 + 0.5 * normals * gloss[..., None])).astype(np.uint8)
 
 
 def _look(features: Floats, directions: Floats) -> Floats:
-    """(m, 3) the highlight of the light and a bluish sheen at grazing angles, 0..1; f in 0..1, d unit."""
+    """Return the highlight of the light plus a bluish sheen at grazing angles (m, 3) in 0..1.
+
+    features (m, 3) in 0..1, directions (m, 3) unit vectors.
+    """
     bent = 2 * features - 1
     gloss = np.linalg.norm(bent, axis=1, keepdims=True)
     normal = bent / np.maximum(gloss, 1e-6)
@@ -93,12 +95,12 @@ def _look(features: Floats, directions: Floats) -> Floats:
 
 
 def _fit(random: np.random.Generator) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """The MLP's weights, by Adam (Kingma and Ba, 2014) on random normals, glosses and directions."""
+    """Fit the MLP's weights by Adam (Kingma and Ba, 2014) to random normals, glosses and directions."""
     weights = [random.normal(0, 1, (6, HIDDEN)), random.normal(0, 0.3, (HIDDEN, 3))]
     first, second = ([np.zeros(w.shape) for w in weights] for _ in range(2))
     for step in range(1, _STEPS + 1):
         normals, directions = (_unit(random.normal(size=(_BATCH, 3))) for _ in range(2))
-        directions *= -np.sign((directions * normals).sum(axis=1, keepdims=True))  # surfaces are seen from outside
+        directions *= -np.sign((directions * normals).sum(axis=1, keepdims=True))  # visible from outside only
         features = 0.5 + 0.5 * normals * random.choice([0.1, 1.0], (_BATCH, 1))
         inputs = np.concatenate([directions, features], axis=1)
         hidden = np.maximum(product(inputs, weights[0]), 0)

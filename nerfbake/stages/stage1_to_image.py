@@ -1,4 +1,4 @@
-"""nerf2mesh's stage 1, or the atlas baked from it, and camera -> picture: what a viewer of either would show."""
+"""nerf2mesh stage 1, or an atlas baked from it, and camera -> picture as in their viewers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages._supersampled import supersampled
-from nerfbake.stages._surface import Hits, paint
+from nerfbake.stages._surface import Hits, shade_surfaces
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
@@ -25,12 +25,12 @@ def render_stage1(
     background: tuple[float, float, float] | None = WHITE,
     samples: int = 1,
 ) -> Image:
-    """clamp(diffuse + specular) at each pixel, over a background (None: transparent).
+    """Render clamp(diffuse + specular) for each pixel, over a background (None: transparent).
 
-    Of a Stage1 specular is the MLP, of a BakedAtlas it is what atlas.glsl shows; both at the nearest texel, as the
-    viewer of nerf2mesh (its renderer.html) has it, maps between texels. samples x samples rays a pixel are averaged as
-    render_field() does it. Raises InvalidScene where a mesh is missing.
-    Source: docs/formats/atlas.md, "The stage-1 folder".
+    The specular colour of a Stage1 is the MLP's output. That of a BakedAtlas is computed like in atlas.glsl, with
+    interpolation between the texels of a map. Both use the nearest texel of the texture, like the viewer of nerf2mesh
+    (its renderer.html). samples x samples rays per pixel are averaged as in render_field(). Raises InvalidScene if a
+    mesh is missing. Source: docs/formats/atlas.md, "The stage-1 folder".
 
     >>> from nerfbake import orbit_cameras, render_stage1, sample_stage1
     >>> stage1 = sample_stage1(resolution=16)
@@ -44,16 +44,16 @@ def render_stage1(
         return np.asarray(np.clip(surface_colours(hits) + specular, 0, 1), np.float32)
 
     meshes = surfaces(scene)
-    return supersampled(lambda part: paint(meshes, part, colours, background), camera, samples)
+    return supersampled(lambda part: shade_surfaces(meshes, part, colours, background), camera, samples)
 
 
 def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
-    """The cascades' meshes. Raises InvalidScene if one has none, or no texture."""
+    """Return the cascades' meshes. Raises InvalidScene if a mesh or its texture is missing."""
     found = []
     for cascade, mesh in enumerate(scene.meshes):
         if mesh is None or mesh.texture is None:
             what = f"mesh_{cascade}.obj" if mesh is None else f"feat0_{cascade}"
-            raise InvalidScene(Problem(what, "is missing", "a mesh and its diffuse texture, where there are pictures"))
+            raise InvalidScene(Problem(what, "is missing", "a mesh and its diffuse texture, to render pictures"))
         found.append(mesh)
     return tuple(found)
 

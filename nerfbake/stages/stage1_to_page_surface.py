@@ -1,22 +1,22 @@
-"""nerf2mesh's stage 1, an atlas, or both -> the triangles that a page shows."""
+"""nerf2mesh stage 1, an atlas, or both -> the meshes, textures and MLPs that a page displays."""
 
 from __future__ import annotations
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.atlas import BakedAtlas
-from nerfbake.scene.page_surface import PageSurface
+from nerfbake.scene.page import PageSurface
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.stage1_to_image import surfaces
 
-_COPIES = 4  # of everything, while a page is made of it: as it is, as bytes, packed, in base64
+_COPIES = 4  # copies of all data while a page is written: the arrays, their bytes, compressed, in base64
 
 
 def build_page_surface(scene: Stage1 | BakedAtlas, *, stage1: Stage1 | None = None) -> PageSurface:
-    """The scene's meshes with all that gives them their highlights.
+    """Return the scene's meshes with all data for their highlights.
 
-    stage1: of an atlas the scene that it was baked from, for a page that shows both. Raises InvalidScene where a mesh
-    or its diffuse texture is missing, or where the two are of different scenes; MemoryLimit.
+    stage1: for an atlas, the scene that it was baked from, for a page that displays both. Raises InvalidScene if a mesh
+    or its diffuse texture is missing, or if the two do not belong to the same scene; MemoryLimit.
 
     >>> from nerfbake import bake_stage1, build_page_surface, sample_stage1
     >>> stage1 = sample_stage1(resolution=16)
@@ -35,7 +35,7 @@ def build_page_surface(scene: Stage1 | BakedAtlas, *, stage1: Stage1 | None = No
 
 
 def _require_same(labels: tuple[int, ...], features: tuple[int, ...], atlases: int, fields: int) -> None:
-    """Raises InvalidScene for an atlas that was not baked from this stage 1, as far as sizes tell."""
+    """Raise InvalidScene if the sizes show that an atlas was not baked from this stage 1."""
     if (labels, atlases) != (features, fields):
         found = f"has {atlases} textures of {labels[1]}x{labels[0]} labels"
         allowed = f"{fields} of {features[1]}x{features[0]}, as the stage-1 scene has"

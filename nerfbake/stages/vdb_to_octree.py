@@ -1,4 +1,4 @@
-"""VDB grids -> sparse voxel octrees: the one they were made from, or one of a fog's density alone."""
+"""VDB grids -> sparse voxel octree: the octree they were made from, or an octree of a fog volume's density."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from nerfbake.stages._cube_levels import Block, blocks_of, octree_of_blocks
 from nerfbake.stages._fog import density_of
 
 
-def octree_of_volume(volume: Volume) -> SparseVoxelOctree:
-    """The octree behind an index grid, or behind density and sh_0, sh_1, ...: its voxels bit for bit.
+def build_octree_from_volume(volume: Volume) -> SparseVoxelOctree:
+    """Rebuild the octree of an index grid, or of density and sh_0, sh_1, ..., with bit-identical voxels.
 
-    Eight equal neighbours are one leaf, a tile is one as it stands, and voxels of density 0 are no nodes, as
-    build_octree has it, so its octrees come back with the same nodes. What inner nodes hold is not in the grids: it is
-    made anew by build_octree's rule, with the voxel's width for the finest cell's, and is the same to the bit where
-    the octree was baked at its tree's own resolution.
+    Eight equal siblings are merged to one leaf, a tile is one leaf, and voxels of density 0 have no nodes, as in
+    build_octree(). So an octree of build_octree() comes back with the same nodes. The grids do not contain the values
+    of inner nodes. They are recomputed by the rule of build_octree(), with the voxel width instead of the finest cell's
+    width. They are bit-identical if the octree was baked at its tree's own resolution.
 
-    Raises InvalidScene where the grids hold no octree: other programs' files, and those without coefficients.
+    Raises InvalidScene if the grids do not contain an octree: files of other programs, or without coefficients.
 
-    >>> from nerfbake import build_octree, build_vdb, octree_of_volume, sample_n3tree
+    >>> from nerfbake import build_octree, build_vdb, build_octree_from_volume, sample_n3tree
     >>> octree = build_octree(sample_n3tree(resolution=8))
-    >>> back = octree_of_volume(build_vdb(octree, grids=("index",)))
+    >>> back = build_octree_from_volume(build_vdb(octree, grids=("index",)))
     >>> back.size == octree.size, back.level_sizes == octree.level_sizes
     (True, True)
     """
     if volume.frame is None:
-        raise InvalidScene(Problem("the volume", "does not say which octree it was", "what `nerfbake vdb` writes"))
+        raise InvalidScene(Problem("the volume", "does not describe an octree", "a volume written by `nerfbake vdb`"))
     for problem in volume.value_problems():
         raise InvalidScene(problem)
     frame, (topology, data) = volume.frame, _data(volume)
-    blocks = blocks_of(topology, data[:, -1] != 0)  # half a float may be 0 where the voxel was thin
+    blocks = blocks_of(topology, data[:, -1] != 0)  # float16 may have rounded a low density to 0
     for low, height, _ in blocks:
         if low.min() < 0 or (low.max(axis=0) + (1 << height) > frame.size).any():
             size = "x".join(map(str, frame.size))
@@ -47,28 +47,28 @@ def octree_of_volume(volume: Volume) -> SparseVoxelOctree:
     return memory.kept(octree_of_blocks(blocks, data, frame))
 
 
-def octree_of_density(volume: Volume) -> SparseVoxelOctree:
-    """An octree of the density of a fog volume, whatever program made it: one value a node, no colour.
+def build_octree_from_density(volume: Volume) -> SparseVoxelOctree:
+    """Build an octree of the density of a fog volume of any program, with one value per node and no colour.
 
-    The density is the grid `density`, or the only one with one channel. Voxels and tiles above 0 are leaves, each at
-    its own level, in a box of the world's axes around them; a transform may swap and mirror axes. Raises InvalidScene
-    for level sets, for transforms that turn or shear, and for boxes of more than 4096 voxels along an axis.
+    The density is the grid `density`, or the only one with one channel. Voxels and tiles above 0 become leaves of their
+    size, in an axis-aligned box around them. The transform may swap and mirror axes. Raises InvalidScene for level
+    sets, for transforms that rotate or shear, and for boxes of more than 4096 voxels along an axis.
 
-    >>> from nerfbake import build_octree, build_vdb, octree_of_density, sample_n3tree
+    >>> from nerfbake import build_octree, build_vdb, build_octree_from_density, sample_n3tree
     >>> smoke = build_vdb(build_octree(sample_n3tree(resolution=8)), grids=("density",))
-    >>> octree_of_density(smoke).data_dim
+    >>> build_octree_from_density(smoke).data_dim
     1
     """
     grid = density_of(volume)
     for problem in (*grid.structure_problems(), *grid.value_problems()):
         raise InvalidScene(problem)
     axis, sign, voxel_size, origin = _axes(volume.transform_of(grid))
-    # Of a mirrored axis a cube's other end is its lowest voxel.
+    # Along a mirrored axis, the other end of a cube is its lowest voxel.
     blocks = [
         Block(low[:, axis] * sign - np.where(sign < 0, 1 << height, 0), height, row)
         for low, height, row in blocks_of(grid.topology, grid.values[:, 0] > 0)
     ]
-    # What tiles need to be leaves: a box that starts where the largest of them could.
+    # Tiles can only be leaves if the box starts at a multiple of the largest tile's edge.
     step = 1 << max((block.height for block in blocks), default=0)
     ends = [(block.low.min(axis=0), block.low.max(axis=0) + (1 << block.height)) for block in blocks]
     low = np.min([low for low, _ in ends] or [np.zeros(3, np.int64)], axis=0) // step * step
@@ -83,20 +83,22 @@ def octree_of_density(volume: Volume) -> SparseVoxelOctree:
 
 
 def _axes(transform: npt.NDArray[np.float64]) -> tuple[Ints, Ints, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Of each axis of the world (3,): the grid's axis that runs along it, 1 or -1 for which way, a voxel's edge, and
-    where its voxel 0 starts; mirrored axes are counted from -1 down."""
+    """Return for each axis of the world (3,) the grid's axis along it, its sign, the voxel edge, and the origin.
+
+    The origin is the start of voxel 0. Voxels of mirrored axes are counted down from -1.
+    """
     matrix, centre = transform[:, :3], transform[:, 3]
     along = matrix != 0
     if (along.sum(axis=0) != 1).any() or (along.sum(axis=1) != 1).any():
-        allowed = "axes that are the world's, for an octree"
-        raise InvalidScene(Problem("the transform", "turns or shears the grid", allowed))
+        allowed = "axes parallel to the world's, for an octree"
+        raise InvalidScene(Problem("the transform", "rotates or shears the grid", allowed))
     edges, sign = np.abs(matrix).sum(axis=1), np.sign(matrix.sum(axis=1)).astype(np.int64)
-    # Voxel v of a mirrored axis becomes -v - 1: voxel 0 starts where voxel 0 did, half an edge above its centre.
+    # Voxel v of a mirrored axis becomes -v - 1, so voxel 0 starts half an edge above the centre of the old voxel 0.
     return along.argmax(axis=1), sign, edges, centre - np.where(sign < 0, -edges / 2, edges / 2)
 
 
 def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
-    """The voxels, and (m, D) what they hold, density last."""
+    """Return the voxels, and their values (m, D), density last."""
     first = volume.grids[0]
     if isinstance(first, IndexGrid):
         return first.topology, first.values

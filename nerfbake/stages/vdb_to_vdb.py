@@ -10,12 +10,14 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._half import rounded
+from nerfbake.stages._half import cast_values
 
 
 def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volume:
-    """The volume with values of this type; an index' table is not made wider. Raises InvalidScene, naming the grid,
-    where values do not fit.
+    """Convert the values of a volume's grids to this type.
+
+    float32 leaves the table of an index grid unchanged. Raises InvalidScene, with the name of the grid, if values are
+    too large for float16.
 
     >>> from nerfbake import build_octree, build_vdb, cast_volume, sample_n3tree
     >>> volume = build_vdb(build_octree(sample_n3tree(resolution=8)))
@@ -30,9 +32,9 @@ def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volu
             return (
                 grid
                 if dtype == "float32"
-                else replace(grid, table=rounded(grid.table, wanted, what=what, asked="`half`"))
+                else replace(grid, table=cast_values(grid.table, wanted, what=what, asked="`half`"))
             )
-        background = rounded(grid.background, wanted, what=what, asked="`half`").astype(np.float32)
-        return replace(grid, values=rounded(grid.values, wanted, what=what, asked="`half`"), background=background)
+        background = cast_values(grid.background, wanted, what=what, asked="`half`").astype(np.float32)
+        return replace(grid, values=cast_values(grid.values, wanted, what=what, asked="`half`"), background=background)
 
     return memory.kept(replace(volume, grids=tuple(map(cast, volume.grids))))

@@ -1,4 +1,4 @@
-"""Radiance field and views -> how far the field's pictures are from the photographs."""
+"""Radiance field and views -> the error of the field's pictures against the photographs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_image import render_field
 
-_PIXEL_BYTES = 280  # while two pictures are held and compared, as in scenes_to_comparison
+_PIXEL_BYTES = 280  # per pixel while two pictures are compared, as in scenes_to_comparison
 
 
 class ViewError(NamedTuple):
-    """psnr in dB, and ssim, of a view's picture against its photograph; name is the camera's."""
+    """PSNR in dB and SSIM of a view's picture against its photograph, with the camera's name."""
 
     name: str
     psnr: float
@@ -24,10 +24,10 @@ class ViewError(NamedTuple):
 
 
 def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
-    """Renders every view over its background, and measures it against its photograph; samples as in render_field().
+    """Render every view over its background, and measure it against its photograph.
 
-    Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that
-    do not cover their pictures, and MemoryLimit.
+    samples: as in render_field(). Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises
+    InvalidScene for lenses that do not cover their pictures, MemoryLimit.
 
     >>> import numpy as np
     >>> from nerfbake import build_field, build_views, measure_views, orbit_cameras, render_field, sample_n3tree

@@ -1,4 +1,4 @@
-"""Posed pictures -> the field that looks like them."""
+"""Posed pictures -> the radiance field that is fitted to them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
-from nerfbake.kernels.fit.bricks import ROW, Batch, Bricks, new_batch
-from nerfbake.kernels.fit.plan import divided, doubled, plan_of_kept
-from nerfbake.kernels.fit.rays import View, march_view
-from nerfbake.kernels.fit.update import Steps, take_steps
+from nerfbake.kernels.fit.bricks import ROW, BrickGrid, TaskBuffers, new_batch
+from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
+from nerfbake.kernels.fit.rays import FitView, march_view
+from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import power
 from nerfbake.scene.basis import parse_basis
@@ -20,16 +20,16 @@ from nerfbake.scene.schedule import Rates, Schedule
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_state import FitState
-from nerfbake.stages._looks import Looks, looks_of
+from nerfbake.stages._ray_targets import RayTargets, ray_targets
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
 __all__ = ["FitState", "fit_field"]
 
-TASKS = 16  # that a view's pixels are shared out to; more would be no faster on 16 cores, and take more memory
-_ALPHA, _POINT = 0.1, 0.08  # weights of the loss of alpha, and of every cell's own colour
-_PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # of each band in a step: what all views agree on is found first
-_RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # pull of the coefficients of each band towards 0
-_RING = 1  # pixels around an object that are looked at, too
+TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 cores, and would need more memory
+_ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's own colour
+_PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
+_RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
+_RING = 1  # width in pixels of the ring around an object that is fitted, too
 
 
 def fit_field(
@@ -41,12 +41,12 @@ def fit_field(
     seed: int = 0,
     start: FitState | None = None,
 ) -> Iterator[FitState]:
-    """Fits a field to pictures, and gives its state, always the same object, after every picture.
+    """Fit a field to pictures. Yields the state of the fit after every picture; each yield returns the same object.
 
-    The schedule says for each stage how many rays a pixel has, and so for which pictures the field is best: 2 x 2 rays
-    for photographs. box: as carve_hull() takes it. start: a state to go on from; then basis, box and seed are its own,
-    and the schedule must be. The same arguments give the same bytes, however many threads there are and wherever the
-    fit was interrupted. Raises InvalidScene, MemoryLimit.
+    The schedule sets the number of rays per pixel for each stage, and the field is best for pictures with the same
+    number: 2 x 2 rays for photographs. box: as in carve_hull(). start: a state to resume from; basis, box and seed are
+    then those of the state, and the schedule must equal the state's. The same arguments give the same bytes, for any
+    number of threads, and also if the fit is interrupted and resumed. Raises InvalidScene, MemoryLimit.
 
     Source: Plenoxels (Fridovich-Keil et al., 2022) for the representation and its coarse-to-fine growth; the steps are
     our own (docs/fitting.md, "How it is fitted").
@@ -72,7 +72,7 @@ def fit_field(
     batch = None
     while not state.done:
         if state.built < state.stage:
-            batch = None  # its memory is needed
+            batch = None  # frees its memory
             _rebuild(state)
         batch = _visit(state, views, batch)
         _count_on(state, len(views.pictures))
@@ -88,24 +88,24 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
 
 
 def _rebuild(state: FitState) -> None:
-    """The cells of the next stage: those that were seen, twice as many an axis, or some of them divided."""
+    """Build the cells of the next stage: prune cells with low weights, then double the resolution or divide cells."""
     stage, last, bricks = state.schedule[state.stage], state.schedule[state.stage - 1], state.cells.bricks
     keep = state.cells.seen[:, 0] >= last.prune
     if not keep.any():
-        raise InvalidScene(Problem("the fit", "has no cell left that any picture sees", "pictures of an object"))
+        raise InvalidScene(Problem("the fit", "has no cell left that is visible in a picture", "pictures of an object"))
     plan, wide = plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), bool(state.divided)
     if stage.cells > last.cells:
-        plan = doubled(plan, np.ones(len(keep), bool))
+        plan = double_plan(plan, np.ones(len(keep), bool))
     if stage.split:
         chosen = _most_blamed(state, keep, stage.split)
-        plan = divided(plan, chosen) if wide else doubled(plan, chosen)
+        plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
     state.cells = cells_of_plan(bricks, plan, state.box)
     state.built = state.stage
 
 
 def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
-    """(n,) the share of the kept cells that have the largest part in what pictures are off; narrow cells have none."""
+    """Return (n,) bool: this share of the kept cells, those with the largest blame; narrow cells are excluded."""
     blame = np.where(keep, state.cells.seen[:, 1], np.float32(-1))
     if state.divided:
         blame[state.cells.bricks.places & 1 == 0] = -1
@@ -114,14 +114,14 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-def _visit(state: FitState, views: Views, batch: Batch | None) -> Batch | None:
-    """One view's pixels, and the step that the cells take."""
+def _visit(state: FitState, views: Views, batch: TaskBuffers | None) -> TaskBuffers | None:
+    """Render the pixels of one view, and update the cells."""
     stage, cells = state.schedule[state.stage], state.cells
     if state.view == 0:
         cells.seen[:, 1] = 0
         state.error = state.values = 0.0
     order = np.random.default_rng([state.seed, state.stage, state.epoch]).permutation(len(views.pictures))
-    looks = looks_of(views, int(order[state.view]), scale=stage.scale, samples=stage.rays, ring=_RING)
+    looks = ray_targets(views, int(order[state.view]), scale=stage.scale, samples=stage.rays, ring=_RING)
     if not len(looks.pixels):
         return batch
     error, batch = _marched(cells.bricks, batch, looks, views)
@@ -130,20 +130,22 @@ def _visit(state: FitState, views: Views, batch: Batch | None) -> Batch | None:
     part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
     parts, ridge = (np.array(each, np.float32)[band_of(state.basis.size)] for each in (_PARTS, _RIDGE))
     rates = _rate(stage.density, part), _rate(stage.colour, part)
-    steps = Steps(*rates, parts, ridge, float(stage.rays**2))
+    steps = LearningRates(*rates, parts, ridge, float(stage.rays**2))
     take_steps(cells.bricks, batch, looks.eye, cells.means, cells.seen, steps)
     return batch
 
 
 def _rate(rates: Rates, part: float) -> float:
-    """Between the first and the last, geometrically."""
+    """Interpolate geometrically between the first and the last rate."""
     return rates[0] * float(power(rates[1] / rates[0], part))
 
 
-def _marched(bricks: Bricks, batch: Batch | None, looks: Looks, views: Views) -> tuple[float, Batch]:
-    """The sum of squares of what the pixels are off; with a larger batch where the view needs it."""
+def _marched(
+    bricks: BrickGrid, batch: TaskBuffers | None, looks: RayTargets, views: Views
+) -> tuple[float, TaskBuffers]:
+    """Render a view's pixels. Returns the sum of their squared errors, and a larger batch if the view needs one."""
     background, errors = np.array(views.background, np.float32), np.zeros(TASKS)
-    view = View(looks.eye, looks.directions, looks.targets, background, _ALPHA if views.masked else 0.0, _POINT)
+    view = FitView(looks.eye, looks.directions, looks.targets, background, _ALPHA if views.masked else 0.0, _POINT)
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:

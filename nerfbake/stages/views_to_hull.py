@@ -1,4 +1,4 @@
-"""Posed pictures -> the solid that their silhouettes leave, which a fit starts from."""
+"""Posed pictures -> their visual hull, from which a fit starts."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit.hull import TASKS, mark_clear
-from nerfbake.kernels.maths.affine import inverse, turned
+from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_solid, field_of_cells
-from nerfbake.stages._looks import looks_of, zoomed
+from nerfbake.stages._ray_targets import ray_targets, scaled_camera
 
 MIN_VIEWS = 2
-_EDGE = 128  # pixels of a silhouette's shorter edge, about
-_WITNESSES = 5  # views that must see the background where no alpha tells it
-_SEARCH = 32  # cells along an axis while the box is looked for
+_EDGE = 128  # approximate number of pixels along a silhouette's shorter edge
+_WITNESSES = 5  # views that must cover a cell with background only to remove it, if pictures have no alpha
+_SEARCH = 32  # cells along an axis during the search for the box
 _ROUNDS = 4
 _CELL_BYTES = 7 + TASKS
 
 
 def carve_hull(views: Views, *, box: Points | None = None, resolution: int = 64) -> BrickField:
-    """What could hold something: cells that two views or more see, and that none sees the background through.
+    """Return the visual hull: cells that two views or more see, and that no view covers with background only.
 
-    box (2, 3): lowest and highest corner in the world; None: the box around what silhouettes leave of all that the
-    cameras have in common. Where no alpha tells the object from the background, five views must agree that it is the
-    background. Every cell is grey, and thin. Raises InvalidScene where nothing is left, MemoryLimit.
+    box (2, 3): lowest and highest corner in the world; None: the box around the visual hull in the space that the
+    cameras have in common. If pictures have no alpha, five views must cover a cell with background only to remove it.
+    All cells are grey with a low density. Raises InvalidScene if no cell remains, MemoryLimit.
 
     >>> from nerfbake import Views, build_field, carve_hull, orbit_cameras, render_field, sample_n3tree
     >>> scene = build_field(sample_n3tree(resolution=8))
@@ -45,13 +45,13 @@ def carve_hull(views: Views, *, box: Points | None = None, resolution: int = 64)
 
 
 def require_views(views: Views) -> None:
-    """Raises InvalidScene for fewer views than a solid can be found from."""
+    """Raise InvalidScene if there are too few views for a visual hull."""
     if len(views.pictures) < MIN_VIEWS:
         raise InvalidScene(Problem("views", f"are {len(views.pictures)}", f"{MIN_VIEWS} or more"))
 
 
 def find_solid(views: Views, box: Points | None, resolution: int) -> tuple[Bits, Points]:
-    """(R, R, R) bool and its box."""
+    """Return the visual hull (R, R, R) bool, and its box; `box` None searches the box."""
     if box is not None:
         return _carved(views, box, resolution), box
     box = _common_cube(views)
@@ -72,10 +72,10 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
     clear, inside = np.zeros((R,) * 3, np.uint16), np.zeros((R,) * 3, np.uint16)
     for view, camera in enumerate(views.cameras.cameras):
         scale = max(1, min(camera.width, camera.height) // _EDGE)
-        looks = looks_of(views, view, scale=scale, samples=1, ring=None)
-        own = zoomed(camera, scale)
+        looks = ray_targets(views, view, scale=scale, samples=1, ring=None)
+        own = scaled_camera(camera, scale)
         held = (looks.targets[:, 3] > 0).reshape(1, own.height, own.width)
-        held = dilated(held)  # pixels around an object may still be its own
+        held = dilated(held)  # pixels next to an object may still belong to it
         mark_clear(box[0].copy(), size, looks.eye, looks.directions, held.reshape(-1), met, clear, inside)
     witnesses = 1 if views.masked else min(_WITNESSES, max(len(views.pictures) // 2, 1))
     solid = (clear < witnesses) & (inside >= MIN_VIEWS)
@@ -90,14 +90,14 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
 
 
 def _common_cube(views: Views) -> Points:
-    """(2, 3): around the point that all cameras look at, as large as the widest of them sees there."""
+    """Return a cube (2, 3) around the point that the cameras look at, as large as the widest view of it."""
     eyes = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras])
     looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
     across = np.eye(3) - looks[:, :, None] * looks[:, None]
-    # Parallel axes meet nowhere: a little weight on the cameras' own middle makes the sum invertible.
+    # Parallel axes do not intersect. A small weight on the cameras' mean position makes the matrix invertible.
     left = across.sum(axis=0) + 1e-6 * np.eye(3)
     right = (across * eyes[:, None]).sum(axis=(0, 2)) + 1e-6 * eyes.mean(axis=0)
-    centre = turned(right, inverse(left))
+    centre = rotate(right, inverse(left))
     away = np.sqrt(np.square(eyes - centre).sum(axis=1))
     wide = [max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in views.cameras.cameras]
     half = float((away * np.array(wide)).max())

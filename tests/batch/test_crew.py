@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from nerfbake.batch import crew
+from nerfbake.batch.crew import MemoryQueue
 from nerfbake.batch.items import Item
-from nerfbake.batch.room import Room
 from nerfbake.batch.state import State
 from nerfbake.errors import OutputError, UsageError
-from nerfbake.jobs import Batch, Run, run_batch
+from nerfbake.jobs import Batch, BatchOptions, run_batch
 
 
 def item(word: str, name: str = "a", **more: Any) -> Item:
@@ -29,7 +29,7 @@ def item(word: str, name: str = "a", **more: Any) -> Item:
 
 
 def run(items: list[Item], report_to: str | None = None, **how: Any) -> Batch:
-    return run_batch(items, state="run", run=Run(**{"jobs": 2, **how}), report_to=report_to)
+    return run_batch(items, state="run", run=BatchOptions(**{"jobs": 2, **how}), report_to=report_to)
 
 
 def statuses(batch: Batch) -> list[str]:
@@ -46,7 +46,7 @@ def statuses(batch: Batch) -> list[str]:
         ("full", "failed", 4, "out/a: No space left on device"),
         ("fault", "failed", 70, "a fault of nerfbake's own"),
         ("killed", "killed", 137, "was killed (exit 137)"),
-        ("silent", "failed", 0, "out/a: was not written, though the command says that it is done"),
+        ("silent", "failed", 0, "out/a: was not written, although the command succeeded"),
     ],
 )
 def test_what_becomes_of_an_item(folder: Path, word: str, status: str, code: int, error: str) -> None:
@@ -159,7 +159,7 @@ def test_a_second_batch_on_the_same_shard_is_refused_until_it_takes_over(folder:
     Path("run/lock.0-of-1").write_text('{"pid": 4000000, "host": "elsewhere"}')
     with pytest.raises(OutputError) as caught:
         run([item("fine")])
-    said = "process 4000000 on elsewhere is at work; allowed: to wait for it, or `take_over`"
+    said = "is in use by process 4000000 on elsewhere; allowed: to wait for it, or `take_over`"
     assert str(caught.value) == f"run/lock.0-of-1: {said}"
     assert not Path("out").exists()
     assert run([item("fine")], take_over=True).exit_code == 0
@@ -225,7 +225,7 @@ def test_children_share_the_cores(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_item_that_needs_more_than_all_memory_runs_alone_and_others_fit() -> None:
-    room, most, lock = Room(100), [0, 0], threading.Lock()
+    room, most, lock = MemoryQueue(100), [0, 0], threading.Lock()
     running: list[int] = []
 
     def work(need: int) -> None:
@@ -250,25 +250,53 @@ def test_an_estimate_is_the_last_peak_or_what_the_arrays_of_an_input_take(folder
     import numpy as np
 
     np.savez_compressed("a.npz", a=np.zeros(1 << 20, np.uint8))
-    room, what = Room(1 << 40), Item(("svo",), reads=("a.npz",))
+    room, what = MemoryQueue(1 << 40), Item(("svo",), reads=("a.npz",))
     assert 4 << 20 <= room.estimate(what, 0) - room.estimate(Item(()), 0) < (4 << 20) + 4096
     assert room.estimate(what, 7) == 7
-    assert Room(None).estimate(what, 0) == 0
+    assert MemoryQueue(None).estimate(what, 0) == 0
 
 
-def test_a_log_keeps_the_end_of_what_was_said(folder: Path) -> None:
+def test_a_log_keeps_the_end_of_what_was_printed(folder: Path) -> None:
     stub = folder / "stub.sh"
     stub.write_text('#!/bin/sh\nhead -c 200000 /dev/zero | tr "\\0" x\necho\necho "error: at last" >&2\nexit 1\n')
-    batch = run([item("fine")])
+    run([item("fine")])
     (log,) = Path("run/log").iterdir()
     assert log.stat().st_size == 64 << 10
-    assert batch.rows[0].attempt is not None
-    assert batch.rows[0].attempt.error == "at last"
+    assert log.read_text().endswith("x\nerror: at last\n")
+
+
+@pytest.mark.parametrize(
+    ("lines", "psnr", "error"),
+    [
+        ('{"psnr": 30.5}\n{"error": "late"}\n', 30.5, "late"),
+        ('{"psnr": 1.0}\n{"psnr": 2.0}\n', 2.0, ""),
+        ('{"psnr": NaN}\n{"psnr', None, ""),
+        ('[1]\nno JSON\n{"psnr": "30 dB", "error": 3}\n', None, ""),
+        ("", None, ""),
+    ],
+)
+def test_a_result_is_what_was_reported_last(folder: Path, lines: str, psnr: float | None, error: str) -> None:
+    (folder / "lines").write_text(lines)
+    (folder / "stub.sh").write_text(
+        '#!/bin/sh\ncat lines > "/dev/fd/$NERFBAKE_RESULT"\necho "9.99 dB against"\nexit 1\n'
+    )
+    attempt = run([item("fine")]).rows[0].attempt
+    assert attempt is not None
+    assert (attempt.psnr, attempt.error) == (psnr, error)
+
+
+def test_a_process_that_outlives_its_command_does_not_hold_the_batch(folder: Path) -> None:
+    (folder / "stub.sh").write_text("#!/bin/sh\nsleep 30 &\nexit 1\n")
+    begun = time.monotonic()
+    run([item("fine")])
+    assert time.monotonic() - begun < 15
 
 
 def test_a_shard_that_there_is_not_is_refused(folder: Path) -> None:
     with pytest.raises(UsageError, match="allowed: 0/3 to 2/3"):
         run([item("fine")], shard=(3, 3))
+    with pytest.raises(UsageError, match="`shard` is 0/0; allowed: I/N, with N of 1 or more"):
+        run([item("fine")], shard=(0, 0))
     with pytest.raises(UsageError, match="allowed: 1 or more"):
         run([item("fine")], jobs=0)
 
@@ -283,7 +311,7 @@ def test_a_word_too_long_for_the_system_costs_its_item_alone(folder: Path) -> No
 
 
 def test_a_word_with_a_nul_is_refused_before_anything_runs(folder: Path) -> None:
-    with pytest.raises(UsageError, match="has a NUL; allowed: words and names without one"):
+    with pytest.raises(UsageError, match="has a NUL; allowed: arguments and paths without one"):
         run([item("fine", "a"), Item(("info", "a\0b"))])
     assert not Path("run").exists()
 

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nerfbake.batch.items import Item
-from nerfbake.batch.lines import fill_template, parse_lines
+from nerfbake.batch.items import Item, fill_template, parse_lines
 from nerfbake.errors import UsageError
 
 # What a path may hold: anything but NUL and, as Python writes bytes that are no UTF-8, lone surrogates.

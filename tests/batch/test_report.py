@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 
 from nerfbake import Image, save
-from nerfbake.batch import files
+from nerfbake.batch import report
 from nerfbake.batch.items import Item
-from nerfbake.batch.page import as_page
-from nerfbake.batch.report import Batch, Row
-from nerfbake.batch.state import Attempt, Output
-from nerfbake.batch.tables import as_csv, as_markdown
+from nerfbake.batch.report import Batch, Row, as_csv, as_markdown, as_page
+from nerfbake.batch.state import Attempt, OutputRecord
 from nerfbake.errors import OutputError, UsageError
-from nerfbake.jobs import Run, run_batch
+from nerfbake.jobs import BatchOptions, run_batch
 
 HOSTILE = "<img src=x onerror=alert(1)>|`*\n\udcff.npz"
 
@@ -30,7 +28,7 @@ def row(name: str, attempt: Attempt | None) -> Row:
 
 
 def done(seconds: float, size: int, psnr: float | None) -> Attempt:
-    return Attempt("done", 0, "", seconds, 50_000_000, 1_000_000, (Output("out", size, "0"),), psnr)
+    return Attempt("done", 0, "", seconds, 50_000_000, 1_000_000, (OutputRecord("out", size, "0"),), psnr)
 
 
 BATCH = Batch(
@@ -102,7 +100,7 @@ def test_the_same_state_gives_the_same_report_with_pictures_of_what_was_written(
         save("in/x.png", Image(ones, ones[..., 0], ones[..., 0]), force=True)
         Path(f"in/{name}").write_bytes(Path("in/x.png").read_bytes())
         items.append(Item(("svo", f"in/{name}", f"out/{name}"), (f"in/{name}",), (f"out/{name}",)))
-    batch = run_batch(items, state="run", run=Run(jobs=2), report_to="run/report.html")
+    batch = run_batch(items, state="run", run=BatchOptions(jobs=2), report_to="run/report.html")
     assert batch.exit_code == 0
     first = Path("run/report.html").read_bytes()
     assert re.findall(rb"<figcaption>(.*?)</figcaption>", first) == [b"out/a.png"]
@@ -116,15 +114,15 @@ def test_the_same_state_gives_the_same_report_with_pictures_of_what_was_written(
 def test_pictures_are_bounded_in_number_and_bytes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     noise = np.random.default_rng(0).random((40, 40, 3), np.float32)
     save("a.png", Image(noise, noise[..., 0], noise[..., 0]))
-    rows = tuple(Row(Item(("x",)), Attempt("done", 0, outputs=(Output("a.png", 1, "0"),))) for _ in range(5))
-    (one, *_) = files.thumbnails(Batch(rows))
+    rows = tuple(Row(Item(("x",)), Attempt("done", 0, outputs=(OutputRecord("a.png", 1, "0"),))) for _ in range(5))
+    (one, *_) = report.thumbnails(Batch(rows))
     assert len(one.png) > 3000
-    monkeypatch.setattr(files, "BYTES", 2 * len(one.png) + 10)
-    assert len(files.thumbnails(Batch(rows))) == 2
-    monkeypatch.setattr(files, "THUMBNAILS", 1)
-    assert len(files.thumbnails(Batch(rows))) == 1
+    monkeypatch.setattr(report, "BYTES", 2 * len(one.png) + 10)
+    assert len(report.thumbnails(Batch(rows))) == 2
+    monkeypatch.setattr(report, "THUMBNAILS", 1)
+    assert len(report.thumbnails(Batch(rows))) == 1
     Path("a.png").write_bytes(b"\x89PNG no picture")
-    assert files.thumbnails(Batch(rows)) == []
+    assert report.thumbnails(Batch(rows)) == []
 
 
 def test_a_report_that_is_not_ours_is_left_alone_and_told_before_anything_runs(folder: Path) -> None:

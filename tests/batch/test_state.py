@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from nerfbake.batch.items import Item
-from nerfbake.batch.state import DONE, FAILED, KILLED, REJECTED, Attempt, Identity, State, outputs_of
+from nerfbake.batch.state import DONE, FAILED, KILLED, REJECTED, Attempt, ItemIdentity, State, outputs_of
 from nerfbake.io.digests import stamp_of
 
 MACHINE = {"machine": "m", "python": "3", "nerfbake": "0"}
@@ -27,7 +27,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[State]:
         yield state
 
 
-def do(state: State, item: Item = ITEM, at: float = 2.0, status: str = DONE) -> Identity:
+def do(state: State, item: Item = ITEM, at: float = 2.0, status: str = DONE) -> ItemIdentity:
     identity = state.identify(item)
     claims = state.begin(item, identity, at)
     if status != FAILED:
@@ -79,7 +79,7 @@ def test_an_input_is_read_again_only_where_its_size_or_time_has_changed(
 def test_another_option_or_version_makes_another_item(state: State, monkeypatch: pytest.MonkeyPatch) -> None:
     identity = state.identify(ITEM)
     assert state.identify(ITEM._replace(argv=("svo", "a", "b", "--half"))).id != identity.id
-    monkeypatch.setattr("nerfbake.__version__", "9")
+    monkeypatch.setattr("nerfbake.batch.state.__version__", "9")
     assert state.identify(ITEM).id != identity.id
 
 
@@ -153,7 +153,7 @@ def test_what_a_killed_batch_has_begun_is_ours_and_what_failed_is_not(state: Sta
     state.begin(ITEM, identity := state.identify(ITEM), 2.0)
     Path("b").write_text("written, and not recorded")
     assert State("run").may_replace(ITEM)
-    assert State("run").last(identity) == Attempt(KILLED, 137, "the batch was killed while this ran", at=2.0)
+    assert State("run").last(identity) == Attempt(KILLED, 137, "the batch was killed while this item ran", at=2.0)
     state.end(ITEM, identity, Attempt(FAILED, 1, at=2.0), ["b"])
     assert State("run").last(identity) == Attempt(FAILED, 1, at=2.0)
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from nerfbake.bench.process import measure_process
+from nerfbake.bench.measure import measure_process
 from nerfbake.errors import NerfbakeError
 
 

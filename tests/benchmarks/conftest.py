@@ -58,15 +58,13 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module in (
         "access.comparison",
-        "atlas.comparison",
-        "compress.comparison",
-        "fit.structures",
+        "atlas",
+        "compress",
         "formats.comparison",
-        "render",
-        "process",
+        "measure",
     ):
         monkeypatch.setattr(f"nerfbake.bench.{module}.measure", measure)
-    for name in ("svo", "wires"):
+    for name in ("fit", "render", "svo", "wires"):
         monkeypatch.setattr(f"benchmarks.{name}.measure", measure)
 
 
@@ -81,5 +79,5 @@ def commands_as_forks(forks: Forks, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert done.returncode == 0, done.stderr
         return Result(seconds, peak=1, facts={"stdout": done.stdout.decode()} if keep else {})
 
-    for module in ("benchmarks.fit", "benchmarks.inputs", "benchmarks.view", "nerfbake.bench.fit.comparison"):
+    for module in ("benchmarks.fit", "benchmarks.inputs", "benchmarks.view"):
         monkeypatch.setattr(f"{module}.measure_process", measured)

@@ -8,6 +8,7 @@ from benchmarks import batch
 from benchmarks.scenes import Scenes
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_every_engine_writes_what_the_loop_writes(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "SCENES", 2)

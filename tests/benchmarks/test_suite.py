@@ -14,22 +14,20 @@ import pytest
 from benchmarks import __main__ as entry
 from benchmarks import atlas, fit, inputs, outputs, svo, view, wires
 from benchmarks.aims import FINER, FIT, INPUTS, VIEW
+from benchmarks.browser import SWIFTSHADER
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, run
+from benchmarks.view import CHOSEN, OCTREE
 from nerfbake.bench.access.readers import READERS
-from nerfbake.bench.atlas.baking import Recipe
-from nerfbake.bench.measure import Result
-from nerfbake.bench.process import measure_process
-from nerfbake.bench.view import surfaces
-from nerfbake.bench.view.browser import SWIFTSHADER
-from nerfbake.bench.view.comparison import CHOSEN, OCTREE
+from nerfbake.bench.atlas import AtlasMethod
+from nerfbake.bench.measure import Result, measure_process
 from nerfbake.scene.atlas import METHODS
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
 from tests.support.outputs import read_output
 
-SHARED = {"__init__", "__main__", "aims", "scenes", "suite"}
+SHARED = {"__init__", "__main__", "aims", "browser", "scenes", "suite"}
 
 
 def tables(files: dict[str, bytes], name: str) -> dict[str, list[list[str]]]:
@@ -75,7 +73,7 @@ def test_there_is_one_stopwatch() -> None:
             names = {ast.unparse(node) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.expr)}
             if names & {"time.perf_counter", "time.time", "time.monotonic", "os.wait4", "timeit.timeit"}:
                 found.add(path.relative_to(REPOSITORY).as_posix())
-    assert found == {"nerfbake/bench/measure.py", "nerfbake/bench/process.py"}
+    assert found == {"nerfbake/bench/measure.py"}
 
 
 def test_every_sample_is_measured_by_somebody() -> None:
@@ -83,7 +81,7 @@ def test_every_sample_is_measured_by_somebody() -> None:
     assert [name for name in SAMPLES if f'"{name}"' not in text] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process")
 def test_svo(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(svo, "TREES", (("chair_sh9", EDGE), (svo.SH16, EDGE), ("no_such_chair", EDGE)))
@@ -93,7 +91,7 @@ def test_svo(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[0] for row in found["Scaling"]] == list(svo.SCALING)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("commands_as_forks")
 def test_inputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("PLENOXELS", 5), ("VOXELS", 4), ("STEPS", 2), ("EDGE", 12), ("FRAMES", 1)):
@@ -115,7 +113,7 @@ def test_kept_reports_are_what_their_schema_says(path: Path) -> None:
     assert read_output("bench", path.read_text())["version"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process")
 def test_formats(scenes: Scenes) -> None:
     files = small("formats", scenes)
@@ -128,7 +126,7 @@ def test_formats(scenes: Scenes) -> None:
     assert b"svo.pb bulk" in files["formats.svg"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.tools
 @pytest.mark.usefixtures("in_this_process")
 def test_wires(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +136,7 @@ def test_wires(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {row[-1] for row in rows} == {"yes"}  # exact
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.tools
 @pytest.mark.usefixtures("in_this_process")
 def test_vdb(scenes: Scenes) -> None:
@@ -147,12 +145,12 @@ def test_vdb(scenes: Scenes) -> None:
     assert {row[-1] for row in rows} == {"yes"}  # the same voxels
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process")
 def test_access(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     some = tuple(reader for reader in READERS if reader.name in ("VDB", "VDB index", "NanoVDB C++"))
     monkeypatch.setattr("nerfbake.bench.access.comparison.READERS", some)
-    monkeypatch.setattr("nerfbake.bench.access.nanovdb.which", lambda name: None)
+    monkeypatch.setattr("nerfbake.bench.access.readers.which", lambda name: None)
     monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)
     monkeypatch.setattr("benchmarks.access.RESOLUTIONS", (8, EDGE))
     monkeypatch.setattr("benchmarks.access.FINE", EDGE)
@@ -164,10 +162,10 @@ def test_access(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {row[1] for row in tables(files, "access_800.md")["Trilinear reads"]} == {str(EDGE)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process")
 def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerfbake.bench.render.EDGES", (8,))
+    monkeypatch.setattr("benchmarks.render.EDGES", (8,))
     files = small("render", scenes)
     text = files["render.md"].decode()
     assert [line for line in text.splitlines() if line.startswith("# ")] == [
@@ -190,20 +188,20 @@ def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     found = tables(files, "view.md")
     assert [row[0] for row in found["Aims"]] == list(VIEW)
     assert [row[0] for row in found["Pages"]] == ["compressed", "exact"]
-    assert [row[0] for row in found["Frames"]] == [OCTREE, CHOSEN, *surfaces.MLPS, *METHODS, "none"]
+    assert [row[0] for row in found["Frames"]] == [OCTREE, CHOSEN, *view.MLPS, *METHODS, "none"]
     # Of a tiny scene each of these is far within its aim, on any machine.
     held = {row[0]: row[-1] for row in found["Aims"]}
     assert [held[what] for what in ("compressed: MB", "exact: MB")] == ["yes", "yes"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process", "commands_as_forks")
 def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "RESOLUTION", 32)
     monkeypatch.setattr(fit, "COARSE", 8)
     monkeypatch.setattr(fit, "LIKE", ("--frames", "2", "--edge", "8", "--epochs", "1"))
     monkeypatch.setattr(fit, "FIT", {name: aims for name, aims in FIT.items() if name == "balanced"})
-    monkeypatch.setattr("nerfbake.bench.fit.structures.EDGE", 8)
+    monkeypatch.setattr("benchmarks.fit.EDGE", 8)
     monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)
     files = small("fit", scenes)
     found = tables(files, "fit.md")
@@ -214,7 +212,7 @@ def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert b"balanced" in files["fit.svg"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_outputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     some = [output for output in outputs.OUTPUTS if output[0] in ("half.svo.npz", "half.svo.npz.zst")]
     monkeypatch.setattr(outputs, "OUTPUTS", some)
@@ -224,7 +222,7 @@ def test_outputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
         outputs.reports(scenes, rounds=2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process")
 def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     folders = []
@@ -233,8 +231,8 @@ def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
         folders.append(environment["NUMBA_CACHE_DIR"])
         return measure_process(*command)
 
-    monkeypatch.setattr("nerfbake.bench.atlas.comparison.RECIPES", [Recipe("kmeans", 4), Recipe("grid", 2)])
-    monkeypatch.setattr("nerfbake.bench.atlas.comparison.CLUSTERINGS", [("nerfbake", 4), ("KMeans", 4)])
+    monkeypatch.setattr("nerfbake.bench.atlas.RECIPES", [AtlasMethod("kmeans", 4), AtlasMethod("grid", 2)])
+    monkeypatch.setattr("nerfbake.bench.atlas.CLUSTERINGS", [("nerfbake", 4), ("KMeans", 4)])
     monkeypatch.setattr(atlas, "WARM", (4,))
     monkeypatch.setattr(atlas, "COLD", 4)
     monkeypatch.setattr(atlas, "measure_process", compiled_already)
@@ -249,10 +247,10 @@ def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert warm == counted != cold  # which is new, and has no compiled kernels
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_this_process")
 def test_compress(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerfbake.bench.compress.comparison.LOSSES", (0.1,))
+    monkeypatch.setattr("nerfbake.bench.compress.LOSSES", (0.1,))
     files = small("compress", scenes)
     found = tables(files, "compress.md")
     assert [row[0] for row in found["Compression"]][:2] == ["svoq range, 0.1 dB", "svoq deflate, 0.1 dB"]

@@ -13,7 +13,7 @@ from PIL import Image
 
 from nerfbake import Stage1, load, orbit_cameras, save
 from nerfbake.cli.main import run
-from nerfbake.formats.wire.texture import encode_texture
+from nerfbake.formats.wire.picture import encode_texture
 from tests.support.atlas_scenes import mlp_json, stage1_folder, texture
 
 
@@ -54,13 +54,13 @@ HOSTILE: dict[str, tuple[dict[str, bytes | None], str]] = {
     "no MLP": ({"mlp_json": None}, "mlp.json is missing"),
     "no feature": ({"feat1_0_png": None}, "feat1_0 is missing"),
     "a cascade is missing": ({"mlp_json": mlp_json(cascade=2)}, "feat1_1 is missing"),
-    "both endings": ({"feat1_0_jpg": WHOLE}, "is there as .png and as .jpg"),
+    "both endings": ({"feat1_0_jpg": WHOLE}, "exists as .png and as .jpg"),
     "no JSON": ({"mlp_json": b"{"}, "cannot be parsed"),
     "deep JSON": ({"mlp_json": b"[" * 100_000}, "cannot be parsed"),
     "a list": ({"mlp_json": b"[]"}, "holds a list"),
     "no weights": ({"mlp_json": b"{}"}, "has no net.0.weight"),
     "text as weights": ({"mlp_json": changed_mlp("net.0.weight", "x")}, "net.0.weight"),
-    "ragged weights": ({"mlp_json": changed_mlp("net.0.weight", [[1], [1, 2]])}, "is no table of numbers"),
+    "ragged weights": ({"mlp_json": changed_mlp("net.0.weight", [[1], [1, 2]])}, "is not a table of numbers"),
     "wrong inputs": ({"mlp_json": changed_mlp("net.0.weight", weights(7, 8))}, "has shape (7, 8)"),
     "wrong outputs": ({"mlp_json": changed_mlp("net.1.weight", weights(8, 4))}, "has shape (8, 4); allowed: (8, 3)"),
     "widths apart": ({"mlp_json": changed_mlp("net.1.weight", weights(9, 3))}, "has shape (9, 3); allowed: (8, 3)"),

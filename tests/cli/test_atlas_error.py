@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nerfbake.cli.main import run
-from nerfbake.formats.wire.texture import encode_texture
+from nerfbake.formats.wire.picture import encode_texture
 from tests.cli.telling import told
 from tests.support.atlas_scenes import stage1_folder, texture
 
@@ -33,7 +33,7 @@ def test_the_error_that_is_printed_is_the_error_that_was_written(
 @pytest.mark.parametrize(
     ("name", "content", "named"),
     [
-        ("atlas.json", b"{}", "is no atlas description"),
+        ("atlas.json", b"{}", "is not an atlas description"),
         ("atlas.json", b'{"nerfbake_atlas": 1, "cascades": [{"method": "magic"}]}', "method is magic"),
         ("atlas.json", b'{"nerfbake_atlas": 1, "cascades": [{"method": "kmeans", "maps": -1}]}', "maps is -1"),
         ("atlas_0.png", WHOLE, "has 32x24 texels"),

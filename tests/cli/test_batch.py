@@ -34,10 +34,10 @@ def batch(*arguments: str) -> int:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "nothing says where to keep what is done; allowed: --state DIR, or --plan"),
-        (["--plan"], "nothing says what to run; allowed: TEMPLATE, or --jobs-file"),
-        ([TEMPLATE, "--state", "run"], "there is nothing to run; allowed: INPUTS, or --allow-empty"),
-        ([TEMPLATE, "in/a", "--jobs-file", "j", "--state", "run"], "TEMPLATE and --jobs-file each say what to run"),
+        ([], "there is no folder for the state; allowed: --state DIR, or --plan"),
+        (["--plan"], "there is no command to run; allowed: TEMPLATE, or --jobs-file"),
+        ([TEMPLATE, "--state", "run"], "there are no items to run; allowed: INPUTS, or --allow-empty"),
+        ([TEMPLATE, "in/a", "--jobs-file", "j", "--state", "run"], "TEMPLATE and --jobs-file both select the items"),
         (["svo {in} {where}", "in/a", "--state", "run"], "the template has '{where}'; allowed: {in}, "),
         (["svo {in} out", "in/a", "in/b", "--state", "run"], "writes 'out', as item 1 "),
         (["svo {in} {in}", "in/a", "--state", "run"], "writes 'in/a', which item 1 "),
@@ -45,13 +45,16 @@ def batch(*arguments: str) -> int:
         (["svo {in} -", "in/a", "--state", "run"], "reads or writes a stream; allowed in a batch: files and folders"),
         (["svo {in} out --resolution x", "in/a", "--state", "run"], "input 'in/a': Invalid value for '--resolution'"),
         (["svo {in}", "in/a", "--state", "run"], "input 'in/a': Missing argument 'OUT'."),
-        (["svo {in} --help", "in/a", "--state", "run"], "only says what it does; allowed: a command with its "),
-        (["batch {in}", "in/a", "--state", "run"], "'batch' is no command of a batch; allowed: atlas, "),
-        (["sample {in}", "in/a", "--state", "run"], "'in/a' is no command of a batch; allowed: capture, "),
-        ([TEMPLATE, "in/a", "--state", "run", "--shard", "2/2"], "'2/2' is no shard; allowed: i/n, 0/n to n-1/n"),
-        ([TEMPLATE, "in/a", "--state", "run", "--report", "r.pdf"], "the ending of 'r.pdf' names no report"),
+        (["svo {in} --help", "in/a", "--state", "run"], "only prints its help; allowed: a command with its "),
+        (["batch {in}", "in/a", "--state", "run"], "'batch' cannot run in a batch; allowed: atlas, "),
+        (["sample {in}", "in/a", "--state", "run"], "'in/a' cannot run in a batch; allowed: capture, "),
+        (
+            [TEMPLATE, "in/a", "--state", "run", "--shard", "2/2"],
+            "'2/2' is not a shard; allowed: i/n, from 0/n to n-1/n",
+        ),
+        ([TEMPLATE, "in/a", "--state", "run", "--report", "r.pdf"], "the extension of 'r.pdf' is not that of a report"),
         ([TEMPLATE, "in/a", "--plan", "--state", "run"], "--state has no effect with --plan"),
-        (["--state", "run", "-j", "2"], "--jobs has no effect where nothing is run"),
+        (["--state", "run", "-j", "2"], "--jobs has no effect without TEMPLATE and --jobs-file"),
         (["--jobs-file", "broken.txt", "--state", "run"], "broken.txt, line 2 has no closing quotation"),
     ],
 )
@@ -89,7 +92,7 @@ def test_a_lock_and_a_report_that_cannot_be_written_are_exit_code_4(
     Path("run/lock.0-of-1").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
     assert batch(TEMPLATE, *inputs("a"), "--state", "run") == 4
     assert capsys.readouterr().err == (
-        f"error: run/lock.0-of-1: process {os.getpid()} on elsewhere is at work; "
+        f"error: run/lock.0-of-1: is in use by process {os.getpid()} on elsewhere; "
         "allowed: to wait for it, or --take-over\n"
     )
     assert batch(TEMPLATE, *inputs("a"), "--state", "run", "--take-over", "-q") == 0

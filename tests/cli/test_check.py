@@ -27,7 +27,7 @@ def test_check_lists_everything_and_exits_1(shell: Shell, tmp_path: Path) -> Non
     assert not told["ok"]
     assert told["problems"][0]["place"] == "data[0, 0, 0, 0, 1]"
     (tmp_path / "cut.npz").write_bytes((tmp_path / "bad.npz").read_bytes()[:-100])
-    cut = "cut.npz: file is no whole zip archive (File is not a zip file); allowed: an .npz as NumPy writes it"
+    cut = "cut.npz: file is not a complete zip archive (File is not a zip file); allowed: an .npz as NumPy writes it"
     assert shell("check", "cut.npz").stdout.decode().splitlines() == [cut]
     assert shell("check", "nope.npz").stdout.decode().count("allowed") == 1
     save(tmp_path / "good.npz", n3tree())

@@ -67,11 +67,11 @@ def test_sizes_are_what_was_read(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["--html", "-"], 2, "stdout has the figures; allowed for --sheet and --html: a file"),
-        (["--sheet", "-"], 2, "stdout has the figures; allowed for --sheet and --html: a file"),
-        (["--html", "page.txt"], 2, "has no ending that a page of a comparison is written with; allowed: .html"),
+        (["--html", "-"], 2, "--sheet and --html cannot be stdout, which gets the figures; allowed: a file"),
+        (["--sheet", "-"], 2, "--sheet and --html cannot be stdout, which gets the figures; allowed: a file"),
+        (["--html", "page.txt"], 2, "has no file extension for a page of a comparison; allowed: .html"),
         (["--html", "none/page.html", "--size", "9x9"], 4, "none/page.html: No such file or directory"),
-        (["--html", "page.html", "--max-memory", "1MB"], 1, "that are taken; allowed: 976.6 KiB (--max-memory)"),
+        (["--html", "page.html", "--max-memory", "1MB"], 1, "in use; allowed: 976.6 KiB (--max-memory)"),
     ],
 )
 def test_a_page_that_cannot_be_is_one_line(

@@ -145,7 +145,7 @@ def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pyt
     save(tmp_path / "smoke.vdb", volume(tree([[0, 0, 0]], name="heat"), tree([[0, 0, 0]])))
     line = ["convert", str(tmp_path / "smoke.vdb"), str(tmp_path / "smoke.nvdb")]
     assert run(line) == 1
-    said = "2 grids: heat, density; allowed: --grid NAME for one of them; all of them with --grid all, a file each"
+    said = "2 grids: heat, density; allowed: --grid NAME for one of them, or --grid all for one file per grid"
     assert said in capsys.readouterr().err
     assert run([*line, "--grid", "all"]) == 0
     assert sorted(path.name for path in tmp_path.glob("*.nvdb")) == ["smoke.density.nvdb", "smoke.heat.nvdb"]
@@ -154,5 +154,5 @@ def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pyt
 
 
 def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
-    with pytest.raises(click.UsageError, match="--grid all writes files that only IN names"):
+    with pytest.raises(click.UsageError, match="--grid all writes files whose names depend on the contents of IN"):
         declared(convert, ["smoke.vdb", "smoke.nvdb", "--grid", "all"])

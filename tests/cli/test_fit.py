@@ -55,7 +55,7 @@ def test_options_reach_the_trainer(trainer: FakeFit, capture: Path) -> None:
 def test_the_words_of_a_run(trainer: FakeFit, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["fit", str(capture), "a.npz"]) == 0
     views, schedule, second, third = capsys.readouterr().err.splitlines()
-    assert views == f"{capture}: 16 pictures with alpha to fit to, 4 pictures with alpha to judge by"
+    assert views == f"{capture}: fits to 16 pictures with alpha, measures on 4 pictures with alpha"
     assert schedule.startswith(f"{capture}: --epochs ")
     assert second == f"a.npz: {load('a.npz', N3Tree)}, {Path('a.npz').stat().st_size:,} bytes"
     assert third.startswith("a.npz: ")
@@ -66,20 +66,20 @@ def test_the_words_of_a_run(trainer: FakeFit, capture: Path, capsys: pytest.Capt
 
 
 REFUSED: list[tuple[str, int, str]] = [
-    ("fit none -", 2, "fit judges the file that it wrote; allowed: an OUT other than '-'"),
-    ("fit none a.png", 2, "'a.png' names nothing that a field is written as; allowed: .svo.npz, "),
-    ("fit none a.npz --preset fast --minutes 1", 2, "--preset and --minutes each choose a schedule; allowed: one"),
+    ("fit none -", 2, "fit measures the file that it wrote; allowed: an OUT other than '-'"),
+    ("fit none a.png", 2, "'a.png' is not the extension of a field; allowed: .svo.npz, "),
+    ("fit none a.npz --preset fast --minutes 1", 2, "--preset and --minutes each select a schedule; allowed: one"),
     ("fit none a.npz --epochs x --resolution 256", 2, "--resolution has no effect with --epochs"),
     ("fit none a.npz --epochs x", 2, "stage 1 has 'x'; allowed: cells, "),
     ("fit none a.npz --epochs cells=7", 2, "stage 1, cells is 7; allowed: a power of two"),
-    ("fit none a.npz --test t.json --holdout 3", 2, "--test has the views to judge by; allowed: it or --holdout"),
-    ("fit none a.npz --background transparent", 2, "'transparent' is no colour; allowed: auto, white, black, or R,G,B"),
-    ("fit none a.npz --box 0,0,0,1,1", 2, "'0,0,0,1,1' is no box; allowed: x0,y0,z0,x1,y1,z1, each below its opposite"),
-    ("fit none a.npz --box 0,0,0,1,1,nan", 2, "is no box"),
-    ("fit none a.npz --box 0,0,0,1,1,0", 2, "is no box"),
-    ("fit none a.npz --plot curve.txt", 2, "names no picture; allowed: .png, .svg"),
+    ("fit none a.npz --test t.json --holdout 3", 2, "--test and --holdout both select the held-out views; allowed"),
+    ("fit none a.npz --background transparent", 2, "'transparent' is not a colour; allowed: auto, white, black, or"),
+    ("fit none a.npz --box 0,0,0,1,1", 2, "'0,0,0,1,1' is not a box; allowed: x0,y0,z0,x1,y1,z1 with x0 < x1, "),
+    ("fit none a.npz --box 0,0,0,1,1,nan", 2, "is not a box"),
+    ("fit none a.npz --box 0,0,0,1,1,0", 2, "is not a box"),
+    ("fit none a.npz --plot curve.txt", 2, "is not that of a chart; allowed: .png, .svg"),
     ("fit none a.npz", 1, "none: No such file or directory"),
-    ("fit . a.npz", 1, ".: is a folder that nerfbake does not know; allowed: a file, or a folder with transforms.json"),
+    ("fit . a.npz", 1, ".: is a folder of unknown kind; allowed: a file, or a folder with transforms.json"),
 ]  # fmt: skip
 
 

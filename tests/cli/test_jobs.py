@@ -12,7 +12,7 @@ import pytest
 
 from nerfbake import build_field, build_octree, jobs, orbit_cameras, save
 from nerfbake.cli import main
-from nerfbake.jobs import Limits, Pages, Pictures, Seen, Shots
+from nerfbake.jobs import ComparedViews, ComparisonLimits, ComparisonOutputs, PictureOutputs, ViewSelection
 from tests.support.scenes import n3tree
 
 # atlas.json tells the options that were given; the command gives them all.
@@ -26,8 +26,8 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         lambda out: jobs.fit_file(
             "photographs",
             f"{out}.svo.pb",
-            recipe=jobs.Recipe(preset="fast", resolution=32, basis="SH1"),
-            album=jobs.Album(holdout=5),
+            recipe=jobs.FitOptions(preset="fast", resolution=32, basis="SH1"),
+            album=jobs.PhotographOptions(holdout=5),
         ),
     ),
     "svo": (
@@ -48,12 +48,12 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     ),
     "atlas": (
         ["in", "OUT", "--clusters", "3", "--map-size", "8"],
-        lambda out: jobs.bake_atlas("in", out, **{**ATLAS_DEFAULTS, "clusters": 3, "map_size": 8}),
+        lambda out: jobs.bake_atlas_folder("in", out, **{**ATLAS_DEFAULTS, "clusters": 3, "map_size": 8}),
     ),
     "render": (
         ["a.npz", "--out", "OUT", "--cameras", "c.json", "--all", "--depth", "npy", "--lookup", "trilinear"],
         lambda out: jobs.render_views(
-            "a.npz", Pictures(out, depth="npy"), Shots("c.json", every=True), lookup="trilinear"
+            "a.npz", PictureOutputs(out, depth="npy"), ViewSelection("c.json", every=True), lookup="trilinear"
         ),
     ),
     "vdb": (
@@ -62,7 +62,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     ),
     "compress": (
         ["a.npz", "OUT.svoq", "--step", "0.1", "--coding", "deflate"],
-        lambda out: jobs.compress_file("a.npz", f"{out}.svoq", goal=jobs.Goal(step=0.1), coding="deflate"),
+        lambda out: jobs.compress_file("a.npz", f"{out}.svoq", goal=jobs.CompressionGoal(step=0.1), coding="deflate"),
     ),
     "convert": (
         ["a.svo.pb", "OUT.svo.capnp", "--layout", "compact", "--no-child=-1", "--voxel-type", "struct"],
@@ -73,7 +73,11 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "compare": (
         ["a.npz", "a.svo.pb", "--size", "9x9", "--html", "OUT.html", "--min-psnr", "20"],
         lambda out: jobs.compare_files(
-            "a.npz", "a.svo.pb", seen=Seen(size=(9, 9)), limits=Limits(min_psnr=20.0), pages=Pages(html=f"{out}.html")
+            "a.npz",
+            "a.svo.pb",
+            seen=ComparedViews(size=(9, 9)),
+            limits=ComparisonLimits(min_psnr=20.0),
+            pages=ComparisonOutputs(html=f"{out}.html"),
         ),
     ),
     "view": (
@@ -84,7 +88,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     ),
     "refit": (
         ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
-        lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.Model(like="a.npz", frames=4, edge=24)),
+        lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.RefitTarget(like="a.npz", frames=4, edge=24)),
     ),
     "batch": (
         ["svo {in} OUT.svo.pb", "a.npz", "--state", "state"],
@@ -123,9 +127,6 @@ NO_JOB = {
     "bench atlas",
     "bench access",
     "bench compress",
-    "bench fit",
-    "bench render",
-    "bench view",
 }
 
 
@@ -138,7 +139,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save(folder / "c.json", orbit_cameras(build_field(tree), frames=2, width=9, height=9))
     jobs.write_sample_stage1(folder / "in", resolution=32)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
-    jobs.bake_atlas(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
+    jobs.bake_atlas_folder(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
     return folder
 
 

@@ -81,10 +81,10 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cameras = orbit_cameras(build_field(octree), frames=2, width=24, height=20)
     save(folder / "c.json", cameras)
     save(folder / "twice.json", replace(cameras, samples=2))
-    shots = jobs.Shots(str(folder / "c.json"), every=True)
-    jobs.render_views(folder / "coarse.svo.pb", jobs.Pictures(str(folder / "truth")), shots)
+    shots = jobs.ViewSelection(str(folder / "c.json"), every=True)
+    jobs.render_views(folder / "coarse.svo.pb", jobs.PictureOutputs(str(folder / "truth")), shots)
     jobs.write_sample_stage1(folder / "in", resolution=32)
-    jobs.bake_atlas(folder / "in", folder / "baked", clusters=3, map_size=8)
+    jobs.bake_atlas_folder(folder / "in", folder / "baked", clusters=3, map_size=8)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     return folder
 

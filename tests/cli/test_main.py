@@ -95,7 +95,7 @@ def test_a_fault_of_our_own_is_one_line(
     monkeypatch.setitem(main.cli.commands, "broken", broken)
     assert main.run(["broken"]) == main.OWN_FAULT
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: a fault of nerfbake's own: {type(fault).__name__} in ")
+    assert line.startswith(f"error: a bug in nerfbake: {type(fault).__name__} in ")
     assert "NERFBAKE_TRACEBACK=1" in line
     assert len(line) <= LONGEST_LINE + len("error: ")
     monkeypatch.setenv("NERFBAKE_TRACEBACK", "1")
@@ -117,6 +117,7 @@ def test_every_exit_code_is_documented() -> None:
     assert PipeClosed.exit_code == 128 + 13
 
 
+@pytest.mark.long
 def test_a_read_only_installation_without_a_home_works(folder: Path) -> None:
     # numba finds no place for its cache, neither beside the modules nor in a home.
     code = """if True:
@@ -127,7 +128,7 @@ def test_a_read_only_installation_without_a_home_works(folder: Path) -> None:
         sys.exit(run(["render", "a.npz", "--out", "a.png", "--size", "16x16", "-v"]))"""
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "kernels are compiled anew" in done.stderr
+    assert "kernels are compiled again" in done.stderr
     assert (folder / "a.png").exists()
 
 

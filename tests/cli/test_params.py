@@ -8,8 +8,10 @@ import click
 import pytest
 from click.types import FloatParamType
 
+from nerfbake import catalog
 from nerfbake.cli.main import cli, run
-from nerfbake.cli.params import Size
+from nerfbake.cli.params import ByteSize
+from nerfbake.jobs import fits, hulls, lattices
 from nerfbake.scene.camera import MAX_SAMPLES
 
 REFUSED = [
@@ -17,23 +19,23 @@ REFUSED = [
     ("atlas in out --method affine --centres snapped", "--centres has no effect with --method affine"),
     ("atlas in out --method grid --clusters 9", "--clusters has no effect with --method grid; allowed: --nodes"),
     ("atlas in out --method grid --seed 0", "--seed has no effect with --method grid"),
-    ("atlas in out --transforms t.json", "--transforms has no effect where all directions count the same"),
-    ("atlas in out --cameras t.json", "--cameras has no effect where nothing is judged"),
+    ("atlas in out --transforms t.json", "--transforms has no effect with --direction-set fibonacci"),
+    ("atlas in out --cameras t.json", "--cameras has no effect without --min-psnr"),
     ("atlas-error out in --held-out --directions 100", "--directions has no effect with --held-out"),
     ("svo a.npz a.svo.pb --cameras t.json", "allowed: --cameras with --min-psnr"),
-    ("svo a.npz a.svo.pb --samples 2", "--samples has no effect where nothing is judged; allowed: --samples with"),
-    ("vdb a.npz a.vdb --samples 1", "--samples has no effect where nothing is judged"),
-    ("lod a.svo.pb b.svo.pb --level 1 --samples 1", "--samples has no effect where nothing is judged"),
-    ("compress a.npz a.svoq --samples 2", "--samples has no effect where nothing is measured"),
-    ("atlas in out --samples 8", "--samples has no effect where nothing is judged"),
+    ("svo a.npz a.svo.pb --samples 2", "--samples has no effect without --min-psnr; allowed: --samples with"),
+    ("vdb a.npz a.vdb --samples 1", "--samples has no effect without --min-psnr"),
+    ("lod a.svo.pb b.svo.pb --level 1 --samples 1", "--samples has no effect without --min-psnr"),
+    ("compress a.npz a.svoq --samples 2", "--samples has no effect without --truth or --min-psnr"),
+    ("atlas in out --samples 8", "--samples has no effect without --min-psnr"),
     ("lod a.svo.pb b.svo.pb --level 1 --cameras t.json", "--cameras has no effect"),
     ("vdb a.npz a.vdb --cameras t.json", "--cameras has no effect"),
     ("render a.npz --out a.png --composite stop", "--composite has no effect without a mesh"),
     ("render a.npz --out a.png --frame 0", "--frame has no effect without cameras to choose from"),
     ("render a.npz --out turn.gif --turntable 5 --all", "--all has no effect without cameras"),
     ("render a.npz --out views --cameras t.json --all --frame 0", "--frame has no effect with --all"),
-    ("compare a.npz b.npz --force", "--force has no effect where nothing is written"),
-    ("bench formats a.npz --force", "--force has no effect where no file is written"),
+    ("compare a.npz b.npz --force", "--force has no effect without --sheet or --html"),
+    ("bench formats a.npz --force", "--force has no effect without -o or --plot"),
     ("info a.npz -q -v", "--verbose has no effect with --quiet"),
 ]
 
@@ -82,4 +84,17 @@ def test_nan_is_no_number(name: str, option: str, capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize(("text", "size"), [("100", 100), ("1.5KiB", 1536), ("2 MB", 2_000_000), ("4gib", 4 << 30)])
 def test_sizes(text: str, size: int) -> None:
-    assert Size().convert(text, None, None) == size
+    assert ByteSize().convert(text, None, None) == size
+
+
+def help_of(command: str) -> str:
+    found = cli.commands[command]
+    return " ".join(found.get_help(click.Context(found, terminal_width=1000)).split())
+
+
+def test_what_the_help_repeats_is_what_the_jobs_have() -> None:
+    """Commands import their jobs when they run, so that the help stays fast: it cannot use the jobs' constants."""
+    assert f"[default: {hulls.LEVEL};" in help_of("hull")
+    assert f"its finest, at most {lattices.FINEST}]" in help_of("lattice")
+    written = ", ".join(form.name for scene in fits.CONVERSIONS for form in catalog.formats_of(scene))
+    assert f"if its extension names none: {written}." in help_of("fit")

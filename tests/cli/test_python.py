@@ -26,7 +26,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_scene_is_the_commands(photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tree = nerfbake.fit(photographs, epochs=FAST, basis="SH1", seed=3)
     assert capsys.readouterr() == ("", "")
-    jobs.fit_file(photographs, tmp_path / "a.npz", recipe=jobs.Recipe(epochs=FAST, basis="SH1", seed=3))
+    jobs.fit_file(photographs, tmp_path / "a.npz", recipe=jobs.FitOptions(epochs=FAST, basis="SH1", seed=3))
     written = nerfbake.load(tmp_path / "a.npz", nerfbake.N3Tree)
     assert_array_equal(tree.data, written.data)
     assert_array_equal(tree.child, written.child)
@@ -46,5 +46,5 @@ def test_arguments_are_the_commands_options() -> None:
 
 
 def test_wrong_arguments_are_told_before_any_work() -> None:
-    with pytest.raises(UsageError, match="`preset` and `minutes` each choose a schedule"):
+    with pytest.raises(UsageError, match="`preset` and `minutes` each select a schedule"):
         nerfbake.fit("nowhere", preset="fast", minutes=1.0)

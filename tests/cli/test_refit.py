@@ -38,12 +38,12 @@ def test_everything_is_told_to_scripts(capsys: pytest.CaptureFixture[str]) -> No
     [
         (
             "--views capture --frames 8",
-            "--frames has no effect on photographs; allowed: --frames and --edge with --like",
+            "--frames has no effect without --like; allowed: --frames and --edge with --like",
         ),
-        ("--like fine.npz --masks m", "--masks has no effect without photographs; allowed: it with --views"),
+        ("--like fine.npz --masks m", "--masks has no effect without --views; allowed: it with --views"),
         (
             "--like fine.npz --views capture",
-            "--like and --views: both say what IN is to look like; allowed: one of them",
+            "--like and --views: both are given; allowed: one of them, which IN is fitted to",
         ),
         ("--like fine.npz --epochs 0", "0 is not in the range"),
     ],

@@ -146,7 +146,7 @@ def test_cameras_of_a_folder_say_where_they_are_from(shell: Shell, scene: Path) 
     (scene / "capture" / "transforms_train.json").write_text("{}")  # no dialect: the folder's first is taken
     done = shell("render", "a.npz", "--cameras", "capture", "--frame", "2", "--out", "a.png")
     assert done.returncode == 1
-    assert b"capture: frames are no list" in done.stderr
+    assert b"capture: frames are not a list" in done.stderr
     (scene / "capture" / "transforms_train.json").unlink()
     for given in ("capture", "capture/sparse/0/images.bin"):
         done = shell("render", "a.npz", "--cameras", given, "--frame", "2", "--out", "a.png", "--force")
@@ -164,9 +164,7 @@ def test_what_was_taken_for_granted_is_said(shell: Shell, scene: Path) -> None:
     (scene / "t.json").write_text(json.dumps({"camera_angle_x": 1, "frames": [frame]}))
     done = shell("render", "a.npz", "--cameras", "t.json", "--size", "9x9", "--out", "a.png")
     assert done.returncode == 0
-    note = (
-        "t.json: no size is told and no picture is there for 1 of its cameras: 800x800 taken, as of the Blender scenes"
-    )
+    note = "t.json: no size and no picture for 1 of its cameras; using 800x800, the size of the Blender scenes"
     assert done.stderr.decode().splitlines()[0] == note
 
 
@@ -187,7 +185,7 @@ def test_all_names_are_settled_before_the_first_picture(
     # A picture's alpha would have the name of another picture.
     cameras("w", "w.alpha")
     assert run([*arguments, "--alpha", "--force"]) == 4
-    assert "views/w.alpha.png: would be written twice; allowed: a name of its own" in capsys.readouterr().err
+    assert "views/w.alpha.png: would be written twice; allowed: a unique name" in capsys.readouterr().err
     assert not Path("views/w.png").exists()
     # The last one is there, and the first is not made.
     cameras("new", "v")
@@ -195,7 +193,7 @@ def test_all_names_are_settled_before_the_first_picture(
     assert not Path("views/new.png").exists()
     Path("file").write_text("")
     assert run([*arguments[:-2], "file/deeper", "-q"]) == 4
-    assert "file: is no folder; allowed: a new or another folder" in capsys.readouterr().err
+    assert "file: is not a folder; allowed: a new or another folder" in capsys.readouterr().err
     Path("turn").mkdir()
     Path("turn/0003.png").write_text("")
     assert run(["render", "a.npz", "--turntable", "4", "--size", "8x8", "--out", "turn"]) == 4
@@ -234,9 +232,9 @@ def test_hostile_cameras_are_one_line(
     ("arguments", "code", "said"),
     [
         (["a.npz"], 2, "Missing option '--out'"),
-        (["a.npz", "--out", "a.bmp"], 2, "has no ending that a picture is written with; allowed: .png"),
-        (["a.npz", "--out", "a.png", "--background", "blue"], 2, "'blue' is no colour; allowed: white"),
-        (["a.npz", "--out", "a.png", "--size", "0x9"], 2, "'0x9' is no size"),
+        (["a.npz", "--out", "a.bmp"], 2, "has no file extension for a picture; allowed: .png"),
+        (["a.npz", "--out", "a.png", "--background", "blue"], 2, "'blue' is not a colour; allowed: white"),
+        (["a.npz", "--out", "a.png", "--size", "0x9"], 2, "'0x9' is not a size"),
         (
             ["a.npz", "--out", "a.png", "--lod", "2"],
             1,
@@ -248,11 +246,15 @@ def test_hostile_cameras_are_one_line(
             1,
             "holds cameras (--cameras takes them); allowed: a PlenOctree or a volume",
         ),
-        (["a.npz", "--out", "-", "--depth"], 2, "--depth and --alpha write files beside a picture; allowed: a .png"),
-        (["a.npz", "--turntable", "3", "--out", "a.gif", "--alpha"], 2, "--depth and --alpha write files beside a"),
+        (["a.npz", "--out", "-", "--depth"], 2, "--depth and --alpha need a file for each picture; allowed: a .png"),
+        (["a.npz", "--turntable", "3", "--out", "a.gif", "--alpha"], 2, "--depth and --alpha need a file for each"),
         (["a.npz", "--out", "a.png", "--depth", "exr"], 2, "'exr' is not one of 'png', 'npy'"),
-        (["a.npz", "--out", "a.gif"], 2, "has no ending that a picture is written with; allowed: .png"),
-        (["a.npz", "--turntable", "3", "--cameras", "t.json", "--out", "a.gif"], 2, "allowed: it or --cameras"),
+        (["a.npz", "--out", "a.gif"], 2, "has no file extension for a picture; allowed: .png"),
+        (
+            ["a.npz", "--turntable", "3", "--cameras", "t.json", "--out", "a.gif"],
+            2,
+            "--turntable and --cameras both select",
+        ),
         (["a.npz", "--turntable", "3", "--out", "-"], 2, "stdout takes one picture; allowed for several"),
         (
             ["a.npz", "--turntable", "9", "--out", "a.gif", "--max-memory", "1MB"],

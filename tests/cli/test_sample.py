@@ -23,7 +23,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     [
         (["octree", "a.npz", "--resolution", "100"], 1, "resolution is 100; allowed: a power of two"),
         (["octree", "a.npz", "--resolution", "64", "--max-memory", "1MB"], 1, "a tree of 32 cells an axis needs"),
-        (["octree", "a.svo.pb"], 2, "has no ending that a PlenOctree is written with"),
+        (["octree", "a.svo.pb"], 2, "has no file extension for a PlenOctree"),
         (["nerf2mesh", "in", "--resolution", "8"], 1, "resolution is 8; allowed: 16 to 8192 texels"),
         (["nerf2mesh", "in", "--max-memory", "1MB"], 1, "textures of 512x512 needs 44.0 MiB"),
     ],

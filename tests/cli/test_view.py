@@ -20,6 +20,7 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "a.npz"
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 def test_a_page_is_written_and_kept(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "a.npz", "a.html")
@@ -32,6 +33,7 @@ def test_a_page_is_written_and_kept(shell: Shell, tmp_path: Path) -> None:
     assert b"<title>&lt;b&gt;</title>" in done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 def test_a_size_is_that_of_the_page(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "a.npz", "a.html", "--max-size", "200kB")
@@ -41,13 +43,14 @@ def test_a_size_is_that_of_the_page(shell: Shell, tmp_path: Path) -> None:
     assert not (tmp_path / "b.html").exists()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 def test_what_is_compressed_already_is_carried_as_it_is(shell: Shell, tmp_path: Path) -> None:
     assert shell("compress", "a.npz", "a.svoq", "--step", "0.1").returncode == 0
     packed = base64.b64encode((tmp_path / "a.svoq").read_bytes())
     done = shell("view", "a.svoq", "a.html", "--min-psnr", "30")
     assert done.returncode == 0, done.stderr
-    said = "a.svoq: it is compressed already, so that the page carries it as it is\n"
+    said = "a.svoq: already compressed, so the page carries it unchanged\n"
     assert said in done.stderr.decode()
     assert b'id="data">' + packed + b"</script>" in (tmp_path / "a.html").read_bytes()
     # Whoever names a goal has it compressed anew.
@@ -78,15 +81,15 @@ def test_what_float16_loses_is_told(shell: Shell, tmp_path: Path) -> None:
     save(tmp_path / "b.svo.npz", build_octree(load(tmp_path / "a.npz", N3Tree), resolution=8))
     done = shell("view", "b.svo.npz", "b.html", "--data", "exact")
     assert done.returncode == 0, done.stderr
-    assert "dB from its float32" in done.stderr.decode()
+    assert "dB against its float32" in done.stderr.decode()
 
 
 @pytest.mark.usefixtures("scene")
 def test_what_cannot_be_asked_for(shell: Shell, tmp_path: Path) -> None:
     for options, line in (
         (["--max-loss", "1", "--max-size", "1MB"], "--max-loss and --max-size are two goals"),
-        (["--data", "exact", "--max-loss", "1"], "--max-loss has no effect on exact data"),
-        (["--samples", "2"], "--samples has no effect where nothing is measured"),
+        (["--data", "exact", "--max-loss", "1"], "--max-loss has no effect with --data exact"),
+        (["--samples", "2"], "--samples has no effect without --truth or --min-psnr"),
     ):
         done = shell("view", "a.npz", "a.html", *options)
         assert done.returncode == 2
@@ -104,18 +107,19 @@ def test_a_volume_is_shown_as_it_is_and_says_so(shell: Shell, tmp_path: Path) ->
     save(tmp_path / "a.vdb.npz", build_vdb(octree, grids=("density", "sh")))
     done = shell("view", "a.vdb.npz", "a.html", "--min-psnr", "60")
     assert done.returncode == 0, done.stderr
-    assert b"a.vdb.npz: a volume is not compressed, so that the page carries it as it is, in float16" in done.stderr
+    assert b"a.vdb.npz: volumes are not compressed, so the page carries its values in float16" in done.stderr
     assert '"kind": "arrays"' in (tmp_path / "a.html").read_text()
     assert b"dB against a.vdb.npz" in done.stderr
     for options in (["--data", "compressed"], ["--max-size", "1MB"]):
         done = shell("view", "a.vdb.npz", "b.html", *options)
         assert done.returncode == 2
-        assert b"a.vdb.npz is a volume, which is not compressed; allowed: --data exact" in done.stderr
+        assert b"a.vdb.npz is a volume, which cannot be compressed; allowed: --data exact" in done.stderr
     done = shell("view", "-", "-", stdin=(tmp_path / "a.vdb.npz").read_bytes())
     assert done.returncode == 0, done.stderr
     assert b"<title>stdin</title>" in done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 def test_a_page_that_shows_too_little_is_rejected(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "a.npz", "a.html", "--min-psnr", "99")
@@ -125,7 +129,7 @@ def test_a_page_that_shows_too_little_is_rejected(shell: Shell, tmp_path: Path) 
     assert (tmp_path / "a.html.rejected").exists()
     done = shell("view", "a.npz", "-", "--min-psnr", "9")
     assert done.returncode == 2
-    assert b"--min-psnr judges a file" in done.stderr
+    assert b"--min-psnr needs an output file" in done.stderr
 
 
 @pytest.mark.usefixtures("scene")
@@ -157,7 +161,7 @@ def test_without_out_a_browser_opens_the_page(shell: Shell, tmp_path: Path, monk
     (tmp_path / "kept").mkdir()
     done = shell("view", "a.npz")
     assert done.returncode == 2
-    assert b"there is no display for a browser; allowed: an OUT, to be opened where there is one" in done.stderr
+    assert b"there is no display for a browser; allowed: an OUT, which you can open on another machine" in done.stderr
     monkeypatch.setenv("BROWSER", f"{sys.executable} browser.py %s")
     done = shell("view", "a.npz", "--data", "exact")
     assert done.returncode == 0, done.stderr
@@ -166,8 +170,8 @@ def test_without_out_a_browser_opens_the_page(shell: Shell, tmp_path: Path, monk
     # What fails leaves nothing behind, and options of a file are refused where there is none.
     assert shell("view", "a.npz", "--min-psnr", "200", "--data", "exact").returncode == 3
     assert len(list((tmp_path / "kept").glob("nerfbake-*"))) == 1
-    assert b"--force has no effect where no file is named" in shell("view", "a.npz", "--force").stderr
+    assert b"--force has no effect without OUT" in shell("view", "a.npz", "--force").stderr
     monkeypatch.setenv("BROWSER", f"{sys.executable} missing.py %s")
     done = shell("view", "a.npz", "--data", "exact")
     assert done.returncode == 2
-    assert b"no browser took " in done.stderr
+    assert b"no browser could open " in done.stderr

@@ -41,9 +41,9 @@ def test_folders_become_pages(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("folders")
 def test_what_does_not_go_with_triangles(shell: Shell, tmp_path: Path) -> None:
     for arguments, code, line in (
-        (["stage1", "--stage1", "stage1"], 2, "--stage1 goes with an atlas, which stage1 is not"),
-        (["atlas", "--max-size", "1MB"], 2, "atlas holds triangles, which have no goal"),
-        (["stage1", "--mesh", "stage1/mesh_0.obj"], 2, "stage1 holds triangles"),
+        (["stage1", "--stage1", "stage1"], 2, "--stage1 needs an atlas, and stage1 is not one"),
+        (["atlas", "--max-size", "1MB"], 2, "atlas contains triangles, for which a goal"),
+        (["stage1", "--mesh", "stage1/mesh_0.obj"], 2, "stage1 contains triangles"),
         (["atlas", "--composite", "ztest"], 2, "--composite has no effect without a mesh"),
         (["atlas", "--max-memory", "100kB"], 1, "(--max-memory)"),
     ):
@@ -55,7 +55,7 @@ def test_what_does_not_go_with_triangles(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "stage1", "a.html")
     assert (done.returncode, done.stderr.decode()) == (
         1,
-        "error: stage1: mesh_0.obj is missing; allowed: a mesh and its diffuse texture, where there are pictures\n",
+        "error: stage1: mesh_0.obj is missing; allowed: a mesh and its diffuse texture, to render pictures\n",
     )
     assert not (tmp_path / "a.html").exists()
 

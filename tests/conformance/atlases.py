@@ -14,8 +14,7 @@ from nerfbake.kernels.surface import octahedron
 from nerfbake.kernels.surface.mlp import evaluate_each
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method, OctahedralAtlas
 from nerfbake.scene.mesh import Mesh, Meshes
-from nerfbake.scene.specular import SpecularField
-from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.stage1 import SpecularField, Stage1
 from tests.conformance import meshes
 from tests.conformance.atlas_lookups import colour_of
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named

@@ -15,10 +15,8 @@ import PIL.Image
 import PIL.ImageSequence
 
 from nerfbake import load
-from nerfbake.scene.animation import Animation
 from nerfbake.scene.comparison import AMPLIFIED, Comparison
-from nerfbake.scene.depth import Depth
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import Animation, Depth, Image
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
 
 Pixels = list[list[list[int]]]

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 from nerfbake.scene.vdb import GridClass, IndexGrid, VdbTree
-from nerfbake.scene.vdb_tiles import VdbTiles
-from nerfbake.scene.vdb_topology import VdbTopology
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology, topology_of
 from nerfbake.scene.volume import OctreeFrame, Volume
 from tests.conformance.case import Case, Frozen, form_named
 from tests.conformance.volume_facts import answer, facts_of

@@ -16,7 +16,7 @@ from nerfbake.scene.volume import Volume
 from tests.conftest import DATA, Shell
 from tests.support.scenes import assert_same_octree, world_centres
 
-pytestmark = pytest.mark.data
+pytestmark = [pytest.mark.data, pytest.mark.long]
 
 # nodes, leaves that hold something: as the data's README has them
 FILES = {
@@ -57,6 +57,7 @@ def test_levels_of_the_description() -> None:
     assert facts["occupied_per_level"] == [0, 0, 0, 0, 0, 0, 80, 14276, 510527]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(64, 64, 64), (128, 128, 128), (100, 80, 60)])
 @pytest.mark.parametrize("name", FILES)
@@ -67,6 +68,7 @@ def test_every_voxel_reads_what_the_tree_reads(name: str, size: tuple[int, int, 
     assert_array_equal(octree.sample(points), tree.sample(points))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_every_voxel_at_256_reads_what_the_tree_reads() -> None:
     tree = chair("chair_sh9")

@@ -34,7 +34,7 @@ def over_white(path: Path) -> npt.NDArray[np.uint8]:
 
 
 @pytest.mark.data
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "expected", "reference"),
     [
@@ -58,7 +58,7 @@ def test_the_chair_looks_as_its_description_says(name: str, expected: float, ref
 
 
 @pytest.mark.data
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "expected"), [("chair_sh9", 34.938), ("chair_sh9_128", 30.48)])
 def test_held_out_views(name: str, expected: float) -> None:
     field, folder = build_field(load(CHAIR / f"{name}.npz", N3Tree)), DATA / "nerf_synthetic" / "chair"

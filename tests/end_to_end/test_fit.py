@@ -52,6 +52,7 @@ def test_views_that_were_kept_come_back(place: Path) -> None:
     assert curve[-1] > curve[0]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("a.svo.pb", SparseVoxelOctree), ("a.nvdb", Volume), ("a.vdb.npz", Volume)])
 def test_every_format_renders_alike(name: str, kind: type, place: Path) -> None:
@@ -77,6 +78,7 @@ def until(condition: Any, process: subprocess.Popen[str]) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_run_that_is_killed_goes_on_to_the_same_bytes(place: Path) -> None:
     checkpoint = place / "killed" / "checkpoint.npz"
@@ -107,8 +109,8 @@ def test_ctrl_c_leaves_what_there_is_and_says_so(place: Path) -> None:
     _, said = process.communicate(timeout=300)
     assert process.returncode == 130
     (line,) = [line for line in said.splitlines() if line.startswith("error")]
-    what = "stopped.npz.partial has what there was; the same command goes on from stopped"
-    assert line == f"error: stopped before it was done: {what}"
+    what = "stopped.npz.partial has the current state; run the same command to resume from stopped"
+    assert line == f"error: stopped before the end: {what}"
     assert not (place / "stopped.npz").exists()
     (place / "stopped.npz.partial").rename(place / "partial.npz")
     assert load(place / "partial.npz", N3Tree).problems() == []

@@ -17,8 +17,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import IndexGrid, Volume, load, save
 from nerfbake.errors import MemoryLimit
-from nerfbake.jobs.octrees import bake_octree
-from nerfbake.jobs.volumes import bake_volume
+from nerfbake.jobs.octrees import bake_octree, bake_volume
 from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
 from tests.conftest import REPOSITORY
@@ -126,7 +125,7 @@ def test_an_octree_larger_than_the_memory_is_written_and_the_same_to_the_byte(tm
     limit = whole.node_rows.nbytes
     with memory_limit(limit):
         bake_octree(tmp_path / "tree.npz", tmp_path / "part.svo.npz", layout="compact")
-        with pytest.raises(MemoryLimit, match=r"node_data, made at once, needs 1\.2 MiB beside .*; allowed: 1\.2 MiB"):
+        with pytest.raises(MemoryLimit, match=r"node_data, made at once, needs 1\.2 MiB in .*; allowed: 1\.2 MiB"):
             bake_octree(tmp_path / "tree.npz", tmp_path / "part.svo.capnp", layout="compact")
     assert (tmp_path / "part.svo.npz").read_bytes() == (tmp_path / "whole.svo.npz").read_bytes()
     assert not (tmp_path / "part.svo.capnp").exists()

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image as Pillow
 
 from nerfbake import build_octree, build_vdb, sample_n3tree, save
-from nerfbake.formats.mesh.glb_writer import Part, encode_glb
+from nerfbake.formats.mesh.glb import MeshPart, encode_glb
 from nerfbake.formats.wire import zstd
-from nerfbake.scene.depth import Depth
+from nerfbake.scene.image import Depth
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -101,7 +101,7 @@ def fan(path: Path) -> None:
     corners = np.arange(n, dtype=np.uint32)
     faces = np.stack([np.zeros(n - 2, np.uint32), corners[1:-1], corners[2:]], axis=1)
     mesh = Mesh(np.ones((n, 3), np.float32), None, faces, colours=np.ones((n, 3), np.float32))
-    path.write_bytes(b"".join(encode_glb([Part("a", mesh, {})], "test")))
+    path.write_bytes(b"".join(encode_glb([MeshPart("a", mesh, {})], "test")))
 
 
 def mixed_json(path: Path) -> None:

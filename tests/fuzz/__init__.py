@@ -1,9 +1,9 @@
-"""A fuzzer over every readable format: files broken by structure, and what commands then do with them.
+"""A fuzzer for all readable formats: break files with knowledge of their structure, and run commands on them.
 
-    python -m tests.fuzz --minutes 30                 # so long; findings are printed and kept in build/fuzz
-    python -m tests.fuzz --seed 7 --case 1234         # one case again, as its finding names it
+    python -m tests.fuzz --minutes 30                 # run for 30 minutes; findings are printed and kept in build/fuzz
+    python -m tests.fuzz --seed 7 --case 1234         # repeat one case of a finding
 
-A case is a number: with the seed it says the format, the file that is broken and how (corpus, breakage), so that it
-comes out the same anywhere. It is tried in a process of its own (worker) that is watched from outside (campaign): a
-process that dies or hangs is a finding, too. What counts as one stands in trial.
+A case is a number. With the seed, it selects the format, the file and the damage (corpus, breakage), so that it is the
+same on every machine. Worker processes try the cases (worker), and the main process watches them (campaign): a process
+that dies or hangs is a finding, too. trial defines what counts as a finding.
 """

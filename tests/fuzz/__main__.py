@@ -1,4 +1,4 @@
-"""Long runs, and one case again."""
+"""Run the fuzzer for a long time, or repeat one case."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KEPT = REPOSITORY / "build" / "fuzz"
 
 
 def main() -> int:
-    """Exit code 1 if anything is found."""
+    """Run the fuzzer. Returns exit code 1 if there are findings."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description="Breaks files and tries them.")
     parser.add_argument("--minutes", type=float, help="how long to look")
     parser.add_argument("--cases", type=int, help="how many cases to try, instead")
@@ -51,7 +51,7 @@ def one(seed: int, number: int) -> int:
 
 
 def keep(seed: int, finding: Finding) -> None:
-    """Prints a finding and keeps its file in build/fuzz."""
+    """Print a finding, and keep its file in build/fuzz."""
     case = case_of(seed, finding.case)
     place = KEPT / f"{seed}_{finding.case}"
     place.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""A case's number -> its file or folder, broken."""
+"""Create the broken file or folder of a case from its number."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.fuzz.breaking_zip import break_npy, break_zip
 
 Breaker = Callable[[Random, bytes, bytes], bytes]
 
-# By the ending of a file, the first that fits.
+# By file extension. The first match counts.
 _BREAKERS: dict[str, Breaker] = {
     "npz": break_zip,
     "tar": break_torch,
@@ -46,7 +46,7 @@ _BREAKERS: dict[str, Breaker] = {
 
 @dataclass(frozen=True)
 class Case:
-    """A broken file, or folder: what it is called and what is in it."""
+    """A broken file or folder, with its name and contents."""
 
     number: int
     form: str
@@ -55,7 +55,7 @@ class Case:
 
 
 def case_of(seed: int, number: int) -> Case:
-    """The same for the same seed and number, wherever it is asked for."""
+    """Return a case. The same seed and number always give the same case."""
     form = corpus.names()[number % len(corpus.names())]
     random = Random(f"{seed}:{number}")
     if corpus.is_folder(form):
@@ -76,7 +76,7 @@ def _broken(random: Random, name: str, data: bytes, other: bytes) -> bytes:
     for _ in range(random.choice((1, 1, 1, 2))):
         try:
             data = breaker(random, data, other)
-        except Exception:  # it is broken already, more than its breaker understands
+        except Exception:  # the file is already too broken for its breaker
             data = break_bytes(random, data, other)
     return data
 
@@ -104,7 +104,7 @@ def _broken_folder(random: Random, form: str) -> dict[str, bytes]:
 
 
 def _compressed(random: Random, data: bytes) -> bytes:
-    """In a frame, in several, in one that says too much or too little of its size, or damaged."""
+    """Compress with Zstandard: in one frame, damaged, in several frames, or with skippable or zero frames appended."""
     frame = zstandard.ZstdCompressor(level=1).compress(data)
     match random.randrange(6):
         case 0:

@@ -1,4 +1,4 @@
-"""Damage to bytes of which only the width of their words is known."""
+"""Break bytes without knowledge of their structure, except the width of their numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.fuzz.hostile_values import word
 
 
 def break_words(random: Random, data: bytes, other: bytes = b"", *, widths: tuple[int, ...] = (1, 2, 4, 8)) -> bytes:
-    """One number of these widths changed, two swapped, or one taken from another file; most often near the start."""
+    """Change a number of one of these widths, swap two, or copy one from another file; mostly near the start."""
     broken, width = bytearray(data), random.choice(widths)
     count = len(broken) // width
     if not count:
@@ -31,7 +31,7 @@ def break_words(random: Random, data: bytes, other: bytes = b"", *, widths: tupl
 
 
 def break_bytes(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Bits flipped, a piece cut out, doubled, zeroed, put elsewhere, taken from another file; or the file cut off."""
+    """Flip bits, remove, repeat or overwrite a piece, insert a piece of another file, or truncate the file."""
     start = _near_the_start(random, len(data) + 1)
     end = min(len(data), start + random.choice((1, 1, 2, 4, 8, 16, 64, 1000)))
     match random.randrange(8):
@@ -57,5 +57,5 @@ def break_bytes(random: Random, data: bytes, other: bytes = b"") -> bytes:
 
 
 def _near_the_start(random: Random, count: int) -> int:
-    """0 to count - 1; headers stand first, and are small beside what follows."""
+    """A random number from 0 to count - 1, mostly small: headers come first, and are shorter than the payload."""
     return int(count * random.random() ** random.choice((1, 1, 3, 6)))

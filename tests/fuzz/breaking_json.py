@@ -1,4 +1,4 @@
-"""Damage to JSON: what it says is changed, or how it is spelled."""
+"""Break JSON: change its values or its syntax."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tests.fuzz.breaking_bytes import break_bytes
 
 
 class Pairs(list[tuple[str, Any]]):
-    """An object, which may have a name twice."""
+    """An object that may contain a key twice."""
 
 
 class Raw(str):
-    """Text that stands in the file as it is."""
+    """Text that is written to the file unchanged."""
 
 
 def parse(data: bytes) -> Any:
@@ -35,7 +35,7 @@ def spell(value: Any) -> str:
 
 
 def break_json(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """The file with one to three values, names or lists changed; now and then broken as text."""
+    """Change one to three values, keys or lists of the file; sometimes break it as text."""
     if random.random() < 0.1:
         return break_bytes(random, data, other)
     tree = parse(data)
@@ -45,7 +45,7 @@ def break_json(random: Random, data: bytes, other: bytes = b"") -> bytes:
 
 
 def break_json_lines(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """A line of it broken, taken out, or said twice."""
+    """Break, remove or repeat a line."""
     lines = data.split(b"\n")
     at = random.randrange(len(lines))
     match random.randrange(8):
@@ -59,7 +59,7 @@ def break_json_lines(random: Random, data: bytes, other: bytes = b"") -> bytes:
 
 
 def break_tree(random: Random, tree: Any) -> Any:
-    """One place in it changed, found by walking down at random."""
+    """Change one random place in a tree of values."""
     holder, at, value = None, 0, tree
     while isinstance(value, list) and value and random.random() < 0.8:
         holder, at = value, random.randrange(len(value))
@@ -82,7 +82,7 @@ def break_tree(random: Random, tree: Any) -> Any:
 
 
 def _instead(random: Random, value: Any) -> Any:
-    """Something else in a value's place, of its own kind or of another."""
+    """A replacement for a value, of the same or another type."""
     if isinstance(value, bool | int | float) and random.random() < 0.6:
         return Raw(_number(random, value))
     match random.randrange(12):
@@ -112,7 +112,7 @@ def _instead(random: Random, value: Any) -> Any:
 
 
 def _few(count: int, value: Any) -> int:
-    """So many copies of a value, or as many as make a megabyte: copies of copies would make files of gigabytes."""
+    """Limit a number of copies of a value to one megabyte: copies of copies would make files of gigabytes."""
     return min(count, 1 + (1 << 20) // len(spell(value)))
 
 

@@ -1,4 +1,4 @@
-"""Damage to PNG, .glb, .obj and VDB files."""
+"""Break .svoq, PNG, .glb, .obj and VDB files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def break_svoq(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """A compressed octree's bytes or header changed, with the checksum that it then needs."""
+    """Change the bytes or the header of a compressed octree, mostly with a matching checksum."""
     head = 152
     if random.random() < 0.5:
         data = break_words(random, data[:head], other[:head], widths=(1, 2, 4)) + data[head:]
@@ -25,7 +25,7 @@ def break_svoq(random: Random, data: bytes, other: bytes = b"") -> bytes:
 
 
 def break_png(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Chunks changed, lost, doubled, moved and added, with the CRC that they then need."""
+    """Change, remove, repeat, move and add chunks, mostly with matching CRCs."""
     if data[:8] != _PNG or random.random() < 0.1:
         return break_bytes(random, data, other)
     chunks = _chunks(data)
@@ -92,7 +92,7 @@ def _extra_chunk(random: Random) -> tuple[bytes, bytes]:
 
 
 def break_glb(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Its JSON changed (accessors, views, materials, the graph of nodes), or its binary chunk, or its header."""
+    """Change the JSON (accessors, views, materials, the node graph) or the binary chunk, or break the file as bytes."""
     if len(data) < 20 or random.random() < 0.1:
         return break_bytes(random, data, other)
     size = int.from_bytes(data[12:16], "little")
@@ -124,7 +124,7 @@ def glb_of(text: bytes, body: bytes) -> bytes:
 
 
 def _with_nodes(random: Random, tree: Any) -> Any:
-    """Another graph of nodes: deep, wide, round in circles, with transforms that flatten or explode."""
+    """Replace the node graph: deep, wide or with cycles, with transforms of zero or huge scale."""
     count = random.choice((1, 2, 5, 50, 3000))
     kind = random.choice(("chain", "star", "random", "loose"))
 
@@ -151,7 +151,7 @@ def _with_nodes(random: Random, tree: Any) -> Any:
 
 
 def _retyped(random: Random, tree: Any) -> Any:
-    """An accessor, or a view, that claims something else of the same bytes."""
+    """Change a property of an accessor, view, mesh, image, texture or material."""
     lists = dict(tree) if isinstance(tree, Pairs) else {}
     entries = lists.get(random.choice(("accessors", "bufferViews", "meshes", "images", "textures", "materials")))
     if not isinstance(entries, list) or not entries or not isinstance(entries[0], Pairs):
@@ -179,7 +179,7 @@ def _retyped(random: Random, tree: Any) -> Any:
 
 
 def break_obj(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Lines and their words changed, lost, doubled; other statements among them."""
+    """Change, remove and repeat lines and words, and insert other statements."""
     if random.random() < 0.1:
         return break_bytes(random, data, other)
     lines = data.split(b"\n")
@@ -250,7 +250,7 @@ def _obj_word(random: Random) -> bytes:
 
 
 def break_vdb(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Counts, offsets, masks and origins are words; most of a small file is zeros, which are left alone."""
+    """Change numbers: counts, offsets, masks and origins. Zeros, which fill most of a small file, are not selected."""
     if random.random() < 0.1:
         return break_bytes(random, data, other)
     broken = bytearray(data)

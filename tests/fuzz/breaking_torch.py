@@ -1,4 +1,4 @@
-"""Damage to torch's files: to the program in their pickle above all."""
+"""Break torch files, mostly the program in their pickle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_zip import archive_of, break_zip, members_of
 
 _PICKLE = "data.pkl"
-# What a hostile author would put in: calls, globals, opcodes of other protocols, copies, ends.
+# Insertions of a hostile author: calls, globals, opcodes of other protocols, copies, ends.
 _PIECES = [
     glob("os", "system") + text("true") + b"\x85R",
     glob("builtins", "eval") + text("1") + b"\x85R",
@@ -33,7 +33,7 @@ _PIECES = [
 
 
 def break_torch(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """A pickle with an opcode lost, doubled, moved or put in, or a number changed; or the archive around it."""
+    """Remove, repeat, copy or insert an opcode, change a number in the pickle, or break the archive."""
     members = members_of(data)
     name = next((each for each in members if each.endswith(_PICKLE)), "")
     if random.random() < 0.25 or not name:

@@ -1,4 +1,4 @@
-"""Damage to Protocol Buffers, BSON, Cap'n Proto and FlatBuffers: tags, lengths, types, pointers."""
+"""Break Protocol Buffers, BSON, Cap'n Proto and FlatBuffers: tags, lengths, types, pointers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _read_varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def break_protobuf(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """A message with fields lost, doubled, renumbered, of another wire type, or with other numbers in them."""
+    """Remove, repeat or renumber fields of a message, or change their wire types or values."""
     fields, taken = _fields(data), _fields(other)
     for _ in range(random.choice((1, 1, 2, 3))):
         at = random.randrange(len(fields)) if fields else 0
@@ -89,7 +89,7 @@ _BSON_FIXED = {1: 8, 7: 12, 8: 1, 9: 8, 10: 0, 16: 4, 17: 8, 18: 8, 19: 16}
 
 
 def break_bson(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """A document with elements lost, doubled, renamed, of another type, or with other values in them."""
+    """Remove, repeat or rename elements of a document, or change their types or values."""
     elements = _elements(data)
     at = random.randrange(len(elements)) if elements else 0
     kind, name, value = elements[at] if elements else (16, b"0", bytes(4))
@@ -135,7 +135,7 @@ def _elements(data: bytes) -> list[_Element]:
 
 
 def break_flatbuffers(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Offsets, vtables and lengths: they are all words; identifier and text are bytes."""
+    """Change numbers: offsets, vtables and lengths. Sometimes break bytes: identifier and text."""
     if random.random() < 0.1:
         return break_bytes(random, data, other)
     for _ in range(random.choice((1, 1, 2, 4))):
@@ -144,7 +144,7 @@ def break_flatbuffers(random: Random, data: bytes, other: bytes = b"") -> bytes:
 
 
 def break_capnp(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """Pointers of every kind, to anywhere, of any size; segments that are cut elsewhere."""
+    """Change the type, target or size of pointers, or the boundaries of segments."""
     if random.random() < 0.1:
         return break_bytes(random, data, other)
     broken = bytearray(data)

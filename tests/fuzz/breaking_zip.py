@@ -1,4 +1,4 @@
-"""Damage to .npy headers and to the archives that hold them."""
+"""Break .npy arrays and the zip archives that contain them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _DTYPES = [
 ]
 _DTYPES += ["'|O'", "'O'", "'<c16'", "'|b1'", "'<M8[s]'", "'|S5'", "'|V8'", "[('a', '<i4')]", "None", "'=f4'", "'<f16'"]
 _DTYPES += ["1_f4", "0777", "'<f4' if 1else 2", "'\\x00'", "'\\ud800'", "b'<f4'"]
-# Where a record of the central directory, and a local header, keep method, CRC, sizes, name and place.
+# {offset: width} of method, CRC, sizes, name and offset in a central-directory record and in a local header.
 _DIRECTORY = {8: 2, 10: 2, 16: 4, 20: 4, 24: 4, 28: 2, 30: 2, 32: 2, 42: 4}
 _LOCAL = {6: 2, 8: 2, 14: 4, 18: 4, 22: 4, 26: 2, 28: 2}
 _END = {4: 2, 8: 2, 10: 2, 12: 4, 16: 4, 20: 2}
 
 
 def break_npy(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """An array whose header or values are changed."""
+    """Change the header or the values of an array."""
     size = int.from_bytes(data[8:10], "little")
     text, body = data[10 : 10 + size].decode("latin-1"), data[10 + size :]
     if random.random() < 0.35 or "'shape': (" not in text:
@@ -51,7 +51,7 @@ def break_npy(random: Random, data: bytes, other: bytes = b"") -> bytes:
             start, end = before.find("'descr': ") + 9, before.find(", 'fortran")
             before = before[:start] + random.choice(_DTYPES) + before[end:]
         case 6:
-            edges, body = [*edges, "0"], b""  # nothing, of a shape with everything
+            edges, body = [*edges, "0"], b""  # an empty array with a huge shape
             random.shuffle(edges)
             edges[edges.index("0") - 1] = str(1 << random.choice((20, 31, 40, 47)))
         case 7:
@@ -82,7 +82,7 @@ def _edges(random: Random, edges: list[str]) -> list[str]:
 
 
 def break_zip(random: Random, data: bytes, other: bytes = b"") -> bytes:
-    """The archive with a member changed, lost, doubled, renamed or another's; or its directory."""
+    """Change, remove, repeat, rename or replace a member of the archive, or break its directory."""
     members = members_of(data)
     names = list(members)
     if random.random() < 0.25 or not names:
@@ -117,7 +117,7 @@ def members_of(data: bytes) -> dict[str, bytes]:
 
 
 def archive_of(members: list[tuple[str, bytes]], *, stored: bool) -> bytes:
-    """Written here: zipfile would warn of a name that stands twice."""
+    """Write a zip archive. zipfile is not used, because it warns about duplicate names."""
     body, directory = bytearray(), bytearray()
     for name, content in members:
         raw, place = name.encode("utf-8", "replace"), len(body)

@@ -1,4 +1,4 @@
-"""Many cases in processes that are watched from outside."""
+"""Run many cases in worker processes, and watch these processes."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from tests.conftest import REPOSITORY
 from tests.fuzz import corpus
 from tests.fuzz.trial import Finding
 
-SILENCE = 120.0  # seconds without a word from a process: it hangs
+SILENCE = 120.0  # seconds without output after which a process counts as hanging
 COMMAND = [sys.executable, "-m", "tests.fuzz.worker"]
-_AHEAD = 4  # cases that a process has been given and not yet tried
-# Memory goes back to the system as soon as it is free: peaks are those of one case. A thread of BLAS per process.
+_AHEAD = 4  # cases in the queue of a process
+# The allocator returns freed memory at once, so that peaks are those of one case. One BLAS thread per process.
 _ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @dataclass
 class Result:
-    """How many cases were tried, by format, and what was found."""
+    """The number of cases by format, and the findings."""
 
     tried: dict[str, int] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
@@ -42,7 +42,7 @@ class Result:
 
 
 class _Worker:
-    """A process that tries cases, and what it has been given."""
+    """A process that tries cases. given: the cases in its queue."""
 
     def __init__(self, seed: int, folder: Path) -> None:
         state, name = tempfile.mkstemp(dir=folder)
@@ -59,17 +59,17 @@ class _Worker:
 
     @property
     def at(self) -> int:
-        """The case that it is trying, or was."""
+        """The number of its current or last case."""
         return int.from_bytes(os.pread(self._state, 8, 0), "little")
 
     def give(self, number: int) -> None:
         self.given.append(number)
-        with suppress(BrokenPipeError):  # it has died, which is seen when it is read from
+        with suppress(BrokenPipeError):  # it has died; read() reports that
             self._stdin.write(b"%d\n" % number)
             self._stdin.flush()
 
     def read(self) -> list[dict[str, Any]] | None:
-        """What it has said; None at its end."""
+        """The results that it has printed since the last call; None after its end."""
         data = os.read(self.stdout.fileno(), 1 << 16)
         self.heard = time.monotonic()
         *lines, self._rest = (self._rest + data).split(b"\n")
@@ -86,7 +86,7 @@ class _Worker:
 
 
 def numbers(form: str | None, first: int = 0) -> Iterator[int]:
-    """The cases of a format, or of all in turn."""
+    """The case numbers of a format, or of all formats in turn."""
     names = corpus.names()
     return count(first) if form is None else count(first - first % len(names) + names.index(form), len(names))
 
@@ -94,7 +94,7 @@ def numbers(form: str | None, first: int = 0) -> Iterator[int]:
 def campaign(
     seed: int, *, jobs: int = 2, cases: int | None = None, seconds: float | None = None, form: str | None = None
 ) -> Iterator[Result]:
-    """Tries so many cases, or for so long; gives the result so far, again and again, and the whole at the end."""
+    """Try a number of cases, or run for a time. Yields the result so far repeatedly, and the full result at the end."""
     result, deadline = Result(), time.monotonic() + (seconds or 1e9)
     wanted = islice(numbers(form), cases)
     with tempfile.TemporaryDirectory(prefix="nerfbake-fuzz-") as name:
@@ -116,7 +116,7 @@ def campaign(
                 worker.give(number)
 
         def end(worker: _Worker, why: str) -> None:
-            """What it has not tried goes to another, without the case that it died of."""
+            """End a worker. If cases remain, record its current case as a finding and give the rest to a new worker."""
             selector.unregister(worker.stdout)
             workers.discard(worker)
             at, code = worker.at, worker.end()

@@ -1,4 +1,4 @@
-"""Small sound files of every format, made by our own encoders: what is broken."""
+"""Small valid files of every format, from our own encoders: the inputs that the fuzzer breaks."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 
 from nerfbake import build_octree, build_vdb, catalog, fit_field
-from nerfbake.batch.files import save_plan
 from nerfbake.batch.items import Item
-from nerfbake.batch.state import Attempt, Identity, Input, Output, State
+from nerfbake.batch.report import save_plan
+from nerfbake.batch.state import Attempt, InputRecord, ItemIdentity, OutputRecord, State
 from nerfbake.formats.octree.svoq import CODINGS
 from nerfbake.formats.wire.checkpoint import encode_checkpoint
-from nerfbake.formats.wire.texture import encode_texture
+from nerfbake.formats.wire.picture import encode_texture
 from nerfbake.io.digests import Stamp
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
 from nerfbake.scene.camera import Camera, Cameras, look_at
-from nerfbake.scene.depth import Depth
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
 from tests.support import captures
@@ -48,21 +47,21 @@ _NO_CHECKSUM = struct.pack("<Q", (1 << 64) - 1)
 _CHECKSUM_AT = slice(8, 16)  # in NanoVDB's GridData
 
 
-# No formats of scenes, but files and folders that may come from anybody.
+# Not formats of scenes, but files and folders that may come from untrusted sources.
 CHECKPOINT = "checkpoint.npz"  # of a fit
 LINES = "jobs.txt"  # of a batch
 STATE = "state"  # of a batch that has run
 
 
 def names() -> list[str]:
-    """The formats that are read, folders after them, a fit's checkpoint, a batch's lines and its state."""
+    """The readable formats, the kinds of folders, the checkpoint of a fit, and the lines and the state of a batch."""
     forms = [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
     return [*forms, CHECKPOINT, LINES, STATE]
 
 
 @cache
 def files_of(name: str) -> tuple[bytes, ...]:
-    """Files of a format."""
+    """Valid files of a format."""
     if name == CHECKPOINT:
         return tuple(_checkpoints())
     if name == LINES:
@@ -82,7 +81,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
 
 @cache
 def folders_of(name: str) -> tuple[Files, ...]:
-    """Folders of a kind, by their files' names."""
+    """Valid folders of a kind, as {file name: contents}."""
     makers = {
         "stage1": _stage1s,
         "atlas": _atlases,
@@ -100,7 +99,7 @@ def is_folder(name: str) -> bool:
 
 
 def sound(name: str) -> tuple[bytes, ...] | tuple[Files, ...]:
-    """Files or folders of a format."""
+    """Valid files or folders of a format."""
     return folders_of(name) if is_folder(name) else files_of(name)
 
 
@@ -127,7 +126,7 @@ def _compressed() -> Iterator[bytes]:
 
 
 def _checkpoints() -> Iterator[bytes]:
-    """From the start, the middle and the end of a fit."""
+    """Checkpoints from the start, the middle and the end of a fit."""
     schedule = parse_schedule("cells=8,prune=0.03/cells=16,rays=2,prune=0.02/cells=16,split=0.2")
     states = fit_field(sample_views(frames=3, width=16, height=16), schedule=schedule, basis="SH1")
     for number, state in enumerate(states):
@@ -145,7 +144,7 @@ y.npz" --out 'baked/x y.png'
 
 
 def _states() -> Iterator[Files]:
-    """One with an item done and one that has failed, one that waits: as they come from a batch."""
+    """The state of a batch with three items: one is done, one has failed, and one waits."""
     names = [(f"{name}.npz", f"{name}.svo.pb") for name in "abc"]
     items = [Item(("svo", read, written), (read,), (written,)) for read, written in names]
     with tempfile.TemporaryDirectory() as place:
@@ -154,8 +153,10 @@ def _states() -> Iterator[Files]:
         save_plan(folder, items)
         with state.opened("0-of-1", {"machine": "a machine", "python": "3.11", "nerfbake": "0.1.0"}, 1.0):
             for number, (item, status) in enumerate(zip(items, ("done", "failed"), strict=False)):
-                identity = Identity(f"{number:032x}", (Input(item.reads[0], Stamp(3, 4, None), f"{number:064x}"),))
-                outputs = (Output(item.writes[0], 5, "0" * 64),)[: status == "done"]
+                identity = ItemIdentity(
+                    f"{number:032x}", (InputRecord(item.reads[0], Stamp(3, 4, None), f"{number:064x}"),)
+                )
+                outputs = (OutputRecord(item.writes[0], 5, "0" * 64),)[: status == "done"]
                 claims = state.begin(item, identity, 2.0)
                 state.end(item, identity, Attempt(status, number, "no\n"[:number], 1.5, 9, 3, outputs, 31.5), claims)
         yield {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -170,7 +171,7 @@ def _n3trees() -> Iterator[bytes]:
 
 
 def _lattices(name: str) -> Iterator[bytes]:
-    """As other programs write them."""
+    """Lattices as other programs write them."""
     if name == "tar":
         yield dvgo_file(dvgo(mlp="random"))
         yield dvgo_file(dvgo(mlp="none", dialect="early"))
@@ -204,7 +205,7 @@ def _volumes(name: str) -> Iterator[bytes]:
 
 
 def _unchecked(data: bytes) -> bytes:
-    """Without a checksum, which would find all damage before anything else does."""
+    """Remove the checksum of a .nvdb: it would detect all damage before any other check."""
     at = data.index(b"NanoVDB0", 8)
     return data[: at + _CHECKSUM_AT.start] + _NO_CHECKSUM + data[at + _CHECKSUM_AT.stop :]
 
@@ -244,14 +245,14 @@ def _written_folder(**files: bytes) -> Files:
 
 
 def _files_below(write: Callable[[Path], Path]) -> Files:
-    """What a writer of folders leaves, by the paths in the folder that it gives back."""
+    """Call a function that writes a folder and returns its path, and return {path in the folder: contents}."""
     with tempfile.TemporaryDirectory() as place:
         folder = write(Path(place))
         return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def _captures(name: str) -> Iterator[Files]:
-    """The cameras of one rig in the dialects of other programs."""
+    """The cameras of a rig in the formats of other programs."""
     writers = {
         "transforms": (captures.write_nerf_synthetic, captures.write_instant_ngp, captures.write_nerfstudio),
         "colmap": (captures.write_colmap_binary, captures.write_colmap_text),
@@ -279,7 +280,7 @@ def _atlases() -> Iterator[Files]:
 
 
 def _plenvdbs() -> Iterator[Files]:
-    """Grids of a whole lattice, and merged ones."""
+    """A folder with full grids, and a merged one."""
     yield plenvdb_folder(plenvdb(shape=(3, 4, 9)))
     yield merged_folder(plenvdb(shape=(4, 3, 5)))
 

@@ -1,4 +1,4 @@
-"""Numbers and text that readers stumble over."""
+"""Numbers and texts that often break readers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TEXTS += ["\ufffe", "\U0010ffff", "\u202e", "x" * 300, "x" * 5000, "-1", "1e999"
 
 
 def whole(random: Random, *, signed: bool = True) -> int:
-    """A size, an index or an offset that cannot be right, or nearly is."""
+    """A size, index or offset that is invalid or close to a limit."""
     value = random.choice(WHOLE) if random.random() < 0.8 else random.getrandbits(random.choice((8, 16, 32, 64)))
     value += random.choice((0, 0, 0, -1, 1))
     return -value if signed and random.random() < 0.25 else value
@@ -29,7 +29,7 @@ def text(random: Random) -> str:
 
 
 def word(random: Random, size: int) -> bytes:
-    """A number of 1, 2, 4 or 8 bytes, little-endian: a whole one, or a float."""
+    """The bytes of a little-endian integer of 1, 2, 4 or 8 bytes, or of a float of 2, 4 or 8 bytes."""
     if size in (2, 4, 8) and random.random() < 0.35:
         value, form = real(random), {2: "<e", 4: "<f", 8: "<d"}[size]
         try:

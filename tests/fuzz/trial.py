@@ -1,8 +1,8 @@
-"""What commands do with a file, one step after the other, and what counts as a finding.
+"""Run the steps of commands on the file of a case, and collect findings.
 
-A finding is any exception but NerfbakeError, any Python warning, a message that is no single line or longer than a
-screen line or two, a load that takes more than MOST_LOADING seconds of CPU or more memory than it was allowed, and a
-file that we wrote and cannot read.
+A finding is any exception except NerfbakeError, any Python warning, a message with unprintable characters or more than
+LONGEST_LINE characters, a load that takes more than MOST_LOADING CPU seconds or more memory than its limit, a case that
+takes more than MOST_IN_ALL CPU seconds, and a file that nerfbake writes and cannot read back.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from typing import Any
 
 import nerfbake
 from nerfbake import catalog, io
-from nerfbake.batch.files import write_report
-from nerfbake.batch.lines import parse_lines
+from nerfbake.batch.items import parse_lines
+from nerfbake.batch.report import write_report
 from nerfbake.errors import NerfbakeError
 from nerfbake.jobs.batches import Batch, Item, run_batch
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
-from nerfbake.stages._picture import picture, visible
+from nerfbake.stages._picture import render_picture, renderable
 from nerfbake.stages.views_to_field import FitState
 from tests.fuzz.breakage import Case
 from tests.fuzz.corpus import CHECKPOINT, LINES, STATE
@@ -34,8 +34,8 @@ from tests.support.octrees import small_octree
 from tests.support.peaks import peak, resident
 from tests.support.views import sample_views
 
-LIMIT = 64 << 20  # --max-memory of every case
-SLACK = 16 << 20  # what the interpreter itself may take meanwhile
+LIMIT = 64 << 20  # bytes: the memory limit of every case
+SLACK = 16 << 20  # bytes that the interpreter itself may allocate meanwhile
 MOST_LOADING, MOST_IN_ALL = 2.0, 10.0  # seconds of CPU
 LONGEST_LINE = 300  # characters, without the file's name
 EDGE = 8  # pixels of a picture
@@ -45,7 +45,7 @@ GRIDS: tuple[tuple[str, ...], ...] = (("density", "Cd"), ("density", "sh"), ("in
 
 @dataclass(frozen=True)
 class Finding:
-    """What went wrong and where; `key` is the same for findings that one fault is behind."""
+    """A problem and its location. Findings with the same cause have the same `key`."""
 
     case: int
     form: str
@@ -67,7 +67,7 @@ class _Found(Exception):
 
 
 class Trial:
-    """One case, tried in a folder of its own."""
+    """Tries one case in its own folder."""
 
     def __init__(self, case: Case, place: Path) -> None:
         self.case, self.place = case, place
@@ -86,7 +86,7 @@ class Trial:
         return self.findings
 
     def _loaded(self, path: Path) -> Any:
-        """The scene, if it is sound."""
+        """Load the scene and return it if it is sound, else None."""
         before = resident()
         start = time.process_time()
         scene = self._try("load", lambda: _read(self.case.form, path))
@@ -97,7 +97,7 @@ class Trial:
             self._note(f"takes {most >> 20} MiB to load, allowed {LIMIT >> 20}")
         if scene is None:
             return None
-        if isinstance(scene, (FitState, Batch)):  # whose soundness is settled as they are made
+        if isinstance(scene, (FitState, Batch)):  # these are checked when they are created
             return scene
         problems = self._try("check", scene.problems)
         for problem in problems or []:
@@ -105,7 +105,7 @@ class Trial:
         return None if self._try("soundness", lambda: (scene.require_sound(), True)) is None else scene
 
     def _try(self, step: str, work: Callable[[], Any]) -> Any:
-        """What the work gives; None where it is refused as it should be."""
+        """Return the result of a step, or None if it raises NerfbakeError. Record other problems as findings."""
         self.step = step
         with self._watched(), warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
@@ -131,7 +131,7 @@ class Trial:
             raise _Found from None
 
     def _hold_to_a_line(self, line: str) -> None:
-        text = re.sub(rf"^{re.escape(str(self.place))}/[^:]*: ", "", line)  # a checkpoint has a name of its own
+        text = re.sub(rf"^{re.escape(str(self.place))}/[^:]*: ", "", line)  # checkpoints are renamed
         if not line.isprintable():
             self._note(f"message with unprintable characters: {text[:100]!r}")
         if len(text) > LONGEST_LINE:
@@ -143,7 +143,7 @@ class Trial:
 
 
 def _read(form: str, path: Path) -> Any:
-    """The scene in a file or folder; of a checkpoint, where the fit stands; of lines and a state, the batch."""
+    """Load a scene; for a checkpoint, the state of the fit; for lines and a state of a batch, the batch."""
     if form == LINES:
         return run_batch(_items(path), state=path.parent / "none", run=None)
     if form == STATE:
@@ -156,13 +156,13 @@ def _read(form: str, path: Path) -> Any:
 
 
 def _items(path: Path) -> list[Item]:
-    """As if the first two words of each were what it reads and writes."""
+    """The items of a file of lines. Their first two arguments after the command count as input and output."""
     lines = parse_lines(io.load_lines(path), path.name)
     return [Item(line.argv, line.argv[1:2], line.argv[2:3]) for line in lines]
 
 
 def put(case: Case, place: Path) -> Path:
-    """The case's file or folder on disk."""
+    """Write the file or folder of a case, and return its path."""
     path = place / case.name
     if isinstance(case.content, bytes):
         path.write_bytes(case.content)
@@ -175,7 +175,7 @@ def put(case: Case, place: Path) -> Path:
 
 
 def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """What commands do with a scene: describe it, draw it, write it, make other things of it."""
+    """The steps that commands run on a scene: describe, render, write and convert it."""
     if isinstance(scene, FitState):
         views = sample_views(frames=3, width=16, height=16)
         yield "go on", lambda: next(nerfbake.fit_field(views, schedule=scene.schedule, start=scene), None)
@@ -204,12 +204,12 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     for form in catalog.formats_of(kind):
         yield f"write {form.name}", partial(_written, form, scene, place)
     if lattice:
-        yield "lattice", lambda: nerfbake.octree_of_lattice(scene, resolution=(3, 4, 5), basis="SH4")
+        yield "lattice", lambda: nerfbake.build_octree_from_lattice(scene, resolution=(3, 4, 5), basis="SH4")
     if isinstance(scene, nerfbake.N3Tree):
         yield "svo", lambda: nerfbake.build_octree(scene, resolution=4)
         yield "vdb", lambda: nerfbake.build_vdb(nerfbake.build_octree(scene, resolution=8))
     if isinstance(scene, nerfbake.Volume):
-        yield "restore", lambda: nerfbake.octree_of_volume(scene)
+        yield "restore", lambda: nerfbake.build_octree_from_volume(scene)
     if isinstance(scene, nerfbake.SparseVoxelOctree):
         yield "lod", lambda: nerfbake.cut_octree(scene, level=1)
         for grids in GRIDS:
@@ -228,8 +228,8 @@ def _view(scene: Any) -> Camera:
 
 
 def _drawn(scene: Any) -> Any:
-    seen = visible(scene)
-    return picture(seen, _view(seen)).pixels
+    seen = renderable(scene)
+    return render_picture(seen, _view(seen)).pixels
 
 
 def _trilinear(scene: Any) -> Any:
@@ -238,7 +238,7 @@ def _trilinear(scene: Any) -> Any:
 
 
 def _written(form: catalog.Format, scene: Any, place: Path) -> None:
-    """What is written must be readable, and the same."""
+    """Write a scene, and check that it is the same when read back."""
     path = place / f"out{form.suffix}"
     io.save(path, scene, force=True)
     again: Any = io.load(path)
@@ -247,7 +247,7 @@ def _written(form: catalog.Format, scene: Any, place: Path) -> None:
 
 
 def _told(scene: Any) -> str:
-    """What a format keeps of a scene: of depth not all digits, of meshes no vertices that nothing uses."""
+    """The properties that every format preserves. Depth loses digits, and meshes lose unused vertices."""
     if isinstance(scene, nerfbake.Cameras):
         return f"{len(scene.cameras)} cameras"
     if isinstance(scene, nerfbake.Meshes):

@@ -1,7 +1,7 @@
-"""Tries cases and prints their findings, a line of JSON each: `python -m tests.fuzz.worker SEED STATE`.
+"""Try cases and print one line of JSON per case with its findings: `python -m tests.fuzz.worker SEED STATE`.
 
-Cases' numbers come on stdin, a line each. Before a case is tried its number is written to the file STATE, so that who
-watches knows which one a process died of.
+The case numbers are read from stdin, one per line. Before each case, the worker writes its number to the file STATE, so
+that the main process can tell which case ended a worker.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from tests.fuzz import corpus
 from tests.fuzz.breakage import Case, case_of
 from tests.fuzz.trial import Finding, Trial
 
-ADDRESS_SPACE = 6 << 30  # bytes: nothing gets near it but what runs away
+ADDRESS_SPACE = 6 << 30  # bytes: only runaway allocations reach this limit
 
 
 def tried(case: Case) -> list[Finding]:
-    """The findings of a case, in a folder that is gone afterwards."""
+    """Try a case in a temporary folder, and return its findings."""
     place = Path(tempfile.mkdtemp(prefix="nerfbake-fuzz-"))
     try:
         return Trial(case, place).run()
@@ -33,7 +33,7 @@ def tried(case: Case) -> list[Finding]:
 
 
 def warm_up() -> None:
-    """Every sound file once: what is imported and compiled on first use counts for no case."""
+    """Try every valid file once, so that imports and compilation on first use are not measured in cases."""
     for form in corpus.names():
         for content in corpus.sound(form):
             for finding in tried(Case(-1, form, f"case.{form}", content)):

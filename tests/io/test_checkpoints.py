@@ -45,5 +45,5 @@ def test_what_cannot_be_is_named(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"file: File exists"):
         require_checkpoints(tmp_path / "file")
     checkpoint_path(tmp_path).write_bytes(b"no archive")
-    with pytest.raises(InvalidFile, match=r"checkpoint\.npz: is no whole zip archive"):
+    with pytest.raises(InvalidFile, match=r"checkpoint\.npz: is not a complete zip archive"):
         load_checkpoint(tmp_path)

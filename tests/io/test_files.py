@@ -103,6 +103,7 @@ def test_a_full_disk_is_an_error(octree: SparseVoxelOctree) -> None:
         save("/dev/full", octree, to="svo.pb")
 
 
+@pytest.mark.long
 def test_a_killed_write_leaves_the_old_file_or_none(shell: Shell, tmp_path: Path) -> None:
     shell("sample", "octree", "a.npz", "--resolution", "64")
     assert shell("svo", "a.npz", "good.svo.pb").returncode == 0
@@ -168,9 +169,9 @@ def test_a_renamed_file_is_told_by_its_bytes(octree: SparseVoxelOctree, tmp_path
 
 
 def test_a_format_must_be_known(octree: SparseVoxelOctree, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"an octree is not written as 'obj'; allowed: svo\.npz, svo\.pb"):
+    with pytest.raises(UsageError, match=r"an octree cannot be written as 'obj'; allowed: svo\.npz, svo\.pb"):
         save(tmp_path / "a.svo.pb", octree, to="obj")
-    with pytest.raises(UsageError, match="has no ending"):
+    with pytest.raises(UsageError, match="has no file extension"):
         save(tmp_path / "a.obj", octree)
 
 

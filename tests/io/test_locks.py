@@ -26,7 +26,7 @@ def test_no_other_process_gets_in_while_one_is_at_work(tmp_path: Path) -> None:
         for _ in range(2):  # a refusal must not give the lock back
             with pytest.raises(OutputError) as caught, occupied(lock):
                 pass
-        said = f"process {os.getpid()} on {socket.gethostname()} is at work; allowed: to wait for it, or `take_over`"
+        said = f"is in use by process {os.getpid()} on {socket.gethostname()}; allowed: to wait for it, or `take_over`"
         assert str(caught.value) == f"{lock}: {said}"
     assert not lock.exists()
 
@@ -54,7 +54,7 @@ def test_a_living_process_that_has_the_number_of_a_dead_one_is_not_taken_for_it(
 def test_a_lock_of_another_host_has_to_be_taken_over(tmp_path: Path) -> None:
     lock = tmp_path / "lock"
     lock.write_text(owner(4_000_000, "elsewhere"))
-    with pytest.raises(OutputError, match=r"process 4000000 on elsewhere is at work; allowed: .*`take_over`"):
+    with pytest.raises(OutputError, match=r"is in use by process 4000000 on elsewhere; allowed: .*`take_over`"):
         occupied(lock).__enter__()
     assert lock.read_text() == owner(4_000_000, "elsewhere")
     with occupied(lock, take_over=True):
@@ -65,7 +65,7 @@ def test_a_lock_of_another_host_has_to_be_taken_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"no json", b"[]", b'{"pid": "x", "host": 1}', b"[" * 4096, b'{"pid":1e999}'])
 def test_a_lock_that_says_nothing_is_a_lock(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "lock").write_bytes(content)
-    with pytest.raises(OutputError, match="another process is at work"):
+    with pytest.raises(OutputError, match="is in use by another process"):
         occupied(tmp_path / "lock").__enter__()
 
 
@@ -80,7 +80,7 @@ def test_where_there_are_no_locks_of_the_system_the_file_decides(
 ) -> None:
     monkeypatch.setattr(locks, "fcntl", None)
     with occupied(tmp_path / "lock"):
-        with pytest.raises(OutputError, match="is at work"):
+        with pytest.raises(OutputError, match="is in use"):
             occupied(tmp_path / "lock").__enter__()
         with occupied(tmp_path / "lock", take_over=True):
             pass
@@ -100,9 +100,9 @@ def test_a_link_in_place_of_a_lock_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
     (tmp_path / "lock").symlink_to(tmp_path / "mine")
     for take_over in (False, True):
-        with pytest.raises(OutputError, match="lock: is a symbolic link; allowed: a file"):
+        with pytest.raises(OutputError, match="lock: is a symbolic link; allowed: a regular file"):
             occupied(tmp_path / "lock", take_over=take_over).__enter__()
     assert (tmp_path / "mine").read_text() == "mine"
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OutputError, match="pipe: is no regular file"):
+    with pytest.raises(OutputError, match="pipe: is not a regular file"):
         occupied(tmp_path / "pipe").__enter__()

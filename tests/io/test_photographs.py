@@ -45,7 +45,7 @@ def test_photographs_count_for_as_long_as_they_live(tmp_path: Path) -> None:
     with memory_limit(250_000):
         kept = [load_photograph(tmp_path / "a.png") for _ in range(4)]
         assert left() == 250_000 - 4 * 40_000
-        with pytest.raises(MemoryLimit, match=r"a\.png: the picture needs .* beside"):
+        with pytest.raises(MemoryLimit, match=r"a\.png: the picture needs .* in addition to"):
             load_photograph(tmp_path / "a.png")
         kept.clear()
         assert left() == 250_000

@@ -249,6 +249,7 @@ def test_a_folder_that_nobody_may_write_to_is_told_before_the_work(
             require(tmp_path / "a.bin", force=False)
 
 
+@pytest.mark.long
 def test_random_kills_leave_nothing_half(tmp_path: Path) -> None:
     target = tmp_path / "out.bin"
     writer = "import sys; from pathlib import Path; from tests.io.test_targets import write\nwhile True: "

@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nerfbake import BrickField, bricks_of_octree, build_octree, sample_n3tree
+from nerfbake import BrickField, build_bricks, build_octree, sample_n3tree
 from nerfbake.errors import InvalidScene, Problem
 
 
 @cache
 def goal() -> BrickField:
-    return bricks_of_octree(build_octree(sample_n3tree(resolution=16, basis="SH1")))
+    return build_bricks(build_octree(sample_n3tree(resolution=16, basis="SH1")))
 
 
 @dataclass(frozen=True)

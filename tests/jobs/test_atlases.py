@@ -10,7 +10,7 @@ import pytest
 
 from nerfbake import Stage1, load, orbit_cameras, save
 from nerfbake.errors import BudgetMissed, InvalidScene, OutputError
-from nerfbake.jobs import Budget, FolderTarget, Stage1Source, bake_atlas, measure_atlas
+from nerfbake.jobs import Budget, FolderTarget, Stage1Source, bake_atlas_folder, measure_atlas
 from tests.jobs.listener import Listener
 from tests.support.atlas_scenes import stage1_folder
 
@@ -20,7 +20,7 @@ SMALL: Any = {"clusters": 3, "map_size": 8}
 def test_facts_are_those_of_the_folder(tmp_path: Path, stage1: Path, listener: Listener) -> None:
     reported: list[dict[str, Any]] = []
     target = tmp_path / "out"
-    baked = bake_atlas(str(stage1), target, steps=listener, report=reported.append, **SMALL)
+    baked = bake_atlas_folder(str(stage1), target, steps=listener, report=reported.append, **SMALL)
     (facts,) = reported
     assert facts["files"] == {path.name: path.stat().st_size for path in target.iterdir()}
     assert facts["errors"] == json.loads((target / "atlas.json").read_text())["errors"] == baked.facts["errors"]
@@ -30,7 +30,7 @@ def test_facts_are_those_of_the_folder(tmp_path: Path, stage1: Path, listener: L
 
 def test_a_texture_and_an_mlp_are_enough(tmp_path: Path, stage1: Path) -> None:
     parts = Stage1Source(features=(str(stage1 / "feat1_0.png"),), mlp=str(stage1 / "mlp.json"))
-    bake_atlas(parts, tmp_path / "out", **SMALL)
+    bake_atlas_folder(parts, tmp_path / "out", **SMALL)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["atlas.json", "atlas_0.png", "labels_0.png"]
 
 
@@ -39,7 +39,7 @@ def test_figures_are_reported_even_where_the_budget_is_missed(tmp_path: Path, st
     reported: list[dict[str, Any]] = []
     budget = Budget(80, str(tmp_path / "c.json"))
     with pytest.raises(BudgetMissed):
-        bake_atlas(str(stage1), tmp_path / "out", budget=budget, report=reported.append, **SMALL)
+        bake_atlas_folder(str(stage1), tmp_path / "out", budget=budget, report=reported.append, **SMALL)
     assert len(reported) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c.json", "out.rejected"]
 
@@ -48,8 +48,8 @@ def test_a_folder_that_may_not_be_replaced_is_told_before_anything_is_read(tmp_p
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").touch()
     with pytest.raises(OutputError, match="exists already"):
-        bake_atlas("none", tmp_path / "out")
+        bake_atlas_folder("none", tmp_path / "out")
     source = stage1_folder(tmp_path / "in", mesh_0_obj=None)
     with pytest.raises(InvalidScene, match=r"mesh_0\.obj is missing"):
-        bake_atlas(str(source), FolderTarget(str(tmp_path / "out"), force=True), budget=Budget(10), **SMALL)
+        bake_atlas_folder(str(source), FolderTarget(str(tmp_path / "out"), force=True), budget=Budget(10), **SMALL)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine"]

@@ -8,15 +8,23 @@ import pytest
 
 from nerfbake import Image, build_octree, load, save
 from nerfbake.errors import BudgetMissed, MemoryLimit, OutputError, UsageError
-from nerfbake.jobs import Compared, Limits, Pages, Seen, Shots, compare_files, render_views
+from nerfbake.jobs import (
+    ComparedViews,
+    ComparisonLimits,
+    ComparisonOutputs,
+    FileComparison,
+    ViewSelection,
+    compare_files,
+    render_views,
+)
 from nerfbake.memory import memory_limit
 from tests.jobs.listener import Listener
 
-SEEN = Seen(cameras="cameras.json")
+SEEN = ComparedViews(cameras="cameras.json")
 
 
 def test_figures_and_pages(folder: Path, listener: Listener) -> None:
-    compared = compare_files("a.npz", "a.svo.pb", seen=SEEN, pages=Pages("a.png", "a.html"), steps=listener)
+    compared = compare_files("a.npz", "a.svo.pb", seen=SEEN, pages=ComparisonOutputs("a.png", "a.html"), steps=listener)
     assert [view["name"] for view in compared.found.views] == ["0000", "0001", "0002"]
     assert compared.a["bytes"] == (folder / "a.npz").stat().st_size
     assert compared.b["format"] == "svo.pb"
@@ -27,8 +35,10 @@ def test_figures_and_pages(folder: Path, listener: Listener) -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_photographs_give_the_size() -> None:
-    render_views("a.npz", "truth", Shots(cameras="cameras.json", every=True, size=(10, 8)))
-    compared = compare_files("a.npz", "a.npz", seen=Seen("cameras.json", truth="truth"), pages=Pages("sheet.png"))
+    render_views("a.npz", "truth", ViewSelection(cameras="cameras.json", every=True, size=(10, 8)))
+    compared = compare_files(
+        "a.npz", "a.npz", seen=ComparedViews("cameras.json", truth="truth"), pages=ComparisonOutputs("sheet.png")
+    )
     assert compared.found.pictures[0][1].size == (10, 8)
     assert compared.found.means["a_truth"]["psnr"] > 50  # but for the rounding to 8 bits
 
@@ -36,8 +46,8 @@ def test_photographs_give_the_size() -> None:
 @pytest.mark.usefixtures("folder")
 def test_limits_are_judged_after_all_is_reported() -> None:
     save("b.svo.pb", build_octree(load("a.npz"), resolution=1))
-    for limits in (Limits(min_psnr=90), Limits(max_error=1e-3)):
-        reported: list[Compared] = []
+    for limits in (ComparisonLimits(min_psnr=90), ComparisonLimits(max_error=1e-3)):
+        reported: list[FileComparison] = []
         with pytest.raises(BudgetMissed, match=r"b\.svo\.pb: the picture"):
             compare_files("a.npz", "b.svo.pb", seen=SEEN, limits=limits, report=reported.append)
         assert len(reported) == 1
@@ -46,23 +56,23 @@ def test_limits_are_judged_after_all_is_reported() -> None:
 @pytest.mark.usefixtures("folder")
 def test_pages_that_cannot_be_written_are_told_before_anything_is_read() -> None:
     Path("there.png").touch()
-    with pytest.raises(UsageError, match="stdout has the figures"):
-        compare_files("none", "none", pages=Pages(html="-"))
-    with pytest.raises(UsageError, match="has no ending that a picture is written with"):
-        compare_files("none", "none", pages=Pages(sheet="a.html"))
+    with pytest.raises(UsageError, match="cannot be stdout, which gets the figures"):
+        compare_files("none", "none", pages=ComparisonOutputs(html="-"))
+    with pytest.raises(UsageError, match="has no file extension for a picture"):
+        compare_files("none", "none", pages=ComparisonOutputs(sheet="a.html"))
     with pytest.raises(OutputError, match="exists already"):
-        compare_files("none", "none", pages=Pages(sheet="there.png"))
+        compare_files("none", "none", pages=ComparisonOutputs(sheet="there.png"))
 
 
 @pytest.mark.usefixtures("folder")
 def test_photographs_count_in_the_allowance_all_together() -> None:
-    render_views("a.npz", "truth", Shots(cameras="cameras.json", every=True, size=(300, 300)))
-    small = Seen("cameras.json", "truth", size=(4, 4))
+    render_views("a.npz", "truth", ViewSelection(cameras="cameras.json", every=True, size=(300, 300)))
+    small = ComparedViews("cameras.json", "truth", size=(4, 4))
     with memory_limit(6_000_000):
         for name in ("0000", "0001", "0002"):
             load(f"truth/{name}.png", Image)
         with pytest.raises(
-            MemoryLimit, match=r"^truth/000[12]\.png: .* beside .* that are taken; .*\(`memory_limit`\)"
+            MemoryLimit, match=r"^truth/000[12]\.png: .* in addition to .* in use; .*\(`memory_limit`\)"
         ):
             compare_files("a.npz", "a.npz", seen=small)
 

@@ -8,7 +8,7 @@ import pytest
 
 from nerfbake import SparseVoxelOctree, VdbTree, Volume, load, save
 from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import Choice, Target, bake_volume, convert_file, split_volume
+from nerfbake.jobs import GridChoice, Target, bake_volume, convert_file, split_volume
 from tests.jobs.listener import Listener
 from tests.support.scenes import assert_same_octree
 from tests.support.vdb_readers import tree, volume
@@ -35,7 +35,7 @@ def test_an_octree_by_way_of_a_volume_is_the_same_octree() -> None:
 @pytest.mark.usefixtures("folder")
 def test_a_volume_in_another_format(listener: Listener) -> None:
     bake_volume("a.npz", "a.vdb", grids="density,Cd")
-    volume = convert_file("a.vdb", Target("b", to="nvdb"), choice=Choice(("density",)), half=True, steps=listener)
+    volume = convert_file("a.vdb", Target("b", to="nvdb"), choice=GridChoice(("density",)), half=True, steps=listener)
     assert isinstance(volume, Volume)
     (grid,) = load("b", Volume).grids
     assert isinstance(grid, VdbTree)
@@ -51,7 +51,7 @@ def test_what_does_not_go_together_is_told(folder: Path) -> None:
         convert_file("a.svo.pb", "b.svo.npz", half=True)
     bake_volume("a.npz", "a.vdb", grids="density,Cd")
     with pytest.raises(NerfbakeError, match=r"^a\.vdb: "):
-        convert_file("a.vdb", "b.svo.npz", choice=Choice(("heat",)))
+        convert_file("a.vdb", "b.svo.npz", choice=GridChoice(("heat",)))
     assert not list(folder.glob("b*"))
 
 
@@ -59,11 +59,11 @@ def test_an_octree_is_made_of_the_density_wherever_it_stands(tmp_path: Path, lis
     path = tmp_path / "smoke.vdb"
     smoke(path, "density", "temperature")
     octree = convert_file(path, tmp_path / "all.svo.npz", steps=listener)
-    alone = convert_file(path, tmp_path / "alone.svo.npz", choice=Choice(("density",)))
+    alone = convert_file(path, tmp_path / "alone.svo.npz", choice=GridChoice(("density",)))
     assert isinstance(octree, SparseVoxelOctree)
     assert isinstance(alone, SparseVoxelOctree)
     assert_same_octree(octree, alone)
-    assert f"{path}: an octree of density alone, without velocity, temperature" in listener.said
+    assert f"{path}: the octree gets the density only, without velocity, temperature" in listener.said
 
 
 def test_a_density_must_be_named_where_none_has_the_name(tmp_path: Path) -> None:
@@ -106,5 +106,5 @@ def test_nothing_is_written_if_one_of_the_files_exists(tmp_path: Path) -> None:
 @pytest.mark.parametrize("target", ["-", "out.svo.npz"])
 def test_grids_are_written_as_volumes_alone(target: str, tmp_path: Path) -> None:
     smoke(tmp_path / "smoke.vdb", "density")
-    with pytest.raises(UsageError, match="is no place for each grid of a volume"):
+    with pytest.raises(UsageError, match="cannot write one file per grid to"):
         split_volume(tmp_path / "smoke.vdb", target)

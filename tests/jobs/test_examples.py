@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import doctest
+import inspect
 from pathlib import Path
 
 import pytest
 
 import nerfbake
 from nerfbake import jobs
+from tests.support.source import public_names
 
 
 @pytest.fixture(scope="module")
@@ -23,13 +25,15 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 LAST = ("bake_lod", "measure_atlas")  # their examples read what another example wrote
-ORDER = [*(name for name in jobs.JOBS if name not in LAST), *LAST]
+NAMES = public_names("nerfbake.jobs")
+JOBS = [name for name in NAMES if inspect.isfunction(getattr(jobs, name))]
+ORDER = [*(name for name in JOBS if name not in LAST), *LAST]
 
 
 @pytest.mark.parametrize("name", ORDER)
 def test_an_example_runs(name: str, workshop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(workshop)
-    known = {"nerfbake": nerfbake} | {known: getattr(jobs, known) for known in jobs.__all__}
+    known = {"nerfbake": nerfbake} | {known: getattr(jobs, known) for known in NAMES}
     (example,) = doctest.DocTestFinder().find(getattr(jobs, name), name, globs=known)
     assert example.examples, f"{name}'s docstring has no example"
     said: list[str] = []

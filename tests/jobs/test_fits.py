@@ -14,8 +14,17 @@ import pytest
 
 from nerfbake import N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
 from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, OutputError, Stopped, UsageError
-from nerfbake.jobs import Album, Fitted, Recipe, Seen, Source, Target, compare_files, fit_file
-from nerfbake.jobs.compressions import Goal, Photographs, compress_file
+from nerfbake.jobs import (
+    ComparedViews,
+    FitOptions,
+    FitResult,
+    PhotographOptions,
+    Source,
+    Target,
+    compare_files,
+    fit_file,
+)
+from nerfbake.jobs.compressions import CompressionGoal, GroundTruth, compress_file
 from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.schedule import preset_schedule
@@ -53,14 +62,16 @@ def test_the_file_is_judged_as_anybody_would_read_it(capture: Path, listener: Li
 @pytest.mark.usefixtures("trainer")
 def test_what_judged_a_fit_measures_its_compression(capture: Path) -> None:
     fitted = fit_file(capture, "a.npz")
-    found = compress_file("a.npz", "a.svoq", goal=Goal(step=0.5))
+    found = compress_file("a.npz", "a.svoq", goal=CompressionGoal(step=0.5))
     assert found.measured
     assert found.views == len(fitted.views)
     assert found.source_psnr == pytest.approx(fitted.psnr, abs=0.02)  # of photographs in 8 bits
     judges = read_photographs(SILENT, Source(str(capture))).judges
     lost = measure_views(build_field(load("a.svoq")), judges, samples=2)
     assert found.loss == pytest.approx(fitted.psnr - np.mean([view.psnr for view in lost]), abs=0.02)
-    predicted = compress_file("a.npz", "b.svoq", goal=Goal(step=0.5), photographs=Photographs(source_psnr=30))
+    predicted = compress_file(
+        "a.npz", "b.svoq", goal=CompressionGoal(step=0.5), photographs=GroundTruth(source_psnr=30)
+    )
     assert not predicted.measured
 
 
@@ -86,7 +97,7 @@ def test_values_that_float16_cannot_hold_stay_float32(capture: Path, monkeypatch
 @pytest.mark.usefixtures("trainer")
 def test_compare_finds_what_was_said(capture: Path) -> None:
     fitted = fit_file(capture, "a.npz")
-    seen = Seen(str(capture / "transforms_test.json"), truth=str(capture / "test"), samples=2)
+    seen = ComparedViews(str(capture / "transforms_test.json"), truth=str(capture / "test"), samples=2)
     means = compare_files("a.npz", "a.npz", seen=seen).found.means["a_truth"]
     assert (means["psnr"], means["ssim"]) == pytest.approx((fitted.psnr, fitted.ssim), abs=1e-9)
 
@@ -109,18 +120,18 @@ def test_every_ending_holds_the_same_field(name: str, kind: type, capture: Path)
 def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit) -> None:
     Path("there.npz").touch()
     for target, said in (
-        ("-", "fit judges the file that it wrote; allowed: an OUT other than '-'"),
-        ("a.png", r"'a\.png' names nothing that a field is written as; allowed: \.svo\.npz, .*, or `to=FORMAT`"),
+        ("-", "fit measures the file that it wrote; allowed: an OUT other than '-'"),
+        ("a.png", r"'a\.png' is not the extension of a field; allowed: \.svo\.npz, .*, or `to=FORMAT`"),
         ("a.vdb", "index"),
     ):
         with pytest.raises(UsageError, match=said):
             fit_file("none", target)
     with pytest.raises(OutputError, match="exists already"):
         fit_file("none", "there.npz")
-    with pytest.raises(UsageError, match="`preset` and `minutes` each choose a schedule; allowed: one of them"):
-        fit_file("none", "a.npz", recipe=Recipe(preset="fast", minutes=1.0))
-    with pytest.raises(UsageError, match="`test` has the views to judge by"):
-        fit_file("none", "a.npz", album=Album(test="a", holdout=3))
+    with pytest.raises(UsageError, match="`preset` and `minutes` each select a schedule; allowed: one of them"):
+        fit_file("none", "a.npz", recipe=FitOptions(preset="fast", minutes=1.0))
+    with pytest.raises(UsageError, match="`test` and `holdout` both select"):
+        fit_file("none", "a.npz", album=PhotographOptions(test="a", holdout=3))
     with pytest.raises(OutputError, match=r"there\.npz: File exists"):
         fit_file("none", "a.npz", state="there.npz")
     assert trainer.asked == []
@@ -129,7 +140,10 @@ def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit
 def test_the_trainer_is_asked_for_what_was_asked_for(trainer: FakeFit, capture: Path) -> None:
     box = (-1.0, -2.0, -3.0, 1.0, 2.0, 3.0)
     fit_file(
-        capture, Target("a", to="npz"), album=Album(holdout=4), recipe=Recipe(basis="SH1", samples=1, box=box, seed=7)
+        capture,
+        Target("a", to="npz"),
+        album=PhotographOptions(holdout=4),
+        recipe=FitOptions(basis="SH1", samples=1, box=box, seed=7),
     )
     (asked,) = trainer.asked
     assert (asked["basis"], asked["box"].tolist(), asked["seed"]) == ("SH1", [[-1, -2, -3], [1, 2, 3]], 7)
@@ -145,7 +159,7 @@ def test_progress_tells_where_it_is_and_how_near(capture: Path, listener: Listen
     assert 0 < shares[0] < shares[-1] == pytest.approx(1)
     assert details[0] == "stage 1 of 4, 16^3, 7 voxels"
     seen = fitted.curve[-1].psnr
-    assert details[-1].endswith(f"^3, 7 voxels, {seen:.2f} dB on 4 of 4 views kept for judging")
+    assert details[-1].endswith(f"^3, 7 voxels, {seen:.2f} dB on 4 of 4 held-out views")
 
 
 def broken_after(trainer: FakeFit, step: int) -> None:
@@ -179,15 +193,25 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
 @pytest.mark.parametrize(
     ("album", "recipe", "said"),
     [
-        (Album(), Recipe(seed=1), r"the fit's seed was 0; allowed: the same as now \(1\), or another `state`"),
-        (Album(), Recipe(basis="SH4"), r"the fit's basis was SH9; allowed: the same as now \(SH4\)"),
-        (Album(), Recipe(box=(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)), r"the fit's box was None"),
-        (Album(holdout=4), Recipe(), r"the fit's schedule was cells=64"),
-        (Album(background=(0.0, 0.0, 0.0)), Recipe(), r"the fit had other pictures or cameras; allowed: the same, or"),
+        (
+            PhotographOptions(),
+            FitOptions(seed=1),
+            r"the fit's seed was 0; allowed: the same as now \(1\), or another `state`",
+        ),
+        (PhotographOptions(), FitOptions(basis="SH4"), r"the fit's basis was SH9; allowed: the same as now \(SH4\)"),
+        (PhotographOptions(), FitOptions(box=(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)), r"the fit's box was None"),
+        (PhotographOptions(holdout=4), FitOptions(), r"the fit's schedule was cells=64"),
+        (
+            PhotographOptions(background=(0.0, 0.0, 0.0)),
+            FitOptions(),
+            r"the fit had other pictures or cameras; allowed: the same, or",
+        ),
     ],
 )
 @pytest.mark.usefixtures("trainer")
-def test_a_state_of_another_fit_is_refused(album: Album, recipe: Recipe, said: str, capture: Path) -> None:
+def test_a_state_of_another_fit_is_refused(
+    album: PhotographOptions, recipe: FitOptions, said: str, capture: Path
+) -> None:
     fit_file(capture, "a.npz", state="state")
     with pytest.raises(InvalidFile, match=r"^state/checkpoint\.npz: " + said):
         fit_file(capture, "b.npz", album=album, recipe=recipe, state="state")
@@ -229,7 +253,7 @@ def test_ctrl_c_writes_what_there_is(trainer: FakeFit, capture: Path, listener: 
         with pytest.raises(Stopped) as stopped:
             fit_file(capture, target, steps=listener)
         assert stopped.value.exit_code == 130
-        assert str(stopped.value) == f"stopped before it was done: {target.path}.partial has what there was"
+        assert str(stopped.value) == f"stopped before the end: {target.path}.partial has the current state"
     assert sorted(path.name for path in Path().iterdir()) == ["a.svo.pb.partial", "b.partial"]
     assert isinstance(load("b.partial"), N3Tree)
     assert signal.getsignal(signal.SIGINT) is before
@@ -239,8 +263,8 @@ def test_ctrl_c_writes_what_there_is(trainer: FakeFit, capture: Path, listener: 
 @pytest.mark.parametrize(
     ("slow", "said", "left"),
     [
-        ("nerfbake.n3tree_of_bricks", r"before it was done: a\.npz\.partial has what there was", "a.npz.partial"),
-        ("nerfbake.io.saving", r"before it was judged: a\.npz is whole", "a.npz"),
+        ("nerfbake.jobs.fits.build_n3tree", r"before the end: a\.npz\.partial has the current state", "a.npz.partial"),
+        ("nerfbake.io.saving", r"before the quality was measured: a\.npz is complete", "a.npz"),
     ],
 )
 def test_ctrl_c_loses_nothing_while_what_was_fitted_is_made_and_written(
@@ -261,7 +285,9 @@ def test_ctrl_c_loses_nothing_while_what_was_fitted_is_made_and_written(
 def test_what_ctrl_c_has_stopped_goes_on_from_its_state(trainer: FakeFit, capture: Path) -> None:
     fit_file(capture, "whole.npz")
     trainer.steps, trainer.at_step[3] = 0, interrupt
-    with pytest.raises(Stopped, match=r"a\.npz\.partial has what there was; the same command goes on from state$"):
+    with pytest.raises(
+        Stopped, match=r"a\.npz\.partial has the current state; run the same command to resume from state$"
+    ):
         fit_file(capture, "a.npz", state="state")
     fit_file(capture, "a.npz", state="state")
     assert trainer.asked[-1]["start"].done == 2
@@ -293,5 +319,5 @@ def test_what_is_wrong_with_a_capture_is_blamed_on_it(
 
 @pytest.mark.usefixtures("trainer")
 def test_a_report_gets_what_is_returned(capture: Path) -> None:
-    told: list[Fitted] = []
+    told: list[FitResult] = []
     assert [fit_file(capture, "a.npz", report=told.append)] == told

@@ -8,7 +8,7 @@ import pytest
 
 from nerfbake import N3Tree, Volume, build_octree, build_vdb, load
 from nerfbake.errors import NerfbakeError, UsageError
-from nerfbake.jobs import Choice, Source
+from nerfbake.jobs import GridChoice, Source
 from nerfbake.jobs.steps import SILENT
 
 
@@ -16,12 +16,12 @@ from nerfbake.jobs.steps import SILENT
 def test_grids_by_name_and_an_axis() -> None:
     octree = build_octree(load(Path("a.npz"), N3Tree))
     volume, source = build_vdb(octree, grids=("density", "Cd")), Source("a.vdb")
-    assert Choice().of(SILENT, source, volume) is volume
-    chosen = Choice(("Cd",)).of(SILENT, source, volume)
+    assert GridChoice().of(SILENT, source, volume) is volume
+    chosen = GridChoice(("Cd",)).of(SILENT, source, volume)
     assert isinstance(chosen, Volume)
     assert [grid.name for grid in chosen.grids] == ["Cd"]
-    assert (Choice(up="y").of(SILENT, source, volume).transform != volume.transform).any()
+    assert (GridChoice(up="y").of(SILENT, source, volume).transform != volume.transform).any()
     with pytest.raises(NerfbakeError, match=r"^a.vdb: "):
-        Choice(("nothing",)).of(SILENT, source, volume)
-    with pytest.raises(UsageError, match=r"a\.vdb is no volume; allowed: no `grid` and no `up`"):
-        Choice(("Cd",)).of(SILENT, source, octree)
+        GridChoice(("nothing",)).of(SILENT, source, volume)
+    with pytest.raises(UsageError, match=r"a\.vdb is not a volume; allowed: no `grid` and no `up`"):
+        GridChoice(("Cd",)).of(SILENT, source, octree)

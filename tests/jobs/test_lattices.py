@@ -14,15 +14,15 @@ from nerfbake import (
     SparseVoxelOctree,
     Volume,
     build_octree,
+    build_octree_from_lattice,
     jobs,
     load,
-    octree_of_lattice,
     orbit_cameras,
     save,
 )
 from nerfbake.cli.main import run
 from nerfbake.errors import BudgetMissed, InvalidFile, OutputError, UsageError
-from nerfbake.jobs import Budget, Pictures, PlacedMesh, Seen, Shots, lattices
+from nerfbake.jobs import Budget, ComparedViews, PictureOutputs, PlacedMesh, ViewSelection, lattices
 from tests.jobs.listener import Listener
 from tests.support.lattices import SHAPE, svox2, svox2_file
 from tests.support.meshes import cube
@@ -50,11 +50,11 @@ def test_svo_says_what_it_cost() -> None:
     steps = Listener()
     octree = jobs.bake_octree("ckpt.npz", "a.svo.npz", basis="SH4", steps=steps)
     assert_same_octree(load("a.svo.npz", SparseVoxelOctree), octree)
-    assert_same_octree(octree, octree_of_lattice(load("ckpt.npz", LatticeField), basis="SH4"))
+    assert_same_octree(octree, build_octree_from_lattice(load("ckpt.npz", LatticeField), basis="SH4"))
     note, cost, _ = steps.said
     assert note.startswith("ckpt.npz: the background")
     assert cost.startswith("ckpt.npz: in 10x12x14 voxels, ")
-    assert "dB from the lattice's own pictures; colours are" in cost
+    assert "dB against pictures of the lattice; colours differ by" in cost
 
 
 def test_the_command_takes_a_basis_a_scale_and_a_budget() -> None:
@@ -62,19 +62,19 @@ def test_the_command_takes_a_basis_a_scale_and_a_budget() -> None:
     assert run([*line, "--min-psnr", "5", "--cameras", "c.json"]) == 0
     octree = load("b.svo.npz", SparseVoxelOctree)
     lattice = load("ckpt.npz", LatticeField)
-    assert_same_octree(octree, octree_of_lattice(lattice.scaled(1.5), basis="SH1", resolution=(6, 6, 6)))
+    assert_same_octree(octree, build_octree_from_lattice(lattice.scaled(1.5), basis="SH1", resolution=(6, 6, 6)))
     with pytest.raises(BudgetMissed, match="dB"):
         jobs.bake_octree("ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(90, "c.json"))
 
 
 def test_others_take_it_too() -> None:
-    octree = octree_of_lattice(load("ckpt.npz", LatticeField))
+    octree = build_octree_from_lattice(load("ckpt.npz", LatticeField))
     assert_same_octree(load_octree("d.svo.pb"), octree.with_layout("compact"))
     volume = jobs.bake_volume("ckpt.npz", "a.vdb", resolution=8)
     assert isinstance(volume, Volume)
     assert volume.frame is not None
     assert volume.frame.size == (8, 8, 8)
-    found = jobs.compare_files("ckpt.npz", "d.svo.pb", seen=Seen(size=(16, 16))).found
+    found = jobs.compare_files("ckpt.npz", "d.svo.pb", seen=ComparedViews(size=(16, 16))).found
     assert found.means["a_b"]["psnr"] > 15
     assert jobs.describe_file("ckpt.npz")["resolution"] == list(SHAPE)
     assert run(["check", "ckpt.npz"]) == 0
@@ -86,10 +86,10 @@ def load_octree(name: str) -> SparseVoxelOctree:
 
 
 def test_pictures_are_the_lattices_own_and_with_a_mesh_the_octrees() -> None:
-    shots = Shots(size=(16, 16))
-    jobs.render_views("ckpt.npz", Pictures("a.png"), shots, lookup="trilinear")
+    shots = ViewSelection(size=(16, 16))
+    jobs.render_views("ckpt.npz", PictureOutputs("a.png"), shots, lookup="trilinear")
     steps = Listener()
-    jobs.render_views("ckpt.npz", Pictures("b.png"), shots, mesh=PlacedMesh("cube.glb"), steps=steps)
+    jobs.render_views("ckpt.npz", PictureOutputs("b.png"), shots, mesh=PlacedMesh("cube.glb"), steps=steps)
     assert any("voxels" in line for line in steps.said)
     assert Path("a.png").read_bytes() != Path("b.png").read_bytes()
 
@@ -104,7 +104,7 @@ def test_an_octree_becomes_a_folder_whose_loss_is_told(tmp_path: Path) -> None:
     told = jobs.bake_lattice(tmp_path / "tree.npz", tmp_path / "out", resolution=8, rounds=20, steps=steps)
     (line,) = steps.said
     assert line.startswith(f"{tmp_path / 'out'}: lattice field of 10x10x8, ")
-    assert " dB from the octree's own pictures; colours are " in line
+    assert " dB against pictures of the octree; colours differ by " in line
     found = load(tmp_path / "out", LatticeField)
     assert_array_equal(found.box, told.box)
     assert_array_equal(found.density.reshape(told.shape)[told.links >= 0], told.density[told.links[told.links >= 0]])
@@ -131,7 +131,7 @@ def test_only_what_has_voxels_becomes_a_lattice(tmp_path: Path) -> None:
 
 
 def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="`resample` is about leaves"):
+    with pytest.raises(UsageError, match="`resample` has no effect on a lattice"):
         jobs.bake_octree("ckpt.npz", "e.svo.npz", resample="nearest")
     jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=8)
     with pytest.raises(UsageError, match="`basis` and `scale` with a lattice"):

@@ -29,15 +29,15 @@ def test_a_level_of_detail() -> None:
 
 
 def test_an_output_that_cannot_be_is_told_before_anything_is_read(folder: Path) -> None:
-    with pytest.raises(UsageError, match="has no ending that an octree is written with"):
+    with pytest.raises(UsageError, match="has no file extension for an octree"):
         bake_octree("none", "b.obj")
-    with pytest.raises(UsageError, match="has no ending that an octree is written with"):
+    with pytest.raises(UsageError, match="has no file extension for an octree"):
         bake_lod("none", "b.obj", level=1)
     with pytest.raises(UsageError, match=r"svo\.npz takes no option 'profile'"):
         bake_octree("none", Target("b.svo.npz", profile="bulk"))
     with pytest.raises(OutputError, match="exists already"):
         bake_lod("none", "a.svo.pb", level=1)
-    with pytest.raises(UsageError, match="`min_psnr` judges a file"):
+    with pytest.raises(UsageError, match="`min_psnr` needs an output file"):
         bake_octree("none", Target("-", to="svo.pb"), budget=Budget(min_psnr=1))
     assert sorted(path.name for path in folder.iterdir()) == ["a.npz", "a.svo.pb", "cameras.json"]
 

@@ -9,28 +9,30 @@ from pathlib import Path
 import pytest
 
 from nerfbake import sample_n3tree, save
-from nerfbake.jobs import Goal, compress_file, view_file
+from nerfbake.jobs import CompressionGoal, compress_file, view_file
 from tests.jobs.listener import Listener
 
 
+@pytest.mark.long
 def test_a_page_without_a_goal_has_a_most_and_says_what_that_loses(
     folder: Path, listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save("a.npz", sample_n3tree(resolution=32, basis="SH4"), force=True)
     view_file("a.npz", "free.html")
     most = compress_file("a.npz", "a.svoq").size * 3 // 4
-    monkeypatch.setattr("nerfbake.jobs.viewing._MOST_BYTES", most)
+    monkeypatch.setattr("nerfbake.jobs.pages._MOST_BYTES", most)
     view_file("a.npz", "a.html", steps=listener)
     assert 0.95 * most <= svoq_size(folder / "a.html") <= most
-    told = f"a.html: has {most / 1e6:g} MB of compressed data at most, unless you say otherwise; "
-    assert f"{told}`max_loss=0.1` takes more" in listener.said
-    view_file("a.npz", "b.html", goal=Goal(max_loss=0.1))
+    told = f"a.html: the compressed data are limited to {most / 1e6:g} MB by default; "
+    assert f"{told}`max_loss=0.1` makes a larger page" in listener.said
+    view_file("a.npz", "b.html", goal=CompressionGoal(max_loss=0.1))
     assert (folder / "b.html").stat().st_size == (folder / "free.html").stat().st_size
 
 
+@pytest.mark.long
 def test_a_scene_that_is_too_large_for_any_step_still_has_a_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     view_file("a.npz", "free.html")
-    monkeypatch.setattr("nerfbake.jobs.viewing._MOST_BYTES", 100)
+    monkeypatch.setattr("nerfbake.jobs.pages._MOST_BYTES", 100)
     view_file("a.npz", "a.html")
     assert (folder / "a.html").stat().st_size == (folder / "free.html").stat().st_size
 

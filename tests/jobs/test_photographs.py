@@ -16,9 +16,9 @@ from PIL import Image as Pillow
 
 from nerfbake import Cameras, load
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
-from nerfbake.io.photographs import is_picture
-from nerfbake.jobs import Album, Source
-from nerfbake.jobs.photographs import Posed, read_photographs
+from nerfbake.io.reading import is_picture
+from nerfbake.jobs import PhotographOptions, Source
+from nerfbake.jobs.photographs import SplitViews, read_photographs
 from nerfbake.jobs.steps import SILENT
 from nerfbake.memory import left, memory_limit
 from tests.jobs.listener import Listener
@@ -41,8 +41,8 @@ DIALECTS = (
 )  # fmt: skip
 
 
-def read(path: Path | str, **options: Any) -> Posed:
-    return read_photographs(SILENT, Source(str(path)), Album(**options))
+def read(path: Path | str, **options: Any) -> SplitViews:
+    return read_photographs(SILENT, Source(str(path)), PhotographOptions(**options))
 
 
 def many(count: int) -> Rig:
@@ -102,10 +102,10 @@ def test_a_capture_with_views_to_judge_by_is_judged_by_them(tmp_path: Path, list
     assert len(read(tmp_path / "transforms_train.json").trained.pictures) == 4
     posed = read(tmp_path / "transforms_train.json", test=str(tmp_path / "transforms_test.json"))
     assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (5, 5)
-    with pytest.raises(UsageError, match="`test` has the views to judge by; allowed: it or `holdout`"):
-        Album(test="a", holdout=3).require()
+    with pytest.raises(UsageError, match="`test` and `holdout` both select the held-out views; allowed: one of them"):
+        PhotographOptions(test="a", holdout=3).require()
     with pytest.raises(UsageError, match="`holdout` is 1; allowed: 2 or more"):
-        Album(holdout=1).require()
+        PhotographOptions(holdout=1).require()
 
 
 def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
     write_picture(masks / "r_1.jpg", mask[:-1])
     with pytest.raises(InvalidScene, match=r"masks/r_1\.jpg: the mask has 14x9 pixels; allowed: 14x10"):
         read(capture, masks=str(masks))
-    with pytest.raises(InvalidFile, match=r"none: is no folder; allowed: one with a mask for each picture"):
+    with pytest.raises(InvalidFile, match=r"none: is not a folder; allowed: a folder with a mask for each picture"):
         read(capture, masks="none")
 
 
@@ -148,7 +148,7 @@ def test_cameras_without_a_picture_are_left_out_and_counted(
     for name in ("r_1", "r_4"):
         (picture,) = (file for file in tmp_path.rglob(f"{name}*") if is_picture(file))
         picture.unlink()
-    trained, judges = read_photographs(listener, Source(str(path)), Album(holdout=2))
+    trained, judges = read_photographs(listener, Source(str(path)), PhotographOptions(holdout=2))
     assert [camera.name for camera in trained.cameras.cameras] == ["r_2", "r_5"]
     assert [camera.name for camera in judges.cameras.cameras] == ["r_0", "r_3"]
     assert f"{path}: 2 of 6 cameras have no picture and are left out" in listener.said
@@ -258,10 +258,10 @@ def test_what_is_wrong_is_one_line(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_views_are_refused(count: int, tmp_path: Path) -> None:
     capture = photographed(write_nerfstudio, tmp_path, many(count))
-    with pytest.raises(InvalidFile, match=rf"the views are {count}, of which every 8th judges; allowed: 2 or more"):
+    with pytest.raises(InvalidFile, match=rf"the views are {count}, and every 8th is held out; allowed: 2 or more"):
         read(capture)
     if count == 1:
-        with pytest.raises(InvalidFile, match="the views are 1 to fit to and 1 to judge by; allowed: 2 or more"):
+        with pytest.raises(InvalidFile, match="the views are 1 to fit to and 1 held out; allowed: 2 or more"):
             read(capture, test=str(capture))
 
 
@@ -276,7 +276,7 @@ def test_pictures_count_as_memory_once(tmp_path: Path) -> None:
         del posed
     for path in (capture / "images").iterdir():
         Pillow.new("L", (140, 100)).save(path)
-    with memory_limit(400_000), pytest.raises(MemoryLimit, match=r"images/r_\d\.png: the picture needs .* beside"):
+    with memory_limit(400_000), pytest.raises(MemoryLimit, match=r"images/r_\d\.png: the picture needs .* in addition"):
         read(capture)
 
 

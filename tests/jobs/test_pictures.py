@@ -23,15 +23,15 @@ from nerfbake import (
     save,
 )
 from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import Choice, Pictures, PlacedMesh, Shots, render_views
+from nerfbake.jobs import GridChoice, PictureOutputs, PlacedMesh, ViewSelection, render_views
 from tests.jobs.listener import Listener
 from tests.support.meshes import cube
 
-ALL = Shots(cameras="cameras.json", every=True)
+ALL = ViewSelection(cameras="cameras.json", every=True)
 
 
 def test_every_view_is_a_file_of_its_name(folder: Path, listener: Listener) -> None:
-    wanted = Pictures("views", depth="npy", alpha=True)
+    wanted = PictureOutputs("views", depth="npy", alpha=True)
     paths = render_views("a.npz", wanted, ALL, steps=listener)
     assert paths == [f"views/000{i}.png" for i in range(3)]
     beside = [f"000{i}{ending}" for i in range(3) for ending in (".alpha.png", ".depth.npy", ".png")]
@@ -44,17 +44,17 @@ def test_every_view_is_a_file_of_its_name(folder: Path, listener: Listener) -> N
 
 @pytest.mark.usefixtures("folder")
 def test_one_of_the_cameras_is_what_the_stage_renders() -> None:
-    assert render_views("a.npz", "b.png", Shots("cameras.json", frame=2), transmittance_cut=0.5) == ["b.png"]
+    assert render_views("a.npz", "b.png", ViewSelection("cameras.json", frame=2), transmittance_cut=0.5) == ["b.png"]
     camera = load("cameras.json", Cameras).cameras[2]
     save("c.png", render_field(build_field(load("a.npz", N3Tree)), camera, transmittance_cut=0.5))
     assert Path("b.png").read_bytes() == Path("c.png").read_bytes()
     with pytest.raises(UsageError, match="`frame` is 3; allowed: 0 to 2"):
-        render_views("a.npz", "d.png", Shots("cameras.json", frame=3))
+        render_views("a.npz", "d.png", ViewSelection("cameras.json", frame=3))
 
 
 @pytest.mark.usefixtures("folder")
 def test_several_in_one_file_hold_the_same_pictures() -> None:
-    turn = Shots(turntable=3, size=(8, 6))
+    turn = ViewSelection(turntable=3, size=(8, 6))
     for out in ("turn.gif", "turn.png"):
         assert render_views("a.npz", out, turn) == [out]
     render_views("a.npz", "turn", turn)
@@ -62,7 +62,7 @@ def test_several_in_one_file_hold_the_same_pictures() -> None:
     np.testing.assert_array_equal(sheet[:6, 12:20], load("turn/0001.png", Image).colour)
     with pytest.raises(OutputError, match=r"turn\.gif: exists already"):
         render_views("none", "turn.gif", turn)
-    render_views("a.npz", Pictures("turn.gif", force=True), turn)
+    render_views("a.npz", PictureOutputs("turn.gif", force=True), turn)
 
 
 @pytest.mark.usefixtures("folder")
@@ -71,33 +71,37 @@ def test_a_level_a_grid_and_a_mesh_change_what_is_seen() -> None:
     save("l.svo.npz", cut_octree(octree, level=1))
     save("a.vdb", build_vdb(octree, grids=("density", "Cd")))
     save("m.obj", Meshes((cube(0.3),)))
-    shot = Shots("cameras.json")
+    shot = ViewSelection("cameras.json")
     render_views("a.svo.pb", "level.png", shot, lod=1)
     render_views("l.svo.npz", "cut.png", shot)
     assert Path("level.png").read_bytes() == Path("cut.png").read_bytes()
     render_views("a.vdb", "whole.png", shot)
-    render_views("a.vdb", "grey.png", shot, choice=Choice(("density",)))
+    render_views("a.vdb", "grey.png", shot, choice=GridChoice(("density",)))
     render_views("a.npz", "alone.png", shot)
     render_views("a.npz", "mesh.png", shot, mesh=PlacedMesh("m.obj", how="ztest"))
     for one, other in (("whole", "grey"), ("alone", "mesh")):
         assert np.abs(load(f"{one}.png", Image).colour - load(f"{other}.png", Image).colour).max() > 0.1
-    with pytest.raises(UsageError, match=r"a\.npz is no volume; allowed: no `grid` and no `up`"):
-        render_views("a.npz", "b.png", shot, choice=Choice(up="y"))
+    with pytest.raises(UsageError, match=r"a\.npz is not a volume; allowed: no `grid` and no `up`"):
+        render_views("a.npz", "b.png", shot, choice=GridChoice(up="y"))
 
 
 @pytest.mark.parametrize(
     ("pictures", "shots", "said"),
     [
-        ("-", Shots(turntable=3), "stdout takes one picture"),
-        (Pictures("-", alpha=True), Shots(), "`depth` and `alpha` write files beside a picture"),
-        (Pictures("a.gif", depth="png"), Shots(turntable=3), "`depth` and `alpha` write files beside a picture"),
-        ("a.gif", Shots(), "has no ending that a picture is written with"),
-        ("a.png", Shots(cameras="c.json", turntable=3), "`turntable` goes around the scene"),
-        (Pictures("there.png", depth="npy"), Shots(), "there.depth.npy: exists already"),
+        ("-", ViewSelection(turntable=3), "stdout takes one picture"),
+        (PictureOutputs("-", alpha=True), ViewSelection(), "`depth` and `alpha` need a file for each picture"),
+        (
+            PictureOutputs("a.gif", depth="png"),
+            ViewSelection(turntable=3),
+            "`depth` and `alpha` need a file for each picture",
+        ),
+        ("a.gif", ViewSelection(), "has no file extension for a picture"),
+        ("a.png", ViewSelection(cameras="c.json", turntable=3), "`turntable` and `cameras` both select the views"),
+        (PictureOutputs("there.png", depth="npy"), ViewSelection(), "there.depth.npy: exists already"),
     ],
 )
 def test_what_arguments_alone_can_tell_is_told_before_anything_is_read(
-    pictures: Pictures | str, shots: Shots, said: str, folder: Path
+    pictures: PictureOutputs | str, shots: ViewSelection, said: str, folder: Path
 ) -> None:
     (folder / "there.depth.npy").touch()
     with pytest.raises(NerfbakeError, match=re.escape(said)):
@@ -108,7 +112,7 @@ def test_all_names_are_settled_before_the_first_picture(folder: Path) -> None:
     (folder / "views").mkdir()
     (folder / "views" / "0002.alpha.png").touch()
     with pytest.raises(OutputError, match=r"0002\.alpha\.png: exists already"):
-        render_views("a.npz", Pictures("views", alpha=True), ALL)
+        render_views("a.npz", PictureOutputs("views", alpha=True), ALL)
     assert [path.name for path in (folder / "views").iterdir()] == ["0002.alpha.png"]
     with pytest.raises(InvalidScene, match=r"^a.svo.pb: level is 9"):
         render_views("a.svo.pb", "b.png", lod=9)

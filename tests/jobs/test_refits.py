@@ -10,14 +10,14 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import SparseVoxelOctree, build_field, build_octree, load, measure_views, sample_n3tree, save
 from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import Again, Model, Source, refit_file
+from nerfbake.jobs import RefitOptions, RefitTarget, Source, refit_file
 from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.steps import SILENT
 from tests.jobs.listener import Listener
 from tests.support.photographs import write_scene
 from tests.support.scenes import n3tree
 
-LIKE = Model(like="fine.npz", frames=12, edge=48)
+LIKE = RefitTarget(like="fine.npz", frames=12, edge=48)
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +35,7 @@ def octree(name: str) -> SparseVoxelOctree:
 
 
 def test_it_comes_nearer_to_the_finer_scene_with_the_same_nodes(listener: Listener) -> None:
-    found = refit_file("coarse.svo.npz", "out.svo.npz", LIKE, again=Again(samples=1), steps=listener)
+    found = refit_file("coarse.svo.npz", "out.svo.npz", LIKE, again=RefitOptions(samples=1), steps=listener)
     before, after = found.psnr
     assert after > before + 1
     assert len(found.before) == len(found.after) == 8
@@ -51,7 +51,7 @@ def test_it_comes_nearer_to_the_finer_scene_with_the_same_nodes(listener: Listen
 def test_it_comes_nearer_to_photographs_and_is_judged_by_others(tmp_path: Path) -> None:
     capture = write_scene(tmp_path / "capture")
     save("coarse.npz", sample_n3tree(resolution=8, basis="SH1"))
-    found = refit_file("coarse.npz", "out.svo.pb", Model(views=str(capture)), again=Again(epochs=3))
+    found = refit_file("coarse.npz", "out.svo.pb", RefitTarget(views=str(capture)), again=RefitOptions(epochs=3))
     assert found.psnr[1] > found.psnr[0] + 0.5
     judges = read_photographs(SILENT, Source(str(capture))).judges
     assert found.after == measure_views(build_field(octree("out.svo.pb")), judges, samples=2)
@@ -59,7 +59,7 @@ def test_it_comes_nearer_to_photographs_and_is_judged_by_others(tmp_path: Path) 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
     for name, seed in (("a.svo.npz", 0), ("b.svo.npz", 0), ("c.svo.npz", 1)):
-        refit_file("coarse.svo.npz", name, LIKE, again=Again(epochs=1, samples=1, seed=seed))
+        refit_file("coarse.svo.npz", name, LIKE, again=RefitOptions(epochs=1, samples=1, seed=seed))
     a, b, c = (Path(name).read_bytes() for name in ("a.svo.npz", "b.svo.npz", "c.svo.npz"))
     assert a == b != c
 
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 def test_halves_and_the_layout_stay() -> None:
     tree = sample_n3tree(resolution=16, basis="SH1")
     save("half.svo.npz", build_octree(tree, resolution=8, dtype="float16", layout="compact"))
-    refit_file("half.svo.npz", "out.svo.npz", LIKE, again=Again(epochs=1, samples=1))
+    refit_file("half.svo.npz", "out.svo.npz", LIKE, again=RefitOptions(epochs=1, samples=1))
     assert octree("out.svo.npz").node_data.dtype == np.float16
     assert octree("out.svo.npz").layout == "compact"
 
@@ -75,16 +75,21 @@ def test_halves_and_the_layout_stay() -> None:
 @pytest.mark.parametrize(
     ("model", "target", "error", "message"),
     [
-        (Model(), "a.svo.npz", UsageError, "`like` and `views`: neither says what IN is to look like; allowed: one"),
-        (Model("fine.npz", "capture"), "a.svo.npz", UsageError, "`like` and `views`: both say"),
-        (LIKE, "-", UsageError, "refit judges the file that it wrote"),
-        (LIKE, "a.png", UsageError, "'a.png' has no ending that an octree is written with"),
+        (
+            RefitTarget(),
+            "a.svo.npz",
+            UsageError,
+            "`like` and `views`: neither is given; allowed: one",
+        ),
+        (RefitTarget("fine.npz", "capture"), "a.svo.npz", UsageError, "`like` and `views`: both are given"),
+        (LIKE, "-", UsageError, "refit measures the file that it wrote"),
+        (LIKE, "a.png", UsageError, "'a.png' has no file extension for an octree"),
         (LIKE, "coarse.svo.npz", OutputError, "coarse.svo.npz"),
-        (Model("none.npz"), "a.svo.npz", NerfbakeError, "none.npz: No such file or directory"),
+        (RefitTarget("none.npz"), "a.svo.npz", NerfbakeError, "none.npz: No such file or directory"),
     ],
 )
 def test_what_is_refused_writes_nothing(
-    model: Model, target: str, error: type[Exception], message: str, folder: Path
+    model: RefitTarget, target: str, error: type[Exception], message: str, folder: Path
 ) -> None:
     there = sorted(folder.iterdir())
     with pytest.raises(error, match=message):

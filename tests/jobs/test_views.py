@@ -37,7 +37,7 @@ def test_where_cameras_are_from_and_what_was_taken_for_granted_is_said(tmp_path:
     frame = {"file_path": "gone", "transform_matrix": np.eye(4).tolist()}
     (tmp_path / "t.json").write_text(json.dumps({"camera_angle_x": 1, "frames": [frame]}))
     read_cameras(listener, str(tmp_path / "t.json"))
-    assert "no size is told" in listener.said[1]
+    assert "no size and no picture for 1 of its cameras" in listener.said[1]
 
 
 @pytest.mark.usefixtures("folder")

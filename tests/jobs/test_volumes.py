@@ -37,7 +37,7 @@ def test_grids_are_those_that_are_usual_for_the_format(listener: Listener) -> No
 def test_what_arguments_alone_can_tell_is_told_before_anything_is_read(folder: Path) -> None:
     with pytest.raises(UsageError, match="`grids` are 'fog'"):
         bake_volume("none", "b.vdb", grids="fog")
-    with pytest.raises(UsageError, match="`min_psnr` judges a file"):
+    with pytest.raises(UsageError, match="`min_psnr` needs an output file"):
         bake_volume("none", Target("-", to="vdb"), budget=Budget(1))
     with pytest.raises(UsageError, match="an octree has its own resolution"):
         bake_volume("a.svo.pb", "b.vdb", resolution=3)

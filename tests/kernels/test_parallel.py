@@ -38,9 +38,9 @@ def test_items_made_ahead_come_in_order_with_the_error_behind_them() -> None:
 
     seen: list[int] = []
     with pytest.raises(ValueError, match="behind 4"):
-        seen.extend(parallel.ahead(items()))
+        seen.extend(parallel.prefetched(items()))
     assert seen == [0, 1, 2, 3, 4]
-    assert list(parallel.ahead([])) == []
+    assert list(parallel.prefetched([])) == []
 
 
 def test_no_more_than_one_item_is_made_ahead() -> None:
@@ -51,7 +51,7 @@ def test_no_more_than_one_item_is_made_ahead() -> None:
             made.append(item)
             yield item
 
-    ahead = parallel.ahead(items())
+    ahead = parallel.prefetched(items())
     assert [next(ahead), next(ahead)] == [0, 1]
     ahead.close()
     assert made == [0, 1, 2]

@@ -7,11 +7,12 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from numpy.testing import assert_array_equal
 
 from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.prefetch import SINGLES, prefetch
+from nerfbake.kernels.march.traversal import SINGLES, prefetch
 
 # Nine pixels of a small scene, and how opaque they are together.
 PLAIN = """
@@ -35,6 +36,7 @@ def test_values_stay() -> None:
     everywhere(np.empty((0, 4), np.float32))
 
 
+@pytest.mark.long
 def test_a_picture_is_made_without_the_compiler_too() -> None:
     said = [
         subprocess.run([sys.executable, "-c", PLAIN], env=os.environ | more, check=True, capture_output=True).stdout

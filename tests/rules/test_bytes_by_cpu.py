@@ -1,4 +1,4 @@
-"""Nothing that is written hangs on the CPU that it was computed on."""
+"""Outputs do not depend on the CPU: no CPU-specific functions in the layers that compute them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.source import PACKAGE
 
-# What NumPy, a BLAS or the C library compute by the CPU that they run on: not to its last bit the same on two of them.
+# Functions of NumPy, BLAS or the C library whose last bits depend on the CPU.
 BY_CPU = {"arccos", "arcsin", "arctan", "arctan2", "cbrt", "cos", "cosh", "dot", "einsum", "exp", "exp2", "expm1"}
 BY_CPU |= {"hypot", "inner", "log", "log10", "log1p", "log2", "matmul", "sin", "sinh", "tan", "tanh", "tensordot"}
 
@@ -28,7 +28,7 @@ def test_what_is_written_does_not_hang_on_the_cpu(layer: str) -> None:
                 if name.startswith("np.linalg.") and name != "np.linalg.norm":
                     found.append(f"{place} {name}")
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "np.linalg.norm":
-                # With an axis it is a sum of squares in order; without one it asks the BLAS.
+                # With an axis, norm() sums squares in order. Without one, it calls BLAS.
                 found += [] if any(word.arg == "axis" for word in node.keywords) else [f"{place} np.linalg.norm"]
             if isinstance(node, ast.keyword) and node.arg == "fastmath":
                 found.append(f"{place} fastmath")

@@ -1,4 +1,4 @@
-"""What every format and every kind of folder offers, and what becomes of an option that it does not take."""
+"""The interface of every format and every kind of folder, and errors for unknown options."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-from nerfbake import build_octree, build_vdb, catalog, load
+from nerfbake import build_octree, build_vdb, catalog, contract, load
 from nerfbake.catalog import AnyFormat
 from nerfbake.contract import Option, options_of
 from nerfbake.errors import InvalidFile, InvalidScene, UsageError
@@ -31,7 +31,7 @@ every_written = pytest.mark.parametrize("form", WRITTEN, ids=lambda form: form.n
 
 # -- signatures ------------------------------------------------------------------------------------------------
 def parameters(function: Callable[..., Any]) -> tuple[list[str], dict[str, inspect.Parameter]]:
-    """The names of the positional parameters, and the keyword-only ones."""
+    """The names of the positional parameters, and the keyword-only parameters by name."""
     known = inspect.signature(function).parameters
     assert all(each.kind not in (each.VAR_KEYWORD, each.VAR_POSITIONAL) for each in known.values())
     keywords = {name: each for name, each in known.items() if each.kind == inspect.Parameter.KEYWORD_ONLY}
@@ -39,7 +39,7 @@ def parameters(function: Callable[..., Any]) -> tuple[list[str], dict[str, inspe
 
 
 def is_plain(kind: Any) -> bool:
-    """A type whose values a command line, a message and a test can tell."""
+    """True for a type whose values can be written on a command line and in a message."""
     if get_origin(kind) in (Union, types.UnionType):
         return all(is_plain(each) for each in get_args(kind))
     return get_origin(kind) in (Literal, Mapping) or kind in (bool, int, float, types.NoneType) or is_mapping(kind)
@@ -69,7 +69,7 @@ def test_a_format_recognises_and_decodes_a_view(form: catalog.Format) -> None:
     assert parameters(module.recognise) == (["view"], {})
     given, beside = parameters(module.decode)
     assert given == ["view"]
-    # What the catalog's line says that decode() takes is what it takes.
+    # decode() takes the arguments that the catalog declares.
     assert ("companion" in beside, "beside" in beside) == (bool(form.companion), form.beside)
     assert set(beside) <= {"companion", "beside"}
     assert get_type_hints(module.decode)["return"].__name__ == form.scene
@@ -100,7 +100,7 @@ def test_only_folders_that_are_written_have_encode() -> None:
     for kind in catalog.FOLDERS:
         assert hasattr(kind.load_module(), "encode") == kind.writable, kind.name
     known = "Stage1, BakedAtlas, Cameras, LatticeField"
-    with pytest.raises(UsageError, match=f"a Volume is not written as a folder; allowed: {known}"):
+    with pytest.raises(UsageError, match=f"a Volume cannot be written as a folder; allowed: {known}"):
         catalog.folder_to_write("Volume")
 
 
@@ -162,7 +162,7 @@ def test_saving_goes_through_it_and_leaves_nothing(tmp_path: Path) -> None:
     cameras = Cameras((Camera(4, 4, (4.0, 4.0), np.eye(4), "a"),))
     with pytest.raises(UsageError, match="transforms takes no option 'up'; allowed: none"):
         save_folder(tmp_path / "capture", cameras, up="y")
-    with pytest.raises(UsageError, match="a SparseVoxelOctree is not written as a folder; allowed: Stage1"):
+    with pytest.raises(UsageError, match="a SparseVoxelOctree cannot be written as a folder; allowed: Stage1"):
         save_folder(tmp_path / "octree", octree)
     assert not list(tmp_path.iterdir())
 
@@ -198,7 +198,7 @@ def test_nobody_recognises_noise(form: catalog.Format) -> None:
 @pytest.mark.parametrize("kind", catalog.FOLDERS, ids=lambda kind: kind.name)
 def test_no_kind_of_folder_recognises_other_files(kind: catalog.FolderKind, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_bytes(b"none of ours")
-    with pytest.raises(InvalidFile, match="is a folder that nerfbake does not know"):
+    with pytest.raises(InvalidFile, match="is a folder of unknown kind"):
         load(tmp_path)
     assert not kind.load_module().recognise(_Empty())
 
@@ -213,9 +213,9 @@ class _Empty(dict[str, memoryview]):
         return b""
 
 
-# -- nobody else knows formats ---------------------------------------------------------------------------------
+# -- no format names elsewhere --------------------------------------------------------------------------------
 def literals(path: Path) -> Iterator[tuple[int, str]]:
-    """The texts in a file's code, but for help texts and docstrings."""
+    """The string literals of a file, without help texts and docstrings."""
     tree = ast.parse(path.read_text())
     words: set[ast.AST] = set()
     for node in ast.walk(tree):
@@ -228,13 +228,13 @@ def literals(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value
 
 
-# Pictures are named by their ending where a command writes many into a folder, or depth beside them.
+# Commands name picture formats by extension for folders of pictures, and for depth maps beside them.
 PICTURES = {form.name for scene in ("Image", "Depth", "Animation") for form in catalog.formats_of(scene)}
-WORDS = {"json", "html"}  # that stand for a format after a dot alone: options are called so
+WORDS = {"json", "html"}  # also names of options: they count as formats only after a dot
 
 
 def test_no_command_names_a_format() -> None:
-    """By its name or by its ending; transforms.json and such are files inside of folders."""
+    """By name or by extension. transforms.json and similar names are files in folders, not formats."""
     names = {form.name for form in catalog.FORMATS} - PICTURES
     assert {"vdb", "nvdb", "vdb.npz", "svo.pb"} < names
     found = []
@@ -245,3 +245,26 @@ def test_no_command_names_a_format() -> None:
                 if words & {f".{name}" for name in names} or text in names - WORDS:
                     found.append(f"{path.name}:{line} {text!r}")
     assert found == []
+
+
+# -- protocols -------------------------------------------------------------------------------------------------
+def require_functions(module: object, protocol: type) -> None:
+    """Modules are cast to their protocol, so mypy does not compare them."""
+    names = [name for each in protocol.__mro__ for name, value in vars(each).items() if inspect.isfunction(value)]
+    missing = [name for name in names if not name.startswith("_") and not hasattr(module, name)]
+    assert missing == [], f"{module} lacks functions of {protocol.__name__}"
+
+
+def test_modules_have_the_functions_of_their_protocols() -> None:
+    for form in catalog.FORMATS:
+        if form.scene == "Volume":
+            require_functions(form.load_volume_module(), contract.VolumeFormat)
+        if form.packed:
+            require_functions(form.load_packed_module(), contract.PackedFormat)
+    (page,) = catalog.formats_of("Page")
+    for name in ("content_of", "script_readable", "coded_size", "encode"):
+        assert hasattr(contract.PageFormat, name)
+        assert callable(getattr(page.load_page_module(), name))
+    require_functions(catalog.load_compression(), contract.CompressionFormat)
+    require_functions(catalog.load_photographs(), contract.PhotographFormat)
+    require_functions(catalog.load_checkpoints(), contract.CheckpointFormat)

@@ -1,4 +1,4 @@
-"""Every command says what it reads and writes, so that a batch can tell clashes before anything runs."""
+"""Every command declares what it reads and writes, so that a batch can find conflicts before anything runs."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import click
 import pytest
 
 from nerfbake.cli import main
-from nerfbake.cli.paths import Declared, Output, Place, Stage1AndFolder, Writes, declared
+from nerfbake.cli.paths import DeclaredPaths, JudgedOutput, Place, Stage1AndFolder, Writes, declared
 
-# Words that are no paths. A new option that takes text has to be either here or a Place.
+# Text arguments that are not paths. List a new text option here, or make it a Place.
 WORDS = {"basis", "epochs", "fits", "formats", "grids", "template", "title", "to"}
 
 
@@ -46,26 +46,28 @@ def test_what_writes_can_be_told_to_replace(name: str) -> None:
 def test_where_a_budget_rejects_an_output_it_is_declared(name: str) -> None:
     told = [param.help or "" for param in COMMANDS[name].params if isinstance(param, click.Option)]
     if any("OUT.rejected" in text for text in told):
-        assert any(isinstance(param.type, Output | Stage1AndFolder) for param in COMMANDS[name].params)
+        assert any(isinstance(param.type, JudgedOutput | Stage1AndFolder) for param in COMMANDS[name].params)
 
 
 LINES = {
-    "svo a.npz b.svo.pb": Declared(("a.npz",), (), ("b.svo.pb",)),
-    "svo a.npz b.svo.pb --min-psnr 30 --cameras c.json": Declared(
+    "svo a.npz b.svo.pb": DeclaredPaths(("a.npz",), (), ("b.svo.pb",)),
+    "svo a.npz b.svo.pb --min-psnr 30 --cameras c.json": DeclaredPaths(
         ("a.npz", "c.json"), (), ("b.svo.pb",), ("b.svo.pb.rejected",)
     ),
-    "atlas in out --min-psnr 30": Declared(("in",), (), ("out",), ("out.rejected",)),
-    "atlas out --feature f0.jpg --feature f1.jpg --mlp m.json": Declared(("f0.jpg", "f1.jpg", "m.json"), (), ("out",)),
-    "compare a b --sheet s.png --html p.html --min-psnr 3": Declared(("a", "b"), (), ("s.png", "p.html")),
-    "fit photos a.npz --masks m --state s --plot c.svg": Declared(("m",), ("photos",), ("a.npz", "c.svg"), ("s",)),
-    "refit a b --views photos": Declared(("a",), ("photos",), ("b",)),
-    "render a --out p.png --depth --alpha --mesh m.glb": Declared(
+    "atlas in out --min-psnr 30": DeclaredPaths(("in",), (), ("out",), ("out.rejected",)),
+    "atlas out --feature f0.jpg --feature f1.jpg --mlp m.json": DeclaredPaths(
+        ("f0.jpg", "f1.jpg", "m.json"), (), ("out",)
+    ),
+    "compare a b --sheet s.png --html p.html --min-psnr 3": DeclaredPaths(("a", "b"), (), ("s.png", "p.html")),
+    "fit photos a.npz --masks m --state s --plot c.svg": DeclaredPaths(("m",), ("photos",), ("a.npz", "c.svg"), ("s",)),
+    "refit a b --views photos": DeclaredPaths(("a",), ("photos",), ("b",)),
+    "render a --out p.png --depth --alpha --mesh m.glb": DeclaredPaths(
         ("a", "m.glb"), (), ("p.png", "p.depth.png", "p.alpha.png")
     ),
-    "render a --out views --all --cameras c --depth npy": Declared(("a", "c"), (), ("views",)),
-    "sample capture out": Declared((), (), ("out",)),
-    "info a": Declared(("a",)),
-    "bench formats a b -o r.md": Declared(("a", "b"), (), ("r.md",)),
+    "render a --out views --all --cameras c --depth npy": DeclaredPaths(("a", "c"), (), ("views",)),
+    "sample capture out": DeclaredPaths((), (), ("out",)),
+    "info a": DeclaredPaths(("a",)),
+    "bench formats a b -o r.md": DeclaredPaths(("a", "b"), (), ("r.md",)),
 }
 
 

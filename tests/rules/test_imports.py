@@ -1,4 +1,4 @@
-"""Who may import whom and open files, and what the help loads."""
+"""Rules for imports between layers, for opening files, and for the modules that --help loads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pytest
 
 from tests.support.source import PACKAGE, imports, modules
 
-# layer: what it may import from nerfbake, what it may import from outside beyond the standard library
+ANY = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
+# layer: allowed imports from nerfbake, and from packages other than the standard library
 RULES: dict[str, tuple[set[str], set[str]]] = {
     "errors": (set(), set()),
     "kernels": ({"errors", "memory", "progress", "kernels"}, {"numpy", "numba"}),
@@ -23,59 +24,39 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "progress": (set(), set()),
     "catalog": ({"errors", "contract"}, set()),
     "io": ({"errors", "memory", "progress", "contract", "catalog", "io"}, set()),
-    "bench": (
-        {
-            "errors",
-            "memory",
-            "progress",
-            "kernels",
-            "scene",
-            "stages",
-            "formats",
-            "contract",
-            "catalog",
-            "io",
-            "batch",
-            "jobs",
-            "bench",
-            "nerfbake",
-        },
-        {"numpy"},
+    "batch": ({"errors", "memory", "progress", "catalog", "io", "formats.wire", "batch", "__version__"}, set()),
+    "jobs": (
+        {"errors", "memory", "progress", "kernels", "catalog", "io", "scene", "stages", "batch", "jobs", "__version__"},
+        set(),
     ),
-    "batch": ({"errors", "memory", "progress", "catalog", "io", "formats.wire", "batch", "nerfbake"}, set()),
-    "jobs": ({"errors", "memory", "progress", "catalog", "io", "scene", "stages", "batch", "jobs", "nerfbake"}, set()),
-    "cli": (
-        {"errors", "memory", "progress", "catalog", "io", "batch", "jobs", "bench", "cli", "nerfbake"},
-        {"click", "rich"},
-    ),
+    "bench": (ANY - {"cli"}, {"numpy"}),
+    "cli": (ANY | {"__version__"}, {"click", "rich"}),
 }
-# A part of a layer with rules of its own: what `formats/wire` holds knows no scene.
+# Parts of a layer with other rules: `formats/wire` may not import scenes.
 PARTS = {"formats/wire": ({"errors", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})}
-# The one library that a file is about.
+# Libraries that a single module may import.
 OWN_LIBRARY = {
-    "bench/access/warp_reader": {"warp"},  # beside ours in bench access
-    "bench/atlas/clustering": {"sklearn"},  # beside ours in bench atlas
-    "bench/compress/contenders": {"sklearn", "zstandard"},
+    "bench/access/warp_reader": {"warp"},  # compared in bench access
+    "bench/atlas": {"sklearn"},  # compared in bench atlas
+    "bench/compress": {"sklearn", "zstandard"},
     "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
     "bench/view/browser": {"playwright"},
-    "formats/atlas/folder": {"PIL"},  # its version, for atlas.json
+    "formats/atlas/folder": {"PIL"},  # for its version in atlas.json
+    "formats/octree/bson": {"bson"},
+    "formats/octree/flatbuffers": {"flatbuffers"},
     "formats/octree/json": {"orjson"},
     "formats/picture/depth_png": {"PIL"},
     "formats/picture/gif": {"PIL"},
     "formats/picture/png": {"PIL"},
     "formats/wire/blosc": {"blosc"},
-    "formats/wire/bson": {"bson"},
     "formats/wire/deflate": {"deflate", "zlib_ng"},
-    "formats/wire/flatbuffers": {"flatbuffers"},
     "formats/wire/json": {"orjson"},
-    "formats/wire/zip_reader": {"deflate"},
-    "formats/wire/npz_writer": {"zlib_ng"},
-    "formats/wire/photograph": {"PIL"},
+    "formats/wire/npz": {"zlib_ng"},
     "formats/wire/picture": {"PIL"},
-    "formats/wire/texture": {"PIL"},
+    "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
-    "stages/_mesh_summary": {"trimesh"},
+    "stages/scene_to_summary": {"trimesh"},
 }
 HEAVY = {
     "blosc",
@@ -116,9 +97,9 @@ def test_imports_follow_the_rules(path: Path) -> None:
 
 def test_only_io_opens_files() -> None:
     openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
-    no_files = {"main", "picture"}  # what these open is a device, and bytes in memory
+    no_files = {"main", "picture"}  # these open a device, or bytes in memory
     for path in modules():
-        if "io" in path.parts or "bench" in path.parts:  # a benchmark of files opens them
+        if "io" in path.parts or "bench" in path.parts:  # benchmarks of files open them
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call):
@@ -128,12 +109,26 @@ def test_only_io_opens_files() -> None:
                 assert name not in openers or path.stem in no_files, f"{path.name}: {name}() at line {node.lineno}"
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["svo", "--help"], ["--version"]])
-def test_the_help_loads_nothing_heavy(arguments: list[str]) -> None:
+def _loaded(arguments: list[str], names: set[str]) -> set[str]:
+    """Run a command in a process of its own and return which of these top-level modules it loaded."""
     code = f"""if True:
         import sys
         from nerfbake.cli.main import run
-        run({arguments!r})
-        print(*sorted({{name.partition('.')[0] for name in sys.modules}} & {HEAVY!r}), file=sys.stderr)"""
+        code = run({arguments!r})
+        print(*{{name.partition('.')[0] for name in sys.modules}} & {names!r}, file=sys.stderr)
+        sys.exit(code)"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stderr.split() == []
+    return set(done.stderr.split()) & names
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["svo", "--help"], ["--version"]])
+def test_the_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    assert _loaded(arguments, HEAVY) == set()
+
+
+def test_commands_that_need_no_kernels_do_not_load_numba(tmp_path: Path) -> None:
+    tree, octree, other = (str(tmp_path / name) for name in ("a.npz", "a.svo.pb", "a.svo.npz"))
+    _loaded(["sample", "octree", tree, "--resolution", "8", "--quiet"], set())
+    for arguments in (["check", tree], ["info", tree], ["svo", tree, octree], ["convert", octree, other]):
+        assert _loaded([*arguments, "--quiet"], {"numba", "llvmlite"}) == set(), arguments[0]
+    assert Path(other).exists()

@@ -1,4 +1,4 @@
-"""Tests stand where what they test stands, and no module stands far from a test."""
+"""The folders of tests mirror those of the package, and every module is imported by a test or close to one."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pathlib import Path
 
 from nerfbake import catalog
 from tests.conftest import REPOSITORY
-from tests.support.source import PACKAGE, modules
+from tests.support.source import PACKAGE, modules, public_names
 
 TESTS = REPOSITORY / "tests"
-# About no one package: frozen and hostile files of every format, whole runs, the rules that all follow, and helpers.
+# Folders that mirror no package: frozen and hostile files of every format, end-to-end runs, rules, and helpers.
 ABOUT_ALL = {"conformance", "end_to_end", "fuzz", "rules", "support"}
 LAYERS = ("kernels", "scene", "stages", "formats")
 
 MODULES = {".".join(path.relative_to(REPOSITORY).with_suffix("").parts): path for path in modules()}
-PUBLIC = catalog.STAGES | catalog.SCENES  # names of the public API: where they are
+PUBLIC = public_names()  # where each public name is defined
 
 
 @cache
 def imported(path: Path) -> set[str]:
-    """Modules of LAYERS that a file imports: as such, for what is in them, or by a public name."""
+    """The modules of LAYERS that a file imports: the module, a name in it, or a public name that it defines."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -34,7 +34,7 @@ def imported(path: Path) -> set[str]:
 
 
 def with_helpers(names: Iterable[str]) -> set[str]:
-    """These modules and what each imports from its own package, directly or not."""
+    """These modules, and the modules of the same package that they import, directly or indirectly."""
     found = set(names)
     waiting = list(found)
     while waiting:
@@ -58,7 +58,7 @@ def test_every_folder_of_tests_mirrors_a_folder_and_every_package_has_one() -> N
 
 
 def test_a_module_is_imported_by_a_test_or_by_a_module_that_a_test_imports() -> None:
-    """Helpers within a package count as the modules that they help; formats as imported: each has frozen files."""
+    """Helpers count with the modules of their package that import them. Formats always count: each has frozen files."""
     formats = {f"nerfbake.formats.{form.module}" for form in catalog.FORMATS + catalog.FOLDERS}
     near = with_helpers(formats.union(*map(imported, TESTS.rglob("*.py"))))
     one_further = near.union(*(imported(MODULES[name]) for name in near))

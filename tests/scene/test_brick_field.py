@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import BrickField
 from nerfbake.errors import InvalidScene
-from nerfbake.kernels.fit.topgrid import top_grid
+from nerfbake.kernels.fit.bricks import top_grid
 from nerfbake.scene.basis import Basis
 
 
@@ -60,8 +60,8 @@ def wrong_rows(**cells: int) -> Any:
         ({"rows": wrong_rows(c0=4)}, r"rows\[0, 0\] is 4; allowed: -1 to 3"),
         ({"rows": wrong_rows(c0=2)}, "rows are not numbered in order"),
         ({"rows": wrong_rows(c1=-1)}, "rows are not numbered in order"),
-        ({"rows": wrong_rows(c166=-1)}, "a wide cell in pieces"),
-        ({"rows": wrong_rows(c9=0)}, "name a cell twice"),
+        ({"rows": wrong_rows(c166=-1)}, "an incomplete wide cell"),
+        ({"rows": wrong_rows(c9=0)}, "contain a cell twice"),
         ({"values": np.array([[0, 0, 0, 1], [0, 0, np.inf, 1]], np.float32)}, r"values\[1, 2\] is inf"),
         ({"values": np.array([[0, 0, 0, 1], [0, 0, 0, -1]], np.float32)}, "a density of 0 or more"),
     ],

@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 
 from nerfbake import Camera, Cameras
 from nerfbake.errors import InvalidScene
-from nerfbake.scene.camera import look_at
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.camera import Lens, look_at
 
 POSE = look_at(np.array([0.3, -0.2, 0.1]), 0.7, 0.4, 3.0)
 
@@ -64,7 +63,7 @@ def test_a_resized_camera_looks_through_the_same_corners() -> None:
         ({"pose": np.diag([1, 1, 0.0, 1])}, "has a singular pose"),
         ({"pose": np.diag([1, 1, 1, 2.0])}, "has a pose whose last row is"),
         ({"pose": np.diag([1e9, 1, 1, 1.0])}, "has a pose with an axis of 1e"),
-        ({"pose": np.block([[np.eye(3), np.full((3, 1), 1e16)], [np.zeros((1, 3)), np.eye(1)]])}, "stands 1e"),
+        ({"pose": np.block([[np.eye(3), np.full((3, 1), 1e16)], [np.zeros((1, 3)), np.eye(1)]])}, "has a coordinate"),
     ],
 )
 def test_what_is_no_camera_is_refused(wrong: dict[str, Any], said: str) -> None:
@@ -80,7 +79,7 @@ def test_poses_that_are_no_rotation_are_told(turn: Any) -> None:
     pose[:3, :3] = turn
     cameras = Cameras((Camera(4, 3, 5.0, np.eye(4), "a"), Camera(4, 3, 5.0, pose, "b"), Camera(4, 3, 5.0, pose, "c")))
     (problem,) = cameras.problems()
-    assert str(problem).startswith("camera b has a pose that is no rotation")
+    assert str(problem).startswith("camera b has a pose that is not a rotation")
     assert problem.times == 2
     assert cameras.structure_problems() == []
 

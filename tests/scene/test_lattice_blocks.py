@@ -53,7 +53,7 @@ def test_what_is_held_is_in_blocks_and_in_the_box() -> None:
         ({"blocks": Blocks(0, BOX)}, "the blocks are 0 cells wide; allowed: 1 to 254"),
         ({"blocks": Blocks(2, BOX[:1])}, "the blocks' box has shape"),
         ({"colour": RgbColour(7)}, "the blocks hold RGB; allowed: a deferred colour"),
-        ({"blocks": None}, "the planes are added to nodes by links; allowed: nodes in blocks"),
+        ({"blocks": None}, "the planes are set for nodes that are not in blocks; allowed: nodes in blocks"),
         (
             {"planes": Planes(np.zeros((3, 5, 4), np.float32), np.zeros((3, 5, 5, 7), np.float32), 0, 1)},
             "planes' density",
@@ -62,7 +62,7 @@ def test_what_is_held_is_in_blocks_and_in_the_box() -> None:
             {"planes": Planes(np.zeros((3, 5, 5), np.float32), np.zeros((3, 5, 5, 6), np.float32), 0, 1)},
             "planes' colours",
         ),
-        ({"planes": lattice().planes._replace(across=4.0)}, "the planes have 5 nodes, and the box is from 0.25 on 4"),  # type: ignore[union-attr]
+        ({"planes": lattice().planes._replace(across=4.0)}, "5 nodes, and the box starts at 0.25 and is 4 wide"),  # type: ignore[union-attr]
     ],
 )
 def test_parts_that_do_not_fit_are_refused(fields: dict[str, Any], message: str) -> None:

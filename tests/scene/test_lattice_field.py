@@ -44,7 +44,7 @@ def test_a_larger_world_is_as_dense_in_all() -> None:
     ("fields", "said"),
     [
         ({"links": np.zeros((2, 2), np.int32)}, "links has shape"),
-        ({"links": np.zeros((1, 2, 2), np.int32), "at_corners": True}, "2 to 4096 nodes an axis"),
+        ({"links": np.zeros((1, 2, 2), np.int32), "at_corners": True}, "2 to 4096 nodes per axis"),
         ({"features": np.zeros((3, 3), np.float32)}, "colours has shape"),
         ({"colour": ShColour(5), "features": np.zeros((210, 15), np.float32)}, "5 coefficients a channel"),
         ({"density": np.zeros(210)}, "density has shape"),

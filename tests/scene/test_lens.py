@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from nerfbake import Camera, Cameras, load, save
 from nerfbake.errors import InvalidScene
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.camera import Lens
 from tests.support.captures import Rig, rig, write_colmap_binary, write_colmap_text, write_instant_ngp, write_nerfstudio
 
 Parameters = tuple[float, ...]
@@ -143,7 +143,7 @@ def test_a_lens_that_does_not_cover_its_picture_is_refused() -> None:
     # r (1 - r^2) is greatest at r = 1 / sqrt 3, where it is 0.385: nothing is seen farther out than that.
     lens = Lens("polynomial", (-1.0,))
     camera = Camera(100, 100, 100.0, np.eye(4), "r_0", lens=lens)
-    said = "camera r_0 shows nothing at pixel 0, 0: its polynomial distortion cannot be undone there"
+    said = "camera r_0 shows nothing at pixel 0, 0: its polynomial distortion cannot be inverted there"
     with pytest.raises(InvalidScene, match=said):
         camera.rays()
     with pytest.raises(InvalidScene, match=said):
@@ -162,7 +162,7 @@ def test_a_fisheye_sees_behind_itself() -> None:
     # Pixels are one radian apart: the outermost look two radians to the side.
     assert_allclose(directions[:, 0], np.sin([-2, -1, 0, 1, 2]), atol=1e-15)
     assert_allclose(directions[:, 2], -np.cos([-2, -1, 0, 1, 2]), atol=1e-15)
-    with pytest.raises(InvalidScene, match="fisheye distortion cannot be undone"):
+    with pytest.raises(InvalidScene, match="fisheye distortion cannot be inverted"):
         Camera(9, 1, 1.0, np.eye(4), lens=Lens("fisheye")).rays()  # four radians: more than there is
 
 

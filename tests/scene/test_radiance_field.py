@@ -56,7 +56,7 @@ def test_a_field_counts_for_as_long_as_it_lives() -> None:
     with memory_limit(3_500):
         field = build_field(n3tree(data_format="SH1"))
         assert left() == 3_500 - size_of(field)
-        with pytest.raises(MemoryLimit, match=r"beside .* that are taken"):
+        with pytest.raises(MemoryLimit, match=r"in addition to .* in use"):
             render_field(field, orbit_cameras(field, width=5, height=5).cameras[0])
         del field
         assert left() == 3_500

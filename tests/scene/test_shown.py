@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from functools import cache
 from html import escape
 from html.parser import HTMLParser
 from importlib import import_module
@@ -14,16 +15,16 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
+import nerfbake
 from nerfbake import (
     Depth,
     Meshes,
     bake_stage1,
-    bricks_of_octree,
+    build_bricks,
     build_field,
     build_octree,
     build_vdb,
     build_views,
-    catalog,
     compare_scenes,
     orbit_cameras,
     render_field,
@@ -34,10 +35,11 @@ from nerfbake import (
 from nerfbake.formats.page import comparison as comparison_page
 from nerfbake.formats.page import view as view_page
 from nerfbake.scene.base import Scene
-from nerfbake.scene.shown import Shown
+from nerfbake.scene.compact_repr import CompactRepr
 from tests.support.lattices import some_lattice
 from tests.support.meshes import sphere
 from tests.support.quantised import random_quantised
+from tests.support.source import public_names_of
 from tests.support.vdb_readers import tree, volume
 
 
@@ -87,6 +89,7 @@ def test_a_view_is_its_page_in_a_frame_that_may_run_its_own_script_alone() -> No
     assert frame["srcdoc"].encode() == b"".join(view_page.encode(page))
 
 
+@cache
 def scenes() -> dict[str, Any]:
     """One of each kind that a notebook is likely to hold."""
     tree, stage1 = sample_n3tree(resolution=16), sample_stage1(resolution=16)
@@ -94,7 +97,7 @@ def scenes() -> dict[str, Any]:
     volume, cameras = build_vdb(octree), orbit_cameras(field, frames=3, width=12, height=10)
     pictures = [render_field(field, camera, background=None).pixels for camera in cameras.cameras]
     found = [tree, octree, field, volume, volume.grids[0], build_vdb(octree, grids=("index",)).grids[0], cameras]
-    found += [cameras.cameras[0], build_views(cameras, pictures), stage1, stage1.fields[0], bricks_of_octree(octree)]
+    found += [cameras.cameras[0], build_views(cameras, pictures), stage1, stage1.fields[0], build_bricks(octree)]
     found += [bake_stage1(stage1, clusters=3, map_size=8), compare_scenes(tree, octree, cameras), view(tree)]
     found += [
         render_field(field, cameras.cameras[0]),
@@ -106,12 +109,35 @@ def scenes() -> dict[str, Any]:
     return {type(scene).__name__: scene for scene in found}
 
 
-SCENES = scenes()
+NAMES = [
+    "BakedAtlas",
+    "BrickField",
+    "Camera",
+    "Cameras",
+    "Comparison",
+    "Depth",
+    "Image",
+    "IndexGrid",
+    "LatticeField",
+    "Mesh",
+    "Meshes",
+    "N3Tree",
+    "Page",
+    "QuantisedOctree",
+    "RadianceField",
+    "SparseVoxelOctree",
+    "SpecularField",
+    "Stage1",
+    "VdbTree",
+    "Views",
+    "Volume",
+]
+WITH_TABLES = [name for name in NAMES if issubclass(getattr(nerfbake, name), Scene)]
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_repr_fits_on_three_lines_of_80_characters(name: str) -> None:
-    text = repr(SCENES[name])
+    text = repr(scenes()[name])
     assert name in text
     assert "\n" not in text
     assert len(text) <= 240
@@ -119,23 +145,23 @@ def test_a_repr_fits_on_three_lines_of_80_characters(name: str) -> None:
 
 
 def test_every_type_of_scene_has_a_short_repr() -> None:
-    for name, module in catalog.SCENES.items():
-        assert issubclass(getattr(import_module(module), name), Shown), name
+    for name, module in public_names_of("scene").items():
+        assert issubclass(getattr(import_module(module), name), CompactRepr), name
 
 
-@pytest.mark.parametrize("name", [name for name, scene in SCENES.items() if isinstance(scene, Scene)])
+@pytest.mark.parametrize("name", WITH_TABLES)
 def test_a_notebook_gets_a_small_table(name: str) -> None:
-    html = SCENES[name]._repr_html_()
+    html = scenes()[name]._repr_html_()
     if name == "Image":
         assert html is None  # a notebook shows the picture itself
         return
     assert len(html) < 100_000 or name == "Page"
-    assert name in ("Comparison", "Page") or f"<th>scene</th><td>{escape(str(SCENES[name]))}</td>" in html
+    assert name in ("Comparison", "Page") or f"<th>scene</th><td>{escape(str(scenes()[name]))}</td>" in html
 
 
 @pytest.mark.parametrize("name", ["N3Tree", "SparseVoxelOctree", "Volume", "Meshes", "LatticeField"])
 def test_a_table_has_a_thumbnail_of_what_can_be_seen(name: str) -> None:
-    (data,) = re.findall(r'<img src="data:image/png;base64,([^"]+)" width="160"', SCENES[name]._repr_html_())
+    (data,) = re.findall(r'<img src="data:image/png;base64,([^"]+)" width="160"', scenes()[name]._repr_html_())
     with Pillow.open(io.BytesIO(base64.b64decode(data))) as picture:
         assert picture.size == (160, 160)
         assert len(np.unique(np.asarray(picture))) > 10

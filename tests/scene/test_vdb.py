@@ -9,16 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from nerfbake import build_field, octree_of_density, orbit_cameras, render_field, summarise_scene
+from nerfbake import build_field, build_octree_from_density, orbit_cameras, render_field, summarise_scene
 from nerfbake.errors import InvalidScene
 from nerfbake.formats.volume import nanovdb as vdb_nanovdb
 from nerfbake.formats.volume import npz as vdb_npz
 from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_tiles import VdbTiles
-from nerfbake.scene.vdb_topology import VdbTopology
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology, topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.vdb_readers import SCENES, index, transform, tree
 
@@ -49,7 +47,7 @@ def test_the_voxels_are_those_that_were_given(voxels: set[tuple[int, int, int]])
 
 
 def test_a_voxel_may_not_come_twice() -> None:
-    with pytest.raises(InvalidScene, match=r"voxel \(1, 2, 3\) is there twice; allowed: each voxel once"):
+    with pytest.raises(InvalidScene, match=r"voxel \(1, 2, 3\) occurs twice; allowed: each voxel once"):
         topology_of(np.array([[1, 2, 3], [0, 0, 0], [1, 2, 3]]))
 
 
@@ -72,7 +70,7 @@ def test_masks_that_disagree_are_found() -> None:
 def test_values_that_are_not_the_voxels_are_found() -> None:
     good = tree(SCENES["one voxel"])
     two = VdbTree("density", good.topology, np.ones((2, 1), np.float32), good.background)
-    with pytest.raises(InvalidScene, match="grid 'density' has 2 values; allowed: 1, one a voxel"):
+    with pytest.raises(InvalidScene, match="grid 'density' has 2 values; allowed: 1, one per voxel"):
         Volume((two,), transform()).require_sound()
     nan = VdbTree("density", good.topology, np.full((1, 1), np.nan, np.float32), good.background)
     assert str(Volume((nan,), transform()).problems()[0]) == "density[0, 0] is nan; allowed: a finite number"
@@ -148,11 +146,13 @@ def test_what_is_said_of_tiles_is_held_to() -> None:
     assert "slots that are child and tile at once" in str(replace(made, tiles=child).structure_problems()[0])
     for origin in ([[0, 0, 0]], [[0, 0, 1]], [[4096, 0, 0], [4096, 0, 0]]):
         wrong = replace(made.tiles, root_origin=np.array(origin, np.int32))
-        assert "root tiles overlap or lie astray" in str(replace(made, tiles=wrong).structure_problems()[0])
+        assert "root tiles overlap or are misaligned" in str(replace(made, tiles=wrong).structure_problems()[0])
     with pytest.raises(InvalidScene, match=r"tiles\.upper_mask has shape \(2, 512\)"):
         replace(made, tiles=replace(made.tiles, upper_mask=np.zeros((2, 512), np.uint64)))
     table = IndexGrid("index", made, np.ones((5, 1), np.float32))
-    assert str(table.structure_problems()[0]) == "grid 'index' is an index with tiles; allowed: an index of voxels"
+    assert str(table.structure_problems()[0]) == (
+        "grid 'index' is an index grid with tiles; allowed: an index grid without tiles"
+    )
     nan = VdbTree("density", made, np.array([[1], [np.nan], [1], [np.inf]], np.float32), np.zeros(1, np.float32))
     assert str(nan.value_problems()[0]) == "density[1, 0] is nan; allowed: a finite number (and 1 more)"
 
@@ -167,7 +167,7 @@ def test_a_small_file_of_large_tiles_stays_small() -> None:
             assert summarise_scene(back)["grids"]["density"]["active_voxels"] == 1 + 8**3 + 128**3 + 4096**3
             assert back.problems() == []
         with pytest.raises(InvalidScene, match="reaches over 4,096x4,096x4,224 voxels; allowed: 4,096 along an axis"):
-            octree_of_density(back)
+            build_octree_from_density(back)
         field = build_field(back)
         assert render_field(field, orbit_cameras(field, frames=1, width=4, height=4).cameras[0]).alpha.max() > 0.9
 
@@ -177,5 +177,5 @@ def test_colours_finer_than_a_tile_are_refused() -> None:
     colour = tree([[3, 5, 6], [9, 1, 1]], channels=3, name="Cd")
     with pytest.raises(InvalidScene, match=r"grid 'Cd' has voxels where the density has one tile, at \(8, 0, 0\)"):
         build_field(Volume((density, colour), transform()))
-    with pytest.raises(InvalidScene, match="grid 'Cd' stands elsewhere than the density"):
+    with pytest.raises(InvalidScene, match="grid 'Cd' has another transform than the density"):
         build_field(Volume((density, replace(colour, place=np.eye(3, 4))), transform()))

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from nerfbake.formats.atlas import document as atlas_json
 from nerfbake.formats.atlas import folder as atlas_folder
-from nerfbake.formats.wire.texture import decode_texture
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.formats.atlas import folder as atlas_json
+from nerfbake.formats.wire.picture import decode_texture
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.surface.mlp import evaluate_each
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method, OctahedralAtlas
 from tests.support.atlas_scenes import field, looked_up, random_atlas
@@ -91,7 +91,7 @@ class Twin:
 
     def __init__(self, atlas: OctahedralAtlas) -> None:
         self.pixels = {role: texels / 255 for role, texels in textures(atlas).items()}
-        numbers = atlas_json.entry(atlas)
+        numbers = atlas_json.cascade_entry(atlas)
         self.mapSize, self.border = numbers["map_size"], numbers["border"]
         self.tilesPerRow, self.slope, self.n = numbers["tiles_per_row"], numbers.get("slope", 1), numbers.get("n", 2)
 
@@ -202,7 +202,7 @@ def assert_shown(
         texels4 = np.ones((*pixels.shape[:2], 4), np.float32)
         texels4[..., :3] = pixels / 255
         pictures[role] = Picture(texels4, smooth=role == "atlas")
-    numbers: dict[str, Any] = {"slope": 0, "n": 0, **atlas_json.entry(atlas)}
+    numbers: dict[str, Any] = {"slope": 0, "n": 0, **atlas_json.cascade_entry(atlas)}
     H, W = atlas.labels.shape
     code = CODES[runner.language].replace("METHOD", CALLS[atlas.method][runner.language != "glsl"])
     for name, key in {

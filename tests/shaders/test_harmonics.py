@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from tests.support.shaders import LANGUAGES, Runner, text_of
 
 COUNT = 25 * 4_000

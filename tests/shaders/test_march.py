@@ -25,7 +25,7 @@ from nerfbake import (
     sample_n3tree,
 )
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from tests.support.marching import AXES, marched
 from tests.support.shaders import Runner
 

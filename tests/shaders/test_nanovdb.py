@@ -15,7 +15,7 @@ import pytest
 
 from nerfbake import IndexGrid, VdbTree, Volume
 from nerfbake.formats.volume import nanovdb
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import topology_of
 from tests.support.places import COUNT, around, clouds
 from tests.support.shaders import Hlsl, Points
 

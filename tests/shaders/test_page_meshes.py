@@ -35,7 +35,7 @@ from nerfbake import (
     round_field,
     sample_n3tree,
     save,
-    sphere_cameras,
+    scatter_cameras,
     weigh_leaves,
 )
 from nerfbake.scene.atlas import METHODS, Method
@@ -323,7 +323,7 @@ def test_the_field_throws_the_shadow_that_its_density_makes(browser: Browser, ro
 
 def test_triangles_stand_behind_compressed_data_and_coarser_levels(browser: Browser, room: Room, folder: Path) -> None:
     octree = build_octree(sample_n3tree(resolution=32, basis="SH4"))
-    importance = weigh_leaves(build_field(octree), sphere_cameras(room.field, frames=4, edge=32))
+    importance = weigh_leaves(build_field(octree), scatter_cameras(room.field, frames=4, edge=32))
     quantised = quantise_octree(octree, importance, step=0.02)
     cameras = orbit_cameras(room.field, width=40, height=40)
     cover = render_field(room.field, cameras.cameras[0])

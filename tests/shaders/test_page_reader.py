@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from nerfbake import SparseVoxelOctree, build_octree, sample_n3tree
-from nerfbake.formats.page.parts import part_of
+from nerfbake.formats.page.triangles import part_of
 from nerfbake.io import load_page_content
 from tests.conformance.case import HOME, require_like
 from tests.support.browser import Browser, Seen
@@ -116,7 +116,7 @@ def test_a_hundred_thousand_points_give_the_same_voxels(page: Seen, made: Made) 
 
 
 def halves_of(values: npt.NDArray[np.float32], made: Made) -> npt.NDArray[Any]:
-    """Texels as nerfbake/scene/page_field.py draws them: of SH4 red, green, blue and sigma, then the other nine."""
+    """Texels as nerfbake/scene/page.py draws them: of SH4 red, green, blue and sigma, then the other nine."""
     first, others = values[:, [0, 4, 8]], values[:, [1, 5, 9, 2, 6, 10, 3, 7, 11]]
     sigma = values[:, 12:] / np.float32(made.arrays.density_unit)
     row = np.concatenate([first, sigma, others], axis=1)

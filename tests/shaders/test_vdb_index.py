@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nerfbake import IndexGrid, Volume, save
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import topology_of
 from tests.support.places import COUNT, around, clouds
 from tests.support.shaders import Points, Runner
 

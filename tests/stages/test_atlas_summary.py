@@ -9,8 +9,7 @@ import numpy as np
 
 from nerfbake import summarise_scene
 from nerfbake.scene.atlas import BakedAtlas
-from nerfbake.scene.depth import Depth
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.stage1 import Stage1
 from tests.support.atlas_scenes import field, random_atlas
 from tests.support.meshes import cube

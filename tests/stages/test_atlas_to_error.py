@@ -10,9 +10,9 @@ import pytest
 import nerfbake
 from nerfbake import bake_atlas, measure_atlas_error
 from nerfbake.errors import InvalidFile, InvalidScene
-from nerfbake.formats.wire.texture import encode_texture
+from nerfbake.formats.wire.picture import encode_texture
 from nerfbake.io import load_folder
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.surface import octahedron
 from nerfbake.scene.atlas import OctahedralAtlas
 from tests.support.atlas_scenes import field

@@ -17,7 +17,7 @@ from nerfbake import (
     measure_views,
     refit_bricks,
     render_field,
-    sphere_cameras,
+    scatter_cameras,
 )
 from nerfbake.stages._bricks import cells_of_field, field_of_cells
 from tests.support.brick_fields import some_brick_field
@@ -31,7 +31,7 @@ def field() -> BrickField:
 @pytest.fixture(scope="module")
 def views(field: BrickField) -> Views:
     shown = build_field(field)
-    cameras = sphere_cameras(shown, frames=8, edge=40)
+    cameras = scatter_cameras(shown, frames=8, edge=40)
     return build_views(cameras, [render_field(shown, each, background=None).pixels for each in cameras.cameras])
 
 

@@ -15,13 +15,13 @@ from nerfbake import (
     BrickField,
     RadianceField,
     build_field,
+    build_n3tree,
+    build_octree_from_bricks,
+    build_vdb_from_bricks,
     load,
-    n3tree_of_bricks,
-    octree_of_bricks,
     orbit_cameras,
     render_field,
     save,
-    vdb_of_bricks,
 )
 from tests.support.brick_fields import brick_fields, lattice_points, sampled, some_brick_field
 
@@ -38,13 +38,13 @@ def pictures(field: RadianceField, like: RadianceField) -> Any:
 
 
 WAYS: dict[str, Callable[[BrickField], Any]] = {
-    "a.npz": n3tree_of_bricks,
-    "a.svo.npz": octree_of_bricks,
-    "a.svo.pb": lambda field: octree_of_bricks(field, layout="compact"),
-    "index.nvdb": lambda field: vdb_of_bricks(field, grids=("index",)),
-    "index.vdb.npz": lambda field: vdb_of_bricks(field, grids=("index",)),
-    "sh.vdb.npz": lambda field: vdb_of_bricks(field, grids=("density", "sh")),
-    "sh.vdb": lambda field: vdb_of_bricks(field, grids=("density", "sh")),
+    "a.npz": build_n3tree,
+    "a.svo.npz": build_octree_from_bricks,
+    "a.svo.pb": lambda field: build_octree_from_bricks(field, layout="compact"),
+    "index.nvdb": lambda field: build_vdb_from_bricks(field, grids=("index",)),
+    "index.vdb.npz": lambda field: build_vdb_from_bricks(field, grids=("index",)),
+    "sh.vdb.npz": lambda field: build_vdb_from_bricks(field, grids=("density", "sh")),
+    "sh.vdb": lambda field: build_vdb_from_bricks(field, grids=("density", "sh")),
 }
 
 
@@ -59,7 +59,7 @@ def test_the_written_file_looks_like_the_field(name: str, tmp_path: Path) -> Non
     assert_allclose(pictures(build_field(load(tmp_path / name)), direct), seen, atol=2e-4)
 
 
-@pytest.mark.parametrize("way", [lambda field: n3tree_of_bricks(field, dtype="float16")])
+@pytest.mark.parametrize("way", [lambda field: build_n3tree(field, dtype="float16")])
 def test_halves_look_nearly_like_the_field(way: Callable[[BrickField], Any]) -> None:
     field = some_brick_field(basis=9, share=0.3)
     direct = build_field(field)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_array_equal
 
-from nerfbake import BrickField, N3Tree, load, memory_limit, n3tree_of_bricks, save
+from nerfbake import BrickField, N3Tree, build_n3tree, load, memory_limit, save
 from nerfbake.errors import InvalidScene, MemoryLimit
 from tests.support.brick_fields import brick_field_of, brick_fields, lattice_points, sampled, some_brick_field
 
@@ -20,7 +20,7 @@ def test_one_wide_cell_and_one_fine_cell_by_hand() -> None:
     held, wide = np.zeros((16, 16, 16), bool), np.zeros((8, 8, 8), bool)
     held[15, 0, 1], wide[4, 0, 0] = True, True  # both in the brick x = 8..15
     values = np.array([[1, 2, 3, 5], [4, 5, 6, 7]], np.float32)
-    tree = n3tree_of_bricks(brick_field_of(held, wide, values, BOX))
+    tree = build_n3tree(brick_field_of(held, wide, values, BOX))
     # The root, the brick, its blocks of 4^3 at x = 8 and x = 12, and the block of 2^3 with the fine cell.
     assert tree.n == 5
     assert (tree.levels[0].tolist(), tree.levels[1].tolist()) == ([0], [1])
@@ -35,7 +35,7 @@ def test_one_wide_cell_and_one_fine_cell_by_hand() -> None:
 
 @given(brick_fields())
 def test_every_cell_keeps_its_values(field: BrickField) -> None:
-    tree = n3tree_of_bricks(field)
+    tree = build_n3tree(field)
     tree.require_usable()
     assert_array_equal(tree.sample(lattice_points(field)), sampled(field))
     assert np.count_nonzero(tree.leaf_mask & (tree.sigma > 0)) == np.count_nonzero(field.values[:, -1])
@@ -43,13 +43,13 @@ def test_every_cell_keeps_its_values(field: BrickField) -> None:
 
 @given(brick_fields())
 def test_halves_are_the_values_rounded(field: BrickField) -> None:
-    tree = n3tree_of_bricks(field, dtype="float16")
+    tree = build_n3tree(field, dtype="float16")
     assert tree.data.dtype == np.float16
     assert_array_equal(tree.sample(lattice_points(field)), sampled(field).astype(np.float16).astype(np.float32))
 
 
 def test_the_file_holds_the_same(tmp_path: Path) -> None:
-    tree = n3tree_of_bricks(some_brick_field())
+    tree = build_n3tree(some_brick_field())
     save(tmp_path / "a.npz", tree)
     back = load(tmp_path / "a.npz", N3Tree)
     assert_array_equal(back.child, tree.child)
@@ -60,10 +60,10 @@ def test_a_value_that_float16_cannot_hold_is_told() -> None:
     field = some_brick_field()
     field.values[3, -1] = 1e5
     with pytest.raises(InvalidScene, match="the field holds 100000; allowed: up to 65504 for float16"):
-        n3tree_of_bricks(field, dtype="float16")
+        build_n3tree(field, dtype="float16")
 
 
 def test_a_tree_that_is_too_large_is_not_begun() -> None:
     field = some_brick_field()
     with memory_limit(1 << 16), pytest.raises(MemoryLimit, match="the tree"):
-        n3tree_of_bricks(field)
+        build_n3tree(field)

@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import (
     BrickField,
     SparseVoxelOctree,
-    bricks_of_octree,
+    build_bricks,
+    build_n3tree,
     build_octree,
+    build_octree_from_bricks,
     fill_octree,
-    n3tree_of_bricks,
-    octree_of_bricks,
     sample_n3tree,
 )
 from nerfbake.errors import InvalidScene
@@ -26,7 +26,7 @@ from tests.support.scenes import n3tree, octrees
 
 @given(brick_fields())
 def test_every_cell_keeps_its_values(field: BrickField) -> None:
-    octree = octree_of_bricks(field)
+    octree = build_octree_from_bricks(field)
     octree.require_usable()
     assert octree.size == (field.resolution,) * 3
     assert_array_equal(octree.sample(lattice_points(field)), sampled(field))
@@ -34,8 +34,8 @@ def test_every_cell_keeps_its_values(field: BrickField) -> None:
 
 def test_it_is_the_octree_of_its_plenoctree() -> None:
     field = some_brick_field(empty=True)
-    octree = octree_of_bricks(field)
-    other = build_octree(n3tree_of_bricks(field), resolution=field.resolution)
+    octree = build_octree_from_bricks(field)
+    other = build_octree(build_n3tree(field), resolution=field.resolution)
     assert_array_equal(octree.node_children, other.node_children)
     assert_array_equal(octree.node_data[octree.childless], other.node_data[other.childless])
     # The length behind an opacity is the cell's, worked out in another order of steps.
@@ -45,25 +45,25 @@ def test_it_is_the_octree_of_its_plenoctree() -> None:
 
 
 def test_the_layout_may_be_compact() -> None:
-    octree = octree_of_bricks(some_brick_field(), layout="compact")
+    octree = build_octree_from_bricks(some_brick_field(), layout="compact")
     assert octree.layout == "compact"
     assert octree.c == octree.n - octree.level_sizes[-1]
 
 
 def test_wide_cells_are_leaves_of_their_own_depth() -> None:
     field = some_brick_field()
-    octree = octree_of_bricks(field)
+    octree = build_octree_from_bricks(field)
     leaves = np.add.reduceat(octree.childless, np.cumsum([0, *octree.level_sizes[:-1]]))
     assert leaves[-2:].tolist() == [np.count_nonzero(field.wide), np.count_nonzero(~field.wide)]
 
 
 @given(octrees(dtypes=(np.float32, np.float16)).filter(lambda octree: octree.data_format.startswith("SH")))
 def test_an_octree_that_nobody_changed_comes_back(octree: SparseVoxelOctree) -> None:
-    back = fill_octree(octree, bricks_of_octree(octree))
+    back = fill_octree(octree, build_bricks(octree))
     assert back.node_data.dtype == octree.node_data.dtype
     assert_array_equal(back.node_children, octree.node_children)
     # Large leaves are means of equal cells.
-    points = lattice_points(bricks_of_octree(octree))
+    points = lattice_points(build_bricks(octree))
     held = (points < octree.origin + np.array(octree.size) * octree.voxel_size).all(axis=1)
     rtol = 1e-3 if octree.node_data.dtype == np.float16 else 1e-5
     assert_allclose(back.sample(points[held]), octree.sample(points[held]), rtol=rtol, atol=rtol)
@@ -71,7 +71,7 @@ def test_an_octree_that_nobody_changed_comes_back(octree: SparseVoxelOctree) -> 
 
 def test_values_go_into_the_leaf_around_each_cell() -> None:
     octree = build_octree(sample_n3tree(resolution=16, basis="SH1"), dtype="float16")
-    field = bricks_of_octree(octree)
+    field = build_bricks(octree)
     grey = replace(field, values=(np.arange(4 * field.n).reshape(-1, 4) / 64).astype(np.float32))
     found = fill_octree(octree, grey)
     assert found.level_sizes == octree.level_sizes
@@ -84,7 +84,7 @@ def test_values_go_into_the_leaf_around_each_cell() -> None:
 
 def test_a_large_leaf_holds_the_mean_of_its_cells() -> None:
     octree = build_octree(n3tree(splits=[(0, (0, 0, 0)), (1, (0, 0, 0))]), resolution=8)
-    field = bricks_of_octree(octree)
+    field = build_bricks(octree)
     values = field.values.copy()
     here = (field.corners >> 2 == [1, 1, 1]).all(axis=1)
     assert np.count_nonzero(here) == 8
@@ -97,8 +97,9 @@ def test_a_large_leaf_holds_the_mean_of_its_cells() -> None:
 
 def test_a_field_of_another_place_or_basis_or_cells_elsewhere_is_refused() -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))]), resolution=8, sigma_min=2)
-    field = bricks_of_octree(octree)
-    with pytest.raises(InvalidScene, match=r"the field is another: .*; allowed: SH1 in the octree's lattice of 8\^3"):
+    field = build_bricks(octree)
+    found = r"the field does not match the octree: .*; allowed: SH1 in the octree's lattice of 8\^3"
+    with pytest.raises(InvalidScene, match=found):
         fill_octree(octree, replace(field, box=2 * field.box))
     with pytest.raises(InvalidScene, match="the field has a cell at "):
-        fill_octree(octree, bricks_of_octree(build_octree(n3tree(splits=[(0, (1, 0, 1))]), resolution=8)))
+        fill_octree(octree, build_bricks(build_octree(n3tree(splits=[(0, (1, 0, 1))]), resolution=8)))

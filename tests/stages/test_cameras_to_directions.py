@@ -11,7 +11,7 @@ import pytest
 from nerfbake import weigh_directions
 from nerfbake.cli.main import run
 from nerfbake.errors import InvalidScene
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.scene.mesh import Mesh
 
 # A small triangle in the plane z = 0 whose front looks along +z.

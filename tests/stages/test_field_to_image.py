@@ -147,7 +147,7 @@ def test_what_cannot_be_rendered_is_refused() -> None:
 def test_a_scene_that_is_no_field_yet_says_what_makes_one() -> None:
     scene: Any = n3tree()
     for asked in (lambda: render_field(scene, front()), lambda: orbit_cameras(scene)):
-        with pytest.raises(UsageError, match=r"^N3Tree is no RadianceField; allowed: what build_field\(\) makes"):
+        with pytest.raises(UsageError, match=r"^N3Tree is not a RadianceField; allowed: the result of build_field\(\)"):
             asked()
     picture: Any = render_field(solid(1.0), front())
     known = "N3Tree, SparseVoxelOctree, Volume, BrickField"

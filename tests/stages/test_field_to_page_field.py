@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from nerfbake import PageField, RadianceField, build_field, build_octree, build_page_field, round_field, sample_n3tree
 from nerfbake.errors import InvalidScene
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.page_field import ALL, WHOLE
+from nerfbake.scene.page import ALL, WHOLE
 from tests.support.scenes import n3tree, n3trees, octrees, voxel_centres
 
 

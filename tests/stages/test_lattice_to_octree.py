@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import LatticeField, SparseVoxelOctree, compare_scenes, measure_lattice, octree_of_lattice, orbit_cameras
+from nerfbake import (
+    LatticeField,
+    SparseVoxelOctree,
+    build_octree_from_lattice,
+    compare_scenes,
+    measure_lattice,
+    orbit_cameras,
+)
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.formats.field import svox2 as reader
 from nerfbake.memory import memory_limit
@@ -25,9 +32,10 @@ def read(**fields: object) -> LatticeField:
 
 @pytest.fixture(scope="module")
 def octree() -> SparseVoxelOctree:
-    return octree_of_lattice(read())
+    return build_octree_from_lattice(read())
 
 
+@pytest.mark.long
 def test_voxels_are_twice_as_fine_and_hold_what_is_between_the_nodes(octree: SparseVoxelOctree) -> None:
     lattice = read()
     assert octree.size == tuple(2 * edge for edge in SHAPE)
@@ -47,17 +55,17 @@ def test_a_colour_of_one_coefficient_is_one_of_the_sigmoid(octree: SparseVoxelOc
 
 def test_only_densities_above_0_are_voxels() -> None:
     raw = np.where(np.arange(np.prod(SHAPE)) % 3 == 0, 5.0, -4.0)
-    octree = octree_of_lattice(read(raw=raw, empty=0.4), basis="SH1")
+    octree = build_octree_from_lattice(read(raw=raw, empty=0.4), basis="SH1")
     octree.require_usable()
     assert (octree.sigma > 0).all()
 
 
 def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     lattice = read(plain=False, empty=0.5)
-    whole = octree_of_lattice(lattice, basis="SH4")
+    whole = build_octree_from_lattice(lattice, basis="SH4")
     monkeypatch.setattr(lattice_to_octree, "_TESTED", 1)
     monkeypatch.setattr(lattice_to_octree, "_FITTED", 7)
-    assert_same_octree(octree_of_lattice(lattice, basis="SH4"), whole)
+    assert_same_octree(build_octree_from_lattice(lattice, basis="SH4"), whole)
 
 
 def test_a_lattice_of_wide_planes_takes_no_more_memory_for_it() -> None:
@@ -66,8 +74,8 @@ def test_a_lattice_of_wide_planes_takes_no_more_memory_for_it() -> None:
     links, features = np.zeros((2, 512, 1024), np.int32), lattice.features[:1]
     lattice = replace(lattice, links=links, density=np.zeros(1, np.float32), features=features, occupied=None)
     tracemalloc.start()
-    with pytest.raises(InvalidScene, match="holds nothing"):
-        octree_of_lattice(lattice)
+    with pytest.raises(InvalidScene, match="is empty"):
+        build_octree_from_lattice(lattice)
     assert tracemalloc.get_traced_memory()[1] < 40 << 20  # of 2 million voxels a plane
     tracemalloc.stop()
 
@@ -76,7 +84,7 @@ def test_densities_of_nodes_at_corners_are_activated_between_them() -> None:
     mask = np.zeros((3, 3, 3), bool)
     mask[1:] = True
     lattice = some_lattice(at_corners=True, activation=Activation("softplus", -9.0, 3.0), occupied=mask, least=0.01)
-    octree = octree_of_lattice(lattice, basis="SH1")
+    octree = build_octree_from_lattice(lattice, basis="SH1")
     assert octree.size == (8, 10, 12)
     points = world_centres(octree)
     density = 3 * np.logaddexp(0, affine(points) - 9)
@@ -89,13 +97,13 @@ def test_densities_of_nodes_at_corners_are_activated_between_them() -> None:
 @pytest.mark.parametrize("resolution", [SHAPE, (2, 3, 3)])
 def test_coarse_voxels_are_means_of_finer_ones(resolution: tuple[int, int, int]) -> None:
     """The raw density is affine: so is its mean, where none is 0."""
-    octree = octree_of_lattice(some_lattice(at_corners=True), resolution=resolution, basis="SH1")
+    octree = build_octree_from_lattice(some_lattice(at_corners=True), resolution=resolution, basis="SH1")
     assert octree.size == resolution
     assert_allclose(octree.sample(world_centres(octree))[:, -1], affine(world_centres(octree)), rtol=1e-5)
 
 
 def test_options_reach_the_octree() -> None:
-    octree = octree_of_lattice(some_lattice(), basis="SH16", dtype="float16", layout="compact", sigma_min=12.0)
+    octree = build_octree_from_lattice(some_lattice(), basis="SH16", dtype="float16", layout="compact", sigma_min=12.0)
     assert (octree.data_format, octree.layout) == ("SH16", "compact")
     assert octree.node_data.dtype == np.float16
     assert octree.sigma[octree.childless].min() >= 12
@@ -104,40 +112,41 @@ def test_options_reach_the_octree() -> None:
 
 def test_a_scaled_world_looks_the_same() -> None:
     lattice = some_lattice()
-    octree, large = (octree_of_lattice(each, basis="SH1") for each in (lattice, lattice.scaled(4.0)))
+    octree, large = (build_octree_from_lattice(each, basis="SH1") for each in (lattice, lattice.scaled(4.0)))
     assert_array_equal(large.node_children, octree.node_children)
     assert_allclose(large.sigma, octree.sigma / 4, rtol=1e-6)
     assert_allclose(large.voxel_size, 4 * octree.voxel_size)
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(InvalidScene, match="holds nothing"):
-        octree_of_lattice(some_lattice(raw=-1.0))
+    with pytest.raises(InvalidScene, match="is empty"):
+        build_octree_from_lattice(some_lattice(raw=-1.0))
     with pytest.raises(InvalidScene, match="basis is RGBA"):
-        octree_of_lattice(some_lattice(), basis="RGBA")
+        build_octree_from_lattice(some_lattice(), basis="RGBA")
     with pytest.raises(InvalidScene, match="1 to 4096 voxels"):
-        octree_of_lattice(some_lattice(), resolution=(4097, 1, 1))
+        build_octree_from_lattice(some_lattice(), resolution=(4097, 1, 1))
     with pytest.raises(InvalidScene, match="float16"):
-        octree_of_lattice(some_lattice(raw=1e6), dtype="float16")
+        build_octree_from_lattice(some_lattice(raw=1e6), dtype="float16")
     with memory_limit(1 << 17), pytest.raises(MemoryLimit):
-        octree_of_lattice(some_lattice(), resolution=(64, 64, 64))
+        build_octree_from_lattice(some_lattice(), resolution=(64, 64, 64))
 
 
 # -- what it loses ---------------------------------------------------------------------------------------------
 def test_more_coefficients_lose_less() -> None:
     lattice = read(plain=False)
     lost = [
-        measure_lattice(lattice, octree_of_lattice(lattice, basis=basis)) for basis in ("SH1", "SH4", "SH9", "SH16")
+        measure_lattice(lattice, build_octree_from_lattice(lattice, basis=basis))
+        for basis in ("SH1", "SH4", "SH9", "SH16")
     ]
     assert lost == sorted(lost, reverse=True)
     assert lost[3] < lost[2] / 1.2
     flat = some_lattice()
-    assert measure_lattice(flat, octree_of_lattice(flat)) < 1e-3
+    assert measure_lattice(flat, build_octree_from_lattice(flat)) < 1e-3
 
 
 def test_the_loss_is_told_in_steps_of_a_byte() -> None:
     lattice = some_lattice()
-    octree = octree_of_lattice(replace(lattice, features=np.zeros_like(lattice.features)))
+    octree = build_octree_from_lattice(replace(lattice, features=np.zeros_like(lattice.features)))
     grey = replace(lattice, features=np.full_like(lattice.features, np.log(0.6 / 0.4)))
     assert measure_lattice(grey, octree) == pytest.approx(255 * 0.1, rel=1e-5)
 
@@ -150,7 +159,7 @@ def test_finer_voxels_look_more_like_the_lattice() -> None:
     views = orbit_cameras(bump, width=48, height=48)
     psnr = []
     for times in (2, 4):
-        octree = octree_of_lattice(bump, resolution=tuple(times * e for e in SHAPE), basis="SH1")  # type: ignore[arg-type]
+        octree = build_octree_from_lattice(bump, resolution=tuple(times * e for e in SHAPE), basis="SH1")  # type: ignore[arg-type]
         psnr.append(compare_scenes(bump, octree, views).means["a_b"]["psnr"])
     assert psnr[0] > 30
     assert psnr[1] > psnr[0] + 3

@@ -14,8 +14,7 @@ from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.memory import memory_limit
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout
-from nerfbake.stages._leaf_values import LeafValues
-from nerfbake.stages.n3tree_to_octree import Resample
+from nerfbake.stages.n3tree_to_octree import LeafValues, Resample
 from tests.support import oracle
 from tests.support.scenes import assert_same_octree, n3tree, n3trees, sizes, world_centres
 

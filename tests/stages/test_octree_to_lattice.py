@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import LatticeField, SparseVoxelOctree, build_octree, lattice_of_octree, measure_lattice, sample_n3tree
+from nerfbake import LatticeField, SparseVoxelOctree, build_lattice, build_octree, measure_lattice, sample_n3tree
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.lattice.nodes import densities
 from nerfbake.scene.lattice_field import MlpColour
-from nerfbake.stages import _mlp_of_colours as colours
+from nerfbake.stages import octree_to_lattice as colours
 from nerfbake.stages import octree_to_lattice as stage
 from nerfbake.stages._lattice import nodes_of, places_of
-from nerfbake.stages._mlp_of_colours import FEATURES
+from nerfbake.stages.octree_to_lattice import FEATURES
 from tests.support.scenes import n3tree
 
 ORIGIN = np.array([0.25, -0.5, 1.0])
@@ -60,7 +60,7 @@ def at(lattice: LatticeField, points: Any) -> Any:
 def two() -> LatticeField:
     """Two voxels side by side along x, and one that is too thin to be seen."""
     held = {(4, 5, 6): [0.5, -1.0, 2.0, 30.0], (5, 5, 6): [0.5, -1.0, 2.0, 0.25], (9, 9, 9): [0, 0, 0, 1e-5]}
-    return lattice_of_octree(voxels(held), rounds=1)
+    return build_lattice(voxels(held), rounds=1)
 
 
 def test_a_node_stands_at_each_voxels_centre_and_has_its_density(two: LatticeField) -> None:
@@ -88,7 +88,7 @@ def test_colours_of_nodes_beside_are_their_neighbours(two: LatticeField) -> None
 def test_what_has_no_neighbour_is_nothing_at_all() -> None:
     """Eleven voxels apart: between them raw values are 0, of an opacity that nobody looks at, and no node has a row."""
     far = voxels({(1, 1, 1): [0, 0, 0, 30.0], (12, 12, 12): [0, 0, 0, 30.0]})
-    lattice = lattice_of_octree(far, rounds=1)
+    lattice = build_lattice(far, rounds=1)
     assert (lattice.shape, lattice.n) == ((14, 14, 14), 54)
     assert lattice.occupied is not None
     assert_array_equal(lattice.occupied, lattice.links >= 0)
@@ -100,18 +100,18 @@ def test_what_has_no_neighbour_is_nothing_at_all() -> None:
 
 def test_a_short_edge_is_made_two_thirds_of_the_longest() -> None:
     row = {(x, 7, 7): [0.0, 0.0, 0.0, 30.0] for x in range(2, 15)}
-    assert lattice_of_octree(voxels(row), rounds=1).shape == (15, 10, 10)
+    assert build_lattice(voxels(row), rounds=1).shape == (15, 10, 10)
 
 
 def test_colours_are_near_the_octrees_and_nearer_after_more_rounds() -> None:
     octree = build_octree(sample_n3tree(resolution=8))
-    found = [measure_lattice(lattice_of_octree(octree, rounds=rounds), octree) for rounds in (2, 80)]
+    found = [measure_lattice(build_lattice(octree, rounds=rounds), octree) for rounds in (2, 80)]
     assert found[1] < 12 < found[0]
 
 
 def test_the_same_seed_gives_the_same_lattice_and_another_does_not() -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
-    one, same, other = (lattice_of_octree(octree, rounds=3, seed=seed) for seed in (1, 1, 2))
+    one, same, other = (build_lattice(octree, rounds=3, seed=seed) for seed in (1, 1, 2))
     for lattice in (same, other):
         assert_array_equal(one.links, lattice.links)
         assert_array_equal(one.density, lattice.density)
@@ -124,7 +124,7 @@ def test_the_same_seed_gives_the_same_lattice_and_another_does_not() -> None:
 
 
 def test_a_density_alone_is_grey() -> None:
-    lattice = lattice_of_octree(voxels({(1, 1, 1): [30.0]}, size=4, data_format=""), rounds=40)
+    lattice = build_lattice(voxels({(1, 1, 1): [30.0]}, size=4, data_format=""), rounds=40)
     assert measure_lattice(lattice, voxels({(1, 1, 1): [0, 0, 0, 30.0]}, size=4)) < 6
 
 
@@ -132,21 +132,21 @@ def test_colours_without_harmonics_are_told_by_all_features() -> None:
     """Three numbers make three features; the others are the first again, and no grid of colours is all zeros."""
     held = {(x, 1, z): [x - 2.0, z - 1.5, 0.5 * x * z, 30.0] for x in range(1, 5) for z in range(1, 5)}
     octree = voxels(held, size=8)
-    lattice = lattice_of_octree(octree, rounds=60)
+    lattice = build_lattice(octree, rounds=60)
     assert_array_equal(lattice.features[:, 3:], lattice.features[:, :1].repeat(FEATURES - 3, axis=1))
     assert lattice.features.any(axis=0).all()
     assert measure_lattice(lattice, octree) < 12
 
 
 def test_what_cannot_be_a_lattice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InvalidScene, match="holds nothing; allowed: a voxel that takes 2e-4 of the light"):
-        lattice_of_octree(voxels({(1, 1, 1): [0, 0, 0, 1e-5]}), rounds=1)
+    with pytest.raises(InvalidScene, match="is empty; allowed: a voxel that absorbs 2e-4 of the light"):
+        build_lattice(voxels({(1, 1, 1): [0, 0, 0, 1e-5]}), rounds=1)
     with pytest.raises(InvalidScene, match=r"are 0.5 x 0.5 x 1; allowed: cubes"):
-        lattice_of_octree(voxels({(1, 1, 1): [0, 0, 0, 9.0]}, voxel_size=np.array([0.5, 0.5, 1])), rounds=1)
-    with pytest.raises(InvalidScene, match=r"voxels of 0.5 at up to 1e\+08; allowed: a place that float32 tells"):
-        lattice_of_octree(voxels({(1, 1, 1): [0, 0, 0, 9.0]}, origin=np.full(3, 1e8)), rounds=1)
+        build_lattice(voxels({(1, 1, 1): [0, 0, 0, 9.0]}, voxel_size=np.array([0.5, 0.5, 1])), rounds=1)
+    with pytest.raises(InvalidScene, match=r"voxels of 0.5 at up to 1e\+08; allowed: a position that float32 resolves"):
+        build_lattice(voxels({(1, 1, 1): [0, 0, 0, 9.0]}, origin=np.full(3, 1e8)), rounds=1)
     with pytest.raises(InvalidScene, match="rounds are 0; allowed: 1 or more"):
-        lattice_of_octree(voxels({(1, 1, 1): [0, 0, 0, 9.0]}), rounds=0)
+        build_lattice(voxels({(1, 1, 1): [0, 0, 0, 9.0]}), rounds=0)
     monkeypatch.setattr(stage, "MAX_EDGE", 2)
     with pytest.raises(InvalidScene, match="has 3 nodes along an axis; allowed: 2"):
-        lattice_of_octree(voxels({(1, 1, 1): [0, 0, 0, 9.0]}), rounds=1)
+        build_lattice(voxels({(1, 1, 1): [0, 0, 0, 9.0]}), rounds=1)

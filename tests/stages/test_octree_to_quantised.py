@@ -12,10 +12,10 @@ from nerfbake.errors import InvalidScene
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.n3tree_to_octree import build_octree
-from nerfbake.stages.octree_to_field import field_of_octree
+from nerfbake.stages.octree_to_compression import quantise_octree
 from nerfbake.stages.octree_to_octree import lower_basis
-from nerfbake.stages.octree_to_quantised import quantise_octree
-from nerfbake.stages.scene_to_cameras import sphere_cameras
+from nerfbake.stages.scene_to_cameras import scatter_cameras
+from nerfbake.stages.scene_to_field import build_field_from_octree
 from nerfbake.stages.shapes_to_n3tree import sample_n3tree
 from tests.support.scenes import n3tree
 
@@ -105,7 +105,7 @@ def test_bases_that_cannot_be_shown_are_refused(data_format: str) -> None:
 
 def test_an_octree_that_holds_nothing_is_refused() -> None:
     octree = build_octree(n3tree(data_format="SH1"), resolution=2, sigma_min=1e6)
-    with pytest.raises(InvalidScene, match="holds nothing"):
+    with pytest.raises(InvalidScene, match="is empty"):
         quantise_octree(octree, even(octree), step=0.1)
 
 
@@ -117,8 +117,8 @@ def test_a_step_too_small_for_whole_numbers_is_refused() -> None:
 
 
 def test_importance_is_the_same_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    field = field_of_octree(build_octree(sample_n3tree(resolution=16, basis="SH4")))
-    cameras = sphere_cameras(field, frames=8, edge=24)
+    field = build_field_from_octree(build_octree(sample_n3tree(resolution=16, basis="SH4")))
+    cameras = scatter_cameras(field, frames=8, edge=24)
     found = []
     for threads in (1, 3, 8):
         monkeypatch.setattr("os.cpu_count", lambda threads=threads: threads)
@@ -129,8 +129,8 @@ def test_importance_is_the_same_for_any_number_of_threads(monkeypatch: pytest.Mo
 
 
 def test_what_stands_inside_is_not_important() -> None:
-    field = field_of_octree(build_octree(sample_n3tree(resolution=16, basis="SH4")))
-    largest = weigh_leaves(field, sphere_cameras(field, frames=16, edge=64)).largest
+    field = build_field_from_octree(build_octree(sample_n3tree(resolution=16, basis="SH4")))
+    largest = weigh_leaves(field, scatter_cameras(field, frames=16, edge=64)).largest
     assert largest.min() >= 0
     assert largest.max() <= 1
     assert (largest == 0).any()

@@ -106,6 +106,6 @@ def test_wrong_options(options: Any, said: str) -> None:
 
 def test_lobes_have_no_colour_of_their_own() -> None:
     octree = build_octree(n3tree(data_format="SG2", extra_data=np.ones((2, 4), np.float32)))
-    with pytest.raises(InvalidScene, match="grid 'Cd' of data_format 'SG2'; allowed: SH and RGBA"):
+    with pytest.raises(InvalidScene, match="grid 'Cd' is not available for data_format 'SG2'; allowed: SH and RGBA"):
         build_vdb(octree)
     assert build_vdb(octree, grids=("density", "sh")).frame is not None

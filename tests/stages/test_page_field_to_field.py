@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from nerfbake import (
     RadianceField,
     build_field,
+    build_field_from_page,
     build_octree,
     build_page_field,
-    field_of_page_field,
     orbit_cameras,
     render_field,
     round_field,
@@ -26,7 +26,7 @@ def assert_same_samples(field: RadianceField) -> None:
     low, high = np.floor(field.box[0]).astype(int), np.ceil(field.box[1]).astype(int)
     size = (high - low).tolist()
     points = field.world(low + voxel_centres((size[0], size[1], size[2])))
-    found = field_of_page_field(build_page_field(field))
+    found = build_field_from_page(build_page_field(field))
     assert found.sample(points).tobytes() == round_field(field).sample(points).tobytes()
 
 
@@ -55,7 +55,7 @@ def test_pictures_are_the_same() -> None:
     field = build_field(sample_n3tree(resolution=16))
     camera = orbit_cameras(field, width=40, height=40).cameras[0]
     made, wanted = (
-        render_field(field_of_page_field(build_page_field(field)), camera),
+        render_field(build_field_from_page(build_page_field(field)), camera),
         render_field(round_field(field), camera),
     )
     # Leaves are cut into voxels, so that a ray may end a little earlier, where no more than 1e-4 of the light is left.

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import Camera, Cameras, build_views
 from nerfbake.errors import InvalidScene
-from nerfbake.stages.pictures_to_views import cut_out
+from nerfbake.stages.pictures_to_views import apply_mask
 from tests.support.photographs import Pixels, over, spot
 
 CAMERA = Camera(12, 9, (10.0, 11.0), np.eye(4), "a", centre=(5.0, 4.0), picture="images/a.png")
@@ -89,11 +89,11 @@ def test_a_mask_is_its_alpha_or_its_brightness() -> None:
     grey = np.full((9, 12, 4), 255, np.uint8)
     grey[..., :3] = spot(12, 9)[..., 3:]
     for mask in (spot(12, 9), grey):
-        made = cut_out(scenery, mask)
+        made = apply_mask(scenery, mask)
         assert_array_equal(made[..., :3], scenery[..., :3])
         assert_array_equal(made[..., 3], spot(12, 9)[..., 3])
     with pytest.raises(InvalidScene, match="the mask has 9x9 pixels; allowed: 12x9, as its picture"):
-        cut_out(scenery, spot(9, 9))
+        apply_mask(scenery, spot(9, 9))
 
 
 def test_photographs_are_over_their_background() -> None:

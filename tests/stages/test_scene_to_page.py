@@ -9,12 +9,12 @@ from nerfbake import (
     build_page_field,
     quantise_octree,
     sample_n3tree,
-    sphere_cameras,
+    scatter_cameras,
     view,
     weigh_leaves,
 )
 from nerfbake.errors import UsageError
-from nerfbake.scene.page_field import PageField
+from nerfbake.scene.page import PageField
 
 
 def test_trees_octrees_and_fields_carry_what_the_shader_reads() -> None:
@@ -31,7 +31,7 @@ def test_trees_octrees_and_fields_carry_what_the_shader_reads() -> None:
 def test_a_compressed_octree_is_carried_as_it_is() -> None:
     octree = build_octree(sample_n3tree(resolution=16))
     field = build_field(octree)
-    importance = weigh_leaves(field, sphere_cameras(field, frames=4, edge=32))
+    importance = weigh_leaves(field, scatter_cameras(field, frames=4, edge=32))
     quantised = quantise_octree(octree, importance, step=0.2)
     page = view(quantised)
     assert isinstance(page.content, QuantisedOctree)

@@ -16,10 +16,10 @@ import nerfbake
 from nerfbake import bake_atlas, measure_atlas_error
 from nerfbake.errors import InvalidScene
 from nerfbake.io import load_folder
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.surface import mlp, octahedron
 from nerfbake.scene.atlas import METHODS, Method, tetrahedron
-from nerfbake.scene.specular import SpecularField
+from nerfbake.scene.stage1 import SpecularField
 from tests.support.atlas_scenes import field
 
 DIRECTIONS = fibonacci(100)
@@ -134,6 +134,7 @@ for method in ("kmeans", "affine", "grid"):
 """
 
 
+@pytest.mark.long
 def test_same_seed_same_bytes_whatever_the_number_of_threads() -> None:
     digests = set()
     for threads in ("1", "2", "3"):
@@ -152,6 +153,7 @@ def test_another_seed_is_another_start() -> None:
     assert not np.array_equal(first.labels, second.labels)
 
 
+@pytest.mark.long
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.parametrize(

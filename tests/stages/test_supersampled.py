@@ -24,8 +24,7 @@ from nerfbake import (
     sample_stage1,
 )
 from nerfbake.errors import InvalidScene, MemoryLimit
-from nerfbake.scene.camera import look_at
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.camera import Lens, look_at
 from nerfbake.stages import _supersampled
 from nerfbake.stages._supersampled import supersampled
 from tests.support.fields import front, solid
@@ -77,6 +76,7 @@ def boxes(image: Image, N: int) -> tuple[Any, Any, Any]:
     return colour, alpha, np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("N", [2, 3, 8])
 @pytest.mark.parametrize("render", KINDS)
 @pytest.mark.parametrize("background", [None, (0.2, 0.4, 0.6)])
@@ -91,6 +91,7 @@ def test_a_pixel_is_the_mean_of_a_finer_picture(render: Render, N: int, backgrou
     assert_allclose(found.depth, depth, rtol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("render", KINDS)
 def test_one_ray_a_pixel_changes_no_bit(render: Render) -> None:
     plain, one = render(VIEW), render(VIEW, samples=1)
@@ -149,5 +150,5 @@ def test_other_numbers_are_refused(render: Render, samples: Any) -> None:
 
 def test_a_stop_is_one_rays() -> None:
     stop = np.full((7, 13), np.inf)
-    with pytest.raises(InvalidScene, match="stop has a distance a pixel, for 2 samples; allowed: 1 sample"):
+    with pytest.raises(InvalidScene, match="stop has one distance per pixel for 2 samples; allowed: 1 sample"):
         render_field(FIELD, VIEW, stop=stop, samples=2)

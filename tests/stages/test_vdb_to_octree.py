@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import (
     build_field,
     build_octree,
+    build_octree_from_density,
+    build_octree_from_volume,
     build_vdb,
-    octree_of_density,
-    octree_of_volume,
     orbit_cameras,
     render_field,
 )
@@ -22,9 +22,7 @@ from nerfbake.kernels.vdb.bitmask import slots_of
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_tiles import VdbTiles
-from nerfbake.scene.vdb_topology import VdbTopology
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology, topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.scenes import assert_same_octree, n3tree, n3trees, octrees, world_centres
 
@@ -32,20 +30,20 @@ from tests.support.scenes import assert_same_octree, n3tree, n3trees, octrees, w
 @given(n3trees())
 def test_an_octree_at_its_trees_own_resolution_comes_back_to_the_bit(tree: N3Tree) -> None:
     octree = build_octree(tree)
-    assert_same_octree(octree_of_volume(build_vdb(octree, grids=("index",))), octree)
-    assert_same_octree(octree_of_volume(build_vdb(octree, grids=("density", "sh"))), octree)
+    assert_same_octree(build_octree_from_volume(build_vdb(octree, grids=("index",))), octree)
+    assert_same_octree(build_octree_from_volume(build_vdb(octree, grids=("density", "sh"))), octree)
 
 
 @given(octrees())
 def test_every_voxel_comes_back_and_then_nothing_changes(octree: SparseVoxelOctree) -> None:
     half = octree.node_data.dtype == np.float16
     volume = build_vdb(octree, grids=("index",), half=half)
-    back = octree_of_volume(volume)
+    back = build_octree_from_volume(volume)
     held = octree.sample(world_centres(octree))
     held[held[:, -1] <= 0] = 0
     assert_array_equal(back.sample(world_centres(octree)), held)
     assert (back.size, back.layout, back.data_format) == (octree.size, octree.layout, octree.data_format)
-    assert_same_octree(octree_of_volume(build_vdb(back, grids=("index",), half=half)), back)
+    assert_same_octree(build_octree_from_volume(build_vdb(back, grids=("index",), half=half)), back)
 
 
 def test_voxels_that_hold_nothing_are_no_nodes() -> None:
@@ -53,23 +51,23 @@ def test_voxels_that_hold_nothing_are_no_nodes() -> None:
     tree.data[0, 0, 0, 0, 3] = 1e-9  # 0 as a half
     octree = build_octree(tree)
     assert octree.level_sizes == [1, 8]
-    assert octree_of_volume(build_vdb(octree, grids=("index",), half=True)).level_sizes == [1, 7]
+    assert build_octree_from_volume(build_vdb(octree, grids=("index",), half=True)).level_sizes == [1, 7]
 
 
 def test_grids_without_coefficients_hold_no_octree() -> None:
     octree = build_octree(n3tree())
     with pytest.raises(InvalidScene, match="has the grids density, Cd; allowed: density,sh or index"):
-        octree_of_volume(build_vdb(octree))
+        build_octree_from_volume(build_vdb(octree))
     foreign = replace(build_vdb(octree, grids=("index",)), frame=None)
-    with pytest.raises(InvalidScene, match="does not say which octree it was"):
-        octree_of_volume(foreign)
+    with pytest.raises(InvalidScene, match="does not describe an octree"):
+        build_octree_from_volume(foreign)
 
 
 def test_grids_of_two_topologies_hold_no_octree() -> None:
     octree = build_octree(n3tree())
     one, other = (build_vdb(octree, grids=("density", "sh"), sigma_min=cut) for cut in (0, 1.5))
     with pytest.raises(InvalidScene, match="grid 'sh_0' differs from density"):
-        octree_of_volume(Volume((one.grids[0], *other.grids[1:]), one.transform, one.frame))
+        build_octree_from_volume(Volume((one.grids[0], *other.grids[1:]), one.transform, one.frame))
 
 
 def test_voxels_outside_the_octree_are_refused() -> None:
@@ -77,7 +75,7 @@ def test_voxels_outside_the_octree_are_refused() -> None:
     assert volume.frame is not None
     small = replace(volume, frame=replace(volume.frame, size=(1, 1, 1)))
     with pytest.raises(InvalidScene, match="has voxels outside 1x1x1"):
-        octree_of_volume(small)
+        build_octree_from_volume(small)
 
 
 # -- density alone ---------------------------------------------------------------------------------------------
@@ -124,7 +122,7 @@ TURNS = {
 def test_tiles_are_leaves_where_they_stand(turn: str) -> None:
     """By hand: three leaves, at the levels of 1, 8 and 128 voxels; every voxel of the world has the grid's value."""
     volume = fog([1.5, 2.5, 3.5], TURNS[turn])
-    octree = octree_of_density(volume)
+    octree = build_octree_from_density(volume)
     assert octree.problems() == []
     assert (octree.data_dim, octree.data_format) == (1, "")
     leaves = [int(np.count_nonzero(part)) for part in np.split(octree.childless, np.cumsum(octree.level_sizes)[:-1])]
@@ -138,23 +136,23 @@ def test_tiles_are_leaves_where_they_stand(turn: str) -> None:
 
 
 def test_what_holds_nothing_is_no_leaf() -> None:
-    octree = octree_of_density(fog([1.5, 0, -1]))
+    octree = build_octree_from_density(fog([1.5, 0, -1]))
     assert octree.size == (1, 1, 1)
     assert_array_equal(octree.origin, [1 - 0.5 - 0.25, 2 + 2 - 0.5, 3 + 6 - 1])
     assert_array_equal(octree.node_data, [[1.5]])
-    assert np.count_nonzero(octree_of_density(fog([0, 0, 0])).sigma) == 0
+    assert np.count_nonzero(build_octree_from_density(fog([0, 0, 0])).sigma) == 0
 
 
 @pytest.mark.parametrize(
     ("volume", "said"),
     [
-        (fog([1, 1, 1], np.array([[1, 1, 0], [0, 1, 0], [0, 0, 1.0]])), "the transform turns or shears the grid"),
+        (fog([1, 1, 1], np.array([[1, 1, 0], [0, 1, 0], [0, 0, 1.0]])), "the transform rotates or shears the grid"),
         (fog([1, 1, np.inf]), "is inf; allowed: a finite number"),
     ],
 )
 def test_what_no_octree_can_hold(volume: Volume, said: str) -> None:
     with pytest.raises(InvalidScene, match=said):
-        octree_of_density(volume)
+        build_octree_from_density(volume)
 
 
 def test_a_level_set_is_no_fog() -> None:
@@ -162,7 +160,7 @@ def test_a_level_set_is_no_fog() -> None:
     (grid,) = volume.grids
     assert isinstance(grid, VdbTree)
     with pytest.raises(InvalidScene, match="grid 'smoke' is a level set; allowed: a fog volume"):
-        octree_of_density(replace(volume, grids=(replace(grid, grid_class="level set"),)))
+        build_octree_from_density(replace(volume, grids=(replace(grid, grid_class="level set"),)))
 
 
 def test_a_tile_of_sixty_nine_thousand_million_voxels_is_one_leaf() -> None:
@@ -171,7 +169,7 @@ def test_a_tile_of_sixty_nine_thousand_million_voxels_is_one_leaf() -> None:
     topology = VdbTopology(np.zeros((0, 3), np.int32), upper, lower, leaf, tile)
     grid = VdbTree("density", topology, np.full((1, 1), 0.25, np.float32), np.zeros(1, np.float32))
     volume = Volume((grid,), np.eye(3, 4))
-    octree = octree_of_density(volume)
+    octree = build_octree_from_density(volume)
     assert (octree.size, octree.n) == ((4096, 4096, 4096), 1)
     assert_array_equal(octree.origin, [-4096.5, -0.5, 4095.5])
     fields = build_field(volume), build_field(octree)

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import BrickField, Views, carve_hull, field_of_bricks, fit_field, memory_limit, render_field
+from nerfbake import BrickField, Views, build_field_from_bricks, carve_hull, fit_field, memory_limit, render_field
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels.picture.metrics import psnr
-from nerfbake.scene.camera import Cameras
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.camera import Cameras, Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages.views_to_field import FitState
 from tests.support.views import sample_views
@@ -46,7 +45,7 @@ def test_a_fit_looks_like_its_pictures_whatever_their_lens(lens: Lens | None) ->
     assert field.resolution == 32
     assert state.train_psnr > 23
     # What a pinhole shows of it, which a fit through a lens has never seen, would tell a field that is bent itself.
-    shown = field_of_bricks(field)
+    shown = build_field_from_bricks(field)
     views = sample_views(frames=4)
     for camera, picture in zip(views.cameras.cameras, views.pictures, strict=True):
         found = psnr(over_white(render_field(shown, camera, background=None).pixels), over_white(picture))

@@ -20,7 +20,7 @@ from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.scenes import n3tree
 

@@ -1,4 +1,4 @@
-"""Small specular fields and stage-1 folders made by hand."""
+"""Small synthetic specular fields, stage-1 folders and atlases."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.formats.wire.texture import encode_texture
+from nerfbake.formats.wire.picture import encode_texture
 from nerfbake.scene.atlas import Method, OctahedralAtlas
-from nerfbake.scene.specular import SpecularField
+from nerfbake.scene.stage1 import SpecularField
 
 OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
 
@@ -29,7 +29,7 @@ def mlp_json(hidden: int = 8, seed: int = 0, **changes: Any) -> bytes:
 
 
 def texture(H: int = 24, W: int = 32, seed: int = 0) -> npt.NDArray[np.uint8]:
-    """(H, W, 3): a few soft colour fields with some grain."""
+    """(H, W, 3) uint8: smooth colour gradients with noise."""
     random = np.random.default_rng(seed)
     y, x = np.mgrid[:H, :W] / max(H, W)
     soft = np.stack([x, y, 0.5 + 0.5 * np.sin(6 * x + 3 * y)], axis=-1)
@@ -43,7 +43,10 @@ def field(H: int = 24, W: int = 32, hidden: int = 8, seed: int = 0) -> SpecularF
 
 
 def stage1_folder(path: Path, **files: bytes | None) -> Path:
-    """A folder that can be baked; files replaces or adds, with _ for the dot, None removes."""
+    """Write a stage-1 folder that can be baked, and return its path.
+
+    files: contents by file name, with _ for the dot. They replace or add files; None removes a file.
+    """
     path.mkdir(parents=True)
     content: dict[str, bytes | None] = {
         "mlp_json": mlp_json(),
@@ -60,7 +63,7 @@ def stage1_folder(path: Path, **files: bytes | None) -> Path:
 
 
 def random_atlas(method: Method, border: int = 1) -> OctahedralAtlas:
-    """Maps, labels and features without any sense."""
+    """An atlas with random maps, labels and features."""
     random = np.random.default_rng(11)
     T, K = {"kmeans": (300, 300), "affine": (40, 10), "grid": (27, 1)}[method]
     return OctahedralAtlas(
@@ -77,7 +80,7 @@ def random_atlas(method: Method, border: int = 1) -> OctahedralAtlas:
 def looked_up(
     atlas: OctahedralAtlas, texels: npt.NDArray[np.int64], directions: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """(texels, 3): the program's own lookups, bilinear."""
+    """(texels, 3): the colours that nerfbake looks up with bilinear filtering."""
     features = np.zeros((len(texels), 3), np.uint8) if atlas.features is None else atlas.features.reshape(-1, 3)[texels]
     tiles, weights = atlas.terms(atlas.labels.reshape(-1)[texels], features)
     shown = atlas.show(directions, "bilinear")

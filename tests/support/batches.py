@@ -1,36 +1,38 @@
-"""A command that does what its input says, in place of nerfbake: for batches of many items."""
+"""A stub that replaces nerfbake in tests of batches: its input file selects what it does."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-# svo IN OUT [...]: copies IN to OUT, whole or not at all; the first word of IN says what goes wrong instead.
+# svo IN OUT [...]: copies IN to OUT atomically. The first word of IN selects a failure.
 STUB = """#!/bin/sh
+report() { printf '%s\\n' "$1" > "/dev/fd/$NERFBAKE_RESULT"; }
+fail() { echo "error: $1" >&2; report "{\\"error\\": \\"$(printf '%s' "$1" | sed 's/["\\\\]/\\\\&/g')\\"}"; }
 input=$2 output=$3
 case " $* " in *" --force "*) force=1 ;; *) force= ;; esac
 read -r word rest < "$input"
 case $word in
-broken) echo "error: $input: is broken" >&2; exit 1 ;;
-usage) echo "error: no such option" >&2; exit 2 ;;
+broken) fail "$input: is broken"; exit 1 ;;
+usage) fail "no such option"; exit 2 ;;
 poor)
-    if [ -e "$output.rejected" ] && [ -z "$force" ]; then echo "error: $output.rejected: exists already" >&2; exit 4; fi
-    cp "$input" "$output.rejected"; echo "error: $output: has a mean PSNR of 20.00 dB" >&2; exit 3 ;;
-full) echo "error: $output: No space left on device" >&2; exit 4 ;;
-fault) echo "error: a fault of nerfbake's own" >&2; exit 70 ;;
+    if [ -e "$output.rejected" ] && [ -z "$force" ]; then fail "$output.rejected: exists already"; exit 4; fi
+    cp "$input" "$output.rejected"; fail "$output: has a mean PSNR of 20.00 dB"; exit 3 ;;
+full) fail "$output: No space left on device"; exit 4 ;;
+fault) fail "a fault of nerfbake's own"; exit 70 ;;
 killed) kill -9 $$ ;;
 silent) exit 0 ;;
 once) [ -e "$output.tried" ] || { touch "$output.tried"; kill -9 $$; } ;;
 slow) echo begun >> "$output.begun"; trap 'exit 143' TERM; sleep 60 & wait ;;
 esac
-if [ -e "$output" ] && [ -z "$force" ]; then echo "error: $output: exists already" >&2; exit 4; fi
+if [ -e "$output" ] && [ -z "$force" ]; then fail "$output: exists already"; exit 4; fi
 echo "$NUMBA_NUM_THREADS" >> "$output.threads"
 cp "$input" "$output.part" && mv "$output.part" "$output"
-echo "$output: 34.93 dB against $input" >&2
+report '{"psnr": 34.93}'
 """
 
 
 def stub(folder: Path) -> list[str]:
-    """What starts it."""
+    """Write the stub to a folder and return the command that starts it."""
     script = folder / "stub.sh"
     script.write_text(STUB)
     return ["/bin/sh", str(script)]

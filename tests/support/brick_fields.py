@@ -1,4 +1,4 @@
-"""Fields of bricks: any at all, and one of a given number of cells."""
+"""Brick fields: from given cells, random ones, and a Hypothesis strategy."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ import numpy.typing as npt
 from hypothesis import strategies as st
 
 from nerfbake import BrickField
-from nerfbake.kernels.fit.topgrid import top_grid
+from nerfbake.kernels.fit.bricks import top_grid
 from nerfbake.scene.basis import Basis
 
 
 def brick_field_of(
     held: npt.NDArray[np.bool_], wide: npt.NDArray[np.bool_], values: npt.NDArray[np.float32], box: list[list[float]]
 ) -> BrickField:
-    """held (R, R, R) the cells that are there; wide (R/2, R/2, R/2) the blocks of 2^3 that are one cell, whatever
-    `held` says of them; values (n, D) from which each cell takes its row, as far as there are cells."""
+    """Return a brick field with the given cells.
+
+    held    (R, R, R) the cells that exist
+    wide    (R/2, R/2, R/2) the blocks of 2^3 that are a single cell, whether or not `held` contains them
+    values  (n, D) the rows of the cells in order; rows beyond the number of cells are not used
+    """
     whole = wide.repeat(2, 0).repeat(2, 1).repeat(2, 2)
     r = len(held) // 8
     bricks = (held | whole).reshape(r, 8, r, 8, r, 8).transpose(0, 2, 4, 1, 3, 5).reshape(r, r, r, 512)
     there: npt.NDArray[np.bool_] = np.any(bricks, axis=3)
-    # Each cell's own name: its place in the lattice, or that of its block; then numbered as they are met.
+    # A unique name per cell: its index in the lattice, or that of its block. Cells are then numbered in storage order.
     place = np.arange(held.size).reshape(held.shape)
     name = np.where(whole, place[::2, ::2, ::2].repeat(2, 0).repeat(2, 1).repeat(2, 2), place)
     names = name.reshape(r, 8, r, 8, r, 8).transpose(0, 2, 4, 1, 3, 5).reshape(r, r, r, 512)[there]
@@ -38,8 +42,10 @@ def brick_field_of(
 def some_brick_field(
     *, resolution: int = 32, basis: int = 4, seed: int = 0, share: float = 0.02, empty: bool = False
 ) -> BrickField:
-    """A lattice over an oblong box, of whose bricks some are there; half of its cells are wide. empty: some cells have
-    no density."""
+    """A random brick field over a box with unequal edges. Some bricks exist, and half of the cells are wide.
+
+    empty: some cells have no density.
+    """
     random = np.random.default_rng(seed)
     R, r = resolution, resolution // 8
     bricks = (random.random((r, r, r)) < 0.4).repeat(8, 0).repeat(8, 1).repeat(8, 2)
@@ -54,7 +60,7 @@ def some_brick_field(
 
 @st.composite
 def brick_fields(draw: st.DrawFn) -> BrickField:
-    """Any field of bricks, of none, one or several."""
+    """Random brick fields with no, one or several bricks."""
     return some_brick_field(
         resolution=draw(st.sampled_from([8, 16, 32])),
         basis=draw(st.sampled_from([1, 4, 9])),
@@ -65,13 +71,13 @@ def brick_fields(draw: st.DrawFn) -> BrickField:
 
 
 def lattice_points(field: BrickField) -> npt.NDArray[np.float64]:
-    """(R^3, 3) the centres of all cells of the finest lattice in the world, z fastest."""
+    """(R^3, 3) world coordinates of the centres of all cells of the finest lattice, z fastest."""
     cells = np.indices((field.resolution,) * 3).reshape(3, -1).T
     return np.asarray(field.box[0] + (cells + 0.5) * field.cell_size, np.float64)
 
 
 def sampled(field: BrickField) -> npt.NDArray[np.float32]:
-    """(R^3, D) what each cell of the finest lattice holds; zeros where there is no density."""
+    """(R^3, D) the values of each cell of the finest lattice; zeros where the density is 0."""
     values = field.sample(lattice_points(field))
     values[values[:, -1] == 0] = 0
     return values

@@ -1,4 +1,4 @@
-"""A headless Chromium that opens our pages from files: Debian's, driven by Playwright."""
+"""Open pages from files in a headless Chromium: Debian's build, driven by Playwright."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ import pytest
 
 from nerfbake import Camera
 
-PATIENCE = 120  # seconds: software draws, perhaps on a busy machine
+PATIENCE = 120  # seconds: software rendering, possibly on a busy machine
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 _PIXELS = """([pose, focal, edge, looks]) => {
   const camera = new nerfbake.camera.constructor({pose, focal, distance: 1}, nerfbake.facts.up, nerfbake.facts.radius);
   return textOf(nerfbake.picture.pixels(camera, edge, edge, {background: [1, 1, 1], ...looks}));
 }"""
-# What every page is given beside its own script: an array's bytes as text, a part at a time.
+# Added to every page: returns the bytes of an array as text. It converts them in parts.
 _TEXT = """window.textOf = (array) => {
   const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
   let found = "";
@@ -34,7 +34,7 @@ _TEXT = """window.textOf = (array) => {
 
 
 def with_a_browser_of_its_own(test: Callable[..., None]) -> Callable[..., None]:
-    """A test whose code starts a browser: in a thread, as Playwright drives no more than one from each."""
+    """Run a test that starts its own browser in a new thread: Playwright drives only one browser per thread."""
 
     @wraps(test)
     def apart(*arguments: Any, **named: Any) -> None:
@@ -45,7 +45,7 @@ def with_a_browser_of_its_own(test: Callable[..., None]) -> Callable[..., None]:
 
 
 class Seen:
-    """An opened page, and all that it said and asked for."""
+    """An open page. log: its console messages, errors, dialogs and network requests."""
 
     def __init__(self, page: Any) -> None:
         self.page, self.log = page, []  # type: ignore[var-annotated]
@@ -62,7 +62,7 @@ class Seen:
         return str(self.page.inner_text("#status"))
 
     def wait_for(self, script: str) -> None:
-        """Until the script says so: polled from outside, as the page's policy forbids what Playwright would do."""
+        """Wait until the script returns true. Polls from outside: the page's policy blocks Playwright's own waiting."""
         end = time.monotonic() + PATIENCE
         while not self.ask(script):
             assert time.monotonic() < end, f"{script}: {self.status} {self.log}"
@@ -76,8 +76,10 @@ class Seen:
         self.wait_for("nerfbake.finished && !nerfbake.asked && !nerfbake.busy")
 
     def pixels(self, camera: Camera, **looks: Any) -> npt.NDArray[np.uint8]:
-        """(edge, edge, 3) what the page's shader makes of a square camera, over white; looks: as Picture.look() has
-        them."""
+        """(edge, edge, 3) uint8: the picture that the page's shader renders for a square camera, over white.
+
+        looks: options of the page's Picture.look().
+        """
         edge = camera.width
         arguments = [camera.pose.tolist(), 2 * camera.fx / edge, edge, looks]
         found = base64.b64decode(self.ask(_PIXELS, arguments))
@@ -85,14 +87,14 @@ class Seen:
 
 
 class Browser:
-    """One browser for many pages."""
+    """A browser process that opens many pages."""
 
     def __init__(self, chromium: Any) -> None:
         self._chromium = chromium
 
     @contextmanager
     def opened(self, path: Path, *, hash: str = "", init: str = "", **options: Any) -> Iterator[Seen]:
-        """The page in a window of 200 x 200 that nothing turns in, unless the options say otherwise."""
+        """Open a page in a window of 200 x 200 with reduced motion, unless the options differ."""
         options = {"viewport": {"width": 200, "height": 200}, "reduced_motion": "reduce", **options}
         context = self._chromium.new_context(**options)
         context.add_init_script(_TEXT + init)
@@ -106,7 +108,7 @@ class Browser:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """The browser; skips where it, or what drives it, is missing."""
+    """Start the browser. Skips the test if Chromium or Playwright is not installed."""
     playwright = pytest.importorskip("playwright.sync_api")
     program = shutil.which("chromium")
     if program is None:

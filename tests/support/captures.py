@@ -1,4 +1,4 @@
-"""Rigs of cameras, written the way each program writes them: by hand, from the programs' own documentation."""
+"""Write sets of cameras in the formats of other programs. The writers follow the documentation of each program."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras with one lens: pinholes unless a dialect adds to it. poses (n, 4, 4) camera to world, OpenGL axes."""
+    """Cameras with the same pinhole intrinsics. poses: (n, 4, 4) camera to world, OpenGL axes."""
 
     width: int
     height: int
@@ -32,7 +32,7 @@ class Rig:
         return [f"r_{i}" for i in range(len(self.poses))]
 
     def directions(self, i: int) -> Floats:
-        """(height * width, 3) unit directions in the world, pixel by pixel, as a pinhole is defined."""
+        """(height * width, 3) unit directions in world coordinates through the pixel centres of a pinhole camera."""
         found = []
         for row in range(self.height):
             for column in range(self.width):
@@ -43,7 +43,7 @@ class Rig:
 
 
 def rig(*, odd: bool) -> Rig:
-    """Three cameras anywhere; odd: with pixels that are not square and a centre that is not in the middle."""
+    """Three cameras with random poses. odd: with non-square pixels and an off-centre principal point."""
     random = np.random.default_rng(7)
     poses = np.tile(np.eye(4), (3, 1, 1))
     for pose in poses:
@@ -54,7 +54,7 @@ def rig(*, odd: bool) -> Rig:
 
 
 def quaternion(turn: Floats) -> Floats:
-    """(w, x, y, z) of a rotation matrix, as an eigenvector: Bar-Itzhack's method, which COLMAP's own script has."""
+    """(w, x, y, z) of a rotation matrix, by Bar-Itzhack's eigenvector method, as in COLMAP's script."""
     xx, yx, zx, xy, yy, zy, xz, yz, zz = turn.flat
     K = np.array(
         [
@@ -70,7 +70,7 @@ def quaternion(turn: Floats) -> Floats:
 
 
 def world_to_camera(pose: Floats) -> tuple[Floats, Floats]:
-    """COLMAP's R and t, in OpenCV's axes, of a camera-to-world matrix in OpenGL's."""
+    """COLMAP's R and t (OpenCV axes) for a camera-to-world matrix with OpenGL axes."""
     turn = (pose[:3, :3] @ np.diag([1, -1, -1])).T
     return turn, -turn @ pose[:3, 3]
 
@@ -82,7 +82,7 @@ def write_pictures(folder: Path, made: Rig, ending: str = ".png") -> None:
 
 
 def write_nerf_synthetic(folder: Path, made: Rig) -> Path:
-    """No sizes: they are the pictures'."""
+    """The file has no sizes: they come from the pictures."""
     write_pictures(folder / "test", made)
     frames = [
         {"file_path": f"./test/{name}", "rotation": 0.01, "transform_matrix": pose.tolist()}
@@ -94,7 +94,7 @@ def write_nerf_synthetic(folder: Path, made: Rig) -> Path:
 
 
 def write_instant_ngp(folder: Path, made: Rig, **fields: Any) -> Path:
-    """Degrees before anything else, floats for pixels, a comment, backslashes, and the first pose of two."""
+    """Field of view in degrees, which takes precedence; float sizes, comments, backslashes, and two poses per frame."""
     folder.mkdir(parents=True, exist_ok=True)
     frames = [
         {
@@ -107,7 +107,7 @@ def write_instant_ngp(folder: Path, made: Rig, **fields: Any) -> Path:
     whole = {
         "x_fov": np.degrees(2 * np.arctan(made.width / 2 / made.fx)),
         "y_fov": np.degrees(2 * np.arctan(made.height / 2 / made.fy)),
-        "fl_x": 1.0,  # does not count beside x_fov
+        "fl_x": 1.0,  # ignored, because x_fov takes precedence
         "camera_angle_x": 0.1,
         **{"cx": made.cx, "cy": made.cy, "w": float(made.width), "h": float(made.height), "k1": 0, "k2": 0.0},
         **{"p1": 0, "p2": 0, "is_fisheye": False, "aabb_scale": 16, "scale": 0.33, "offset": [0.5, 0.5, 0.5]},
@@ -119,7 +119,7 @@ def write_instant_ngp(folder: Path, made: Rig, **fields: Any) -> Path:
 
 
 def write_nerfstudio(folder: Path, made: Rig, **fields: Any) -> Path:
-    """Everything in the frames, but for the model."""
+    """All fields are stored per frame, except the camera model."""
     folder.mkdir(parents=True, exist_ok=True)
     own = {"fl_x": made.fx, "fl_y": made.fy, "cx": made.cx, "cy": made.cy, "w": made.width, "h": made.height, **fields}
     frames = [
@@ -133,12 +133,12 @@ def write_nerfstudio(folder: Path, made: Rig, **fields: Any) -> Path:
 
 
 def write_colmap_binary(folder: Path, made: Rig, number: int = 1, parameters: tuple[float, ...] = ()) -> Path:
-    """sparse/0, packed byte by byte; ids are no indices, and the pictures' order is not that of their names."""
+    """Write sparse/0. IDs differ from indices, and the images are not sorted by name."""
     model = folder / "sparse" / "0"
     model.mkdir(parents=True, exist_ok=True)
     parameters = parameters or (made.fx, made.fy, made.cx, made.cy)
     cameras = struct.pack("<Q", 2)
-    cameras += struct.pack("<IiQQ3d", 3, 0, 99, 99, 1.0, 2.0, 3.0)  # nobody's
+    cameras += struct.pack("<IiQQ3d", 3, 0, 99, 99, 1.0, 2.0, 3.0)  # a camera without images
     cameras += struct.pack(f"<IiQQ{len(parameters)}d", 42, number, made.width, made.height, *parameters)
     images = struct.pack("<Q", len(made.poses))
     for i in reversed(range(len(made.poses))):
@@ -151,7 +151,7 @@ def write_colmap_binary(folder: Path, made: Rig, number: int = 1, parameters: tu
 
 
 def write_colmap_text(folder: Path, made: Rig, model: str = "PINHOLE", parameters: tuple[float, ...] = ()) -> Path:
-    """A picture's second line, its points, may be empty."""
+    """Write sparse/*.txt. The second line of an image, its points, may be empty."""
     place = folder / "sparse"
     place.mkdir(parents=True, exist_ok=True)
     values = " ".join(map(repr, parameters or (made.fx, made.fy, made.cx, made.cy)))
@@ -167,7 +167,7 @@ def write_colmap_text(folder: Path, made: Rig, model: str = "PINHOLE", parameter
 
 
 def write_llff(folder: Path, made: Rig, *, shared: bool = False) -> Path:
-    """shared: the variant with hwf_cxcy.npy, which has both focal lengths and the centre."""
+    """shared: the variant with hwf_cxcy.npy, which stores both focal lengths and the principal point."""
     write_pictures(folder / "images", made, ".JPG")
     rows = []
     for pose in made.poses:
@@ -182,7 +182,7 @@ def write_llff(folder: Path, made: Rig, *, shared: bool = False) -> Path:
 
 
 def write_nsvf(folder: Path, made: Rig, form: str = "4x4") -> Path:
-    """form: of intrinsics.txt."""
+    """form: the layout of intrinsics.txt."""
     write_pictures(folder / "rgb", made)
     (folder / "pose").mkdir(parents=True, exist_ok=True)
     for name, pose in zip(made.names, made.poses, strict=True):

@@ -1,11 +1,11 @@
-"""The same bytes on every CPU: a small scene through every command, and a digest of everything that it writes.
+"""Check that all CPUs write the same bytes: run every command on a small scene and hash its outputs.
 
     python -m tests.support.cpus write build/cpus/here.json
     python -m tests.support.cpus as old python -m tests.support.cpus write build/cpus/old.json
     python -m tests.support.cpus compare build/cpus/here.json build/cpus/old.json ...
 
-`as` runs a command as another CPU would: numba compiles for it, with a cache of its own, and NumPy, OpenBLAS and the C
-library take the code that they would take there. `make test-cpus` does all of it.
+`as` runs a command as on another CPU: Numba compiles for that CPU, with a separate cache, and NumPy, OpenBLAS and the C
+library use the code paths of that CPU. `make test-cpus` runs all of these commands.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ compare mesh affine --size 100x100 --sheet atlases.png
 """
 
 
-# What there is beyond any x86-64: nothing on the old CPU, no AVX-512 on Haswell. Names as numba's LLVM, NumPy, OpenBLAS
-# and the C library spell them.
+# CPU features beyond baseline x86-64: none on the old CPU, no AVX-512 on Haswell. The names are those of Numba's LLVM,
+# NumPy, OpenBLAS and the C library.
 AVX512 = ("AVX512F", "AVX512VL", "AVX512BW", "AVX512DQ")
 CPUS: dict[str, dict[str, Any]] = {
     "old": {"llvm": "generic", "blas": "Prescott", "keeps": (), "lacks": ("AVX2", "FMA", "FMA4", *AVX512)},
@@ -66,9 +66,9 @@ CPUS: dict[str, dict[str, Any]] = {
 
 
 def run_as(cpu: str, *command: str) -> None:
-    """Runs the command as this CPU; does not come back."""
+    """Replace this process with the command, run as on the given CPU."""
     wanted = CPUS[cpu]
-    # NumPy refuses to drop what this machine has not.
+    # NumPy refuses to disable features that this machine does not have.
     dropped = [name for name in simd() if name not in wanted["keeps"]]
     simulated = {
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=" + ",".join(f"-{name}" for name in wanted["lacks"]),
@@ -82,7 +82,7 @@ def run_as(cpu: str, *command: str) -> None:
 
 
 def write(target: Path) -> None:
-    """{name: digest} of what the commands write, with the CPU's name."""
+    """Run all commands and write {name: hash} of their outputs and the CPU name to a JSON file."""
     from llvmlite.binding import get_host_cpu_name
 
     from nerfbake.cli.main import run
@@ -104,14 +104,14 @@ def write(target: Path) -> None:
 
 
 def simd() -> list[str]:
-    """What of the CPU NumPy uses beyond what every x86-64 CPU of its wheels has."""
+    """The CPU features that NumPy uses beyond the baseline of its x86-64 wheels."""
     from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__  # type: ignore[import-not-found]
 
     return [name for name in __cpu_dispatch__ if __cpu_features__.get(name)]
 
 
 def compare(*paths: Path) -> None:
-    """Exits with 1 if two of them differ, or if two that should be different CPUs were the same."""
+    """Compare result files. Exits with code 1 if outputs differ. Prints a note if two files come from the same CPU."""
     first, *others = (json.loads(path.read_text()) for path in paths)
     for other in others:
         if (other["cpu"], other["numpy"]) == (first["cpu"], first["numpy"]):

@@ -1,4 +1,4 @@
-"""The C# of engines/unity, compiled by Mono's compiler, and its reader in a process that answers line by line."""
+"""Compile the C# code of engines/unity with Mono, and run its reader in a process that answers one line per request."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.conftest import REPOSITORY
 
 PACKAGE = REPOSITORY / "engines" / "unity"
 READER = sorted((PACKAGE / "Runtime" / "Octree").glob("*.cs"))
-PATIENCE = 60  # seconds for an answer: a reader that goes round and round is killed
+PATIENCE = 60  # seconds for an answer; then the reader is killed
 
 
 def require_mono() -> None:
@@ -27,7 +27,7 @@ def require_mono() -> None:
 
 
 def compile_csharp(target: Path, *sources: Path, references: tuple[Path, ...] = ()) -> str:
-    """An .exe or a .dll in C# 5; what the compiler said, warnings too."""
+    """Compile an .exe or a .dll as C# 5, and return the messages of the compiler, including warnings."""
     kind = "library" if target.suffix == ".dll" else "exe"
     command = ["mcs", "-langversion:5", "-warn:4", f"-target:{kind}", f"-out:{target}"]
     command += [f"-reference:{reference}" for reference in references]
@@ -37,13 +37,13 @@ def compile_csharp(target: Path, *sources: Path, references: tuple[Path, ...] = 
 
 
 class Reader:
-    """Asks one process many things."""
+    """Sends requests to the process of the C# reader."""
 
     def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
         self._process, self._folder = process, folder
 
     def ask(self, *words: str | Path) -> list[str]:
-        """The words of the answer: 'ok', 'refused' or 'crashed', and what follows."""
+        """Send a request and return the fields of the answer: 'ok', 'refused' or 'crashed', then its values."""
         assert self._process.stdin
         assert self._process.stdout
         timer = threading.Timer(PATIENCE, self._process.kill)
@@ -58,7 +58,7 @@ class Reader:
         return answer[:-1].split("\t")
 
     def facts(self, path: Path) -> tuple[list[str], npt.NDArray[np.int32], npt.NDArray[np.float32]]:
-        """What the file says of itself, its children (c, 8), and its values (n, D)."""
+        """Read a file and return its header fields, children (c, 8) and values (n, D)."""
         target = self._folder / "found"
         kind, *words = self.ask("read", path, target)
         assert kind == "ok", words
@@ -68,7 +68,7 @@ class Reader:
         return words, children, np.frombuffer(raw[len(raw) - 4 * n * d :], np.float32).reshape(n, d)
 
     def asked(self, what: str, path: Path, given: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Floats for floats."""
+        """Send an array of floats with a request, and return the array of floats that the reader computes."""
         points, target = self._folder / "given", self._folder / "found"
         points.write_bytes(given.tobytes())
         kind, *words = self.ask(what, path, points, target)
@@ -78,7 +78,7 @@ class Reader:
 
 @contextmanager
 def csharp_reader(folder: Path) -> Iterator[Reader]:
-    """Compiled once; skips where Mono is missing."""
+    """Compile the reader and start it. Skips the test if Mono is not installed."""
     require_mono()
     program = folder / "check.exe"
     said = compile_csharp(program, *READER, REPOSITORY / "tests" / "engines" / "unity" / "Check.cs")

@@ -1,4 +1,4 @@
-"""Fields small enough to calculate by hand, and a camera in front of them."""
+"""Fields that are small enough to check by hand, and a camera in front of them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tests.support.scenes import n3tree
 
 
 def solid(sigma: float, red: float = 0.0, **fields: Any) -> RadianceField:
-    """The unit cube filled evenly; colours are the sigmoid of (red, 0, 0)."""
+    """The unit cube with constant density. Colours are the sigmoid of (red, 0, 0)."""
     data = np.zeros((1, 2, 2, 2, 4), np.float32)
     data[..., 0], data[..., 3] = red, sigma
     return build_field(n3tree(data=data, data_format="RGBA", **fields))
 
 
 def front(edge: int = 5, distance: float = 3.0) -> Camera:
-    """Looks along +y at the unit cube's middle, from so far away; its middle pixel meets the cube head on."""
+    """A camera that looks along +y at the centre of the unit cube. Its middle ray is normal to the face."""
     return Camera(edge, edge, 4.0 * edge, look_at(np.full(3, 0.5), -np.pi / 2, 0, distance), "front")

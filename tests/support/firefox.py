@@ -1,7 +1,7 @@
-"""A headless Firefox that opens our pages from files: Debian's, driven by WebDriver BiDi over a WebSocket.
+"""Open pages from files in a headless Firefox: Debian's build, driven by WebDriver BiDi over a WebSocket.
 
-Playwright drives a Firefox of its own alone. What this speaks of RFC 6455 is what a test needs: text, one frame a
-message from here, any number from there.
+Playwright drives only its own build of Firefox. This client implements the part of RFC 6455 that tests need: text
+messages, sent as one frame each, and received as any number of frames.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _TEXT, _CLOSE, _LAST, _MASKED = 1, 8, 0x80, 0x80
 
 
 class Firefox:
-    """A session, and the one tab that it opened."""
+    """A session with one tab."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
@@ -49,7 +49,7 @@ class Firefox:
         self._tab = self.send("browsingContext.getTree")["contexts"][0]["context"]
 
     def send(self, method: str, **parameters: Any) -> Any:
-        """What the browser answers to a command."""
+        """Send a command and return the result from the browser."""
         self._number += 1
         self._write(json.dumps({"id": self._number, "method": method, "params": parameters}).encode())
         while True:
@@ -68,7 +68,7 @@ class Firefox:
         self.send("browsingContext.navigate", context=self._tab, url=path.as_uri(), wait="complete")
 
     def ask(self, script: str) -> Any:
-        """A script's value: text, a number or a truth value."""
+        """Evaluate a script and return its value: text, a number or a boolean."""
         found = self.send("script.evaluate", expression=script, target={"context": self._tab}, awaitPromise=True)
         assert found["type"] == "success", found
         return found["result"].get("value")
@@ -82,7 +82,7 @@ class Firefox:
     def _write(self, text: bytes) -> None:
         size = len(text)
         length = bytes([_MASKED | size]) if size < 126 else bytes([_MASKED | 126]) + size.to_bytes(2, "big")
-        mask = b"mask"  # the browser takes none of zeros
+        mask = b"mask"  # the browser rejects a mask of zeros
         hidden = bytes(byte ^ mask[i % 4] for i, byte in enumerate(text))
         self._socket.sendall(bytes([_LAST | _TEXT]) + length + mask + hidden)
 
@@ -99,7 +99,7 @@ class Firefox:
 
 @contextmanager
 def firefox(folder: Path) -> Iterator[Firefox]:
-    """The browser, with a new profile in a folder; skips where it, or the display that it wants, is missing."""
+    """Start the browser with a new profile in a folder. Skips the test if Firefox or Xvfb is not installed."""
     program, display = shutil.which("firefox-esr"), shutil.which("xvfb-run")
     if program is None or display is None:
         pytest.skip("no firefox-esr and xvfb: `make tools` installs them")
@@ -121,7 +121,7 @@ def firefox(folder: Path) -> Iterator[Firefox]:
 
 
 def _port(said: Path) -> int:
-    """Where it listens, as it says itself."""
+    """Return the port that the browser prints to its log."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         for line in said.read_text(errors="replace").splitlines():

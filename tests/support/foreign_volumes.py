@@ -1,4 +1,4 @@
-"""Volumes that OpenVDB and NanoVDB themselves write, and what they say is in them."""
+"""Volumes written by OpenVDB and NanoVDB, with their contents as read by pyopenvdb."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 
 from nerfbake.scene.vdb import VdbTree
 
-# Grids of every kind that OpenVDB's Python makes; tiles of all levels, values that are inactive, unnamed and equal
-# names, a place of its own, a tree that two grids share.
+# Grids of every kind that pyopenvdb can create: tiles on all levels, inactive values, missing and duplicate names,
+# a transform, and a tree that two grids share.
 _WRITE = """
 import sys, pyopenvdb as vdb
 def fog(name, kind=vdb.FloatGrid, half=False):
@@ -61,7 +61,7 @@ for name, grids in files.items():
     vdb.write(f"{sys.argv[1]}/{name}.vdb", grids=grids)
 """
 
-# All active items as boxes, and what stands at some places, active or not.
+# All active items as boxes, and the values at some points, active or not.
 _DUMP = """
 import sys, numpy, pyopenvdb
 grids, _ = pyopenvdb.readAll(sys.argv[1])
@@ -85,12 +85,12 @@ numpy.savez(sys.argv[3], count=len(grids), **out)
 
 
 def write_all(folder: Path) -> None:
-    """The files of _WRITE."""
+    """Write the files of _WRITE to a folder."""
     subprocess.run(["/usr/bin/python3", "-c", _WRITE, str(folder)], check=True, timeout=60)
 
 
 def places() -> npt.NDArray[np.int64]:
-    """Voxels around everything that _WRITE makes, its corners and just beyond them among them."""
+    """Coordinates around all grids of _WRITE, including their corners and the voxels just outside."""
     random = np.random.default_rng(3)
     axes = (-257, -256, -201, -200, -193, -129, -128, -1, 0, 4095, 4096, 8191, 8192), (-4097, -4096, -1, 0, 7, 8, 128)
     corners = np.stack(np.meshgrid(*axes, (-1, 0, 7, 8, 4095, 4096), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -99,7 +99,7 @@ def places() -> npt.NDArray[np.int64]:
 
 
 class Seen:
-    """A grid as OpenVDB has it."""
+    """A grid as read by OpenVDB."""
 
     def __init__(self, dump: Any, i: int) -> None:
         self.low, self.high = dump[f"{i}.low"], dump[f"{i}.high"]
@@ -111,7 +111,7 @@ class Seen:
 
 
 def seen(path: Path) -> list[Seen]:
-    """What pyopenvdb reads, in an interpreter of its own."""
+    """Read the grids of a file with pyopenvdb, in a separate interpreter."""
     where, dump = path.with_suffix(".places.npy"), path.with_suffix(".seen.npz")
     np.save(where, places())
     subprocess.run(["/usr/bin/python3", "-c", _DUMP, str(path), str(where), str(dump)], check=True, timeout=60)
@@ -120,7 +120,7 @@ def seen(path: Path) -> list[Seen]:
 
 
 def assert_same(grid: VdbTree, theirs: Seen, *, atol: float = 0) -> None:
-    """The same active voxels and tiles with the same values, and the same at every other place, active or not."""
+    """Assert that both grids have the same active voxels and tiles, and the same values and states at places()."""
     active = grid.active_topology
     cubes = [(active.coords, 1), *active.tile_cubes]
     low = np.concatenate([low for low, _ in cubes]).astype(np.int64)
@@ -154,7 +154,7 @@ int main() { write<double>("double.nvdb"); write<int>("int.nvdb"); }
 
 
 def write_types(folder: Path) -> None:
-    """double.nvdb and int.nvdb by NanoVDB itself, double.vdb and int.vdb from them."""
+    """Write double.nvdb and int.nvdb with NanoVDB, and convert them to double.vdb and int.vdb."""
     (folder / "types.cpp").write_text(_TYPES)
     command = ["g++", "-std=c++17", "-w", "types.cpp", "-o", "types"]
     if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:

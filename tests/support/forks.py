@@ -1,7 +1,8 @@
-"""The command line in processes of their own that start at once: forks of one that has imported what they all need.
+"""Run the command line in forks of a process that has already imported Python, NumPy and Numba.
 
-Starting Python, NumPy and Numba takes longer than most commands take for small scenes, and there are hundreds of them
-in the tests. All else is as in `python -m nerfbake`: arguments, folder, environment, streams, signals, how it ends.
+For small scenes, starting Python, NumPy and Numba takes longer than most commands, and the tests run hundreds of
+commands. Everything else is as in `python -m nerfbake`: arguments, working directory, environment, streams, signals and
+exit code.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from tempfile import TemporaryFile
 from typing import Any
 
 PATIENCE = 300  # seconds
-_ROOM = 1 << 20  # bytes of a request
+_ROOM = 1 << 20  # maximum bytes of a request
 _STREAMS = (0, 1, 2)
 
 
 class Forks:
-    """Runs commands one after another, each in a fork of a process that has this one's environment as it is now."""
+    """Runs commands one after another, each in a fork of a server process, with the current environment."""
 
     def __init__(self, folder: Path) -> None:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -50,7 +51,7 @@ class Forks:
 
 
 def _become_a_command(connection: socket.socket) -> bool:
-    """Waits for requests and forks for each; True in a fork, False where nobody asks any more."""
+    """Wait for requests and fork for each. Returns True in a fork, and False in the server after the last request."""
     while True:
         request, streams, _, _ = socket.recv_fds(connection, _ROOM, len(_STREAMS))
         if not request:
@@ -78,7 +79,7 @@ if __name__ == "__main__":
     from nerfbake.cli.main import main
 
     first: Any = numba.njit(lambda: 0)
-    first()  # has Numba import what it imports for the first kernel; it starts no threads
+    first()  # makes Numba import its modules for the first kernel; it starts no threads
     gc.freeze()
     if _become_a_command(socket.socket(fileno=int(sys.argv[1]))):
         try:
@@ -87,4 +88,4 @@ if __name__ == "__main__":
             atexit._run_exitfuncs()
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(int(end.code or 0))  # taking down all that was imported would take longer than most commands
+            os._exit(int(end.code or 0))  # freeing all imported modules would take longer than most commands

@@ -1,4 +1,4 @@
-"""Broken and hostile files: how to make them, and what no command may do with them."""
+"""Create broken and hostile files, and check that commands handle them correctly."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ import pytest
 
 from nerfbake.cli.main import run
 
-LONGEST = 5.0  # seconds of the processor that a command may take over a broken file, all its threads together
-STUCK = 60.0  # seconds by the clock, for what waits without computing; far more, as others may have the processor
-LONGEST_LINE = 400  # characters of a message, the file's path among them: a screen line or two
-MEMORY = 3 << 30  # address space it may take
+LONGEST = 5.0  # CPU seconds that a command may take for a broken file, over all threads
+STUCK = 60.0  # seconds of wall time, for commands that wait without computing; larger, because the CPU may be busy
+LONGEST_LINE = 400  # characters of a message, including the file's path: one or two lines on a screen
+MEMORY = 3 << 30  # bytes of address space
 TIMERS = ((signal.SIGPROF, signal.ITIMER_PROF, LONGEST), (signal.SIGALRM, signal.ITIMER_REAL, STUCK))
 
 
 def damaged(data: bytes, *, flips: int) -> Iterator[tuple[str, bytes]]:
-    """The file cut at every 1 %, then with single bits flipped."""
+    """Yield the file truncated at every 1 %, then with single bits flipped."""
     for percent in range(100):
         yield f"cut at {percent} %", data[: len(data) * percent // 100]
     random = np.random.default_rng(0)
@@ -38,7 +38,7 @@ def damaged(data: bytes, *, flips: int) -> Iterator[tuple[str, bytes]]:
 
 
 def complaint(arguments: list[str], output: Path | None) -> str | None:
-    """What is wrong with the way a command took its input; None if it behaved."""
+    """Run a command and return what is wrong with how it handled its input; None if nothing is."""
     errors, printed, start = io.StringIO(), io.StringIO(), time.process_time()
     for sign, timer, most in TIMERS:
         signal.signal(sign, _too_long)
@@ -49,7 +49,7 @@ def complaint(arguments: list[str], output: Path | None) -> str | None:
             contextlib.redirect_stdout(printed),
             warnings.catch_warnings(record=True) as warned,
         ):
-            # Not as errors: a SyntaxWarning would become a SyntaxError, which somebody may catch.
+            # Warnings are not raised as errors: a SyntaxWarning would become a SyntaxError, which the code may catch.
             warnings.simplefilter("always")
             code = run(arguments)
     except BaseException as error:
@@ -65,7 +65,7 @@ def complaint(arguments: list[str], output: Path | None) -> str | None:
         if len(line) > LONGEST_LINE or not line.isprintable():
             return f"exit {code}, said {len(line):,} characters: {line[:200]!r}"
     if arguments[0] == "check" and code == 1 and told and not lines:
-        return None  # what is wrong is what `check` prints
+        return None  # `check` prints the problems on stdout
     there = output is not None and output.exists()
     if there and output is not None:
         output.unlink()
@@ -77,7 +77,7 @@ def complaint(arguments: list[str], output: Path | None) -> str | None:
 
 
 def refused(tmp_path: Path, data: bytes, capfd: pytest.CaptureFixture[str], name: str = "bad.npz") -> str:
-    """The one line that svo says over a file; check finds fault with it, too."""
+    """Return the one-line error of `svo` or `convert` for a file. `check` must report problems, too."""
     bad, out = tmp_path / name, tmp_path / "out.svo.pb"
     bad.write_bytes(data)
     assert complaint(["info", str(bad)], None) is None
@@ -95,7 +95,7 @@ def refused(tmp_path: Path, data: bytes, capfd: pytest.CaptureFixture[str], name
 
 
 def refused_as_it_is(bad: Path, data: bytes, capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line that info says over a file of its own right; check finds fault with it, too."""
+    """Return the one-line error of `info` for a file. `check` must report problems, too."""
     bad.write_bytes(data)
     assert run(["info", str(bad)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
@@ -110,12 +110,12 @@ def _too_long(*_: object) -> None:
 
 
 def main(command: str, source: Path, flips: int) -> None:
-    """Runs a command over every damaged copy of a file, in little memory; prints what went wrong as JSON."""
+    """Run a command on every damaged copy of a file with limited memory, and print the failures as JSON."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     data = source.read_bytes()
     suffix = source.name.partition(".")[2]
     bad, out = source.with_name(f"bad.{suffix}"), source.with_name("out.svo.npz")
-    assert run([command, str(source), str(out), "-q"]) == 0  # what is imported and compiled counts for no broken file
+    assert run([command, str(source), str(out), "-q"]) == 0  # imports and compiles, so that this time is not measured
     out.unlink()
     found = []
     for name, broken in damaged(data, flips=flips):

@@ -1,4 +1,4 @@
-"""Lattices of odd, unequal sizes, whose axes their values tell apart; and what other programs write of them."""
+"""Lattices with unequal sizes and values that differ along each axis, also as files of other programs."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from tests.support.n3trees import archive
 
 SHAPE = (5, 6, 7)
 RADIUS, CENTRE = np.array([1.0, 0.75, 0.625], np.float32), np.array([0.125, 0.25, -0.5], np.float32)
-SLOPE = np.array([4.0, 8.0, -2.0])  # of the density along x, y and z: no two axes alike
+SLOPE = np.array([4.0, 8.0, -2.0])  # of the density along x, y and z: different on each axis
 Y0 = 0.28209479177387814
-RGB = (0.5, -0.25, 1.0)  # the first coefficient of each channel, exact in halves
+RGB = (0.5, -0.25, 1.0)  # the first coefficient of each channel, exact in float16
 
 
 def affine(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A raw density that trilinear values meet exactly between the nodes."""
+    """A raw density that is linear in position, so that trilinear interpolation is exact."""
     return np.asarray(12 + (points * SLOPE).sum(axis=-1), np.float64)
 
 
 def centres(shape: tuple[int, ...], low: Any, high: Any) -> npt.NDArray[np.float64]:
-    """(n, 3) the centres of as many cells of a box, x-major."""
+    """(n, 3) the cell centres of a lattice of this shape over a box, x-major."""
     shares = [(np.arange(edge) + 0.5) / edge for edge in shape]
     grid = np.stack(np.meshgrid(*shares, indexing="ij"), -1).reshape(-1, 3)
     return np.asarray(low + grid * (np.asarray(high) - low), np.float64)
@@ -32,10 +32,11 @@ def centres(shape: tuple[int, ...], low: Any, high: Any) -> npt.NDArray[np.float
 def svox2(
     *, size: int = 9, empty: float = 0.0, seed: int = 0, plain: bool = True, raw: npt.NDArray[Any] | None = None
 ) -> dict[str, Any]:
-    """What svox2 writes of SHAPE: rows in no order, links of -1 and below where nothing is, an unlinked row of NaN.
+    """The arrays of a svox2 checkpoint of SHAPE: shuffled rows, links below 0 for empty nodes, an unlinked NaN row.
 
-    empty: the share of nodes without a link. plain: RGB in every direction, else coefficients of their own. raw: the
-    densities of all nodes, x-major; None: affine().
+    empty  fraction of nodes without a link
+    plain  the same RGB in every direction and node; False: random coefficients
+    raw    the densities of all nodes, x-major; None: affine()
     """
     random = np.random.default_rng(seed)
     n = int(np.prod(SHAPE))
@@ -67,8 +68,10 @@ def svox2_file(arrays: dict[str, Any] | None = None, *, deflated: bool = False) 
 
 
 def some_lattice(*, at_corners: bool = False, raw: float | None = None, **fields: Any) -> LatticeField:
-    """RGB colours of their own at every node of SHAPE over an oblong box, rows in order; densities affine()'s, or `raw`
-    everywhere."""
+    """A lattice of SHAPE over a box with unequal edges: a random RGB colour per node, rows in order.
+
+    raw: the density of all nodes; None: affine().
+    """
     box = np.stack([CENTRE - RADIUS, CENTRE + RADIUS]).astype(np.float64)
     shares = [np.arange(edge) / (edge - 1) if at_corners else (np.arange(edge) + 0.5) / edge for edge in SHAPE]
     points = box[0] + np.stack(np.meshgrid(*shares, indexing="ij"), -1).reshape(-1, 3) * (box[1] - box[0])

@@ -1,4 +1,4 @@
-"""What is changed in a folder with a scene_params.json that lies: of what was made, `fields` and the files' bytes."""
+"""Changes that make a folder with a scene_params.json invalid. They edit its `fields` or the bytes of its files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARAMS = "scene_params.json"
 
 
 def changed(**values: Any) -> Lie:
-    """Other values; a name may have an underscore before it."""
+    """Replace values of scene_params.json. Leading underscores of the names are removed."""
     named = {key.lstrip("_"): value for key, value in values.items()}
     return lambda made, files: files.update({PARAMS: json.dumps(made["fields"] | named).encode()})
 
@@ -45,7 +45,7 @@ def half_of(name: str) -> Lie:
 
 
 def assert_refused(folder: Path, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """`svo` says this of the folder in its one line, and writes nothing."""
+    """Assert that `svo` reports this error for the folder in one line and writes nothing."""
     out = folder.parent / "out.svo.pb"
     assert run(["svo", str(folder), str(out), "-q"]) == 1
     (line,) = capsys.readouterr().err.splitlines()

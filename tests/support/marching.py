@@ -1,4 +1,4 @@
-"""What the marcher's twins need beside their files: a code that asks them, and what it reads of a field and a world."""
+"""Run the ray marcher in GLSL, HLSL and WGSL: entry code for each language, and the buffers that it reads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nerfbake import PageField
 from tests.support.shaders import Points, Runner
 
 AXES = ("Z_UP", "Y_UP", "Y_UP_LEFT")
-# A ray towards xyz, stopped at w: its colour over white and its depth; or what a cutout queue draws of it.
+# March a ray in direction xyz up to distance w. Returns its colour over white and its depth, or the cutout colour.
 CODES = {
     "glsl": """
         uniform sampler2D rows;
@@ -73,9 +73,9 @@ def marched(
     axes: str = "Z_UP",
     to_object: npt.NDArray[np.float64] | None = None,
 ) -> Points:
-    """(n, 4) what rays from eye (3,) towards looks (n, 3), unit vectors, find; all in the engine's world.
+    """(n, 4) the results of rays from eye (3,) in the directions looks (n, 3), unit vectors, in engine coordinates.
 
-    to_object: (3, 4), the engine's world to the object; None: they are the same.
+    to_object: (3, 4) from engine to object coordinates; None: the identity.
     """
     points = np.empty((len(looks), 4), np.float32)
     points[:, :3], points[:, 3] = looks, stop

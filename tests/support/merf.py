@@ -1,4 +1,4 @@
-"""MERF's folders: blocks of random nodes in an atlas of slices, three planes, and what its program finds at a point."""
+"""Synthetic MERF folders: random blocks in a sliced atlas and three planes, with reference values at any point."""
 
 from __future__ import annotations
 
@@ -9,20 +9,24 @@ import numpy as np
 
 from tests.support.snerg import Files, png
 
-BLOCK, GRID, PLANES = 3, 21, 27  # 7 blocks an axis, of which 5 reach into the inner cube; no size is even
+BLOCK, GRID, PLANES = 3, 21, 27  # 7 blocks per axis, 5 of them in the inner cube; all sizes are odd
 BLOCKS = 7
 ATLAS_BLOCKS = (4, 3, 2)  # of 4^3 nodes; the atlas is a little larger
 ATLAS = (17, 14, 9)
 DENSITY, FEATURES = (-2.0, 3.0), (-4.0, 5.0)
-SKIPPED = 0.5 / 255  # opacity over a step of a plane's cell, up to which its viewer passes a sample over
+SKIPPED = 0.5 / 255  # opacity over a step of one plane cell, below which the viewer skips a sample
 OUTSIDE = [(0, 3, 3), (6, 6, 6)]
 
 
 def merf(*, seed: int = 5, planes: bool = True, mlp: bool = True) -> dict[str, Any]:
-    """fields: scene_params.json; indices (X, Y, Z, 3); atlas (W, H, D, 8): red, green, blue, density, features, of
-    random bytes, also where two blocks share a face; planes, three of (R, R, 8) over two axes of the grid.
+    """Return the contents of a MERF folder, with random bytes.
 
-    mlp: False adds the same to every colour.
+    fields   scene_params.json
+    indices  (X, Y, Z, 3)
+    atlas    (W, H, D, 8) red, green, blue, density and features; faces of adjacent blocks differ
+    planes   three of (R, R, 8), each over two axes of the grid
+
+    mlp: False sets all weights to 0, so that the MLP adds the same to every colour.
     """
     random = np.random.default_rng(seed)
     indices = np.full((BLOCKS,) * 3 + (3,), 255, np.uint8)
@@ -51,7 +55,7 @@ def merf(*, seed: int = 5, planes: bool = True, mlp: bool = True) -> dict[str, A
 
 
 def merf_folder(made: dict[str, Any]) -> Files:
-    """As its export writes it."""
+    """The files of a folder, as MERF exports them."""
     indices, atlas = made["indices"], made["atlas"]
     files = {"scene_params.json": json.dumps(made["fields"]).encode()}
     flat = indices.transpose(2, 1, 0, 3).reshape(-1, indices.shape[0], 3)
@@ -68,16 +72,16 @@ def _pair(first: str, second: str, number: str, values: Any) -> Files:
     return {f"{first}_{number}.png": png(rows[..., :4]), f"{second}_{number}.png": png(rows[..., 4:])}
 
 
-# -- what it means ---------------------------------------------------------------------------------------------
+# -- reference values -----------------------------------------------------------------------------------------
 def in_grid(points: Any, resolution: int) -> Any:
-    """Points (m, 3) of the inner cube in nodes of a grid."""
+    """Convert points (m, 3) of the inner cube to node coordinates of a grid."""
     v = 4 / resolution
     x, y, z = np.asarray(points, float).T
     return np.stack([(2 - v / 2 - x) / v, (z + 2 - v / 2) / v, (y + 2 - v / 2) / v], axis=1)
 
 
 def sums_at(made: dict[str, Any], points: Any) -> tuple[Any, Any]:
-    """(m,) whether there is a block at points, and (m, 8) the sums of what was interpolated there."""
+    """(m,) whether a block exists at each point, and (m, 8) the sums of the interpolated values."""
     held, out = np.zeros(len(points), bool), np.zeros((len(points), 8))
     in_planes = in_grid(points, PLANES)
     for i, at in enumerate(in_grid(points, GRID)):
@@ -101,14 +105,14 @@ def _linear(values: Any, at: Any) -> Any:
 
 
 def _meant(q: Any) -> Any:
-    """Of bytes what they stand for."""
+    """Convert bytes to values."""
     out = FEATURES[0] + (FEATURES[1] - FEATURES[0]) * q / 255
     out[3] = DENSITY[0] + (DENSITY[1] - DENSITY[0]) * q[3] / 255
     return out
 
 
 def density_of(made: dict[str, Any], held: Any, sums: Any) -> Any:
-    """(m,) per world unit."""
+    """(m,) the density per world unit."""
     v = 4 / (PLANES if made["planes"] else GRID)
     density = np.where(held, np.exp(sums[:, 3] - 1), 0)
     return np.where(1 - np.exp(-density * v) > SKIPPED, density, 0)
@@ -120,7 +124,7 @@ def values_of(sums: Any) -> Any:
 
 
 def added(made: dict[str, Any], values: Any, directions: Any) -> Any:
-    """(m, 3) what the MLP adds to values (m, 7) in directions (m, 3)."""
+    """(m, 3) the specular colour that the MLP returns for values (m, 7) and directions (m, 3)."""
     fields = made["fields"]
     angles = np.concatenate([directions * scale for scale in (1, 2, 4, 8)], axis=1)
     x = np.concatenate([values, directions, np.sin(angles), np.cos(angles)], axis=1)
@@ -131,6 +135,6 @@ def added(made: dict[str, Any], values: Any, directions: Any) -> Any:
 
 
 def colour_at(made: dict[str, Any], sums: Any, direction: Any) -> Any:
-    """(m, 3) where there is something."""
+    """(m, 3) the colour at points with density."""
     values = values_of(sums)
     return np.minimum(values[:, :3] + added(made, values, np.broadcast_to(direction, (len(sums), 3))), 1)

@@ -1,4 +1,4 @@
-"""Small meshes made by hand, and the cameras that look at them."""
+"""Small synthetic meshes, and cameras that look at them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def mesh(positions: Any, faces: Any, **more: Any) -> Mesh:
 
 
 def cube(half: float = 0.5, **more: Any) -> Mesh:
-    """Around the origin; vertex number = x + 2y + 4z."""
+    """A cube around the origin. The vertex index is x + 2y + 4z."""
     corners = np.stack(np.meshgrid([-half, half], [-half, half], [-half, half], indexing="ij"), axis=-1)
     quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]]
     faces = [[a, b, c] for a, b, c, _ in quads] + [[a, c, d] for a, _, c, d in quads]
@@ -28,7 +28,7 @@ def cube(half: float = 0.5, **more: Any) -> Mesh:
 
 
 def sphere(rings: int = 24, sides: int = 48) -> Mesh:
-    """Closed, of radius 1; its poles are one vertex each."""
+    """A closed sphere of radius 1. Each pole is one vertex."""
     polar = np.pi * np.arange(1, rings) / rings
     around = 2 * np.pi * np.arange(sides) / sides
     z, turn = np.meshgrid(np.cos(polar), around, indexing="ij")
@@ -44,7 +44,7 @@ def sphere(rings: int = 24, sides: int = 48) -> Mesh:
 
 
 def painted() -> Meshes:
-    """One of every kind: plain, with vertex colours, with a texture."""
+    """Three meshes: plain, with vertex colours, and with a texture."""
     colours = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
     flat = square(half=1.0)
     return Meshes((cube(), cube(0.2, colours=colours), Mesh(flat.positions, flat.uvs, flat.faces, texture=TEXELS)))
@@ -61,19 +61,19 @@ def assert_same_mesh(a: Mesh, b: Mesh, *, atol: float = 0.0) -> None:
 def camera(
     width: int = 40, height: int = 30, distance: float = 3.0, azimuth: float = 0.7, elevation: float = 0.4
 ) -> Camera:
-    """Looks at the origin, with a field of view of 40 degrees across its height."""
+    """A camera that looks at the origin with a vertical field of view of 40 degrees."""
     focal = 0.5 * height / np.tan(np.radians(20))
     return Camera(width, height, focal, look_at(ORIGIN, azimuth, elevation, distance))
 
 
 def square(z: float = 0.0, half: float = 100.0) -> Mesh:
-    """Two triangles in the plane of this z; texture coordinates 0 to 1, u along x, v along -y."""
+    """A square of two triangles at height z. Texture coordinates from 0 to 1: u along x, v along -y."""
     corners = [[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]]
     return mesh(corners, [[0, 1, 2], [0, 2, 3]], uvs=[[0, 1], [1, 1], [1, 0], [0, 0]])
 
 
 def straight_down(width: int = 5, height: int = 3, focal: float = 4.0, z: float = 2.0) -> Camera:
-    """Above the origin, x to the right and y up."""
+    """A camera above the origin that looks down, with x to the right and y up."""
     pose = np.eye(4)
     pose[2, 3] = z
     return Camera(width, height, focal, pose)

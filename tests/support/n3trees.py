@@ -1,4 +1,4 @@
-"""PlenOctrees as archives of arrays, as svox writes them."""
+"""PlenOctrees as archives of arrays, as written by svox."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.scene.camera import Camera, Cameras, look_at
+from nerfbake.scene.camera import Camera, Cameras, Lens, look_at
 from nerfbake.scene.held_out import HeldOut
-from nerfbake.scene.lens import Lens
 from nerfbake.scene.n3tree import N3Tree
 from tests.support.scenes import n3tree
 
@@ -22,7 +21,7 @@ def archive(arrays: dict[str, Any], *, deflated: bool = True) -> bytes:
 
 
 def svox(tree: N3Tree) -> dict[str, Any]:
-    """The keys that svox itself writes."""
+    """The arrays that svox writes for a tree."""
     return {
         "data_dim": np.int64(tree.data_dim),
         "child": tree.child,
@@ -39,12 +38,12 @@ def svox(tree: N3Tree) -> dict[str, Any]:
 
 
 def sound() -> dict[str, Any]:
-    """Three nodes, each below the one before it."""
+    """The arrays of a valid tree: three nodes, each the child of the previous one."""
     return svox(n3tree(splits=[(0, (0, 0, 0)), (1, (1, 1, 1))]))
 
 
 def held_out() -> HeldOut:
-    """Every second pixel of two photographs, one of them through a lens."""
+    """Every second pixel of two photographs, one of them with lens distortion."""
     front, side = (Camera(6, 5, 7.0, look_at(np.zeros(3), turn, 0.4, 3.0), name) for turn, name in ((0, "a"), (1, "b")))
     bent = replace(side, lens=Lens("polynomial", k=(0.01, -0.002), p=(0.001, 0.0)))
     random = np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""Grids of every kind that a .nvdb holds, and the shortest way there and back."""
+"""Grids of every type that a .nvdb file can store, and functions to encode and decode them."""
 
 from __future__ import annotations
 

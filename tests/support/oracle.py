@@ -1,4 +1,4 @@
-"""What a voxel should hold, worked out one voxel at a time in exact fractions: slow, and easy to believe."""
+"""Reference resampling of PlenOctrees: one voxel at a time, in exact fractions. It is slow and easy to verify."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Box = list[tuple[Fraction, Fraction]]
 
 
 def nearest(tree: N3Tree, size: tuple[int, int, int]) -> npt.NDArray[np.float32]:
-    """(W, H, D, dim): the leaf at each voxel's centre, on a boundary the upper one."""
+    """(W, H, D, dim): the leaf at the centre of each voxel. On a boundary, the upper leaf."""
     out = np.zeros((*size, tree.data_dim), np.float32)
     for voxel in product(*map(range, size)):
         p = [Fraction(2 * v + 1, 2 * edge) for v, edge in zip(voxel, size, strict=True)]
@@ -32,7 +32,9 @@ def nearest(tree: N3Tree, size: tuple[int, int, int]) -> npt.NDArray[np.float32]
 
 
 def mean(tree: N3Tree, size: tuple[int, int, int]) -> npt.NDArray[np.float64]:
-    """(W, H, D, dim): mean density by volume; coefficients by volume times the opacity of a finest cell."""
+    """(W, H, D, dim): mean density weighted by volume; coefficients weighted by volume times the opacity
+    of a finest cell.
+    """
     deepest = max(_depths(tree, 0, 1))
     width = float(np.prod(1 / tree.invradius) ** (1 / 3)) / tree.N**deepest
     out = np.zeros((*size, tree.data_dim))
@@ -57,7 +59,7 @@ def _depths(tree: N3Tree, row: int, depth: int) -> list[int]:
 
 
 def _pieces(tree: N3Tree, row: int, cube: Box, box: Box) -> list[tuple[float, npt.NDArray[np.float64]]]:
-    """(share of the box, values) of every leaf below this node that the box covers."""
+    """(fraction of the box, values) of every leaf below this node that overlaps the box."""
     found = []
     for cell in product(range(tree.N), repeat=3):
         part, share = [], Fraction(1)

@@ -1,4 +1,4 @@
-"""What commands print for scripts, read as strictly as the published schemas have it."""
+"""Parse the JSON output of commands, and validate it with the published schemas."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ SUFFIX = ".schema.json"
 
 @cache
 def validator(name: str) -> Draft202012Validator:
-    """Of the schema of an output: `info`, `batch-plan`, ..."""
+    """The validator for the schema of an output: `info`, `batch-plan`, ..."""
     return Draft202012Validator(json.loads((SCHEMAS / f"{name}{SUFFIX}").read_text()))
 
 
 def read_output(name: str, text: str | bytes) -> Any:
-    """The object that an output holds. Fails unless it is JSON, which has no NaN, and as its schema has it."""
+    """Parse an output. Fails if it is not strict JSON (without NaN), or if it does not match its schema."""
     facts = json.loads(text, parse_constant=_refuse)
     fault = best_match(validator(name).iter_errors(facts))
     assert fault is None, f"{name}, {fault.json_path}: {fault.message}"

@@ -1,4 +1,4 @@
-"""What tests ask of the Markdown pages: their text without code, and what links to their headings are called."""
+"""Read Markdown pages: their text without code, their headings, and the anchors of the headings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def without_code(text: str) -> str:
-    """The page without its blocks and its indented lines, in which # and [] mean something else."""
+    """Remove fenced code blocks and indented lines, in which # and [] have other meanings."""
     return re.sub(r"^```.*?^```|^ {4}[^|\n]*$", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -19,14 +19,14 @@ def headings(page: Path) -> list[str]:
 
 
 def anchors(page: Path) -> set[str]:
-    """What links to the headings are called, as GitHub and others derive it from the text. No two may be the same."""
+    """The anchors of the headings, as GitHub and others derive them. Fails if two are the same."""
     slugs = [re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings(page)]
     assert len(set(slugs)) == len(slugs), f"{page.name} has two headings of one name"
     return set(slugs)
 
 
 def broken_links(page: Path) -> list[str]:
-    """Links to files that are not there, and to headings that no page has."""
+    """The links to files or headings that do not exist."""
     found = []
     for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", without_code(page.read_text())):
         path, _, anchor = link.partition("#")

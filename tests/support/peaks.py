@@ -1,7 +1,7 @@
-"""How much memory a file takes to be read, at every limit that it may be given: `python -m tests.support.peaks FILE`.
+"""Measure the memory that loading a file takes, for a series of memory limits: `python -m tests.support.peaks FILE`.
 
-Prints a list of [limit, peak, refused], in bytes. The peak is what the process holds at most above what it held before,
-its imports behind it; each page counts, whoever asked for it.
+Prints a list of [limit, peak, refused], in bytes. The peak is the highest resident memory above that before loading,
+after all imports. It counts every page of the process, whichever library allocated it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from nerfbake.errors import MemoryLimit, NerfbakeError
 from nerfbake.memory import memory_limit
 from tests.conftest import REPOSITORY
 
-STEP = 1.3  # from limit to limit
+STEP = 1.3  # factor from one limit to the next
 MOST = 4 << 30
-# Memory goes back to the system as soon as it is free, so that what is measured is one load.
+# The allocator returns freed memory at once, so that each measurement covers one load.
 FRUGAL = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def resident() -> int:
-    """Bytes that this process holds now; from here on peak() counts anew."""
+    """Return the resident memory of this process in bytes, and reset peak()."""
     with open("/proc/self/clear_refs", "w") as file:
         file.write("5")
     with open("/proc/self/statm") as file:
@@ -40,7 +40,7 @@ def peak() -> int:
 
 
 def measured(path: Path) -> list[tuple[int, int, bool]]:
-    """(limit, peak, refused) for limits from half of the file's size on, until it is read."""
+    """(limit, peak, refused) for increasing limits, from half the file's size until loading succeeds."""
     environment = os.environ | FRUGAL | {"PYTHONPATH": str(REPOSITORY)}
     command = [sys.executable, "-m", "tests.support.peaks", str(path)]
     done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, check=True)
@@ -56,7 +56,7 @@ def _limits(size: int) -> Iterator[int]:
 
 def main(path: Path) -> None:
     with memory_limit(MOST):
-        io.load(path)  # imports, and what is compiled
+        io.load(path)  # imports and compiles
     found = []
     for limit in takewhile(lambda limit: limit < MOST, _limits(path.stat().st_size)):
         gc.collect()

@@ -1,4 +1,4 @@
-"""Points to look up, (n, 4) float32: x, y, z in voxels and the number of a value."""
+"""Test points for lookups, (n, 4) float32: x, y, z in voxels, and the index of a value."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COUNT = 120_000
 
 
 def in_grid(size: tuple[int, ...], channels: int) -> Points:
-    """Anywhere in and around a grid from 0 to size, on the borders of voxels, a hair beside them, and very far away."""
+    """Points in and around a grid from 0 to size, on voxel faces, at the next float beside them, and very far away."""
     random = np.random.default_rng(1)
     points = _numbered(channels)
     points[:, :3] = random.uniform(-3, np.array(size) + 3, (COUNT, 3))
@@ -32,7 +32,7 @@ def in_grid(size: tuple[int, ...], channels: int) -> Points:
 
 
 def around(coords: npt.NDArray[Any], channels: int) -> Points:
-    """About voxels, on the borders between them and a hair beside, in tiles that are not there, and very far away."""
+    """Points near voxels, on their faces, at the next float beside them, in missing tiles, and very far away."""
     random = np.random.default_rng(1)
     points = _numbered(channels)
     points[:, :3] = random.choice(coords, COUNT) + random.uniform(-2, 2, (COUNT, 3))
@@ -43,7 +43,7 @@ def around(coords: npt.NDArray[Any], channels: int) -> Points:
 
 
 def clouds() -> npt.NDArray[np.int64]:
-    """(m, 3) voxels in clouds about corners of a VDB's root tiles, of signs of all kinds."""
+    """(m, 3) clouds of voxels around corners of root tiles of a VDB, with positive and negative coordinates."""
     random = np.random.default_rng(0)
     middles = np.array([[0, 0, 0], [4096, -4096, 0], [-8192, 4100, 130], [9000, 9000, -9000]])
     cloud = np.concatenate([middle + random.normal(0, 6, (1500, 3)) for middle in middles])
@@ -57,8 +57,11 @@ def _numbered(channels: int) -> Points:
 
 
 def _onto_halves(points: npt.NDArray[np.float32]) -> None:
-    """In place, onto the borders of voxels, wherever their centres are; two thirds onto the numbers next to them."""
+    """Move points to multiples of 1/2, in place, and two thirds of them to the next float below or above.
+
+    These are the voxel faces, whether voxel centres are at integers or at halves.
+    """
     points[:] = np.round(2 * points) / 2
     points[::3] = np.nextafter(points[::3], np.float32(np.inf))
     points[1::3] = np.nextafter(points[1::3], np.float32(-np.inf))
-    points[abs(points) < 1e-30] *= 1e30  # processors may take the smallest numbers of all for 0
+    points[abs(points) < 1e-30] *= 1e30  # processors may flush denormals to 0

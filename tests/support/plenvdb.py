@@ -1,4 +1,4 @@
-"""PlenVDB's folders: a checkpoint of DirectVoxGO whose grids are .vdb files, as they are and merged."""
+"""Synthetic PlenVDB folders: a DirectVoxGO checkpoint with its grids in .vdb files, plain or merged."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from nerfbake.formats.volume import openvdb
 from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import topology_of
 from nerfbake.scene.volume import Volume
 from tests.support.lattices import SHAPE
 from tests.support.n3trees import archive
@@ -19,7 +19,7 @@ _IDENTITY = np.eye(4)[:3]
 
 
 def plenvdb(*, shape: tuple[int, int, int] = SHAPE, mlp: str = "random") -> dict[str, Any]:
-    """A checkpoint of DirectVoxGO with six features, or three colours, and a mask of its lattice's own shape."""
+    """A DirectVoxGO checkpoint with six features, or three colours, and a mask with the shape of its lattice."""
     checkpoint = dvgo(mlp=mlp, features=6, shape=shape)
     mask = np.random.default_rng(6).random(shape) < 0.7
     checkpoint["model_state_dict"]["mask_cache.mask"] = mask
@@ -27,7 +27,7 @@ def plenvdb(*, shape: tuple[int, int, int] = SHAPE, mlp: str = "random") -> dict
 
 
 def merged(checkpoint: dict[str, Any]) -> dict[str, Any]:
-    """What a merged folder knows of it: grids in halves, zeros where the mask is false."""
+    """The checkpoint as a merged folder stores it: grids rounded to float16, and zeros where the mask is false."""
     state = dict(checkpoint["model_state_dict"])
     mask = state["mask_cache.mask"]
     for key in ("density.grid", "k0.grid"):
@@ -36,7 +36,7 @@ def merged(checkpoint: dict[str, Any]) -> dict[str, Any]:
 
 
 def model_file(checkpoint: dict[str, Any]) -> bytes:
-    """fine_last.tar: the checkpoint without its grids."""
+    """The bytes of fine_last.tar: the checkpoint without its grids."""
     state = type(checkpoint["model_state_dict"])(checkpoint["model_state_dict"])
     del state["density.grid"], state["k0.grid"]
     settings = checkpoint["model_kwargs"] | {"density_type": "VDBGrid", "k0_type": "VDBGrid"}
@@ -44,8 +44,10 @@ def model_file(checkpoint: dict[str, Any]) -> bytes:
 
 
 def grid_file(*grids: Any, at: Any = None) -> bytes:
-    """Grids (X, Y, Z, c), active at all nodes or where `at` is true, unnamed but for the number that OpenVDB puts
-    there; the last one stands first in the file."""
+    """A .vdb file of grids (X, Y, Z, c), in reverse order, without names except for OpenVDB's numbers.
+
+    at: mask of the active nodes; None: all nodes.
+    """
     trees = []
     for number, grid in reversed(list(enumerate(grids))):
         coords = np.argwhere(np.ones(grid.shape[:3], bool) if at is None else at)
@@ -56,7 +58,7 @@ def grid_file(*grids: Any, at: Any = None) -> bytes:
 
 
 def grids_of(checkpoint: dict[str, Any]) -> tuple[Any, list[Any]]:
-    """The density (X, Y, Z, 1), and the features three by three."""
+    """The density (X, Y, Z, 1), and the features in groups of three channels."""
     density, features = (checkpoint["model_state_dict"][key][0] for key in ("density.grid", "k0.grid"))
     return np.moveaxis(density, 0, -1), np.split(np.moveaxis(features, 0, -1), len(features) // 3, axis=3)
 
@@ -71,7 +73,7 @@ def plenvdb_folder(checkpoint: dict[str, Any]) -> Files:
 
 
 def merged_folder(checkpoint: dict[str, Any]) -> Files:
-    """As its vdb_compression.py writes it; what it leaves beside them is not there."""
+    """The files that PlenVDB's vdb_compression.py writes, without the earlier files that it leaves in the folder."""
     state = checkpoint["model_state_dict"]
     mask, density, features = state["mask_cache.mask"], state["density.grid"][0, 0], state["k0.grid"][0]
     rows = np.zeros(mask.shape, np.float32)
@@ -86,7 +88,7 @@ def merged_folder(checkpoint: dict[str, Any]) -> Files:
 
 
 def written(folder: Any, files: Files) -> Any:
-    """The folder, with these files in it."""
+    """Create a folder with these files, and return it."""
     folder.mkdir()
     for name, data in files.items():
         (folder / name).write_bytes(data)

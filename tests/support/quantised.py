@@ -11,7 +11,7 @@ from nerfbake.scene.quantised_octree import QuantisedOctree
 def random_quantised(
     seed: int, *, levels: int = 3, data_format: str = "SH4", fill: float = 0.5, spread: float = 3.0, size: int = 0
 ) -> QuantisedOctree:
-    """Nodes by chance, with leaves at every depth; coefficients fall with level and channel."""
+    """A random octree with leaves on all levels. Coefficients decrease with level and channel."""
     random = np.random.default_rng(seed)
     masks, width, leaves = [np.zeros(0, np.uint8)], 1, 0
     for level in range(levels):

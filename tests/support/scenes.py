@@ -1,4 +1,4 @@
-"""Scenes small enough to check by hand, and strategies that make any scene at all."""
+"""Scenes that are small enough to check by hand, and Hypothesis strategies for random scenes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def n3tree(
     dtype: Any = np.float16,
     **fields: Any,
 ) -> N3Tree:
-    """A tree whose root is node 0; each split (node, cell) hangs the next node below that cell.
+    """A PlenOctree with node 0 as root. Each split (node, cell) makes the next node a child of that cell.
 
-    Every cell has values of its own: sigma is 1 + the cell's number / 8, so nothing merges and nothing is empty.
+    All cells have different values: sigma is 1 + cell index / 8. So no cells merge, and none is empty.
     """
     n = 1 + len(splits or [])
     child = np.zeros((n, N, N, N), np.int32)
@@ -40,7 +40,7 @@ def n3tree(
 
 @st.composite
 def n3trees(draw: st.DrawFn, *, max_nodes: int = 8, dtypes: Any = (np.float16, np.float32)) -> N3Tree:
-    """Trees with N of 2 or 3, leaves at several depths, empty leaves, equal neighbours, freed rows, stale cells."""
+    """Random trees: N = 2 or 3, leaves on several levels, empty leaves, equal neighbours, freed rows, stale cells."""
     N = draw(st.sampled_from([2, 2, 2, 3]))
     data_format = draw(st.sampled_from(["SH1", "SH4", "RGBA", "SG2", "ASG2"]))
     count = draw(st.integers(1, max_nodes))
@@ -53,7 +53,7 @@ def n3trees(draw: st.DrawFn, *, max_nodes: int = 8, dtypes: Any = (np.float16, n
     live = [0]
     for row in rows:
         child[row] = 0
-        # Any free cell of any node above, two levels of depth at most.
+        # A random free cell of a random node above, at most two levels deep.
         free = [i for i in live if _depth(child, i) < 2 and (child[i] == 0).any()]
         parent = int(random.choice(free))
         cell = random.choice(np.flatnonzero(child[parent].ravel() == 0))
@@ -68,7 +68,7 @@ def n3trees(draw: st.DrawFn, *, max_nodes: int = 8, dtypes: Any = (np.float16, n
     else:
         data = random.normal(0, 1, (n, N, N, N, dim)).astype(dtype)
         data[..., -1] = np.maximum(random.normal(0, 5, (n, N, N, N)), 0).astype(dtype)
-    # Whatever does not count may be anything.
+    # Values of inner cells and freed rows must not be read.
     data[child != 0] = np.nan
     lobes = random.normal(0, 1, (2, 4 if data_format == "SG2" else 11)).astype(np.float32)
     return N3Tree(
@@ -97,7 +97,7 @@ sizes = st.one_of(
 
 @st.composite
 def octrees(draw: st.DrawFn, *, dtypes: Any = (np.float32, np.float16)) -> SparseVoxelOctree:
-    """Octrees of any topology, layout, dtype and values, finite ones."""
+    """Octrees with random topology, layout, dtype and finite values."""
     size = draw(sizes)
     height = max(edge - 1 for edge in size).bit_length()
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -129,7 +129,7 @@ def octrees(draw: st.DrawFn, *, dtypes: Any = (np.float32, np.float16)) -> Spars
 
 
 def assert_same_octree(a: SparseVoxelOctree, b: SparseVoxelOctree) -> None:
-    """Bit for bit the same, types included."""
+    """Assert that two octrees are identical, including dtypes and bits."""
     assert (a.size, a.data_format, a.layout) == (b.size, b.data_format, b.layout)
     for name in ("node_children", "node_data", "origin", "voxel_size", "extra_data"):
         one, other = getattr(a, name), getattr(b, name)
@@ -140,7 +140,7 @@ def assert_same_octree(a: SparseVoxelOctree, b: SparseVoxelOctree) -> None:
 
 
 def voxel_centres(size: tuple[int, int, int]) -> npt.NDArray[np.float64]:
-    """(W * H * D, 3) in voxels, z fastest."""
+    """(W * H * D, 3) voxel centres in voxel coordinates, z fastest."""
     axes = (np.arange(edge) + 0.5 for edge in size)
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 

@@ -1,7 +1,7 @@
-"""The shader twins on a machine without a window: the same function of a point, for all points in one go.
+"""Run the GLSL, HLSL and WGSL shaders without a window: evaluate one function for many points at once.
 
-A language puts its files, a test's own code and a `main` together. The test's code has a function answer(point), a vec4
-of a vec4; buffers and pictures are bound by the names that the files, or the test's code, give them.
+A runner combines the shader files, the code of a test, and a `main`. The code of the test defines answer(point), which
+maps a vec4 to a vec4. Buffers and pictures are bound by their names in the shader files or in the code of the test.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from nerfbake.jobs.shaders import shader_text
 
 HOME = files("nerfbake") / "shaders"
 LANGUAGES = ("glsl", "hlsl", "wgsl")
-VERSIONS = ("300 es", "330")  # of GLSL
+VERSIONS = ("300 es", "330")  # GLSL versions
 Points = npt.NDArray[np.float32]  # (n, 4)
-_WIDTH = 512  # texels in a line of a GLSL buffer
-_GROUP = 64  # points in a group of a compute shader
+_WIDTH = 512  # texels per line of a GLSL buffer
+_GROUP = 64  # points per workgroup of a compute shader
 _DEBIAN = "Debian: glslang-tools, mesa-vulkan-drivers, libegl1, libgl1-mesa-dri"
 
 
 class Picture(NamedTuple):
-    """An image (H, W, 4) float32 that is sampled at its nearest texel, or between texels, up to its edges."""
+    """An image (H, W, 4) float32. smooth: bilinear filtering; else nearest texel. Coordinates clamp to the edges."""
 
     texels: npt.NDArray[np.float32]
     smooth: bool = False
@@ -40,8 +40,11 @@ Bound = Mapping[str, npt.NDArray[Any] | Picture]
 
 
 class Runner(Protocol):
-    """What runs a language. run(): (n, 4) float32, what answer() makes of points (n, 4); parts are the files' names.
-    compile() does no more than that, and raises where the files are wrong."""
+    """Runs shaders of one language.
+
+    compile() compiles the files with these names and raises if they are invalid. run() evaluates answer() for points
+    (n, 4) and returns the results, (n, 4) float32.
+    """
 
     language: str
 
@@ -59,7 +62,7 @@ def runner_of(language: str, folder: Path) -> Runner:
 
 
 class Glsl:
-    """Mesa's llvmpipe, a pixel for each point, in both versions of the language."""
+    """Runs GLSL in both versions on Mesa's llvmpipe, with one pixel per point."""
 
     language = "glsl"
 
@@ -115,7 +118,7 @@ class Glsl:
 
 
 def in_lines(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A buffer (n,) or (n, c) as an image of whole lines."""
+    """Convert a buffer (n,) or (n, c) to an image, padded to full lines."""
     flat = array.reshape(len(array), -1)
     lines = np.zeros((-(-len(flat) // _WIDTH) * _WIDTH, flat.shape[1]), flat.dtype)
     lines[: len(flat)] = flat
@@ -123,7 +126,7 @@ def in_lines(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 class Wgsl:
-    """wgpu on Mesa's lavapipe, a compute shader."""
+    """Runs WGSL as a compute shader with wgpu on Mesa's lavapipe."""
 
     language = "wgsl"
 
@@ -149,7 +152,7 @@ class Wgsl:
         return self.dispatch(source, {name: (int(g), int(b)) for g, b, name in places}, points, bound)
 
     def dispatch(self, code: str | bytes, places: dict[str, tuple[int, int]], points: Points, bound: Bound) -> Points:
-        """places: the group and the binding of each name."""
+        """Run a compute shader. places: group and binding of each name."""
         usage, device = self.wgpu.BufferUsage, self.device
         result = device.create_buffer(size=points.nbytes, usage=usage.STORAGE | usage.COPY_SRC)
         held: dict[str, Any] = {"points": points, "nearest": "nearest", "smoothly": "linear", **bound, "result": result}
@@ -178,7 +181,7 @@ class Wgsl:
         return np.frombuffer(device.queue.read_buffer(result), np.float32).reshape(-1, 4)
 
     def _resource(self, held: Any) -> tuple[dict[str, Any], Any]:
-        """What a layout says of a sampler, a picture or a buffer, and the thing itself."""
+        """The bind-group layout entry of a sampler, a picture or a buffer, and the resource."""
         if isinstance(held, str):
             kind = "filtering" if held == "linear" else "non-filtering"
             return {"sampler": {"type": kind}}, self.device.create_sampler(mag_filter=held, min_filter=held)
@@ -200,7 +203,7 @@ class Wgsl:
 
 
 class Hlsl:
-    """glslang makes SPIR-V of it, which wgpu runs. Microsoft's own compilers are not to be had here."""
+    """Compiles HLSL to SPIR-V with glslang and runs it with wgpu. Microsoft's compilers are not available here."""
 
     language = "hlsl"
 
@@ -208,7 +211,7 @@ class Hlsl:
         if shutil.which("glslangValidator") is None:
             pytest.skip(f"no glslangValidator ({_DEBIAN})")
         self.folder, self.wgpu = folder, Wgsl()
-        self.made: dict[str, tuple[bytes, dict[str, tuple[int, int]]]] = {}  # of a code: SPIR-V, and where names are
+        self.made: dict[str, tuple[bytes, dict[str, tuple[int, int]]]] = {}  # by source code: SPIR-V and bindings
 
     def run(self, parts: Sequence[str], code: str, points: Points, bound: Bound) -> Points:
         code = f"""{text_of("hlsl", parts)}
@@ -228,7 +231,7 @@ class Hlsl:
             }}"""
 
     def compiled(self, code: str) -> tuple[bytes, dict[str, tuple[int, int]]]:
-        """SPIR-V of a code with a main, and the group and the binding of each name; once of each code."""
+        """The SPIR-V of source code with a main, and the group and binding of each name. Results are cached."""
         if code not in self.made:
             (self.folder / "code.hlsl").write_text(code)
             command = [

@@ -1,4 +1,4 @@
-"""SNeRG's folders: blocks of random voxels in an atlas of slices, and what its program finds at a point."""
+"""Synthetic SNeRG folders: random blocks in a sliced atlas, with reference values at any point."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ PLACES = [(2, 1, 1), (0, 0, 0), (1, 1, 0), (2, 0, 1), (0, 1, 1), (1, 0, 0), (0, 
 
 
 def snerg(*, seed: int = 3, alpha: int | None = None, diffuse: bool = False) -> dict[str, Any]:
-    """fields: scene_params.json; indices (X, Y, Z, 3); atlas (W, H, D, 8): red, green, blue, features, opacity.
+    """Return the contents of a SNeRG folder.
 
-    alpha: the opacity of every voxel, and the others half of it; None: random ones, which are 0 at every third.
+    fields   scene_params.json
+    indices  (X, Y, Z, 3)
+    atlas    (W, H, D, 8) red, green, blue, features and opacity
+
+    alpha: the opacity of all voxels, with the other channels at half of it; None: random opacities, about 30 % of them
+    0.
     """
     random = np.random.default_rng(seed)
     size = tuple(b * BLOCK + 2 for b in BLOCKS)
@@ -60,7 +65,7 @@ def snerg(*, seed: int = 3, alpha: int | None = None, diffuse: bool = False) -> 
 
 
 def snerg_folder(made: dict[str, Any]) -> Files:
-    """As its export writes it."""
+    """The files of a folder, as SNeRG exports them."""
     indices, atlas, fields = made["indices"], made["atlas"], made["fields"]
     flat = indices.transpose(2, 1, 0, 3).reshape(-1, indices.shape[0], 3)
     files = {"scene_params.json": json.dumps(fields).encode(), "atlas_indices.png": png(flat)}
@@ -77,9 +82,9 @@ def png(pixels: Any) -> bytes:
     return png_of(Image.fromarray(np.ascontiguousarray(pixels)))
 
 
-# -- what it means ---------------------------------------------------------------------------------------------
+# -- reference values -----------------------------------------------------------------------------------------
 def values_at(made: dict[str, Any], points: Any) -> Any:
-    """(m, 8) shares of 1 at points (m, 3) of the world, as its renderer fetches them: nothing in an empty block."""
+    """(m, 8) values from 0 to 1 at world points (m, 3), as SNeRG's renderer interpolates them; 0 in empty blocks."""
     turn = np.array(made["fields"]["worldspace_T_opengl"], float)
     inner = np.linalg.solve(turn[:3, :3], (points - turn[:3, 3]).T).T
     at = (inner - np.array([made["fields"][f"min_{axis}"] for axis in "xyz"])) / VOXEL
@@ -97,7 +102,7 @@ def values_at(made: dict[str, Any], points: Any) -> Any:
 
 
 def added(made: dict[str, Any], values: Any, directions: Any) -> Any:
-    """(m, 3) what the MLP adds to colours with features (m, 7) in directions (m, 3) of the world."""
+    """(m, 3) the specular colour that the MLP returns for values (m, 7) and world directions (m, 3)."""
     fields = made["fields"]
     angles = np.concatenate([directions * scale for scale in (1, 2, 4, 8)], axis=1)
     x = np.concatenate([directions, np.sin(angles), np.cos(angles), values], axis=1)
@@ -108,12 +113,12 @@ def added(made: dict[str, Any], values: Any, directions: Any) -> Any:
 
 
 def density_of(values: Any) -> Any:
-    """(m,) per world unit."""
+    """(m,) the density per world unit."""
     return -np.log(np.maximum(1 - values[:, 7], 1 / 510)) / VOXEL
 
 
 def colour_at(made: dict[str, Any], points: Any, direction: Any) -> Any:
-    """(m, 3) where there is something."""
+    """(m, 3) the colour at points with density."""
     values = values_at(made, points)
     bare = values[:, :7] / values[:, 7:]
     more = added(made, bare, np.broadcast_to(direction, (len(points), 3)))

@@ -1,4 +1,4 @@
-"""The program's own modules, read as text."""
+"""Analyse the source code of nerfbake's modules."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def modules() -> list[Path]:
 
 
 def imports(path: Path) -> set[str]:
-    """Dotted names of all modules that a file imports, wherever in it."""
+    """The dotted names of all modules that a file imports, also inside functions."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -26,3 +26,19 @@ def imports(path: Path) -> set[str]:
                 f"{node.module}.{alias.name}" if node.module == "nerfbake" else str(node.module) for alias in node.names
             }
     return found
+
+
+def public_names(package: str = "nerfbake") -> dict[str, str]:
+    """{name: module that defines it} for the public names in the stub of a package."""
+    stub = PACKAGE.parent.joinpath(*package.split("."), "__init__.pyi")
+    return {
+        alias.name: f"{package}.{node.module}"
+        for node in ast.parse(stub.read_text()).body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+def public_names_of(layer: str) -> dict[str, str]:
+    """The public names of a layer: `scene` or `stages`."""
+    return {name: home for name, home in public_names().items() if home.startswith(f"nerfbake.{layer}.")}

@@ -1,10 +1,11 @@
-"""A decoder of .svoq in plain Python, written from schemas/svoq.md alone: slow, and sharing nothing with nerfbake."""
+"""A slow .svoq decoder in plain Python, written from schemas/svoq.md alone. It shares no code with nerfbake."""
 
 from __future__ import annotations
 
 import math
 import struct
 import zlib
+from bisect import bisect_left
 from collections import defaultdict
 from typing import Any
 
@@ -21,7 +22,8 @@ def squash(x: int) -> int:
     return (ANCHORS[t >> 7] * (128 - t % 128) + ANCHORS[(t >> 7) + 1] * (t % 128) + 64) >> 7
 
 
-STRETCH = [next((x for x in range(-2047, 2048) if squash(x) >= 16 * q + 8), 2047) for q in range(4096)]
+SQUASHED = [squash(x) for x in range(-2047, 2048)]
+STRETCH = [min(bisect_left(SQUASHED, 16 * q + 8), 4094) - 2047 for q in range(4096)]
 
 
 def bucket(value: int, steps: tuple[int, ...]) -> int:
@@ -45,7 +47,7 @@ def cut(value: int) -> int:
 
 
 class Stream:
-    """The range coder with its models and weights."""
+    """The range decoder with its models and weights."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.place = data, 4
@@ -88,7 +90,7 @@ class Stream:
 
 
 class Tree:
-    """Nodes as they become known: level, parent, octant, mask and children of each."""
+    """The nodes decoded so far, with level, parent, octant, mask and children."""
 
     def __init__(self, height: int) -> None:
         self.height = height
@@ -103,7 +105,7 @@ class Tree:
                 self.nodes.append({"level": own["level"] + 1, "parent": node, "octant": octant})
 
     def beside(self, node: int, axis: int, upper: int) -> int | None:
-        """The node of the same level at the lower or the upper side."""
+        """The neighbour on the same level, on the lower or upper side along an axis."""
         own = self.nodes[node]
         if own["parent"] is None:
             return None
@@ -145,7 +147,7 @@ def read_masks(stream: Stream, tree: Tree, c: int) -> Row:
 
 
 def places_of(tree: Tree, c: int) -> list[tuple[int, int]]:
-    """Of each row from 1 on its node and its slot."""
+    """The node and slot of each row, from row 1."""
     order: list[tuple[int, int]] = []
     for level in range(tree.height):
         nodes = [node for node in range(c) if tree.nodes[node]["level"] == level]
@@ -160,7 +162,7 @@ def places_of(tree: Tree, c: int) -> list[tuple[int, int]]:
 
 
 def pairs_of(tree: Tree, c: int) -> list[tuple[int, int, list[int | None]]]:
-    """Of each row from 1 on its slot, its axis and its four references."""
+    """The slot, axis and four references of each row, from row 1."""
     order = places_of(tree, c)
     rows = {place: row for row, place in enumerate(order, 1)}
     found = []
@@ -169,7 +171,7 @@ def pairs_of(tree: Tree, c: int) -> list[tuple[int, int, list[int | None]]]:
         references: list[int | None] = []
         for side in range(3):
             start = lower[0]
-            if side > axis and start >> side & 1:  # an upper half along this axis: its lower one is in the same node
+            if side > axis and start >> side & 1:  # the upper half along this axis: the lower half is in the same node
                 other: int | None = node
             else:
                 other = tree.beside(node, side, 0)
@@ -257,7 +259,7 @@ def inflated_rows(data: bytes, m: int, C: int) -> list[Row]:
 
 
 def leaves_of(told: dict[str, Any]) -> list[list[float]]:
-    """Of each leaf, breadth-first, what it holds: from what read() tells."""
+    """The values of each leaf, breadth-first. told: the result of read()."""
     tree, rows, C = Tree((max(told["size"]) - 1).bit_length()), told["values"], len(told["values"][0])
     for node, mask in enumerate(told["masks"]):
         tree.add(node, mask)
@@ -297,7 +299,7 @@ def leaves_of(told: dict[str, Any]) -> list[list[float]]:
 
 
 def read(data: bytes) -> dict[str, Any]:
-    """Everything in a file, as Python's own numbers."""
+    """Decode a file completely, to plain Python numbers."""
     magic, version, coding, basis, count, *size, zero, c, m = struct.unpack_from("<4s4B4H2I", data)
     assert (magic, version, zero, zlib.crc32(data[:-4])) == (b"SVOQ", 1, 0, int.from_bytes(data[-4:], "little"))
     numbers = struct.unpack_from("<10d", data, 24)

@@ -1,6 +1,6 @@
-"""TensoRF's checkpoints: planes and lines of odd, unequal sizes, an MLP of features and direction, and a mask.
+"""Synthetic TensoRF checkpoints: planes and lines of unequal sizes, an MLP of features and direction, and a mask.
 
-What they mean is worked out here a second time: at any point by its formula, in float64, without a lattice.
+The reference functions evaluate them at any point by their formulas, in float64, without a lattice.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from nerfbake.formats.wire.torch_writer import numpy_array, ordered, torch_file
 from tests.support.lattices import CENTRE, RADIUS, SHAPE
 
 PARTS, LOOKS, FEATURES, WIDTH = (2, 3, 2), (3, 2, 1), 4, 8
-ACROSS = ((0, 1), (0, 2), (1, 2))  # a plane's axes; the line's is the third one
+ACROSS = ((0, 1), (0, 2), (1, 2))  # the axes of each plane; its line has the third axis
 ALONG = (2, 1, 0)
 MASK = (4, 3, 5)
 PES = {"view_pe": 2, "fea_pe": 3}
@@ -23,7 +23,7 @@ MASK_BOX = np.stack([CENTRE - 1.25 * RADIUS, CENTRE + RADIUS * (0.875, 1, 1.125)
 
 
 def tensorf(*, mode: str = "MLP_Fea", masked: bool = True, act: str = "softplus") -> dict[str, Any]:
-    """A checkpoint. mode: its shadingMode; masked: with a mask whose box is larger than the lattice's, and smaller."""
+    """A checkpoint. mode: its shadingMode; masked: with a mask, whose box differs from the lattice's."""
     random = np.random.default_rng(9)
     features = 27 if mode == "SH" else FEATURES
     state: dict[str, Any] = {}
@@ -74,9 +74,9 @@ def tensorf_file(checkpoint: dict[str, Any] | None = None) -> bytes:
     return torch_file(tensorf() if checkpoint is None else checkpoint, location="cuda:0")
 
 
-# -- what it means ---------------------------------------------------------------------------------------------
+# -- reference values -----------------------------------------------------------------------------------------
 def dense(checkpoint: dict[str, Any], what: str) -> Any:
-    """(parts, X, Y, Z) of all products at the nodes."""
+    """(parts, X, Y, Z) the products of planes and lines at the nodes."""
     state = checkpoint["state_dict"]
     planes, lines = ([state[f"{what}_{kind}.{i}"][0].astype(float) for i in range(3)] for kind in ("plane", "line"))
     formulas = ("ryx,rz->rxyz", "rzx,ry->rxyz", "rzy,rx->rxyz")
@@ -84,7 +84,7 @@ def dense(checkpoint: dict[str, Any], what: str) -> Any:
 
 
 def density_at(checkpoint: dict[str, Any], points: Any) -> Any:
-    """(m,) per world unit at points (m, 3) of the world: planes and lines interpolated, and only then multiplied."""
+    """(m,) the density per world unit at world points (m, 3). Planes and lines are interpolated, then multiplied."""
     settings = checkpoint["kwargs"]
     low, high = settings["aabb"].astype(float)
     raw = parts_at(checkpoint, "density", (points - low) / (high - low)).sum(axis=1)
@@ -97,7 +97,7 @@ def density_at(checkpoint: dict[str, Any], points: Any) -> Any:
 
 
 def parts_at(checkpoint: dict[str, Any], what: str, shares: Any) -> Any:
-    """(m, parts) at shares (m, 3) of the box."""
+    """(m, parts) the products at coordinates (m, 3), from 0 to 1 across the box."""
     state, found = checkpoint["state_dict"], []
     hats = [
         np.maximum(1 - np.abs(shares[:, [axis]] * (edge - 1) - np.arange(edge)), 0) for axis, edge in enumerate(SHAPE)
@@ -110,7 +110,7 @@ def parts_at(checkpoint: dict[str, Any], what: str, shares: Any) -> Any:
 
 
 def in_mask(checkpoint: dict[str, Any], points: Any) -> Any:
-    """(m,) whether the mask's trilinear value is above 0."""
+    """(m,) True where the trilinear value of the mask is above 0."""
     if "alphaMask.aabb" not in checkpoint:
         return np.ones(len(points), bool)
     low, high = checkpoint["alphaMask.aabb"].astype(float)
@@ -120,7 +120,7 @@ def in_mask(checkpoint: dict[str, Any], points: Any) -> Any:
 
 
 def colour_at(checkpoint: dict[str, Any], points: Any, direction: Any) -> Any:
-    """(m, 3) at points of the world, in one direction, by the MLP's own order of its inputs."""
+    """(m, 3) the colour at world points in one direction, with the inputs in the MLP's order."""
     settings, state = checkpoint["kwargs"], checkpoint["state_dict"]
     low, high = settings["aabb"].astype(float)
     features = parts_at(checkpoint, "app", (points - low) / (high - low)) @ state["basis_mat.weight"].T.astype(float)

@@ -1,4 +1,4 @@
-"""The formats' own command-line tools, as oracles."""
+"""Run the command-line tools of the formats (flatc, capnp, protoc) as references."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ NEEDED = {"flatc": "flatbuffers-compiler", "capnp": "capnproto"}
 
 
 def tool(name: str, *arguments: str | Path, stdin: bytes = b"") -> bytes:
-    """What the tool prints. Skips the test where it is not installed."""
+    """Run a tool and return its output. Skips the test if the tool is not installed."""
     if shutil.which(name) is None:
         pytest.skip(f"no {name} here: Debian's {NEEDED[name]} has it ('make tools' as root installs it)")
     return _run([name, *map(str, arguments)], stdin)
 
 
 def protoc(*arguments: str | Path, stdin: bytes = b"") -> bytes:
-    """The same for protoc, which comes with a Python package."""
+    """Run protoc, which comes with a Python package, and return its output."""
     return _run([sys.executable, "-W", "ignore", "-m", "grpc_tools.protoc", *map(str, arguments)], stdin)
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints of DirectVoxGO, as its program writes them with torch."""
+"""Synthetic DirectVoxGO checkpoints, as DirectVoxGO writes them with torch."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.formats.wire.torch_writer import View, numpy_array, ordered, torch_file
+from nerfbake.formats.wire.torch_writer import TensorView, numpy_array, ordered, torch_file
 from tests.support.lattices import CENTRE, RADIUS, SHAPE, affine
 
 FEATURES, WIDTH = 4, 8
@@ -22,9 +22,12 @@ def dvgo(
     features: int = FEATURES,
     shape: tuple[int, int, int] = SHAPE,
 ) -> dict[str, Any]:
-    """A checkpoint. mlp: affine, of which no relu ever cuts anything; random; none (three channels of colour).
-    dialect: grid; early (before April 2022, without act_shift); 2021 (before February 2022, positions in the MLP);
-    planes (features are products of planes and vectors)."""
+    """A checkpoint.
+
+    mlp      affine (no ReLU clips anything), random, or none (three channels of colour)
+    dialect  grid; early (before April 2022, without act_shift); 2021 (before February 2022, positions in the MLP);
+             planes (features are products of planes and vectors)
+    """
     random = np.random.default_rng(4)
     low, high = (CENTRE - RADIUS).astype(np.float32), (CENTRE + RADIUS).astype(np.float32)
     axes = [np.linspace(a, b, edge) for a, b, edge in zip(low, high, shape, strict=True)]
@@ -63,7 +66,7 @@ def dvgo(
         state["mask_cache.density"] = np.ones((1, 1, 2, 2, 2), np.float32)
         flags = dict.fromkeys(("nearest", "pre_act_density", "in_act_density"), False)
         settings |= {"posbase_pe": 5, "mask_cache_path": "coarse_last.tar", **flags}
-    optimizer = {"state": {0: {"exp_avg": View(np.zeros(1, np.float32), 0, (9,), (1,), numel=9)}}}
+    optimizer = {"state": {0: {"exp_avg": TensorView(np.zeros(1, np.float32), 0, (9,), (1,), numel=9)}}}
     return {
         "global_step": 20000,
         "model_kwargs": settings,
@@ -73,7 +76,7 @@ def dvgo(
 
 
 def _planes(random: Any, channels: int, shape: tuple[int, int, int]) -> dict[str, Any]:
-    """Of a TensoRFGrid with two parts each, three across x and y."""
+    """The arrays of a TensoRFGrid: three components for the xy plane, two for each of the others."""
     X, Y, Z = shape
     sizes = {"xy_plane": (3, X, Y), "xz_plane": (2, X, Z), "yz_plane": (2, Y, Z), "z_vec": (3, Z, 1)}
     sizes |= {"y_vec": (2, Y, 1), "x_vec": (2, X, 1)}
@@ -82,8 +85,10 @@ def _planes(random: Any, channels: int, shape: tuple[int, int, int]) -> dict[str
 
 
 def weights(mlp: str, features: int = FEATURES, *, positions: bool = False) -> dict[str, Any]:
-    """rgbnet of two hidden layers. affine: only features and d itself have weights in the first layer, and biases keep
-    every unit on."""
+    """The weights of an rgbnet with two hidden layers.
+
+    affine: in the first layer only features and the direction have weights, and biases keep every unit positive.
+    """
     random = np.random.default_rng(5)
     layers = [
         random.normal(0, 0.3, shape) for shape in ((WIDTH, features + 27 + 33 * positions), (WIDTH, WIDTH), (3, WIDTH))

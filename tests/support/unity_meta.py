@@ -1,8 +1,8 @@
-"""The `.meta` files of the package for Unity; `python -m tests.support.unity_meta` writes those that are missing.
+"""The `.meta` files of the Unity package. `python -m tests.support.unity_meta` writes the missing ones.
 
-Unity knows an asset by the GUID in its `.meta` file. Shared scenes refer to scripts and shaders by these GUIDs,
+Unity identifies an asset by the GUID in its `.meta` file. Shared scenes refer to scripts and shaders by these GUIDs,
 so they must be the same on every machine and must never change: a GUID is the MD5 of the package's name and the path.
-A file that is renamed keeps its `.meta` file; its GUID then stands in RENAMED, with the path that it was made from.
+If you rename a file, keep its `.meta` file, and add the new path to RENAMED with the path that the GUID was made from.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.support.csharp import PACKAGE
 
 NAME = "com.nerfbake.unity"
-RENAMED: dict[str, str] = {}  # a path of today, and the path that its GUID was made from
+RENAMED: dict[str, str] = {}  # current path: path that its GUID was made from
 _IMPORTERS = {
     "": ["DefaultImporter:", "  externalObjects: {}"],
     ".cs": [
@@ -35,7 +35,7 @@ _IMPORTERS = {
 def imported() -> list[Path]:
     """Every file and folder that Unity imports from the package, or from a sample that is copied into a project.
 
-    Unity skips folders whose name ends with ~ while they stand in the package.
+    Inside the package, Unity skips folders whose name ends with ~.
     """
     paths = (path for path in sorted(PACKAGE.rglob("*")) if path.suffix != ".meta")
     return [path for path in paths if not path.name.startswith(".") and not path.name.endswith("~")]

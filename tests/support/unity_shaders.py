@@ -1,7 +1,7 @@
-"""The passes of the shaders in engines/unity: their code, and what their fragments make of a camera's rays.
+"""Run the shader passes of engines/unity for the rays of a camera.
 
-Unity's own variables are constants here, and a fragment is an invocation of a compute shader: what a pass clips by
-stands in `clipped`. How a fragment comes to be, and what is blended with what, is left to Unity.
+Unity's variables are constants here, and each fragment is an invocation of a compute shader. `clipped` contains the
+value that a pass clips by. Rasterisation and blending, which Unity does, are not tested.
 """
 
 from __future__ import annotations
@@ -22,11 +22,15 @@ from tests.support.shaders import Runner
 Matrix = npt.NDArray[np.float64]
 SHADERS, STUBS = PACKAGE / "Shaders", REPOSITORY / "tests" / "engines" / "unity"
 TWINS = ("common", "octree", "harmonics", "world")
-SWAPPED = np.array([[1, 0, 0], [0, 0, 1], [0, 1, 0]])  # right-handed with z up to left-handed with y up, and back
+SWAPPED = np.array([[1, 0, 0], [0, 0, 1], [0, 1, 0]])  # between right-handed with z up and left-handed with y up
 
 
 class Pass(NamedTuple):
-    """name: of its file and number; entries: functions by their stage, vertex and fragment."""
+    """A shader pass.
+
+    name     file name and number
+    entries  entry functions by stage: vertex, fragment
+    """
 
     name: str
     code: str
@@ -43,9 +47,13 @@ def passes() -> Iterator[Pass]:
 
 
 class View(NamedTuple):
-    """place: (4, 4) of the object in Unity's world, with one scale for all axes. camera: in the octree's own world.
-    wall: how far away, along the middle, a flat thing is that the camera drew before. reach: where along a ray the hull
-    is, in the octree's units."""
+    """A view of an octree in Unity.
+
+    camera  a camera in the octree's world coordinates
+    place   (4, 4) from object to Unity world coordinates, with uniform scale
+    wall    depth of a flat object that the camera has already drawn, along its axis
+    reach   distance of the hull along each ray, in the octree's units
+    """
 
     octree: SparseVoxelOctree
     camera: Camera
@@ -59,7 +67,7 @@ class View(NamedTuple):
         return float(np.linalg.det(self.place) ** (1 / 3))
 
     def matrices(self) -> dict[str, Matrix]:
-        """What Unity calls its matrices; that of clipping gives a place's depth along the middle, in Unity's units."""
+        """Unity's matrices by name. The clip matrix returns the depth along the camera axis, in Unity's units."""
         lift = self.place[:3, :3] @ SWAPPED
         view = np.eye(4)
         view[:3, :3] = (lift @ self.camera.pose[:3, :3] / self.scale).T
@@ -93,11 +101,11 @@ class View(NamedTuple):
         }
 
     def code(self, name: str) -> str:
-        """A pass, and all that it includes but the twins, with Unity's variables as constants."""
+        """The code of a pass with all includes except the shared HLSL files, and Unity's variables as constants."""
         text = next(each.code for each in passes() if each.name == name)
         texts = [STUBS / "UnityCG.cginc", *(SHADERS / f"{each}.hlsl" for each in ("March", "Octree", "Caster"))]
         code = "".join(path.read_text() for path in texts) + text
-        # What Unity would fill in, or bind: it comes back as a constant.
+        # Remove the variables that Unity sets or binds. They are added below as constants.
         code = re.sub(r"(?m)^\s*(#include|float\w* (_|unity_|UNITY_)\w+.*;|SamplerState|UNITY_DECLARE).*\n", "", code)
         code = re.sub(r"(?m)^#define SAMPLE_DEPTH.*\n", "", code)
         given = [f"static const float4x4 {key} = {_literal(rows)};" for key, rows in self.matrices().items()]
@@ -107,7 +115,7 @@ class View(NamedTuple):
 
 
 def drawn(hlsl: Runner, view: View, name: str, answer: str) -> npt.NDArray[np.float32]:
-    """(n, 4), a row for each pixel of the camera: what this code returns for its `hull`, in this pass."""
+    """(n, 4) the values that the code `answer` returns for the `hull` of each pixel of the camera, in this pass."""
     code = f"{view.code(name)}\nfloat4 answer(float4 pixel) {{ Hull hull = (Hull)0; hull.world = pixel.xyz; "
     code += f"hull.position.xy = pixel.ww; {answer} }}"
     origin, directions = view.camera.rays()

@@ -1,4 +1,4 @@
-"""Programs that are not ours, reading what we wrote: pyopenvdb in an interpreter of its own, NanoVDB's tools, Warp."""
+"""Read our files with other programs: pyopenvdb in a separate interpreter, and the tools of OpenVDB and NanoVDB."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ import numpy.typing as npt
 import pytest
 
 from nerfbake.formats.volume import openvdb_writer
-from nerfbake.formats.wire import nanovdb_nodes as nano
-from nerfbake.formats.wire import openvdb_packer
-from nerfbake.formats.wire.openvdb_stream import BLOSC
+from nerfbake.formats.wire import nanovdb as nano
+from nerfbake.formats.wire.openvdb import BLOSC
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_voxels import topology_of
+from nerfbake.scene.vdb_topology import topology_of
 from nerfbake.scene.volume import Volume
 
-# Every active voxel, one by one, as the library sees it; tiles would come as boxes of more than one voxel.
+# Every active voxel as the library reads it. Tiles appear as boxes of more than one voxel.
 _DUMP = """
 import sys, numpy, pyopenvdb
 grids, metadata = pyopenvdb.readAll(sys.argv[1])
@@ -44,7 +43,7 @@ numpy.savez(sys.argv[2], count=len(grids), **out)
 
 
 class Seen(NamedTuple):
-    """A grid as pyopenvdb gives it."""
+    """A grid as read by pyopenvdb."""
 
     name: str
     coords: npt.NDArray[np.int64]
@@ -57,7 +56,7 @@ class Seen(NamedTuple):
 
 
 def pyopenvdb(path: Path) -> dict[str, Seen]:
-    """All grids of a .vdb; its NumPy is too old for our interpreter."""
+    """Read all grids of a .vdb. A separate interpreter is needed: pyopenvdb requires an older NumPy."""
     dump = path.with_suffix(".dump.npz")
     subprocess.run(["/usr/bin/python3", "-c", _DUMP, str(path), str(dump)], check=True, timeout=60)
     with np.load(dump) as npz:
@@ -75,14 +74,14 @@ def pyopenvdb(path: Path) -> dict[str, Seen]:
 
 
 def tool(*arguments: str | Path) -> str:
-    """What one of OpenVDB's or NanoVDB's tools says, on both streams."""
+    """Run a tool of OpenVDB or NanoVDB, and return its output on stdout and stderr."""
     done = subprocess.run(list(map(str, arguments)), capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr
 
 
 def by_coords(coords: npt.NDArray[Any], values: npt.NDArray[Any]) -> dict[tuple[int, ...], tuple[float, ...]]:
-    """Voxels as a dict, whatever their order."""
+    """{coordinates: values} of all voxels, to compare them independently of their order."""
     found = {tuple(c): tuple(v) for c, v in zip(coords.tolist(), values.astype(np.float64).tolist(), strict=True)}
     assert len(found) == len(coords)
     return found
@@ -90,7 +89,7 @@ def by_coords(coords: npt.NDArray[Any], values: npt.NDArray[Any]) -> dict[tuple[
 
 @contextmanager
 def blosc_for_zip() -> Iterator[None]:
-    """Makes save() write .vdb files as other programs do: blosc (LZ4, shuffled), short buffers as they are."""
+    """Make save() write .vdb files as other programs do: blosc (LZ4, shuffled), with short buffers uncompressed."""
 
     def pack(data: memoryview) -> bytes:
         packed = blosc.compress(bytes(data), 4, cname="lz4") if len(data) >= 48 else data
@@ -99,12 +98,12 @@ def blosc_for_zip() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(openvdb_writer, "ZIP", BLOSC)
-        patch.setattr(openvdb_packer, "_zipped", pack)
+        patch.setattr(openvdb_writer, "_zipped", pack)
         yield
 
 
 def bloscked(nvdb: bytes) -> bytes:
-    """An unpacked .nvdb with codec 2."""
+    """Compress an uncompressed .nvdb with codec 2, blosc."""
     file, meta = np.frombuffer(nvdb, nano.FILE, 1).copy(), np.frombuffer(nvdb, nano.META, 1, nano.FILE.itemsize).copy()
     front = nano.FILE.itemsize + nano.META.itemsize + int(meta["name_size"][0])
     packed = blosc.compress(nvdb[front:], 4, cname="lz4")
@@ -121,7 +120,7 @@ def transform(*, scale: tuple[float, float, float] = (0.25, 0.25, 0.25)) -> npt.
 def tree(
     coords: npt.ArrayLike, *, channels: int = 1, dtype: Any = np.float32, name: str = "density", background: float = 0
 ) -> VdbTree:
-    """Values that name their voxel: no two are the same."""
+    """A tree with a different value for every voxel."""
     topology, order = topology_of(np.asarray(coords, np.int64).reshape(-1, 3))
     values = 0.5 + np.arange(len(order) * channels, dtype=np.float64).reshape(-1, channels) / 64
     return VdbTree(name, topology, values[order].astype(dtype), np.full(channels, background, np.float32))
@@ -140,7 +139,7 @@ def volume(*grids: VdbTree | IndexGrid) -> Volume:
 
 _random = np.random.default_rng(7)
 _full_leaf = np.stack(np.unravel_index(np.arange(512), (8, 8, 8)), axis=1)
-# Scenes that tell right from wrong: each node level alone, signs, tiles of the root in both orders, far ends.
+# Scenes that expose errors: each node level alone, both signs, root tiles in both orders, extreme coordinates.
 SCENES = {
     "nothing": np.zeros((0, 3), np.int64),
     "one voxel": np.array([[3, 5, 6]]),

@@ -1,4 +1,4 @@
-"""Pages to look around in for tests, and whether they show what `nerfbake render` does."""
+"""HTML pages for tests, and a check that they show the same pictures as `nerfbake render`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nerfbake import (
     round_field,
     sample_n3tree,
     save,
-    sphere_cameras,
+    scatter_cameras,
     weigh_leaves,
 )
 from nerfbake.scene.octree import Lookup
@@ -33,7 +33,7 @@ EDGE = 200
 
 
 class Made(NamedTuple):
-    """A page's file, the field that it shows, and the arrays that its shader should get."""
+    """The file of a page, the field that it shows, and the arrays that its shader should receive."""
 
     path: Path
     field: RadianceField
@@ -47,9 +47,9 @@ def exact_page(path: Path, field: RadianceField, title: str = "A page", *, looku
 
 
 def compressed_page(path: Path, octree: SparseVoxelOctree) -> Made:
-    """Its arrays are those that the page decodes, before it rounds coefficients to bytes."""
+    """A page with a compressed octree. `arrays` are the decoded ones, before coefficients are rounded to bytes."""
     field = build_field(octree)
-    importance = weigh_leaves(field, sphere_cameras(field, frames=4, edge=32))
+    importance = weigh_leaves(field, scatter_cameras(field, frames=4, edge=32))
     quantised = quantise_octree(octree, importance, step=0.05, prune=0.1)
     save(path, view_of(quantised, field))
     shown = replace(build_field(quantised.restored()), box=field.box)
@@ -62,7 +62,7 @@ def view_of(content: object, field: RadianceField, title: str = "A page") -> Pag
 
 
 def anisotropic() -> RadianceField:
-    """SH16 in float32, over a box that is no cube, away from the world's origin."""
+    """SH16 in float32, over a box with unequal edges, away from the world origin."""
     octree = build_octree(sample_n3tree(resolution=32, basis="SH16"), resolution=(24, 32, 17))
     random = np.random.default_rng(0).normal(1, 0.01, octree.node_data.shape)
     values = (octree.node_data * random).astype(np.float32)
@@ -70,7 +70,7 @@ def anisotropic() -> RadianceField:
 
 
 def assert_same_pictures(page: Seen, field: RadianceField, *, frames: int = 2, lookup: Lookup = "nearest") -> None:
-    """Each view at least 80 dB, and hardly a channel further off than its rounding."""
+    """Assert that each view has at least 80 dB, and that at most 0.01 % of the channels differ by more than 1."""
     for camera in orbit_cameras(field, frames=frames, width=EDGE, height=EDGE).cameras:
         wanted = render_field(field, camera, lookup=lookup).pixels.astype(np.float64)
         found = page.pixels(camera, smoothly=lookup == "trilinear").astype(np.float64)
@@ -79,5 +79,5 @@ def assert_same_pictures(page: Seen, field: RadianceField, *, frames: int = 2, l
 
 
 def decibels(found: npt.NDArray[np.float64], wanted: npt.NDArray[np.float64]) -> float:
-    """The PSNR of two pictures in 0..255."""
+    """The PSNR of two pictures with values from 0 to 255."""
     return float(-10 * np.log10(max(((found - wanted) ** 2).mean() / 255**2, 1e-10)))

@@ -1,19 +1,18 @@
-"""Posed pictures of the sample scene, small and quick to make."""
+"""Small pictures of the sample scene with their cameras."""
 
 from __future__ import annotations
 
 from functools import cache
 
 from nerfbake import Cameras, Views, build_field, orbit_cameras, render_field, sample_n3tree
-from nerfbake.scene.camera import Camera, look_at
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.camera import Camera, Lens, look_at
 
 
 @cache
 def sample_views(
     frames: int = 12, width: int = 64, height: int = 64, *, resolution: int = 32, lens: Lens | None = None
 ) -> Views:
-    """From all around and from two heights, with alpha, over white."""
+    """Views from all sides and two elevations, with alpha, over white."""
     scene = build_field(sample_n3tree(resolution=resolution))
     own = orbit_cameras(scene, width=width, height=height).cameras[0]
     centre = (scene.world(scene.box)).mean(axis=0)

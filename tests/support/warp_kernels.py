@@ -1,6 +1,6 @@
-"""Lookups that Warp compiles: the value or the number of a voxel."""
+"""Warp kernels that look up the value or the index of a voxel."""
 
-# Warp reads these annotations as objects, so they may not be postponed.
+# No `from __future__ import annotations`: Warp reads the annotations as objects.
 from typing import Any
 
 import warp as wp

@@ -5,8 +5,8 @@ using UnityEngine;
 namespace Nerfbake.Editor
 {
     /// <summary>
-    /// Textures beside an atlas.json hold numbers, not pictures: without mips, compression and sRGB, labels and features
-    /// without a filter. They are turned upside down, so that v points down in them as it does in the file.
+    /// Imports the textures beside an atlas.json as numbers: no mips, no compression, no sRGB, and no filter for labels
+    /// and features. Flips them vertically, so that v points down as in the file.
     /// </summary>
     public sealed class AtlasTextures : AssetPostprocessor
     {

@@ -4,8 +4,8 @@ using UnityEditor.AssetImporters;
 
 namespace Nerfbake.Editor
 {
-    /// <summary>Imports .svo.pb. Unity tells importers apart by what stands behind the last dot: any other .pb is left as
-    /// it is, with an error.</summary>
+    /// <summary>Imports .svo.pb. Unity selects importers by the text after the last dot, so this one receives every
+    /// .pb. It imports no other .pb, and logs an error.</summary>
     [ScriptedImporter(1, "pb")]
     public sealed class OctreeImporter : ScriptedImporter
     {

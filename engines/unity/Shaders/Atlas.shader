@@ -1,5 +1,5 @@
-// A mesh with the specular colour that `nerfbake atlas` baked, by any of its three methods: colour = diffuse + specular.
-// AtlasRenderer.cs fills in what is here.
+// A mesh with the specular colour of an atlas from `nerfbake atlas`, by any of its three methods: colour = diffuse +
+// specular. AtlasRenderer.cs sets the properties.
 Shader "Nerfbake/Atlas"
 {
     Properties
@@ -24,7 +24,7 @@ Shader "Nerfbake/Atlas"
             #pragma fragment shaded
             #pragma multi_compile_local KMEANS AFFINE GRID
             #include "UnityCG.cginc"
-            // Unity knows a sampler's filter by its name.
+            // Unity derives a sampler's filter from its name.
             #define smoothly nerfbake_linear_clamp_sampler
             #define nearest nerfbake_point_clamp_sampler
             #include "Include/atlas.hlsl"
@@ -56,7 +56,7 @@ Shader "Nerfbake/Atlas"
                 a.n = _AtlasNodes;
                 float3 eye = mul(unity_WorldToObject, float4(_WorldSpaceCameraPos, 1.0)).xyz;
                 float3 direction = normalize((found.local - eye) * _Axes.xyz);
-                // AtlasTextures.cs has these textures start above, where Unity's others start below.
+                // AtlasTextures.cs flips these textures: v = 0 is their top, but the bottom of Unity's other textures.
                 float2 uv = float2(found.uv.x, 1.0 - found.uv.y);
 #if defined(GRID)
                 float3 specular = specularGrid(a, uv, direction);
@@ -69,7 +69,7 @@ Shader "Nerfbake/Atlas"
 #ifdef UNITY_COLORSPACE_GAMMA
                 return float4(saturate(diffuse + specular), 1.0);
 #else
-                // What is added up are the numbers that a screen shows.
+                // Diffuse and specular are added as display values (sRGB).
                 return float4(GammaToLinearSpace(saturate(LinearToGammaSpace(diffuse) + specular)), 1.0);
 #endif
             }

@@ -1,5 +1,6 @@
-// The shadow that a field casts: seen from the light, a share of the pixels that is the field's opacity, where its rays are
-// expected to end. The pattern is Jimenez' interleaved gradient noise (2014), which a filtered shadow map evens out.
+// The shadow of a field. Seen from the light, the share of pixels that are drawn is the field's opacity; their depth is
+// the expected end of their rays. The pattern is Jimenez' interleaved gradient noise (2014), which a filtered shadow
+// map smooths.
 #include "Octree.hlsl"
 
 float caster(Hull hull) : SV_Depth {

@@ -1,9 +1,8 @@
-// A ray through the octree of Include/octree.hlsl, as TR-24-01 (docs/sources.md) has it in 3.4: its colour, the light
-// that is left, and where it is expected to end. Behind Include/common.hlsl, octree.hlsl and harmonics.hlsl; knows
-// nothing of Unity.
-// Density and colour are constant in a leaf, so that sums along the ray are exact; what is empty is crossed in one step.
+// March a ray through the octree of Include/octree.hlsl, as in 3.4 of TR-24-01 (docs/sources.md): colour, transmittance
+// and depth. Include Include/common.hlsl, octree.hlsl and harmonics.hlsl before this file. It does not depend on Unity.
+// Density and colour are constant within a leaf, so sums along the ray are exact; an empty cube is crossed in one step.
 
-// Voxels that are alike: a node, or -1 where they are empty, and the lowest corner and the edge of their cube.
+// A cube of voxels with the same contents: their node (-1: empty), and the cube's lowest corner and edge.
 struct OctreeCube {
     int row;
     int3 corner;
@@ -11,9 +10,9 @@ struct OctreeCube {
 };
 
 struct OctreeRay {
-    float3 colour;        // what the field adds to a picture, times its opacity
-    float transmittance;  // the share of what is behind that is added to it
-    float depth;          // E[d]: where the ray is expected to end, in steps from its origin; 0 where nothing is
+    float3 colour;        // premultiplied by the field's opacity
+    float transmittance;  // the share of the light from behind the field that remains
+    float depth;          // E[d]: expected distance from the origin to the ray's end, in steps; 0 for no hit
 };
 
 OctreeCube octreeCube(SparseVoxelOctree octree, int3 voxel) {
@@ -34,7 +33,7 @@ OctreeCube octreeCube(SparseVoxelOctree octree, int3 voxel) {
     return cube;
 }
 
-// size: functions a colour; 0: RGBA, which has none.
+// size: basis functions per colour; 0 for RGBA, which has none.
 Harmonics octreeBasis(float3 direction, int size) {
     Harmonics basis = harmonics(direction, size);
     if (size == 0) basis.f[0] = 1.0;
@@ -50,21 +49,22 @@ float3 octreeColour(SparseVoxelOctree octree, int row, Harmonics basis) {
     return sigmoid(sum);
 }
 
-// origin: in voxels. along: how many voxels a step is, and unit: how many of the field's world units. basis: in that
-// direction. stop: no light from farther away, in steps: of a Z-buffer, say. cut: the ray ends where less light is left.
+// origin: in voxels. along: a step of the ray in voxels. unit: length of a step in the field's world units. basis:
+// octreeBasis() in that direction. stop: distance at which the ray ends, in steps, for example from a depth buffer.
+// cut: the ray also ends when its transmittance is below this value.
 OctreeRay marchOctree(SparseVoxelOctree octree, float3 origin, float3 along, float unit, Harmonics basis, float stop, float cut) {
     OctreeRay found;
     found.colour = float3(0.0, 0.0, 0.0);
     found.transmittance = 1.0;
     found.depth = 0.0;
-    // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
+    // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
     float3 d = abs(along) < 1e-12 ? float3(1e-12, 1e-12, 1e-12) : along;
     int3 high = int3(octree.width, octree.height, octree.depth) - 1;
     float3 one = -origin / d, other = (float3(high + 1) - origin) / d;
     float3 near = min(one, other), away = max(one, other);
     float start = max(max(near.x, near.y), max(near.z, 0.0));
     float end = min(min(away.x, away.y), min(away.z, stop)) - start;
-    // Distances count from where the ray enters the box: they stay small, and exact.
+    // Distances count from the point where the ray enters the box, so they stay small and exact.
     float3 from = origin + start * d, upward = float3(d > 0.0);
     int3 voxel = clamp(int3(floor(from)), 0, high);
     float t = 0.0;
@@ -80,7 +80,7 @@ OctreeRay marchOctree(SparseVoxelOctree octree, float3 origin, float3 along, flo
             found.transmittance *= kept;
         }
         t = next;
-        // The voxel behind is found by number and not by a small step: rounding can neither hold a ray up nor skip one.
+        // The next voxel is computed by index. A small step instead could stall the ray or skip a voxel by rounding.
         int axis = exits.x <= exits.y && exits.x <= exits.z ? 0 : exits.y <= exits.z ? 1 : 2;
         voxel = clamp(int3(floor(from + t * d)), cube.corner, min(cube.corner + cube.edge - 1, high));
         int3 across = d > 0.0 ? cube.corner + cube.edge : cube.corner - 1;

@@ -1,5 +1,5 @@
-// What the passes of an octree's shaders share: the numbers that OctreeBuffers.cs gives, a hull's vertices, and the ray
-// behind a pixel, from wherever the pass looks: a camera, or a light that draws its shadows.
+// Shared by the passes of an octree's shaders: the uniforms that OctreeBuffers.cs sets, the vertices of a hull, and the
+// ray through a pixel, from a camera or from a light that draws its shadow map.
 #include "UnityCG.cginc"
 #include "Include/common.hlsl"
 #include "Include/octree.hlsl"
@@ -8,9 +8,9 @@
 #include "March.hlsl"
 
 float4 _OctreeSize;   // width, height, depth, dataDim
-float4 _OctreeBasis;  // levels below the root; functions a colour, 0 for RGBA
+float4 _OctreeBasis;  // levels below the root; basis functions per colour, 0 for RGBA
 float4 _ToVoxels0, _ToVoxels1, _ToVoxels2;
-float _Cut;           // a ray ends where less light is left
+float _Cut;           // a ray ends when its transmittance is below this
 
 struct Hull {
     float4 position : SV_POSITION;
@@ -20,7 +20,7 @@ struct Hull {
 
 struct Ray {
     float3 origin;
-    float3 along;  // of length 1
+    float3 along;  // unit vector
 };
 
 Hull hullVertex(float4 vertex : POSITION) {
@@ -52,7 +52,7 @@ Ray rayTo(float3 world) {
     return ray;
 }
 
-// stop: in units of Unity's world.
+// stop: distance at which the ray ends, in units of Unity's world.
 OctreeRay marched(Ray ray, float stop) {
     SparseVoxelOctree octree;
     octree.width = int(_OctreeSize.x);
@@ -74,7 +74,7 @@ OctreeRay marched(Ray ray, float stop) {
     return marchOctree(octree, pointInVoxels(world, ray.origin), along, length(own), basis, stop, _Cut);
 }
 
-// A field's colours are sRGB, as a screen shows them.
+// Convert a field's colour, which is sRGB, to the colour space of the project.
 float3 shown(float3 colour) {
 #ifdef UNITY_COLORSPACE_GAMMA
     return colour;
@@ -83,7 +83,7 @@ float3 shown(float3 colour) {
 #endif
 }
 
-// What a depth buffer holds of a place in the world.
+// The depth buffer's value for a point of the world.
 float depthOf(float3 world) {
     float4 clip = mul(UNITY_MATRIX_VP, float4(world, 1.0));
 #if defined(SHADER_API_GLCORE) || defined(SHADER_API_GLES3)

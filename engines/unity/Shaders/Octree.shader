@@ -1,4 +1,4 @@
-// An octree that blends with what stands behind it, after all opaque meshes: rays end at the depth that the camera drew.
+// An octree that blends with the objects behind it, after all opaque meshes: rays end at the camera's depth.
 Shader "Nerfbake/Octree"
 {
     Properties
@@ -8,7 +8,7 @@ Shader "Nerfbake/Octree"
     SubShader
     {
         Tags { "Queue" = "Transparent" "RenderType" = "Transparent" "IgnoreProjector" = "True" }
-        // Of the hull the far sides: they are seen from inside it, too.
+        // Draw the far sides of the hull: they are also visible from inside it.
         Cull Front
 
         Pass
@@ -24,7 +24,7 @@ Shader "Nerfbake/Octree"
 
             UNITY_DECLARE_DEPTH_TEXTURE(_CameraDepthTexture);
 
-            // How far away along a ray the nearest opaque mesh is.
+            // The distance along a ray to the nearest opaque mesh.
             float meshAlong(Ray ray, float4 screen) {
                 float depth = SAMPLE_DEPTH_TEXTURE_PROJ(_CameraDepthTexture, UNITY_PROJ_COORD(screen));
                 if (!isOrthographic()) return LinearEyeDepth(depth) / dot(ray.along, forward());

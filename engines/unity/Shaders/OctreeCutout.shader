@@ -1,5 +1,5 @@
-// An octree as an opaque mesh, for fields that are nearly opaque: a pixel is its colour where less light than a threshold is
-// left, and nothing else. It writes depth, where its rays are expected to end.
+// An octree as an opaque mesh, for fields that are nearly opaque: a pixel is drawn with the octree's colour if the
+// transmittance is below a threshold, else not at all. The depth that it writes is the expected end of its ray.
 Shader "Nerfbake/Octree Cutout"
 {
     Properties

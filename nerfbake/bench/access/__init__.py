@@ -1,1 +1,1 @@
-"""Trilinear reads of one scene in every structure."""
+"""Benchmark of trilinear reads in many data structures."""

@@ -1,48 +1,80 @@
-"""Trilinear reads of one scene in every structure: time, memory, file sizes; PlenVDB's tables 1 and 3 on this machine.
+"""Benchmark of trilinear reads of one scene in every structure (`bench access`): time, memory and file sizes.
 
-Each figure comes from a process of its own that has read all points once before the clock runs; the rows take turns,
-round by round. One thread reads, in our rows as in the others'.
+It repeats PlenVDB's tables 1 and 3 on the current machine. Each figure comes from a separate process that has read all
+points once before the clock starts. The rows take turns, round by round, and every row reads on one thread. A second
+table has the size of every possible file of the scene at each resolution.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from nerfbake import memory
-from nerfbake.bench.access import files
+from nerfbake import io, memory
 from nerfbake.bench.access.rays import RAY_NOTES, ray_rows, ray_table
 from nerfbake.bench.access.readers import READERS, Reader, reading, write_inputs
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, Statistics, measure
+from nerfbake.bench.measure import Progress, Result, Statistics, measure
 from nerfbake.bench.plot import Mark, scatter
-from nerfbake.bench.progress import Progress
 from nerfbake.bench.report import Report, Table
-from nerfbake.errors import MemoryLimit, UsageError
+from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, UsageError
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.volume import Volume
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_vdb import build_vdb
+
+FILE_COLUMNS = ["file", "R", "MB"]
+
+
+def file_rows(folder: Path, R: int, tree: SparseVoxelOctree, density: Volume, index: Volume) -> list[list[Any]]:
+    """Return the size of each file, or the reason why it could not be written.
+
+    Formats have limits, and some scenes exceed the range of float16.
+    """
+    path = folder / "file"
+
+    def row(what: str, scene: Any, to: str, **options: Any) -> list[Any]:
+        try:
+            return [what, R, io.save(path, scene, to=to, force=True, **options) / 1e6]
+        except NerfbakeError as error:
+            return [f"{what}: {error.line.removeprefix(f'{path}: ')}", R, None]
+
+    rows = [row(f"octree .{to}", tree, to) for to in ("svo.npz", "svo.pb")]
+    for what, volume, endings in (("density", density, ("nvdb", "vdb")), ("index", index, ("nvdb",))):
+        try:
+            half = build_vdb(tree, grids=(what,), half=True)
+        except InvalidScene as error:
+            rows.append([f"{what} half: {error.line}", R, None])
+            half = None
+        for to, codec in product(endings, ("none", "zip")):
+            packed = " zip" if codec == "zip" else ""
+            rows.append(row(f"{what} .{to}{packed}", volume, to, codec=codec))
+            if half:
+                rows.append(row(f"{what} .{to} half{packed}", half, to, codec=codec))
+    return rows
+
 
 PACKAGES = ("numpy", "numba", "warp-lang")
 RESOLUTIONS = (128, 320, 512)
 POINTS = 1_000_000
-AGREE = 1e-5  # of the sum of absolute values
+AGREE = 1e-5  # tolerance, relative to the sum of absolute values
 REFERENCE = "VDB index"
 KINDS = ("diagonal", "random", "rays", "surface")
 COLUMNS = ["structure", "R", "channels", *(f"{kind} ns" for kind in KINDS), "surface x NanoVDB", "MB", "sums agree"]
 NOTES = [
-    "ns: one trilinear read, float32 values, one thread, after a pass that does not count: median [min..max].",
-    "diagonal: PlenVDB's 800 samples from corner to corner, again and again; random: anywhere in the grid; rays: along "
-    "a camera's rays at half a voxel; surface: anywhere in active voxels drawn at random. A million of each.",
-    "Points are float32 values in every row, which NanoVDB and Warp take as such, all others as float64.",
-    "x NanoVDB: the median against the faster of NanoVDB's two rows at the same R, one channel.",
-    "MB: the arrays that are read (NanoVDB, Warp: the grid). VDB keeps its leaves dense, VDB index asks masks.",
-    "sums agree: of everything read, with VDB index's, to 1e-5 of the sum of absolute values.",
-    "dense pointers: Plenoxels' grid of int32 links. octree: from the root for each of 8 corners; beyond the "
+    "ns: one trilinear read of float32 values on one thread, after a warm-up pass: median [min..max].",
+    "diagonal: PlenVDB's 800 samples from corner to corner, repeated; random: anywhere in the grid; rays: along "
+    "camera rays in steps of half a voxel; surface: anywhere in randomly chosen active voxels. A million of each.",
+    "Points are float32 values in every row; NanoVDB and Warp read them as float32, all others as float64.",
+    "x NanoVDB: ratio of the median to the faster of NanoVDB's two rows at the same R, one channel.",
+    "MB: the arrays that are read (NanoVDB, Warp: the grid). VDB stores dense leaves, VDB index reads masks.",
+    "sums agree: the sums of all values read match those of VDB index to 1e-5 of the sum of absolute values.",
+    "dense pointers: Plenoxels' grid of int32 links. octree: a descent from the root for each of 8 corners; beyond the "
     "PlenOctree's own resolution its leaves stay large.",
 ]
 
@@ -57,10 +89,10 @@ def compare_access(
     cameras: Sequence[Camera] = (),
     points: int = POINTS,
 ) -> Report:
-    """Measures every row at every resolution and reports; progress(text) surrounds each step.
+    """Measure every row at every resolution and return the report; progress(text) surrounds each step.
 
-    An octree has its own resolution only. Raises UsageError where others are asked for, InvalidScene for a scene
-    without a voxel. What would take more memory than is allowed is a row that says so.
+    An octree has a single resolution. Raises UsageError if `resolutions` is set for an octree, InvalidScene for a scene
+    without a voxel. A structure beyond the memory limit becomes a row with the error.
     """
     if isinstance(scene, SparseVoxelOctree) and resolutions:
         raise UsageError("an octree has its own resolution; allowed: --resolution with a PlenOctree")
@@ -77,20 +109,20 @@ def compare_access(
         with TemporaryDirectory(prefix="nerfbake-bench-") as folder:
             with progress(f"R = {R}: writing"):
                 write_inputs(Path(folder), tree, density, index, points)
-                sizes += files.file_rows(Path(folder), R, tree, density, index)
+                sizes += file_rows(Path(folder), R, tree, density, index)
             found = _measured(folder, R, tree.data_dim, rounds, progress)
         version = next((r[0].facts["version"] for r in found.values() if r[0].facts.get("version")), version)
         reads += figures(R, found)
         rays += ray_rows(R, density, cameras, progress)
     head = {"scene": f"{name}: {scene}", "rounds": str(rounds), **environment(*PACKAGES), "NanoVDB": version or "-"}
-    tables = [Table("Trilinear reads", COLUMNS, reads), Table("Files", files.COLUMNS, sizes)]
+    tables = [Table("Trilinear reads", COLUMNS, reads), Table("Files", FILE_COLUMNS, sizes)]
     if cameras:
         tables.insert(1, ray_table(rays))
     return Report(f"Access to a sparse volume: {name}", head, tables, NOTES + (RAY_NOTES if cameras else []))
 
 
 def chart_access(report: Report, suffix: str) -> bytes:
-    """Time on the surface against memory, one channel, a colour for each resolution."""
+    """Plot the time of surface reads against memory for one channel, with a colour for each resolution."""
     rows = [dict(zip(COLUMNS, row, strict=True)) for row in report.tables[0].rows]
     marks = [
         Mark(row["structure"], row["MB"], row["surface ns"].median, f"R = {row['R']}")
@@ -101,7 +133,7 @@ def chart_access(report: Report, suffix: str) -> bytes:
     return scatter(marks, title=title, x="memory, MB", y="ns a read (median)", suffix=suffix)
 
 
-Reading = tuple[Reader, int]  # and how many channels it reads
+Reading = tuple[Reader, int]  # the reader, and the number of channels that it reads
 
 
 def _measured(folder: str, R: int, channels: int, rounds: int, progress: Progress) -> dict[Reading, list[Result]]:
@@ -119,7 +151,7 @@ def _measured(folder: str, R: int, channels: int, rounds: int, progress: Progres
 
 
 def figures(R: int, results: dict[Reading, list[Result]]) -> list[list[Any]]:
-    """A row of the table for each reader and number of channels, beside the others of its resolution."""
+    """Return the table rows of one resolution, one for each reader and number of channels."""
 
     def over_rounds(found: list[Result], kind: int) -> Statistics:
         return Statistics.of([result.facts["found"][kind][0] for result in found])

@@ -1,10 +1,10 @@
-"""What cameras' rays ask of a VDB: PlenVDB's table 1, the two passes of its ray marching, counted.
+"""Count the samples of camera rays in a VDB for the two passes of PlenVDB's ray marching (its table 1).
 
-    possible   samples at steps of half a voxel, from the camera on, inside the box around the active voxels
-    valid      of these, those in an active voxel: what the first pass, which asks masks alone, hands to the second
-    needed     of these, those that change the picture: opacity from ALPHA on, before the transmittance falls below CUT
+    possible   samples at steps of half a voxel from the camera, inside the box around the active voxels
+    valid      possible samples in an active voxel: the first pass, which reads only masks, passes them to the second
+    needed     valid samples that change the picture: opacity of at least ALPHA, before the transmittance is below CUT
 
-Source: PlenVDB (Yan et al., 2023), 4.3; the voxel's own density is asked, not its neighbours'.
+Source: PlenVDB (Yan et al., 2023), 4.3. The density is that of the nearest voxel, without interpolation.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.bench.progress import Progress
+from nerfbake.bench.measure import Progress
 from nerfbake.bench.report import Table
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
@@ -28,19 +28,19 @@ from nerfbake.scene.volume import Volume
 
 STEP = 0.5  # voxels; a ray takes no more steps than its way through the box is long, however far away it starts
 ALPHA, CUT = 1e-4, 1e-4
-FARTHEST = 1e15  # voxels from a camera to the first: its steps are whole numbers
+FARTHEST = 1e15  # voxels: limit of camera coordinates, so that steps are exact whole numbers
 CHUNK = 1 << 12  # rays that a core marches in one go
 RAYS_EDGE = 400  # pixels of the cameras whose rays are counted in a report
 _COLUMNS = ["R", "cameras", "", "possible M", "valid M", "valid %", "needed M", "needed %"]
 RAY_NOTES = [
     "Two passes, as in PlenVDB's table 1: possible: samples at steps of half a voxel in the box of the active voxels; "
-    "valid: of these in an active voxel; needed: of these with an opacity from 1e-4 on, before the transmittance falls "
-    "below 1e-4. Nearest voxel.",
+    "valid: possible samples in an active voxel; needed: valid samples with an opacity of at least 1e-4, before the "
+    "transmittance falls below 1e-4. Nearest voxel.",
 ]
 
 
 class Counts(NamedTuple):
-    """Of one camera's rays."""
+    """The numbers of samples of one camera."""
 
     possible: int
     valid: int
@@ -48,9 +48,9 @@ class Counts(NamedTuple):
 
 
 def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
-    """Counts along a ray through each of the camera's pixels; `tree` is a density of the volume's, 1/world unit.
+    """Count samples along a ray through each pixel of the camera; `tree` is a density of the volume, 1/world unit.
 
-    Raises InvalidScene for a camera whose rays are no numbers in voxels.
+    Raises InvalidScene for a camera that is too far away, in voxels.
     """
     if (box := tree.topology.box) is None:
         return Counts(0, 0, 0)
@@ -60,7 +60,7 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
     length = np.linalg.norm(along, axis=1, keepdims=True)
     forward, step = along / length * STEP, STEP / length[:, 0]
     if not (np.abs(start) <= FARTHEST).all():
-        raise InvalidScene(Problem("a camera", "is too far away", "rays that can be told in voxels"))
+        raise InvalidScene(Problem("a camera", "is too far away", f"coordinates up to {FARTHEST:g} voxels"))
     low, high = (box[k].astype(np.float64) + side for k, side in ((0, -0.5), (1, 0.5)))
     found = np.zeros((len(directions), 3), np.int64)
     table = np.concatenate([tree.background[None], tree.values], dtype=np.float32)
@@ -74,7 +74,7 @@ def count_samples(volume: Volume, tree: VdbTree, camera: Camera) -> Counts:
 
 
 def ray_rows(R: int, volume: Volume, cameras: Sequence[Camera], progress: Progress) -> list[list[Any]]:
-    """What each of the cameras asks of the volume's first grid, a density: all together, and one in the mean."""
+    """Return table rows with the samples in the volume's first grid, a density: total, and mean of a camera."""
     if not cameras:
         return []
     tree = volume.grids[0]
@@ -93,7 +93,7 @@ def ray_rows(R: int, volume: Volume, cameras: Sequence[Camera], progress: Progre
 
 
 def ray_table(rows: list[list[Any]], what: str = "") -> Table:
-    """The rows of ray_rows() as a table; what: more of its title."""
+    """Return the rows of ray_rows() as a table; what: text appended to its title."""
     return Table(f"Samples along rays, {RAYS_EDGE}x{RAYS_EDGE}{what}", _COLUMNS, rows)
 
 
@@ -108,8 +108,10 @@ def march(
     high: npt.NDArray[np.float64],
     found: npt.NDArray[np.int64],
 ) -> None:
-    """found (n, 3), what Counts has, of rays from start (3,), each with its step forward (n, 3), all in voxels;
-    step (n,) is its length in the world. low and high (3,) are the box's corners.
+    """Write the counts of each ray into found (n, 3).
+
+    start (3,), the steps forward (n, 3) and the box's corners low and high (3,) are in voxels. step (n,) is the length
+    of a step in world units.
     """
     for ray in range(len(forward)):
         begin, end = 0.0, np.inf

@@ -1,15 +1,19 @@
-"""The rows of `bench access`: each reads the same points out of a structure of its own, on one thread.
+"""The rows of `bench access`: each reads the same points from a different structure, on one thread.
 
-A reader is prepared from a folder that holds the scene at one resolution:
+The points have a fixed seed and are the same for every row. A reader is prepared from a folder with the scene at one
+resolution:
 
     octree.svo.npz   the octree                density.nvdb, index.nvdb   its voxels, uncompressed
     NAME.f32         points of each kind, 3 x float32 in voxels
-    nanovdb          nanovdb_reader.cpp, compiled
+    nanovdb          nanovdb_reader.cpp, compiled on the current machine: trilinear reads with NanoVDB's sampler
 """
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
+from shutil import which
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,20 +21,59 @@ import numpy.typing as npt
 
 from nerfbake import io
 from nerfbake.bench.access import structures
-from nerfbake.bench.access.nanovdb import compile_nanovdb, reading_in_cpp
-from nerfbake.bench.access.points import kinds_of_points
+from nerfbake.bench.access.rays import STEP
 from nerfbake.bench.measure import Work, seconds_of
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, Problem
 from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.vdb.accessor import trilinear
+from nerfbake.scene.camera import Camera, look_at
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 
-TOO_SLOW = "not measured: Debian's python3-openvdb asks its accessor voxel by voxel from Python, 2.5 microseconds each"
+FLAGS = ("-O3", "-march=native", "-std=c++17", "-DNDEBUG")
+SOURCE = Path(__file__).with_name("nanovdb_reader.cpp")
+PROGRAM, MISSING = "nanovdb", "nanovdb.missing"  # file names in the folder
+
+
+def compile_nanovdb(folder: Path) -> None:
+    """Compile the program into the folder, or write a text file with the reason why that failed."""
+    missing = folder / MISSING
+    if (compiler := which("g++")) is None:
+        missing.write_text("no g++ here (Debian: g++)")
+        return
+    command = [compiler, *FLAGS, str(SOURCE), "-o", str(folder / PROGRAM)]
+    english = {**os.environ, "LC_ALL": "C"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=english)
+    if "nanovdb/util/IO.h: No such file" in done.stderr:
+        missing.write_text("no headers of NanoVDB here (Debian: libnanovdb-dev)")
+    elif done.returncode:
+        missing.write_text(f"g++ {next(line for line in done.stderr.splitlines() if 'error' in line)}")
+
+
+def reading_in_cpp(folder: Path, files: list[Path], *, stencil: bool) -> Work:
+    """The work of reading density.nvdb at the points of each file, with or without the sampler's stencil cache."""
+    if (missing := folder / MISSING).exists():
+        raise NerfbakeError(missing.read_text())
+    grid = folder / "density.nvdb"
+
+    def run() -> str:
+        command = [folder / PROGRAM, grid, "1" if stencil else "0", *files]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+    def check(printed: str) -> dict[str, Any]:
+        version, *lines = printed.splitlines()
+        found = [[float(word) for word in line.split()] for line in lines]
+        return {"found": found, "bytes": grid.stat().st_size, "version": version}
+
+    return Work(run, check)
+
+
+TOO_SLOW = "not measured: Debian's python3-openvdb reads voxel by voxel from Python, 2.5 microseconds each"
 
 
 class Reader(NamedTuple):
-    """A row; whether it can read all channels too, not only the density."""
+    """A row of the table. all: it can also read all channels, not only the density."""
 
     name: str
     all: bool = True
@@ -50,7 +93,7 @@ READERS = (
 
 
 def write_inputs(folder: Path, tree: SparseVoxelOctree, density: Volume, index: Volume, points: int) -> None:
-    """What the readers are prepared from. Raises InvalidScene for a scene without a voxel."""
+    """Write the input files of the readers. Raises InvalidScene for a scene without a voxel."""
     topology = density.grids[0].topology
     if not topology.m:
         raise InvalidScene(Problem("the scene", "has no voxel", "a density above 0"))
@@ -63,9 +106,9 @@ def write_inputs(folder: Path, tree: SparseVoxelOctree, density: Volume, index: 
 
 
 def reading(name: str, folder: str, channels: int, kinds: list[str], limit: int) -> Work:
-    """The work of reading every kind of points once, after a pass that does not count; in a process of its own.
+    """The work of reading every kind of points once, after a warm-up pass; called in a child process.
 
-    limit: most bytes that a dense structure may take.
+    limit: maximum size of a dense structure in bytes.
     """
     if name == "OpenVDB C++":
         raise NerfbakeError(TOO_SLOW)
@@ -108,7 +151,7 @@ def _ours(name: str, home: Path, channels: int, limit: int) -> tuple[Any, int]:
 
 
 def structure_named(name: str, folder: Path, channels: int, limit: int) -> structures.Structure:
-    """One of our own rows, made from the folder. Raises MemoryLimit for a dense one that takes more than the limit."""
+    """Build one of nerfbake's structures from the folder. Raises MemoryLimit for a dense one beyond the limit."""
     tree = io.load(folder / "octree.svo.npz", SparseVoxelOctree)
     if name == "octree":
         return structures.octree(tree, channels)
@@ -144,3 +187,53 @@ def _warp(home: Path) -> tuple[Any, int]:
         return work
 
     return read, len(grid)
+
+
+Places = npt.NDArray[np.float32]
+
+
+DIAGONAL = 800  # samples, as in PlenVDB's table 3; repeated, because one pass takes only microseconds
+
+
+def kinds_of_points(size: tuple[int, int, int], topology: VdbTopology, count: int) -> dict[str, Places]:
+    """About `count` points of each kind, (n, 3) float32; the topology has at least one voxel.
+
+    diagonal   from corner to corner of the grid
+    random     anywhere in it
+    rays       one after the other along the rays of a camera, row by row, inside the box of the active voxels
+    surface    in active voxels drawn at random, anywhere in each
+    """
+    random = np.random.default_rng(0)
+    top = np.array(size) - 1
+    coords = topology.coords
+    diagonal = np.linspace(0, 1, DIAGONAL)[:, None] * top
+    voxels = coords[random.integers(0, len(coords), count)]
+    kinds = {
+        "diagonal": np.tile(diagonal, (max(1, count // DIAGONAL), 1)),
+        "random": random.uniform(0, 1, (count, 3)) * top,
+        "rays": _along_rays(topology, count),
+        "surface": voxels + random.uniform(-0.5, 0.5, (count, 3)),
+    }
+    return {kind: points.astype(np.float32) for kind, points in kinds.items()}
+
+
+def _along_rays(topology: VdbTopology, count: int) -> npt.NDArray[np.float64]:
+    box = topology.box
+    assert box is not None
+    low, high = box[0] - 0.5, box[1] + 0.5
+    diagonal = float(np.linalg.norm(high - low))
+    pose = look_at((low + high) / 2, np.radians(-50), np.radians(28), DISTANCE * diagonal)
+    place, directions = Camera(EDGE, EDGE, FOCAL, pose).rays()
+    # The camera's axes are chosen so that no ray is parallel to a face.
+    to = (np.stack([low, high])[:, None] - place) / directions  # (2, rays, 3)
+    begin, end = to.min(axis=0).max(axis=1), to.max(axis=0).min(axis=1)
+    steps = np.maximum(((end - begin) / STEP).astype(np.int64), 0)
+    # Start at the middle row, and use as many rays as needed.
+    first = EDGE * (EDGE // 2) * (count < steps.sum() // 2)
+    steps = steps[first:]
+    rays = first + np.repeat(np.arange(len(steps)), steps)[:count]
+    n = (np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps))[:count]
+    return np.asarray(place + directions[rays] * (begin[rays] + n * STEP)[:, None])
+
+
+EDGE, FOCAL, DISTANCE = 400, 550.0, 1.3  # a camera's pixels and focal length; its distance in diagonals of the box

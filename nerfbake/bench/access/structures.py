@@ -1,9 +1,8 @@
-"""Structures that nobody bakes with, read trilinearly, for VDB's to be held against: a dense array, Plenoxels' dense
-array of pointers, and the octree's descent.
+"""Trilinear reads in structures for comparison with VDB: a dense array, Plenoxels' dense array of pointers, an octree.
 
-Points lie in the grid or half a voxel beyond. The dense arrays have a voxel of nothing all around, so that no read asks
-whether it is inside. One thread. Sources: Plenoxels (Fridovich-Keil et al., 2022), its links; TR-24-01,
-3.2 (docs/sources.md).
+nerfbake uses these structures only in this benchmark, on one thread. Points lie in the grid or up to half a voxel
+outside. The dense arrays are padded with an empty voxel on all sides, so that reads need no bounds check. Sources:
+Plenoxels (Fridovich-Keil et al., 2022), its links; TR-24-01, 3.2 (docs/sources.md).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Points, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.vdb.accessor import mixed
+from nerfbake.kernels.vdb.accessor import interpolate
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.vdb_topology import VdbTopology
 
@@ -25,7 +24,7 @@ ONE = np.uint64(1)
 
 
 class Structure(NamedTuple):
-    """read(*arrays, points, out) fills out (n, C); points (n, 3) in voxels, centres at whole numbers."""
+    """read(*arrays, points, out) fills out (n, C). points (n, 3) are in voxels, with centres at whole numbers."""
 
     read: Any
     arrays: tuple[Any, ...]
@@ -40,7 +39,7 @@ def _bytes(part: Any) -> int:
 
 
 def dense(size: Edges, topology: VdbTopology, values: Singles) -> Structure:
-    """All voxels, x-major; values (m, C) of the active ones."""
+    """Build an x-major array of all voxels from the values (m, C) of the active ones."""
     w, h, d = _padded(size)
     table = np.zeros((w * h * d, values.shape[1]), np.float32)
     table[_flat(size, topology)] = values
@@ -48,7 +47,7 @@ def dense(size: Edges, topology: VdbTopology, values: Singles) -> Structure:
 
 
 def pointers(size: Edges, topology: VdbTopology, values: Singles) -> Structure:
-    """A row number for each voxel, int32 as Plenoxels has it; the last row is that of nothing."""
+    """Build an array with a row number for each voxel, int32 as in Plenoxels; the last row is the empty one."""
     w, h, d = _padded(size)
     links = np.full(w * h * d, topology.m, np.int32)
     links[_flat(size, topology)] = np.arange(topology.m, dtype=np.int32)
@@ -57,8 +56,9 @@ def pointers(size: Edges, topology: VdbTopology, values: Singles) -> Structure:
 
 
 def octree(tree: SparseVoxelOctree, channels: int) -> Structure:
-    """Of each inner node eight links (c, 8): an inner node's row, or -1 - row of a leaf, or of nothing, the last row.
-    The table has only the last channels.
+    """Build eight links for each inner node (c, 8): the row of an inner node, or -1 - row of a leaf.
+
+    Absent children link to the last row of the table, which is empty. The table has only the last channels.
     """
     n, inner = tree.n, np.flatnonzero(~tree.childless)
     leaves = tree.childless & (tree.sigma > 0)
@@ -83,7 +83,7 @@ def _flat(size: Edges, topology: VdbTopology) -> npt.NDArray[np.int64]:
 
 @compiled()
 def read_dense(padded: Edges, table: Singles, points: Points, out: Singles) -> None:
-    """The rows themselves; padded is the array's size."""
+    """Read rows directly; padded is the size of the array."""
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
         o, p, q, r = _edges(padded, x, y, z)
@@ -92,7 +92,7 @@ def read_dense(padded: Edges, table: Singles, points: Points, out: Singles) -> N
 
 @compiled()
 def read_pointers(padded: Edges, links: Links, table: Singles, points: Points, out: Singles) -> None:
-    """Through the links."""
+    """Read rows through the links."""
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
         o, p, q, r = _edges(padded, x, y, z)
@@ -103,7 +103,7 @@ def read_pointers(padded: Edges, links: Links, table: Singles, points: Points, o
 
 @compiled()
 def read_octree(size: Edges, links: Links, levels: int, table: Singles, points: Points, out: Singles) -> None:
-    """From the root for each of the eight."""
+    """Descend from the root for each of the eight voxels."""
     top = len(table) - 1
     for i in range(len(points)):
         x, y, z = int(np.floor(points[i, 0])), int(np.floor(points[i, 1])), int(np.floor(points[i, 2]))
@@ -116,7 +116,7 @@ def read_octree(size: Edges, links: Links, levels: int, table: Singles, points: 
 
 @compiled(inline=True)
 def _edges(padded: Edges, x: int, y: int, z: int) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Where the four pairs of voxels along z begin in a dense array; unsigned, which no index has to be tested for."""
+    """Return the offsets of the four pairs of voxels along z; unsigned, which avoids tests for negative indices."""
     _, h, d = padded
     first = ((x + 1) * h + y + 1) * d + z + 1
     return np.uint64(first), np.uint64(first + d), np.uint64(first + h * d), np.uint64(first + h * d + d)
@@ -124,7 +124,7 @@ def _edges(padded: Edges, x: int, y: int, z: int) -> tuple[np.uint64, np.uint64,
 
 @compiled()
 def _leaf(size: Edges, links: Links, levels: int, nothing: int, x: int, y: int, z: int) -> int:
-    """The row of the leaf that holds a voxel, or that of nothing."""
+    """Return the row of the leaf that contains a voxel, or the empty row."""
     w, h, d = size
     if (x < 0) | (y < 0) | (z < 0) | (x >= w) | (y >= h) | (z >= d):
         return nothing
@@ -149,9 +149,9 @@ def _mix(
         flat = table.reshape(-1)
         a, b, c, d = flat[r0], flat[r1], flat[r2], flat[r3]
         e, f, g, h = flat[r4], flat[r5], flat[r6], flat[r7]
-        out[i, 0] = mixed(a, b, c, d, e, f, g, h, f0, f1, f2)
+        out[i, 0] = interpolate(a, b, c, d, e, f, g, h, f0, f1, f2)
     else:
         for k in range(out.shape[1]):
             a, b, c, d = table[r0, k], table[r1, k], table[r2, k], table[r3, k]
             e, f, g, h = table[r4, k], table[r5, k], table[r6, k], table[r7, k]
-            out[i, k] = mixed(a, b, c, d, e, f, g, h, f0, f1, f2)
+            out[i, k] = interpolate(a, b, c, d, e, f, g, h, f0, f1, f2)

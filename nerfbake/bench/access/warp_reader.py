@@ -1,8 +1,8 @@
 # mypy: ignore-errors
-# A kernel's annotations are Warp's own, no types.
-"""Trilinear reads that Warp compiles for one core."""
+# A kernel's annotations are Warp objects, not types.
+"""Trilinear reads with a Warp kernel, compiled for one CPU core."""
 
-# Warp reads these annotations as objects, so they may not be postponed.
+# Warp evaluates the annotations as objects, so this module does not import annotations from __future__.
 from collections.abc import Callable
 from typing import Any
 
@@ -13,13 +13,13 @@ wp.config.quiet = True
 
 @wp.kernel
 def trilinear(volume: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.float32)):
-    """out[i]: a float grid at points[i], in voxels."""
+    """Read a float grid at points[i], in voxels, into out[i]."""
     i = wp.tid()
     out[i] = wp.volume_sample_f(volume, points[i], wp.Volume.LINEAR)
 
 
 def launcher(grid: bytes, points: Any, out: Any) -> Callable[[], None]:
-    """Reads the .nvdb file in these bytes at points (n, 3) float32 into out (n,) float32, whenever it is called."""
+    """Return a function that reads a .nvdb file's bytes at points (n, 3) float32 into out (n,) float32."""
     volume = wp.Volume.load_from_nvdb(grid, device="cpu")
     places = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
     values = wp.array(out, dtype=wp.float32, device="cpu", copy=False)

@@ -1,1 +1,1 @@
-"""The octree in every format and by every library."""
+"""Benchmark of the octree formats and of their libraries."""

@@ -1,6 +1,6 @@
-"""The octree through each format's own Python library, and the way that comes to mind first: what ours is held against.
+"""Write and read octrees with each format's Python library in the most obvious way, for comparison.
 
-Each writes the same two arrays, as TR-24-01 (docs/sources.md) names them. A library is imported when its row runs.
+Each library writes the same two arrays with the names of TR-24-01 (docs/sources.md). It is imported when its row runs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ struct Octree { children @0 :List(Int32); data @1 :List(Float32); childrenBlob @
 
 
 class Library(NamedTuple):
-    """A library's way to write the octree. slow: minutes for a large scene, so it is measured once."""
+    """A way to write the octree with a library. slow: minutes for a large scene, so it is measured once."""
 
     name: str
     package: str
@@ -79,7 +79,7 @@ def _from_blobs(children: Any, data: Any, octree: SparseVoxelOctree) -> Arrays:
 
 
 def _protobuf_class() -> Any:
-    """Listing 3's two arrays as a message class, without generated code."""
+    """Return a message class with the two arrays of listing 3, without generated code."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     file = descriptor_pb2.FileDescriptorProto(name="octree.proto", package="bench", syntax="proto3")
@@ -144,7 +144,7 @@ def _single(octree: SparseVoxelOctree) -> npt.NDArray[np.float32]:
     return octree.node_data.astype(np.float32, copy=False)
 
 
-@cache  # pycapnp aborts the process when it meets a schema again under another path
+@cache  # pycapnp aborts the process if it loads a schema again from another path
 def _capnp_class() -> Any:
     import capnp
 

@@ -1,1 +1,1 @@
-"""Octahedral atlases as bytes."""
+"""Read and write octahedral atlases."""

@@ -1,8 +1,9 @@
-"""What the thesis' own code leaves behind: octahedron_maps.png, labels_map.png, perhaps results.json. Read only.
+"""Read the output of the thesis' code: octahedron_maps.png, labels_map.png, and optionally results.json. Read only.
 
-Its arrays are indexed [x][y]: an image with its rows flipped and its axes swapped. Tile of label l, W = ceil(sqrt K):
-x = l // W, y = l % W. Texel (i, j) of a map stands for uv = (i, j) / R, a corner, its colour cut to 8 bits; that is for
-the lookup to know (`thesis`), the texels are given as they are. Labels: red + 256 green + 65536 blue.
+The code's arrays are indexed [x][y]: an image with its rows flipped and its axes swapped. The tile of label l is
+x = l // W, y = l % W, with W = ceil(sqrt K). Texel (i, j) of a map is the colour at uv = (i, j) / R, a corner,
+truncated to 8 bits. Texels are returned unchanged; the lookup `thesis` takes this convention into account. Labels:
+red + 256 green + 65536 blue.
 Source: "Using K-Means clustering to export a NeRF" (docs/sources.md); docs/formats/atlas.md, "The thesis' files".
 """
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.json import parse_object, whole
-from nerfbake.formats.wire.texture import decode_texture
+from nerfbake.formats.wire.picture import decode_texture
 from nerfbake.kernels.surface.octahedron import tiles_per_row
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, BakedAtlas, OctahedralAtlas
 
@@ -39,7 +40,7 @@ def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
     if image.shape != (W * R, W * R, 3):
         found = f"has {image.shape[1]}x{image.shape[0]} texels"
         raise InvalidFile(Problem("octahedron_maps.png", found, f"{W * R}x{W * R} for {K} maps of {R} texels"))
-    # [x][y] of the thesis: tile column, then texel column, then tile row, then texel row.
+    # The thesis' [x][y] order: tile column, texel column, tile row, texel row.
     maps = image[::-1].swapaxes(0, 1).reshape(W, R, W, R, 3)
     tiles = maps.transpose(0, 2, 3, 1, 4).reshape(W * W, R, R, 3)[:K]
     atlas = OctahedralAtlas("kmeans", np.ascontiguousarray(tiles), labels, border=0)
@@ -47,7 +48,7 @@ def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
 
 
 def _sizes(files: Mapping[str, memoryview], shape: tuple[int, ...], used: int) -> tuple[int, int]:
-    """K and R: as results.json has them; without one, from the labels that are used and the edge of the maps' image."""
+    """Return K and R from results.json, or else from the labels in use and the size of octahedron_maps.png."""
     if "results.json" in files:
         results = parse_object(files["results.json"], "results.json")
         K, R = (whole(results, key, "results.json", low=1, high=high) for key, high in _SIZES.items())

@@ -1,1 +1,1 @@
-"""Cameras of captures as bytes."""
+"""Read and write the cameras of captures."""

@@ -1,4 +1,4 @@
-"""What all dialects of cameras share: a folder's files, names that are safe as files, sizes told by the pictures."""
+"""Shared parts of the camera readers: the files of a folder, safe file names, sizes read from pictures."""
 
 from __future__ import annotations
 
@@ -12,52 +12,52 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.contract import PICTURES, picture_names
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.kernels.maths.affine import combined
+from nerfbake.kernels.maths.affine import compose
 
 MAX_FRAMES = 100_000
 DEFAULT_EDGE = 800  # pixels, the size of the Blender scenes
-MAX_NAME = 120  # bytes of a name; what stands beside a picture, and a file that is not yet whole, have longer ones
+MAX_NAME = 120  # bytes of a name, which leaves room for suffixes of additional and temporary files
 _UNSAFE = re.compile(r"[^\w .+()\[\]-]")
 _OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
 _MAX_PATH = 1000  # characters
-_MAX_PART = 240  # bytes of a file's name, before an ending is tried
-_CAMERA_BYTES = 1000  # what Python takes for one
+_MAX_PART = 240  # bytes of a file name without extension
+_CAMERA_BYTES = 1000  # memory of one Camera object
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 Size = tuple[int, int]
 
 
-class Folder(Protocol):
-    """Files by name, where a name may lead into folders below; nothing is read before it is asked for."""
+class CaptureFolder(Protocol):
+    """Files by name, read on access. A name may contain subfolders."""
 
     def __contains__(self, name: object) -> bool: ...
 
     def __getitem__(self, name: str) -> memoryview: ...
 
     def names(self, folder: str) -> list[str]:
-        """Of the files in a folder below ('' for this one), sorted; none where there is no such folder."""
+        """Return the sorted names of the files in a subfolder ('' for this folder); [] if it does not exist."""
 
     def head(self, name: str) -> bytes:
-        """The first bytes of a file; none where there is no such file."""
+        """Return the first bytes of a file; b'' if it does not exist."""
 
 
 def room_for(frames: int) -> None:
-    """Raises InvalidFile for no frames or too many, MemoryLimit where their cameras do not fit."""
+    """Raise InvalidFile for no frames or too many, MemoryLimit if their cameras do not fit."""
     if not 1 <= frames <= MAX_FRAMES:
         raise InvalidFile(Problem("the frames", f"are {frames:,}", f"1 to {MAX_FRAMES:,}"))
     memory.hold(f"{frames:,} cameras", _CAMERA_BYTES * frames)
 
 
 def opengl(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Camera to world from OpenCV's axes (x right, y down, z ahead) in OpenGL's (x right, y up, z back)."""
-    return combined(pose, _OPENCV)
+    """Convert a pose from OpenCV's axes (x right, y down, z forward) to OpenGL's (x right, y up, z back)."""
+    return compose(pose, _OPENCV)
 
 
 def names_of(paths: Iterable[str | None]) -> list[str]:
-    """A name for each frame that a file may have, all different: the last part of its path without a picture's ending.
+    """Return a unique, safe file name for each frame: the last part of its path without a picture extension.
 
-    What is no letter, digit, space or one of .-_+()[] becomes _; a leading dot or dash, too. What is empty then is its
-    number. Equal ones get their number behind them. A long one is cut.
+    Characters other than letters, digits, spaces and .-_+()[] become _, and so does a leading dot or dash. A frame
+    without a name gets its number. Equal names get their number as a suffix. Long names are truncated.
     """
     taken: set[str] = set()
     found = []
@@ -83,15 +83,15 @@ def _safe(path: str) -> str:
 
 
 class PictureSizes:
-    """Sizes from the headers of pictures that stand beside a file, each read once."""
+    """Sizes from the headers of the pictures of a capture; each header is read once."""
 
-    def __init__(self, folder: Folder | None) -> None:
+    def __init__(self, folder: CaptureFolder | None) -> None:
         self._folder = folder
         self._known: dict[str, Size | None] = {}
-        self._there: dict[str, set[str]] = {}  # the names in each folder: a capture may have 100,000 frames
+        self._there: dict[str, set[str]] = {}  # names by folder, cached because a capture may have 100,000 frames
 
     def of(self, path: str | None) -> Size | None:
-        """Width and height of a picture, whose ending may be left out; None if it is not there or cannot be read."""
+        """Return width and height of a picture, or None if it is missing or unreadable. The extension is optional."""
         inside = None if self._folder is None else inside_of(path)
         if not inside:
             return None
@@ -101,7 +101,7 @@ class PictureSizes:
 
     def _read(self, path: str) -> Size | None:
         assert self._folder is not None
-        # Imported here: only sizes need Pillow, and most files tell theirs.
+        # Imported here: only this function needs Pillow, and most files contain the sizes.
         from nerfbake.formats.wire.picture import size_of
 
         place, _, name = path.rpartition("/")
@@ -118,7 +118,7 @@ class PictureSizes:
 
 
 def inside_of(path: str | None) -> str:
-    """The path as a name in the capture's own folder; '' for one that leads out of it, or that nothing can have."""
+    """Normalise a path inside the capture's folder; '' for a path that leaves the folder or is invalid."""
     if path is None or len(path) > _MAX_PATH or not path.isprintable():
         return ""
     parts = path.replace("\\", "/").split("/")
@@ -128,10 +128,9 @@ def inside_of(path: str | None) -> str:
 
 
 def size_note(frames: int, size: Size | None) -> tuple[str, ...]:
-    """What is said where nothing tells how large the pictures of so many cameras are, and what is taken instead."""
+    """Return the note for cameras without a known size; `size` is the size used instead, None for the default."""
     if not frames:
         return ()
     width, height = size or (DEFAULT_EDGE, DEFAULT_EDGE)
-    whose = "the first" if size else "the Blender scenes"
-    told = f"no size is told and no picture is there for {frames:,} of its cameras"
-    return (f"{told}: {width}x{height} taken, as of {whose}",)
+    source = "the first picture" if size else "the Blender scenes"
+    return (f"no size and no picture for {frames:,} of its cameras; using {width}x{height}, the size of {source}",)

@@ -1,43 +1,213 @@
-"""A model of COLMAP: `cameras` with what is inside them, `images` with where they stood, both as .bin or as .txt.
+"""Read COLMAP models: `cameras` with the intrinsics, `images` with the poses, both as .bin or as .txt.
 
-cameras.bin   u64 count, each: u32 id, i32 model, u64 width, u64 height, f64 parameters, as many as the model has
+cameras.bin   u64 count, each: u32 id, i32 model, u64 width, u64 height, f64 parameters (their number: MODELS)
 images.bin    u64 count, each: u32 id, f64 qw qx qy qz tx ty tz, u32 camera id, name, NUL, u64 points, 24 bytes a point
 cameras.txt   lines: id MODEL width height parameters...
-images.txt    two lines each: id qw qx qy qz tx ty tz camera-id name; and the points, a line that may be empty
+images.txt    two lines each: id qw qx qy qz tx ty tz camera-id name; then the points, in a line that may be empty
 
-Little-endian. Poses are world to camera in OpenCV's axes; frames are in the order of their names. The upper left
-corner of a picture is (0, 0), its first pixel's centre (0.5, 0.5), as here. Source: COLMAP's documentation, "Output
-format"; its sensor/models.h.
+The binary files are little-endian. Poses are world to camera in OpenCV's axes. Frames are sorted by name. The upper
+left corner of a picture is (0, 0) and the centre of its first pixel is (0.5, 0.5), as in nerfbake. Source: COLMAP's
+documentation, "Output format"; its sensor/models.h.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+import re
+import struct
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera import colmap_binary, colmap_text
-from nerfbake.formats.camera.capture import Folder, inside_of, names_of, opengl, room_for
-from nerfbake.formats.camera.colmap_models import Model, Shot
+from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, inside_of, names_of, opengl, room_for
 from nerfbake.kernels.soundness import MAX_EDGE
-from nerfbake.scene import lens
 from nerfbake.scene.base import MAX_WORLD
-from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.camera import Camera, Cameras, Lens, LensModel
 
-# Where a capture keeps its model: COLMAP's own places, then nerfstudio's and instant-ngp's.
+# COLMAP's model number: name, number of parameters.
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+}
+
+
+class ColmapCamera(NamedTuple):
+    """COLMAP's camera: the intrinsics of one or more pictures."""
+
+    name: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+class ColmapImage(NamedTuple):
+    """COLMAP's image: the pose of one picture, world to camera.
+
+    turn: rotation as a quaternion (w, x, y, z); shift: translation; model: id of the ColmapCamera
+    """
+
+    turn: tuple[float, ...]
+    shift: tuple[float, ...]
+    model: int
+    name: str
+
+
+_COUNT = struct.Struct("<Q")
+_MODEL = struct.Struct("<IiQQ")
+_SHOT = struct.Struct("<I7dI")
+_POINT = 24  # bytes
+_MAX_NAME = 4096
+
+
+def decode_binary_models(view: memoryview, name: str) -> dict[int, ColmapCamera]:
+    """Parse the cameras by id. Ids need not be consecutive."""
+    count, at = _count(view, name)
+    models = {}
+    for _ in range(count):
+        (camera_id, number, width, height), at = _take(view, at, _MODEL, name)
+        if number not in MODELS:
+            raise InvalidFile(Problem(f"{name}: camera {camera_id}", f"has model {number}", f"0 to {max(MODELS)}"))
+        model, size = MODELS[number]
+        parameters, at = _take(view, at, struct.Struct(f"<{size}d"), name)
+        models[camera_id] = ColmapCamera(model, width, height, parameters)
+    return models
+
+
+def decode_binary_shots(view: memoryview, name: str) -> list[ColmapImage]:
+    """Parse the images; points are skipped."""
+    count, at = _count(view, name)
+    shots = []
+    for _ in range(count):
+        (_, *pose, model), at = _take(view, at, _SHOT, name)
+        end = bytes(view[at : at + _MAX_NAME]).find(0)
+        if end < 0:
+            raise InvalidFile(
+                Problem(name, f"has a name without NUL at byte {at:,}", f"up to {_MAX_NAME:,} bytes, then NUL")
+            )
+        picture = bytes(view[at : at + end]).decode(errors="replace")
+        (points,), at = _take(view, at + end + 1, _COUNT, name)
+        at += _POINT * points
+        shots.append(ColmapImage(tuple(pose[:4]), tuple(pose[4:]), model, picture))
+    if at > len(view):
+        raise InvalidFile(Problem(name, f"ends after {len(view):,} bytes", f"{at:,} or more, according to its counts"))
+    return shots
+
+
+def _count(view: memoryview, name: str) -> tuple[int, int]:
+    (count,), at = _take(view, 0, _COUNT, name)
+    if count > MAX_FRAMES:
+        raise InvalidFile(Problem(name, f"counts {count:,}", f"up to {MAX_FRAMES:,}"))
+    return count, at
+
+
+def _take(view: memoryview, at: int, what: struct.Struct, name: str) -> tuple[tuple[Any, ...], int]:
+    if at + what.size > len(view):
+        found = f"ends after {len(view):,} bytes"
+        raise InvalidFile(Problem(name, found, f"{at + what.size:,} or more, according to its counts"))
+    return what.unpack_from(view, at), at + what.size
+
+
+_LINE = re.compile(rb"[^\n]*\n?")
+_SIZES = dict(MODELS.values())
+_MAX_LINE = 8192  # bytes of a line that is parsed; lines of points are skipped
+
+
+def decode_text_models(view: memoryview, name: str) -> dict[int, ColmapCamera]:
+    """Parse the cameras by id. Ids need not be consecutive."""
+    models = {}
+    for number, line in _lines(view, name):
+        camera_id, model, width, height, *parameters = _parts(line, 5, number, name)
+        if model not in _SIZES:
+            raise InvalidFile(Problem(f"{name}: line {number:,}", f"has model {model[:40]}", ", ".join(_SIZES)))
+        if len(parameters) != _SIZES[model]:
+            found = f"has {len(parameters)} parameters"
+            raise InvalidFile(Problem(f"{name}: line {number:,}", found, f"{_SIZES[model]} for {model}"))
+        numbers = _numbers((camera_id, width, height, *parameters), number, name)
+        key, *edges = (_whole(value, number, name) for value in numbers[:3])
+        models[key] = ColmapCamera(model, edges[0], edges[1], numbers[3:])
+    return models
+
+
+def decode_text_shots(view: memoryview, name: str) -> list[ColmapImage]:
+    """Parse the images; the lines of points are skipped."""
+    shots = []
+    for number, line in _lines(view, name, skip=1):
+        parts = _parts(line, 10, number, name)
+        numbers = _numbers(parts[:9], number, name)
+        model = _whole(numbers[8], number, name)
+        shots.append(ColmapImage(numbers[1:5], numbers[5:8], model, " ".join(parts[9:])))
+    return shots
+
+
+def _lines(view: memoryview, name: str, *, skip: int = 0) -> Iterator[tuple[int, str]]:
+    """Yield (line number, text) of all lines that are neither empty nor comments. Skip `skip` lines after each."""
+    to_skip = found = 0
+    for number, match in enumerate(_LINE.finditer(view), start=1):
+        if to_skip:
+            to_skip -= 1
+            continue
+        start, end = match.span()
+        line = bytes(view[start : min(end, start + _MAX_LINE)]).strip()
+        if not line or line.startswith(b"#"):
+            continue
+        found += 1
+        if end - start > _MAX_LINE or found > MAX_FRAMES:
+            what = f"has {end - start:,} bytes" if found <= MAX_FRAMES else f"is entry {found:,}"
+            raise InvalidFile(Problem(f"{name}: line {number:,}", what, f"{_MAX_LINE:,} bytes, {MAX_FRAMES:,} entries"))
+        yield number, line.decode(errors="replace")
+        to_skip = skip
+
+
+def _parts(line: str, least: int, number: int, name: str) -> list[str]:
+    parts = line.split()
+    if len(parts) < least:
+        raise InvalidFile(Problem(f"{name}: line {number:,}", f"has {len(parts)} entries", f"{least} or more"))
+    return parts
+
+
+def _numbers(parts: tuple[str, ...] | list[str], number: int, name: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(map(float, parts))
+    except ValueError:
+        numbers = (math.nan,)
+    if not all(map(math.isfinite, numbers)):
+        raise InvalidFile(Problem(f"{name}: line {number:,}", "holds a value that is not a number", "finite numbers"))
+    return numbers
+
+
+def _whole(value: float, number: int, name: str) -> int:
+    if value != int(value):
+        raise InvalidFile(Problem(f"{name}: line {number:,}", f"has {value:g}", "a whole number in this place"))
+    return int(value)
+
+
+# Possible folders of the model: COLMAP's, then nerfstudio's and instant-ngp's.
 _PLACES = ("", "sparse/0/", "sparse/", "colmap/sparse/0/", "colmap_sparse/0/", "colmap_text/")
-_PICTURES = "images/"  # in the capture's folder, wherever its model stands
-_READERS = {"bin": colmap_binary, "txt": colmap_text}  # as COLMAP itself, the binary one where both are there
+_PICTURES = "images/"  # relative to the capture's folder, independent of the folder of the model
+_KINDS = ("bin", "txt")  # in order of preference, as in COLMAP
 
 
 class _Layout(NamedTuple):
-    """How many focal lengths a model's parameters start with, before cx and cy; what follows, as Lens has it."""
+    """The order of a model's parameters: 1 or 2 focal lengths, cx, cy, then the coefficients of the lens.
+
+    lens: None for a pinhole; k, p: indices of k1, k2, ... and of p1, p2
+    """
 
     focals: int
-    lens: lens.LensModel | None = None
-    k: tuple[int, ...] = ()  # where k1, k2, ... stand
+    lens: LensModel | None = None
+    k: tuple[int, ...] = ()
     p: tuple[int, int] | None = None
 
 
@@ -54,63 +224,68 @@ _LAYOUTS = {
 }
 
 
-def recognise(files: Folder) -> bool:
+def recognise(files: CaptureFolder) -> bool:
     return _found(files) is not None
 
 
-def decode(files: Folder, *, member: str = "") -> Cameras:
-    """member: the file that was asked for, where one was: its ending is the one to read."""
+def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
+    """Read the model of a folder. member: the file that the user named, if any; its extension selects .bin or .txt."""
     place = ("", member.rpartition(".")[2]) if member else _found(files)
     if place is None or not all(f"{place[0]}{name}.{place[1]}" in files for name in ("cameras", "images")):
-        raise InvalidFile(Problem("the model", "is not whole", "cameras and images, both .bin or both .txt"))
+        raise InvalidFile(Problem("the model", "is incomplete", "cameras and images, both .bin or both .txt"))
     folder, kind = place
-    reader = _READERS[kind]
-    models = reader.decode_models(files[f"{folder}cameras.{kind}"], f"{folder}cameras.{kind}")
-    shots = sorted(reader.decode_shots(files[f"{folder}images.{kind}"], f"{folder}images.{kind}"), key=lambda s: s.name)
+    cameras, images = f"{folder}cameras.{kind}", f"{folder}images.{kind}"
+    if kind == "bin":
+        models = decode_binary_models(files[cameras], cameras)
+        shots = decode_binary_shots(files[images], images)
+    else:
+        models = decode_text_models(files[cameras], cameras)
+        shots = decode_text_shots(files[images], images)
+    shots = sorted(shots, key=lambda shot: shot.name)
     room_for(len(shots))
     names = names_of(shot.name for shot in shots)
-    cameras = tuple(_camera(shot, name, models) for shot, name in zip(shots, names, strict=True))
-    return Cameras(cameras, "COLMAP", f"{folder}images.{kind}")
+    placed = tuple(_camera(shot, name, models) for shot, name in zip(shots, names, strict=True))
+    return Cameras(placed, "COLMAP", images)
 
 
-def _found(files: Folder) -> tuple[str, str] | None:
-    """The folder below and the ending of the model that is taken."""
+def _found(files: CaptureFolder) -> tuple[str, str] | None:
+    """Return the subfolder and the extension of the first model found."""
     for folder in _PLACES:
-        for kind in _READERS:
+        for kind in _KINDS:
             if f"{folder}cameras.{kind}" in files and f"{folder}images.{kind}" in files:
                 return folder, kind
     return None
 
 
-def _camera(shot: Shot, name: str, models: dict[int, Model]) -> Camera:
+def _camera(shot: ColmapImage, name: str, models: dict[int, ColmapCamera]) -> Camera:
     if shot.model not in models:
-        raise InvalidFile(Problem(f"image {name}", f"was taken by camera {shot.model}", "one that cameras has"))
+        raise InvalidFile(Problem(f"image {name}", f"was taken by camera {shot.model}", "a camera of the model"))
     model = models[shot.model]
     if model.name not in _LAYOUTS:
         raise InvalidFile(Problem(f"camera {shot.model}", f"has the model {model.name}", ", ".join(_LAYOUTS)))
     if not (model.width <= MAX_EDGE and model.height <= MAX_EDGE):
         found = f"has {model.width:,}x{model.height:,} pixels"
-        raise InvalidFile(Problem(f"camera {shot.model}", found, f"{MAX_EDGE:,} an edge"))
+        raise InvalidFile(Problem(f"camera {shot.model}", found, f"up to {MAX_EDGE:,} per edge"))
     layout, values = _LAYOUTS[model.name], model.parameters
-    bent = None
+    lens = None
     if layout.lens:
         p = (0.0, 0.0) if layout.p is None else (values[layout.p[0]], values[layout.p[1]])
-        bent = lens.Lens(layout.lens, tuple(values[i] for i in layout.k), p)
+        lens = Lens(layout.lens, tuple(values[i] for i in layout.k), p)
     cx, cy = values[layout.focals : layout.focals + 2]
     focal = values[0], values[layout.focals - 1]
     picture = inside_of(shot.name)
     picture = picture and f"{_PICTURES}{picture}"
-    return Camera(model.width, model.height, focal, _pose(shot, name), name, (cx, cy), bent, picture)
+    return Camera(model.width, model.height, focal, _pose(shot, name), name, (cx, cy), lens, picture)
 
 
-def _pose(shot: Shot, name: str) -> npt.NDArray[np.float64]:
-    """(4, 4) camera to world, OpenGL axes."""
+def _pose(shot: ColmapImage, name: str) -> npt.NDArray[np.float64]:
+    """Return the pose, (4, 4) camera to world, in OpenGL's axes."""
     w, x, y, z = shot.turn
     square = w * w + x * x + y * y + z * z
     if not 1e-12 < square < 1e12:
         raise InvalidFile(Problem(f"image {name}", f"has the quaternion {shot.turn}", "one of length 1"))
     s = 2 / square
-    # Its transpose leads back: rows of R are the camera's axes in the world.
+    # The rows of R are the camera's axes in the world, so its transpose is camera to world.
     turn = np.array(
         [
             [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],

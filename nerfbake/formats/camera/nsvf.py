@@ -1,9 +1,9 @@
-"""A capture as NSVF has them, and Tanks and Temples and BlendedMVS with it.
+"""Read NSVF captures, also used for Tanks and Temples and BlendedMVS.
 
 pose/NAME.txt    4 x 4 camera to world, OpenCV's axes; or in poses/
-intrinsics.txt   4 x 4 or 3 x 3 numbers; or 16 in a line; or a first line `f cx cy _`, behind which other things stand
-rgb/NAME.png     the pictures, whose size nothing else tells
-Lines of two numbers are passed over. All splits (0_, 1_, 2_ before a name) are taken, in the order of their names.
+intrinsics.txt   4 x 4 or 3 x 3 numbers; or 16 in a line; or a first line `f cx cy _`, followed by other data
+rgb/NAME.png     the pictures; only they contain the size
+Lines of two numbers are skipped. All splits (prefixes 0_, 1_, 2_) are read, sorted by name.
 Source: NSVF's data_utils.py; docs/formats/cameras.md, "Dialects".
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.capture import Folder, PictureSizes, Size, names_of, opengl, room_for
+from nerfbake.formats.camera.capture import CaptureFolder, PictureSizes, Size, names_of, opengl, room_for
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
 
@@ -24,11 +24,11 @@ _MAX_SIZE = 1 << 16  # bytes of a file of a few numbers
 _Rows = list[list[float]]
 
 
-def recognise(files: Folder) -> bool:
+def recognise(files: CaptureFolder) -> bool:
     return _INSIDE in files and any(files.names(folder) for folder in _POSES)
 
 
-def decode(files: Folder, *, member: str = "") -> Cameras:
+def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     folder = next((folder for folder in _POSES if files.names(folder)), _POSES[0])
     stems = [name.removesuffix(".txt") for name in files.names(folder) if name.endswith(".txt")]
     room_for(len(stems))
@@ -36,7 +36,11 @@ def decode(files: Folder, *, member: str = "") -> Cameras:
     sizes = PictureSizes(files)
     found = [sizes.of(f"rgb/{stem}") for stem in stems]
     default = next((size for size in found if size), None) or _around(cx, cy)
-    notes = (f"no picture in rgb: {default[0]}x{default[1]} taken, around the centre",) if not any(found) else ()
+    notes = (
+        (f"no picture in rgb; using {default[0]}x{default[1]}, with the principal point in the centre",)
+        if not any(found)
+        else ()
+    )
     cameras = []
     for stem, size, name in zip(stems, found, names_of(stems), strict=True):
         width, height = size or default
@@ -46,7 +50,7 @@ def decode(files: Folder, *, member: str = "") -> Cameras:
 
 
 def _inside(rows: _Rows) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy."""
+    """Return fx, fy, cx, cy."""
     edges = [len(row) for row in rows]
     if edges in ([16], [4] * 4, [3] * 3):
         K = np.array(rows).reshape(-1, 3 if len(edges) == 3 else 4)
@@ -66,11 +70,11 @@ def _matrix(rows: _Rows, name: str) -> npt.NDArray[np.float64]:
     return np.array(numbers).reshape(4, 4)
 
 
-def _rows(files: Folder, name: str) -> _Rows:
-    """The numbers of each line, but for lines of two."""
+def _rows(files: CaptureFolder, name: str) -> _Rows:
+    """Parse the numbers of each line. Lines of two numbers are skipped."""
     view = files[name]
     if len(view) > _MAX_SIZE:
-        raise InvalidFile(Problem(name, f"has {len(view):,} bytes", f"{_MAX_SIZE:,}"))
+        raise InvalidFile(Problem(name, f"has {len(view):,} bytes", f"up to {_MAX_SIZE:,}"))
     try:
         rows = [list(map(float, line.split())) for line in bytes(view).decode().splitlines()]
     except ValueError:
@@ -81,5 +85,5 @@ def _rows(files: Folder, name: str) -> _Rows:
 
 
 def _around(cx: float, cy: float) -> Size:
-    """The picture whose middle is there."""
+    """Return the size of a picture with its centre at (cx, cy)."""
     return max(1, round(2 * cx)), max(1, round(2 * cy))

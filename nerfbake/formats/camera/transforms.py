@@ -1,14 +1,14 @@
-"""Cameras as transforms.json has them, in the dialects of NeRF-Synthetic, instant-ngp and nerfstudio.
+"""Read and write transforms.json in the dialects of NeRF-Synthetic, instant-ngp and nerfstudio.
 
-frames            [{file_path, transform_matrix: 4 x 4, camera to world, OpenGL axes}, ...]; of a moving camera
-                  transform_matrix_start and _end, of which the first is taken
-x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_angle_y: radians; y as x unless told
-cx, cy, w, h      pixels; the principal point in the middle, and the size of the pictures, unless told
-samples           of this tool's own: pictures are to have so many rays along each edge of a pixel, 1 unless told
+frames            [{file_path, transform_matrix: 4 x 4, camera to world, OpenGL axes}, ...]; a moving camera has
+                  transform_matrix_start and _end; the start is used
+x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_angle_y: radians; y defaults to x
+cx, cy, w, h      pixels; default: the principal point in the centre, the size of the pictures
+samples           nerfbake's extension: rays along each edge of a pixel, default 1
 camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
-All but the frames and samples may stand in a frame, too, which then counts. An instant-ngp file may have comments. What
-instant-ngp and nerfstudio make of the world while they train (scale, offset, aabb_scale, applied_transform) is not in
-the poses.
+Except for frames and samples, each key may also be in a frame, which then takes precedence. instant-ngp files may
+contain comments. The poses do not include the transforms that instant-ngp and nerfstudio apply to the world for
+training (scale, offset, aabb_scale, applied_transform).
 Sources: instant-ngp's nerf_loader.cu and colmap2nerf.py; nerfstudio's nerfstudio_dataparser.py; and
 docs/formats/cameras.md, "Dialects".
 """
@@ -20,12 +20,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.capture import (
     DEFAULT_EDGE,
-    Folder,
+    MAX_FRAMES,
+    CaptureFolder,
     PictureSizes,
     Size,
     inside_of,
@@ -33,39 +35,148 @@ from nerfbake.formats.camera.capture import (
     room_for,
     size_note,
 )
-from nerfbake.formats.camera.transforms_frames import parse, poses_of
-from nerfbake.formats.camera.transforms_lens import LENS_KEYS, lens_fields, lens_of
-from nerfbake.formats.wire.json import number, shown, whole, within
+from nerfbake.formats.wire.json import key_place, kind_of, number, parse_object, shorten, table, whole
 from nerfbake.kernels.maths.elementary import arctan, tangent
 from nerfbake.kernels.soundness import MAX_EDGE
-from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras
+from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras, Lens, LensModel
 
-# What would change rays, and is read by nobody here: a file that has one of these, other than 0 or false, is refused.
+# nerfstudio's names of COLMAP's models, with the lens model of k1, k2, ...
+_MODELS: dict[str, LensModel] = {
+    **dict.fromkeys(("SIMPLE_PINHOLE", "PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"), "polynomial"),
+    "FULL_OPENCV": "rational",
+    **dict.fromkeys(("FISHEYE", "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
+}
+_WRITTEN = {"polynomial": "OPENCV", "rational": "FULL_OPENCV", "fisheye": "OPENCV_FISHEYE"}
+_K = ("k1", "k2", "k3", "k4", "k5", "k6")
+_P = ("p1", "p2")
+_LIST = ("k1", "k2", "k3", "k4", "p1", "p2")  # nerfstudio's order
+LENS_KEYS = (*_K, *_P, "camera_model", "is_fisheye", "distortion_params")
+
+
+def lens_of(fields: Mapping[str, Any], where: str) -> Lens | None:
+    """Parse lens distortion; None for a pinhole. Raises InvalidFile for an unknown model or field."""
+    values = {key: number(fields, key, where) for key in (*_K, *_P) if key in fields}
+    if "distortion_params" in fields:
+        listed = fields["distortion_params"]
+        if not isinstance(listed, list) or len(listed) != len(_LIST):
+            raise InvalidFile(Problem(key_place(where, "distortion_params"), "is not a list of 6", ", ".join(_LIST)))
+        named = dict(zip(_LIST, listed, strict=True))
+        values |= {key: number(named, key, key_place(where, "distortion_params")) for key in named}
+    model = _model(fields, where)
+    if model is None and values.get("k4", 0) != 0:
+        # Ambiguous: nerfstudio multiplies r^8 by k4, OpenCV uses it in the denominator, instant-ngp ignores it.
+        raise InvalidFile(
+            Problem(key_place(where, "k4"), f"is {values['k4']:g}", "0, or a camera_model that defines its meaning")
+        )
+    model = model or "polynomial"
+    for key in ("k5", "k6") if model != "rational" else ():
+        if values.get(key, 0) != 0:
+            raise InvalidFile(Problem(key_place(where, key), f"is {values[key]:g}", "0, or camera_model FULL_OPENCV"))
+    k = [values.get(key, 0.0) for key in (_K if model == "rational" else _K[:4])]
+    lens = Lens(model, tuple(k), (values.get("p1", 0.0), values.get("p2", 0.0)))
+    return lens if lens.bends else None
+
+
+def lens_fields(lens: Lens | None) -> dict[str, Any]:
+    """Return the fields that lens_of() reads. instant-ngp reads is_fisheye, k1, ...; nerfstudio also camera_model."""
+    if lens is None:
+        return {}
+    k = dict(zip(_K, (*lens.k, *[0.0] * (4 - len(lens.k))), strict=False))
+    return {
+        "camera_model": _WRITTEN[lens.model],
+        "is_fisheye": lens.model == "fisheye",
+        **k,
+        **dict(zip(_P, lens.p, strict=True)),
+    }
+
+
+def _model(fields: Mapping[str, Any], where: str) -> LensModel | None:
+    named = fields.get("camera_model")
+    if named is not None and (not isinstance(named, str) or named not in _MODELS):
+        raise InvalidFile(Problem(key_place(where, "camera_model"), f"is {shorten(named)}", ", ".join(_MODELS)))
+    model = None if named is None else _MODELS[named]
+    fisheye = fields.get("is_fisheye")
+    if fisheye not in (None, True, False, 0, 1):
+        raise InvalidFile(Problem(key_place(where, "is_fisheye"), f"is {shorten(fisheye)}", "true or false"))
+    if fisheye and model not in (None, "fisheye"):
+        raise InvalidFile(Problem(key_place(where, "is_fisheye"), "is true", f"false with camera_model {named}"))
+    return "fisheye" if fisheye else model
+
+
+Frame = dict[str, Any]
+
+
+def parse(view: memoryview) -> tuple[Frame, list[Frame]]:
+    """Return all fields, and the frames. Comments are skipped, as in instant-ngp."""
+    fields = parse_object(view, "the JSON", comments=True)
+    frames = fields.get("frames")
+    if not isinstance(frames, list) or not 1 <= len(frames) <= MAX_FRAMES:
+        found = f"are {len(frames):,}" if isinstance(frames, list) else "are not a list"
+        raise InvalidFile(Problem("frames", found, f"1 to {MAX_FRAMES:,} frames"))
+    for i, frame in enumerate(frames):
+        if not isinstance(frame, dict):
+            raise InvalidFile(Problem(f"frames[{i}]", f"is {kind_of(frame)}", "an object with a transform_matrix"))
+    return fields, frames
+
+
+def poses_of(frames: list[Frame]) -> npt.NDArray[np.float64]:
+    """Return the poses, (n, 4, 4) camera to world, OpenGL axes. A camera that moves has its start pose."""
+    keys = [_key(frame) for frame in frames]
+    matrices = [frame.get(key) for frame, key in zip(frames, keys, strict=True)]
+    if all(type(matrix) is list and len(matrix) == 4 for matrix in matrices):
+        try:
+            return table(
+                matrices, "transform_matrix", (len(frames), 4, 4)
+            )  # takes a third of the time of separate calls
+        except InvalidFile:
+            pass  # the loop below finds the invalid frame
+    poses = np.tile(np.eye(4), (len(frames), 1, 1))
+    for i, (key, matrix) in enumerate(zip(keys, matrices, strict=True)):
+        edge = 3 if type(matrix) is list and len(matrix) == 3 else 4
+        poses[i, :edge] = table(matrix, f"frames[{i}].{key}", (edge, 4))
+    return poses
+
+
+def _key(frame: Frame) -> str:
+    starts = "transform_matrix" not in frame and "transform_matrix_start" in frame
+    return "transform_matrix_start" if starts else "transform_matrix"
+
+
+def decode_positions(view: memoryview) -> npt.NDArray[np.float64]:
+    """Return the positions of the cameras, (c, 3), in the world of the file."""
+    try:
+        return poses_of(parse(view)[1])[:, :3, 3]
+    except InvalidFile as error:
+        problem = error.problem
+        raise InvalidFile(problem._replace(place=f"transforms.json: {problem.place}")) from None
+
+
+# Keys that change rays and are not supported: files with a value other than 0 or false are rejected.
 _UNKNOWN = (
     "latlong", "equirectangular", "orthographic", "ftheta_p0", "ftheta_p1", "ftheta_p2", "ftheta_p3", "ftheta_p4",
     "ftheta_w", "ftheta_h", "s1", "s2", "s3", "s4", "sx1", "sy1", "tau_x", "tau_y", "omega", "skew", "sk_x",
     "normal_mts_args", "from_na",
 )  # fmt: skip
-_LEAST_ANGLE = 1e-6  # of a picture, whose focal length is a number that rays can be made with
+_LEAST_ANGLE = 1e-6  # smallest field of view with a focal length that rays can be computed from
 _FOCAL = ("{}_fov", "fl_{}", "camera_angle_{}")
 _OWN = {*_UNKNOWN, *LENS_KEYS, *(name.format(axis) for name in _FOCAL for axis in "xy"), "cx", "cy", "w", "h"}
 _NERFSTUDIO = ("camera_model", "applied_transform", "applied_scale", "train_filenames", "ply_file_path")
 _NGP = ("aabb_scale", "x_fov", "is_fisheye", "transform_matrix_start", "fl_x", "k1")
 
 Fields = Mapping[str, Any]
-Intrinsics = dict[str, Any]  # what a Camera takes beside pose and name
+Intrinsics = dict[str, Any]  # arguments of Camera other than pose and name
 
 
 def recognise(view: memoryview) -> bool:
-    """True for the first bytes of a transforms.json."""
+    """Return True for the first bytes of a transforms.json."""
     head = bytes(view[:HEAD])
     start = head.lstrip()[:2]
-    told = any(key in head for key in (b"camera_angle_x", b"fl_x", b"frames", b"camera_model", b"aabb_scale"))
-    return (start[:1] == b"{" or start in (b"//", b"/*")) and told
+    has_key = any(key in head for key in (b"camera_angle_x", b"fl_x", b"frames", b"camera_model", b"aabb_scale"))
+    return (start[:1] == b"{" or start in (b"//", b"/*")) and has_key
 
 
-def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
-    """The cameras in the order of their frames. beside: the folder where the file and its pictures stand."""
+def decode(view: memoryview, *, beside: CaptureFolder | None = None) -> Cameras:
+    """Return the cameras in the order of the frames. beside: the folder that contains the file and its pictures."""
     fields, frames = parse(view)
     room_for(len(frames))
     sizes = PictureSizes(beside)
@@ -77,34 +188,37 @@ def decode(view: memoryview, *, beside: Folder | None = None) -> Cameras:
     cameras, guessed = [], 0
     for i, (frame, path, name) in enumerate(zip(frames, paths, names_of(paths), strict=True)):
         _refuse_rolling(fields, frame, i)
-        seen = None if first is None else sizes.of(path)
-        size = seen or first
+        found = None if first is None else sizes.of(path)
+        size = found or first
         if _OWN.isdisjoint(frame):
             if size not in shared:
                 shared[size] = _intrinsics({}, fields, size, "")
-            own = shared[size]
+            intrinsics = shared[size]
         else:
-            own = _intrinsics(frame, fields, size, f"frames[{i}]")
-        guessed += seen is None and not _sized(fields, frame)
-        cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **own))
+            intrinsics = _intrinsics(frame, fields, size, f"frames[{i}]")
+        guessed += found is None and not _sized(fields, frame)
+        cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **intrinsics))
     samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
     return Cameras(tuple(cameras), _dialect(fields, frames), notes=size_note(guessed, first), samples=samples)
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:
-    """Read by instant-ngp and nerfstudio, too: what all cameras have in common once, else each frame its own."""
-    owns = [_fields(camera) for camera in cameras.cameras]
-    alike = all(own == owns[0] for own in owns)
+    """Encode cameras for nerfbake, instant-ngp and nerfstudio.
+
+    Intrinsics are written once if all cameras share them, otherwise for each frame.
+    """
+    fields = [_fields(camera) for camera in cameras.cameras]
+    alike = all(each == fields[0] for each in fields)
     frames = [
-        {"file_path": camera.name, **({} if alike else own), "transform_matrix": camera.pose.tolist()}
-        for camera, own in zip(cameras.cameras, owns, strict=True)
+        {"file_path": camera.name, **({} if alike else each), "transform_matrix": camera.pose.tolist()}
+        for camera, each in zip(cameras.cameras, fields, strict=True)
     ]
-    told = {} if cameras.samples == 1 else {"samples": cameras.samples}
-    yield json.dumps({**told, **(owns[0] if alike else {}), "frames": frames}, indent=1).encode() + b"\n"
+    samples = {} if cameras.samples == 1 else {"samples": cameras.samples}
+    yield json.dumps({**samples, **(fields[0] if alike else {}), "frames": frames}, indent=1).encode() + b"\n"
 
 
 def _fields(camera: Camera) -> dict[str, Any]:
-    """A camera's own, but for its pose. An angle only where it is all that there is to say: for older readers."""
+    """Return the intrinsics of a camera. camera_angle_x, for older readers, is only written if it is sufficient."""
     fields: dict[str, Any] = {}
     middle = camera.width / 2, camera.height / 2
     if camera.lens is None and (camera.cx, camera.cy) == middle and camera.fx == camera.fy:
@@ -125,21 +239,22 @@ def _dialect(fields: Fields, frames: list[dict[str, Any]]) -> str:
 
 
 def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> Intrinsics:
-    """A Camera's size, focal lengths, centre and lens."""
+    """Return the size, focal lengths, centre and lens of a Camera."""
     both = {**shared, **{key: own[key] for key in _OWN & own.keys()}}
     for key in _UNKNOWN:
         if both.get(key) not in (None, 0, False):
             raise InvalidFile(
-                Problem(within(where, key), f"is {shown(both[key])}", "perspective, or a fisheye's k1 to k4")
+                Problem(key_place(where, key), f"is {shorten(both[key])}", "perspective, or a fisheye's k1 to k4")
             )
     guessed = size is None and not {"w", "h"} & both.keys()
-    told = size or (DEFAULT_EDGE, DEFAULT_EDGE)
+    defaults = size or (DEFAULT_EDGE, DEFAULT_EDGE)
     width, height = (
-        _pixels(both, key, default if size or guessed else None, where) for key, default in zip("wh", told, strict=True)
+        _pixels(both, key, default if size or guessed else None, where)
+        for key, default in zip("wh", defaults, strict=True)
     )
     found = _focal(own, width, height, where) or _focal(shared, width, height, "")
     if found is None:
-        raise InvalidFile(Problem(within(where, "camera_angle_x"), "is missing", "it, or fl_x, or x_fov"))
+        raise InvalidFile(Problem(key_place(where, "camera_angle_x"), "is missing", "camera_angle_x, fl_x or x_fov"))
     centre = None
     if {"cx", "cy"} & both.keys():
         centre = number(both, "cx", where, default=width / 2), number(both, "cy", where, default=height / 2)
@@ -148,14 +263,14 @@ def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> I
 
 
 def _pixels(fields: Fields, key: str, default: int | None, where: str) -> int:
-    value = number(fields, key, where, default=default, low=1, high=MAX_EDGE)  # a float, where instant-ngp wrote it
+    value = number(fields, key, where, default=default, low=1, high=MAX_EDGE)  # instant-ngp writes floats
     if value != int(value):
-        raise InvalidFile(Problem(within(where, key), f"is {value:g}", "a whole number of pixels"))
+        raise InvalidFile(Problem(key_place(where, key), f"is {value:g}", "a whole number of pixels"))
     return int(value)
 
 
 def _focal(fields: Fields, width: int, height: int, where: str) -> tuple[float, float] | None:
-    """(fx, fy) as these fields have them; where they have one of the two, it is both."""
+    """Return (fx, fy) of these fields. If only one of the two is given, it is used for both."""
     fx, fy = _focal_along("x", width, fields, where), _focal_along("y", height, fields, where)
     if fx is None and fy is None:
         return None
@@ -171,20 +286,20 @@ def _focal_along(axis: str, edge: int, fields: Fields, where: str) -> float | No
         return None
     angle = number(fields, key, where)
     if not _LEAST_ANGLE <= angle < most:
-        upto = "180" if unit == "degrees" else "pi"
-        raise InvalidFile(Problem(within(where, key), f"is {angle:.7g}", f"{unit} between 0 and {upto}"))
+        most_text = "180" if unit == "degrees" else "pi"
+        raise InvalidFile(Problem(key_place(where, key), f"is {angle:.7g}", f"{unit} between 0 and {most_text}"))
     return float(0.5 * edge / tangent((np.radians(angle) if unit == "degrees" else angle) / 2))
 
 
 def _refuse_rolling(fields: Fields, frame: Fields, index: int) -> None:
-    """A shutter that opens row by row gives each row a pose of its own."""
+    """Raise InvalidFile for a moving camera with a rolling shutter, where each row has a different pose."""
     start, end = (frame.get(f"transform_matrix_{which}") for which in ("start", "end"))
     shutter = frame.get("rolling_shutter", fields.get("rolling_shutter"))
     if end is not None and start != end and shutter and shutter != [0] * 4:
         raise InvalidFile(
             Problem(
-                within(f"frames[{index}]", "transform_matrix_end"),
-                "is seen through a rolling_shutter",
-                "cameras that stand still",
+                key_place(f"frames[{index}]", "transform_matrix_end"),
+                "is combined with a rolling_shutter",
+                "cameras that do not move",
             )
         )

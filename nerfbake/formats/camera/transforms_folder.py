@@ -1,6 +1,6 @@
-"""A folder with a transforms.json, or with those of NeRF-Synthetic's splits; the first of _NAMES is taken.
+"""Read folders with a transforms.json, or with one for each of NeRF-Synthetic's splits. The first of _NAMES is read.
 
-The split that nobody trained on comes first: pictures are judged there.
+The test split comes before the training split, because pictures are evaluated on held-out views.
 """
 
 from __future__ import annotations
@@ -9,27 +9,27 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from nerfbake.formats.camera import transforms
-from nerfbake.formats.camera.capture import Folder
+from nerfbake.formats.camera.capture import CaptureFolder
 from nerfbake.scene.camera import Cameras
 
 _NAMES = ("transforms.json", "transforms_test.json", "transforms_val.json", "transforms_train.json")
 
 
-def recognise(files: Folder) -> bool:
+def recognise(files: CaptureFolder) -> bool:
     return any(name in files for name in _NAMES)
 
 
-def split(files: Folder) -> tuple[str, str] | None:
-    """The cameras to train with, and those to judge by; None where the folder does not tell them apart."""
-    trained, judges = _NAMES[3], [name for name in _NAMES[1:3] if name in files]
-    return (trained, judges[0]) if trained in files and judges else None
+def split(files: CaptureFolder) -> tuple[str, str] | None:
+    """Return the file of the training cameras and that of the held-out ones; None if the folder has no such split."""
+    training, held_out = _NAMES[3], [name for name in _NAMES[1:3] if name in files]
+    return (training, held_out[0]) if training in files and held_out else None
 
 
-def decode(files: Folder, *, member: str = "") -> Cameras:
+def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     name = next(name for name in (member, *_NAMES) if name in files)
     return replace(transforms.decode(files[name], beside=files), source=name)
 
 
 def encode(cameras: Cameras) -> Iterator[tuple[str, Iterable[bytes]]]:
-    """The one file, without pictures."""
+    """Yield transforms.json. Pictures are not written."""
     yield _NAMES[0], transforms.encode(cameras)

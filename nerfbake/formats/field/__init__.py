@@ -1,1 +1,1 @@
-"""Radiance fields as bytes."""
+"""Read and write the radiance-field files of other programs."""

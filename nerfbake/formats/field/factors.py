@@ -1,4 +1,4 @@
-"""Planes and lines whose products are a lattice's values, as files name and turn them; the formula: kernels.lattice."""
+"""Check planes and lines read from a file, and compute lattice values from them. Formula: kernels.lattice.planes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ Shape = tuple[int, int, int]
 def factors_of(
     planes: dict[str, npt.NDArray[Any]], lines: dict[str, npt.NDArray[Any]], matrix: Singles, name: str
 ) -> Factors:
-    """planes (A, B, R) across x and y, x and z, y and z, by their names; lines (C, R) along z, y, x; matrix (rows, C),
-    which `name` is. Raises InvalidFile where their sizes do not go together."""
+    """Combine planes, lines and the matrix. Raises InvalidFile if their sizes do not match.
+
+    planes: (A, B, R) across x and y, x and z, y and z, by name. lines: (C, R) along z, y, x, by name.
+    matrix: (rows, C); `name` is its name in error messages.
+    """
     (first, *_), xy = planes, next(iter(planes.values()))
     shape = (*xy.shape[:2], next(iter(lines.values())).shape[0])
     if not all(2 <= edge <= MAX_EDGE for edge in shape):
@@ -30,23 +33,23 @@ def factors_of(
     ):
         edges = tuple(shape[axis] for axis in axes)
         if a.shape != (*edges[:2], a.shape[2]) or b.shape != (edges[2], a.shape[2]):
-            found = f"has {a.shape}, {line} {b.shape} (nodes, then parts)"
-            raise InvalidFile(Problem(plane, found, f"nodes of {shape}, and as many parts"))
+            found = f"has shape {a.shape}, {line} {b.shape} (nodes, then parts)"
+            raise InvalidFile(Problem(plane, found, f"nodes of {shape}, and the same number of parts"))
     rows = sum(a.shape[2] for a in planes.values())
     if matrix.ndim != 2 or matrix.shape[0] != rows or not rows:
-        raise InvalidFile(Problem(name, f"is for {matrix.shape[:1]} parts", f"{rows:,}, as planes have"))
+        raise InvalidFile(Problem(name, f"is for {matrix.shape[:1]} parts", f"{rows:,}, the parts of all planes"))
     arrays = (*planes.values(), *lines.values(), matrix)
     memory.hold(first, 4 * sum(array.size for array in arrays))
     return Factors(*(np.ascontiguousarray(array, np.float32) for array in arrays))
 
 
 def shape_of(factors: Factors) -> Shape:
-    """Nodes along x, y and z."""
+    """Return the number of nodes along x, y and z."""
     return factors.xy.shape[0], factors.xy.shape[1], factors.xz.shape[1]
 
 
 def rows_of(links: npt.NDArray[np.int32], n: int, factors: Factors, what: str) -> Singles:
-    """(n, C) the values of the nodes that links (X, Y, Z) lead to a row. Raises MemoryLimit."""
+    """Compute the values (n, C) of all nodes whose link is not negative; links are (X, Y, Z). Raises MemoryLimit."""
     memory.hold(what, 4 * n * factors.matrix.shape[1])
     out = np.zeros((n, factors.matrix.shape[1]), np.float32)
     values_of(links, factors, out)

@@ -1,4 +1,4 @@
-"""svox's N3Tree archive (.npz): svox, legacy and quantised. Keys: docs/formats/n3tree.md."""
+"""Read and write svox N3Tree archives (.npz): svox, legacy and quantised. Keys: docs/formats/n3tree.md."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, Problem
 from nerfbake.formats.camera import transforms
-from nerfbake.formats.wire.npz_names import npz_keys
-from nerfbake.formats.wire.npz_reader import NpzReader
-from nerfbake.formats.wire.npz_writer import write_npz
-from nerfbake.kernels.maths.casting import cast
+from nerfbake.formats.wire.npz import NpzReader, write_npz
+from nerfbake.formats.wire.zip_reader import npz_keys
+from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.basis import guess_data_format, parse_basis
 from nerfbake.scene.held_out import MAX_EVERY, HeldOut, thinned_size
 from nerfbake.scene.n3tree import N3Tree
 
-_TOLD_BY = {"child", "data_dim", "invradius", "invradius3"}
+_KEYS = {"child", "data_dim", "invradius", "invradius3"}
 _HELD_OUT = "held_out"
-_CHUNK = 1 << 13  # cells dequantised at a time: all coefficients of these stay in the cache
+_CHUNK = 1 << 13  # cells dequantised at a time, few enough that their coefficients stay in the CPU cache
 
 
 def recognise(view: memoryview) -> bool:
-    """True for an archive with some of the names that no other program's checkpoint has."""
-    return not _TOLD_BY.isdisjoint(npz_keys(view))
+    """Return True for an archive with at least one key that only N3Tree archives have."""
+    return not _KEYS.isdisjoint(npz_keys(view))
 
 
 def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
-    """The tree of an archive. `companion`: a _poses_bounds.npy stands beside the file (a forward-facing scene)."""
+    """Return the tree of an archive.
+
+    companion: there is a _poses_bounds.npy next to the file, which marks a forward-facing scene.
+    """
     npz = NpzReader(view)
     quantised = "quant_map" in npz and "data" not in npz
     radius = "invradius3" if "invradius3" in npz or "invradius" not in npz else "invradius"
@@ -41,14 +43,14 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
     if child.dtype.kind != "i" or child.ndim != 4:
         raise InvalidFile(Problem("child", f"has dtype {child.dtype}, shape {child.shape}", "int32 (n, N, N, N)"))
     if child.size and max(abs(int(child.min())), abs(int(child.max()))) >= 1 << 31:
-        raise InvalidFile(Problem("child", "holds numbers beyond 32 bits", "offsets within the table"))
+        raise InvalidFile(Problem("child", "contains numbers beyond 32 bits", "offsets within the table"))
     if child.dtype != np.int32:
         memory.hold("child", 4 * child.size)
         child = child.astype(np.int32)
     data = _dequantise(npz, child) if quantised else npz.array("data")
     data_dim = data.shape[-1] if data.ndim else 0
     if "data_dim" in npz and (declared := npz.scalar("data_dim")) != data_dim:
-        raise InvalidFile(Problem("data_dim", f"is {declared}", f"{data_dim}, as many values as a cell has"))
+        raise InvalidFile(Problem("data_dim", f"is {declared}", f"{data_dim}, the number of values per cell"))
     dialect = "svox" if radius == "invradius3" else "legacy"
     if quantised:
         dialect = "quantised+retained" if "data_retained" in npz else "quantised"
@@ -59,7 +61,7 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
         offset=_world(npz, "offset"),
         invradius=_world(npz, radius),
         data_format=str(npz.scalar("data_format")) if "data_format" in npz else _guess(data_dim),
-        # svox writes an empty array where there are no lobes.
+        # svox writes an empty array if there are no lobes.
         extra_data=extra if extra is not None and extra.size else None,
         dialect=dialect,
         ndc=companion,
@@ -68,9 +70,9 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
 
 
 def encode(tree: N3Tree, *, packing: Literal["stored", "deflated"] = "stored") -> Iterator[bytes | memoryview]:
-    """The archive as svox writes it; `quantised` and `legacy` trees become plain ones.
+    """Encode the archive as svox writes it. `quantised` and `legacy` trees become plain svox trees.
 
-    packing: deflated is what svox itself writes; stored is larger, and faster to write and to read.
+    packing: svox itself writes "deflated"; "stored" is larger, and faster to write and to read.
     """
     parent_depth = np.zeros((tree.n, 2), np.int32)
     for depth, (rows, cells) in enumerate(zip(tree.levels, tree.parent_cells, strict=True)):
@@ -105,7 +107,7 @@ def _guess(data_dim: int) -> str:
 
 
 def _held_out_arrays(held_out: HeldOut) -> dict[str, npt.ArrayLike]:
-    """Keys of this tool's own, which svox passes over."""
+    """Return nerfbake's additional keys, which svox ignores."""
     return {
         f"{_HELD_OUT}_cameras": np.frombuffer(b"".join(transforms.encode(held_out.cameras)), np.uint8),
         f"{_HELD_OUT}_pixels": np.concatenate([pixels.reshape(-1, 3) for pixels in held_out.pixels]),
@@ -153,16 +155,16 @@ def _world(npz: NpzReader, key: str) -> npt.NDArray[np.float64]:
     array = _floats(npz, key)
     if array.size not in (1, 3):
         raise InvalidFile(Problem(key, f"has shape {array.shape}", "(3,)" + " or one value" * (key == "invradius")))
-    # float32 is what svox computes with; legacy files hold the same number as float64. What float32 cannot hold
-    # becomes infinite, of which the tree's value_problems() tell.
+    # svox computes in float32; legacy files store the same number as float64. Values beyond float32 become infinite,
+    # which the tree's value_problems() report.
     return np.broadcast_to(cast(cast(array.reshape(-1), np.float32), np.float64), 3).copy()
 
 
 def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The values behind PlenOctree's compression: each coefficient's (R, G, B) is a row of its own codebook.
+    """Decode the values of a compressed PlenOctree: each coefficient's (R, G, B) is a row of its codebook.
 
     quant_colors (b, K, 3), quant_map (b, n, N, N, N), sigma (n, N, N, N), data_retained (r, n, N, N, N, 3):
-    the r retained coefficients come first; b + r = B.
+    the r retained coefficients come first, and b + r = B.
     """
     colors, codes, sigma = _floats(npz, "quant_colors"), npz.array("quant_map"), _floats(npz, "sigma")
     retained = _floats(npz, "data_retained") if "data_retained" in npz else np.empty((0, *child.shape, 3), sigma.dtype)
@@ -185,7 +187,9 @@ def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:
     r = len(retained)
     basis = parse_basis(f"SH{b + r}") if "data_format" not in npz else parse_basis(str(npz.scalar("data_format")))
     if basis.size != b + r:
-        raise InvalidFile(Problem("quant_colors", f"has {b} codebooks beside {r} retained", f"{basis.size} together"))
+        raise InvalidFile(
+            Problem("quant_colors", f"has {b} codebooks, and {r} coefficients are retained", f"{basis.size} in total")
+        )
     dtype = np.float16 if sigma.dtype == colors.dtype == retained.dtype == np.float16 else np.float32
     cells = sigma.size
     memory.hold("the decoded data", cells * basis.data_dim * np.dtype(dtype).itemsize)
@@ -195,10 +199,10 @@ def _dequantise(npz: NpzReader, child: npt.NDArray[Any]) -> npt.NDArray[Any]:
     columns = np.ascontiguousarray(colors.transpose(0, 2, 1))
 
     def fill(begin: int, end: int) -> None:
-        some, rows = slice(begin, end), data[begin:end]
-        rows[:, -1] = sigma[some]
+        chunk, rows = slice(begin, end), data[begin:end]
+        rows[:, -1] = sigma[chunk]
         for i, channel in product(range(basis.size), range(3)):
-            column = retained[i, some, channel] if i < r else columns[i - r, channel].take(codes[i - r, some])
+            column = retained[i, chunk, channel] if i < r else columns[i - r, channel].take(codes[i - r, chunk])
             rows[:, channel * basis.size + i] = column
 
     over_chunks(fill, cells, _CHUNK)

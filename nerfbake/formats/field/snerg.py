@@ -1,11 +1,12 @@
-"""SNeRG's folder (png/): an atlas of blocks of voxels, slice by slice in PNGs, and a small MLP in scene_params.json.
+"""Read SNeRG folders (png/): an atlas of voxel blocks, slice by slice in PNGs, and a small MLP.
 
-    atlas_indices.png   RGB: of each block of the grid its block in the atlas; red 255: an empty one
+    scene_params.json   sizes of the grid, its blocks and the atlas; the grid's position in the world; the MLP
+    atlas_indices.png   RGB: position in the atlas of each block of the grid; red 255: empty
     rgba_000.png ...    four slices each, one below the other: colour times opacity, opacity
-    feature_000.png ... the same of four features times opacity
+    feature_000.png ... the same layout for four features times opacity
 
-A block has b voxels along each edge, in the atlas one more around it, which belong to its neighbours. Sources: SNeRG
-(Hedman et al., 2021), 4 and 5, and the files that its program writes; docs/formats/checkpoints.md.
+A block has b voxels along each edge. In the atlas it has one more on each side, copied from its neighbours. Sources:
+SNeRG (Hedman et al., 2021), 4 and 5, and the files that its program writes; docs/formats/checkpoints.md.
 """
 
 from __future__ import annotations
@@ -18,24 +19,106 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.field.baked_folder import EMPTY, PARAMS, Bytes, indices_of, picture_of
-from nerfbake.formats.field.snerg_params import Params, decode_params
+from nerfbake.formats.field.baked_folder import (
+    EMPTY,
+    PARAMS,
+    SMERF,
+    Bytes,
+    atlas_of,
+    deferred_mlp,
+    indices_of,
+    params_of,
+    picture_of,
+    read_three,
+    sizes_of,
+)
+from nerfbake.formats.wire.json import number, table, whole
 from nerfbake.kernels.arrays import Bits, Points
-from nerfbake.scene.lattice_field import Activation, LatticeField
+from nerfbake.scene.lattice_field import MAX_EDGE, Activation, DeferredColour, LatticeField
+
+_MAX_BLOCK = 254
+# Keys of other programs' scene_params.json, with a description for the error message.
+_REFUSED = SMERF | {"triplane_resolution": "a key of MERF, whose pictures have other names than SNeRG's"}
+_ALLOWED_FOLDER = "a folder of SNeRG"
+
+
+class SnergParams(NamedTuple):
+    """The contents of scene_params.json.
+
+    block: voxels along an edge of a block
+    blocks: blocks of the grid along x, y, z
+    atlas, atlas_blocks: (W, H, D) of the atlas in voxels, and in whole blocks
+    voxel: edge of a voxel in world units
+    low: lowest corner of the grid, along the grid's axes
+    axes, signs, move: the world's axis i is the grid's axis axes[i] times signs[i], plus move[i]
+    """
+
+    block: int
+    blocks: tuple[int, int, int]
+    atlas: tuple[int, int, int]
+    atlas_blocks: tuple[int, int, int]
+    voxel: float
+    low: Points
+    axes: tuple[int, int, int]
+    signs: tuple[int, int, int]
+    move: Points
+    colour: DeferredColour
+
+
+def decode_params(files: Mapping[str, memoryview]) -> SnergParams:
+    """Parse scene_params.json. Raises InvalidFile for missing or wrong entries, and for files of other programs."""
+    fields = params_of(files, _REFUSED, _ALLOWED_FOLDER)
+    if fields.get("ndc", False) is not False:
+        found = "has ndc: a forward-facing scene, whose lattice is not a box in world space"
+        raise InvalidFile(Problem(PARAMS, found, "a bounded scene of SNeRG"))
+    if fields.get("format", "png") != "png":
+        raise InvalidFile(Problem(f"{PARAMS}: format", "is not supported", "png"))
+    block = whole(fields, "block_size", PARAMS, low=1, high=_MAX_BLOCK)
+    grid = sizes_of(fields, "grid", MAX_EDGE - 2)
+    atlas, atlas_blocks = atlas_of(fields, block + 2)
+    axes, signs, move = _turn(fields)
+    return SnergParams(
+        block,
+        read_three(-(-edge // block) for edge in grid),
+        atlas,
+        atlas_blocks,
+        number(fields, "voxel_size", PARAMS, low=1e-9, high=1e9),
+        np.array([number(fields, f"min_{axis}", PARAMS) for axis in "xyz"]),
+        axes,
+        signs,
+        move,
+        DeferredColour(None if fields.get("diffuse") is True else deferred_mlp(fields, direction_first=True)),
+    )
+
+
+def _turn(fields: dict[str, Any]) -> tuple[tuple[int, int, int], tuple[int, int, int], Points]:
+    """Parse worldspace_T_opengl, which may swap and mirror axes, and translate."""
+    place = f"{PARAMS}: worldspace_T_opengl"
+    matrix = table(fields.get("worldspace_T_opengl"), place, (4, 4))
+    turn = matrix[:3, :3]
+    ones = np.abs(turn) == 1
+    if not (ones.sum(axis=0) == 1).all() or np.count_nonzero(turn) != 3 or (matrix[3] != (0, 0, 0, 1)).any():
+        raise InvalidFile(
+            Problem(place, "is not a swap of axes", "one 1 or -1 in each row and column, then a translation")
+        )
+    axes = read_three(int(axis) for axis in ones.argmax(axis=1))
+    signs = read_three(int(turn[i, axis]) for i, axis in enumerate(axes))
+    return axes, signs, matrix[:3, 3]
+
 
 _INDICES = "atlas_indices.png"
-_ALLOWED = f"{_INDICES}, and as many rgba and feature pictures as slices"
-_SLICES = 4  # in a picture
+_ALLOWED = f"{_INDICES}, and the rgba and feature pictures of all slices"
+_SLICES = 4  # per picture
 _CHANNELS = 8
 _AT_ONCE = 1 << 21  # voxels
-_ROW_BYTES = 3 * 4 + _CHANNELS + 2 * _CHANNELS + 4  # a voxel's place and bytes, then its features and its opacity
+_ROW_BYTES = 3 * 4 + _CHANNELS + 2 * _CHANNELS + 4  # position and bytes of a voxel, then its features and opacity
 
 Ints32 = npt.NDArray[np.int32]
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
 class _Voxels(NamedTuple):
-    """Places (n, 3) in the grid, from -1 on; their bytes (n, 8): red, green, blue, four features, opacity."""
+    """Positions (n, 3) in the grid, -1 or more; bytes (n, 8): red, green, blue, four features, opacity."""
 
     places: Ints32
     values: Bytes
@@ -46,15 +129,15 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
 
 
 def decode(files: Mapping[str, memoryview], *, member: str = PARAMS) -> LatticeField:
-    """The lattice of a folder, in the world of the cameras; `member` stands for all of it.
+    """Read a folder as a lattice in the world of the cameras. `member` is the file that stands for the folder.
 
-    Raises InvalidFile naming the file, MemoryLimit.
+    Raises InvalidFile with the name of the file, MemoryLimit.
     """
     params = decode_params(files)
     indices = indices_of(files, _INDICES, params.blocks, params.atlas_blocks, _ALLOWED)
     occupied = indices[..., 0] != EMPTY
     if not occupied.any():
-        raise InvalidFile(Problem(_INDICES, "has no block that holds anything", "one or more"))
+        raise InvalidFile(Problem(_INDICES, "has no occupied block", "one or more"))
     with memory.scope():
         voxels = _voxels(files, params, indices, occupied)
         count = len(voxels.places)
@@ -82,26 +165,26 @@ def decode(files: Mapping[str, memoryview], *, member: str = PARAMS) -> LatticeF
 
 
 def _ends(occupied: Bits) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The first block along each axis that holds something, and the one behind the last."""
-    held = [np.flatnonzero(occupied.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
-    return np.array([each[0] for each in held]), np.array([each[-1] + 1 for each in held])
+    """Return the first occupied block along each axis, and the one after the last."""
+    filled = [np.flatnonzero(occupied.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    return np.array([each[0] for each in filled]), np.array([each[-1] + 1 for each in filled])
 
 
-def _turned(array: Array, params: Params) -> Array:
-    """An array (x, y, z) of the grid's axes, along the world's."""
+def _turned(array: Array, params: SnergParams) -> Array:
+    """Transpose and mirror an array (x, y, z) from the grid's axes to the world's."""
     turned = array.transpose(params.axes)[tuple(slice(None, None, sign) for sign in params.signs)]
     return cast(Array, np.ascontiguousarray(turned))
 
 
-def _moved(box: Points, params: Params) -> Points:
-    """The same of a box (2, 3)."""
+def _moved(box: Points, params: SnergParams) -> Points:
+    """Transform a box (2, 3) from the grid's axes to the world's."""
     ends = box[:, params.axes] * params.signs + params.move
     return np.sort(ends, axis=0)
 
 
 # -- pictures --------------------------------------------------------------------------------------------------
-def _layer(files: Mapping[str, memoryview], params: Params, number: int) -> Bytes:
-    """(slices, H, W, 8) of one layer of the atlas' blocks."""
+def _layer(files: Mapping[str, memoryview], params: SnergParams, number: int) -> Bytes:
+    """Read one layer of blocks of the atlas, (slices, H, W, 8)."""
     W, H, _ = params.atlas
     edge = params.block + 2
     memory.hold("the atlas", edge * H * W * _CHANNELS)
@@ -121,34 +204,37 @@ def _layer(files: Mapping[str, memoryview], params: Params, number: int) -> Byte
 
 
 # -- voxels ----------------------------------------------------------------------------------------------------
-def _voxels(files: Mapping[str, memoryview], params: Params, indices: Bytes, occupied: Bits) -> _Voxels:
-    """All voxels that hold something: blocks' own, then those around them that are in no block, each once."""
-    own: list[_Voxels] = []
+def _voxels(files: Mapping[str, memoryview], params: SnergParams, indices: Bytes, occupied: Bits) -> _Voxels:
+    """Return all voxels that are not empty, each once.
+
+    The voxels inside the blocks come first, then the additional voxels around them that are in no occupied block.
+    """
+    inside: list[_Voxels] = []
     around: list[_Voxels] = []
     count = 0
     for inner, found in _blocks(files, params, indices):
         block = found.places // params.block
         free: Bits = np.asarray(((block < 0) | (block >= occupied.shape)).any(axis=1))
         free[~free] = ~occupied[tuple(block[~free].T)]
-        for kept, where in ((own, inner), (around, free)):
+        for kept, where in ((inside, inner), (around, free)):
             kept.append(_Voxels(found.places[where], found.values[where]))
             count += int(np.count_nonzero(where))
         memory.require("the voxels", 2 * _ROW_BYTES * count)
-    places = np.concatenate([each.places for each in own + around])
-    values = np.concatenate([each.values for each in own + around])
+    places = np.concatenate([each.places for each in inside + around])
+    values = np.concatenate([each.values for each in inside + around])
     x, y, z = (places + 1).astype(np.int64).T
     once = np.sort(np.unique((x << 40) | (y << 20) | z, return_index=True)[1])
     return _Voxels(places[once], values[once])
 
 
-def _blocks(files: Mapping[str, memoryview], params: Params, indices: Bytes) -> Iterator[tuple[Bits, _Voxels]]:
-    """Voxels that hold something, some blocks at a time, and which of them are the block's own."""
+def _blocks(files: Mapping[str, memoryview], params: SnergParams, indices: Bytes) -> Iterator[tuple[Bits, _Voxels]]:
+    """Yield voxels that are not empty, a few blocks at a time, with a mask of those inside their block."""
     edge = params.block + 2
     blocks = np.argwhere(indices[..., 0] != EMPTY)
-    leads = indices[tuple(blocks.T)].astype(np.int64)
+    atlas_index = indices[tuple(blocks.T)].astype(np.int64)
     step = max(1, _AT_ONCE // edge**3)
     for layer in range(params.atlas_blocks[2]):
-        here = np.flatnonzero(leads[:, 2] == layer)
+        here = np.flatnonzero(atlas_index[:, 2] == layer)
         if not len(here):
             continue
         with memory.scope():
@@ -156,10 +242,10 @@ def _blocks(files: Mapping[str, memoryview], params: Params, indices: Bytes) -> 
             width, height = (edge * count for count in params.atlas_blocks[:2])
             parts = atlas[:, :height, :width].reshape(edge, height // edge, edge, width // edge, edge, _CHANNELS)
             for begin in range(0, len(here), step):
-                some = here[begin : begin + step]
-                found = parts[:, leads[some, 1], :, leads[some, 0]]  # (k, z, y, x, 8)
+                chunk = here[begin : begin + step]
+                found = parts[:, atlas_index[chunk, 1], :, atlas_index[chunk, 0]]  # (k, z, y, x, 8)
                 k, z, y, x = np.nonzero(found.any(axis=4))
                 at = np.stack([x, y, z], axis=1)
                 inner = np.asarray(((at >= 1) & (at <= params.block)).all(axis=1))
-                places = blocks[some][k] * params.block + at - 1
+                places = blocks[chunk][k] * params.block + at - 1
                 yield inner, _Voxels(places.astype(np.int32), found[k, z, y, x])

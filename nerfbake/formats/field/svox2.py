@@ -1,6 +1,7 @@
-"""svox2's checkpoint of Plenoxels (ckpt.npz): a lattice of links to rows of values. Keys: docs/formats/checkpoints.md.
+"""Read svox2 checkpoints of Plenoxels (ckpt.npz): a lattice of links to rows of values.
 
-Rows stand in any order (training sorts them along a Morton curve), so that nothing but the links says which is whose.
+Rows may be in any order (training sorts them along a Morton curve); only the links map nodes to rows. Keys:
+docs/formats/checkpoints.md.
 """
 
 from __future__ import annotations
@@ -12,25 +13,25 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire.npz_names import npz_keys
-from nerfbake.formats.wire.npz_reader import NpzReader
-from nerfbake.kernels.maths.casting import cast
+from nerfbake.formats.wire.npz import NpzReader
+from nerfbake.formats.wire.zip_reader import npz_keys
+from nerfbake.kernels.maths.elementary import cast
 from nerfbake.scene.lattice_field import Activation, LatticeField, ShColour
 
-_SIZES = (1, 4, 9)  # coefficients a channel that its kernels know
+_SIZES = (1, 4, 9)  # coefficients per channel that svox2's kernels support
 _SH = 1
 _OTHERS = {4: "a learned texture", 255: "an MLP"}
 _NO_SH = "spherical harmonics (basis_type 1)"
 
 
 def recognise(view: memoryview) -> bool:
-    """True for an archive with links and with the values of one of its two dialects."""
+    """Return True for an archive with links and the values of one of the two dialects."""
     keys = npz_keys(view)
     return "links" in keys and bool(keys & {"density_data", "data"})
 
 
 def decode(view: memoryview) -> LatticeField:
-    """The lattice of a checkpoint. The background's layers, beyond its box, are left out, which a note says."""
+    """Return the lattice of a checkpoint. The background layers outside the box are left out; a note reports this."""
     npz = NpzReader(view)
     old = "density_data" not in npz and "data" in npz
     npz.require("links", *(("data",) if old else ("density_data", "sh_data")))
@@ -39,7 +40,7 @@ def decode(view: memoryview) -> LatticeField:
     if links.dtype != np.int32:
         memory.hold("links", 4 * links.size)
         if links.size and (int(links.max()) >= 1 << 31 or int(links.min()) < -1 << 31):
-            raise InvalidFile(Problem("links", "hold numbers beyond 32 bits", "rows of the values, or -1"))
+            raise InvalidFile(Problem("links", "contain numbers beyond 32 bits", "rows of the values, or -1"))
         links = links.astype(np.int32)
     density, features = _values(npz, old=old)
     radius, centre = _world(npz, "radius", 1.0), _world(npz, "center", 0.0)
@@ -52,12 +53,12 @@ def decode(view: memoryview) -> LatticeField:
         colour=ShColour(features.shape[1] // 3),
         box=np.stack([centre - radius, centre + radius]),
         dialect="svox2, old" if old else "svox2",
-        notes=("the background, layers of a sphere around the box, is left out",) if layered else (),
+        notes=("the background (sphere layers around the box) is left out",) if layered else (),
     )
 
 
 def _require_harmonics(npz: NpzReader) -> None:
-    """Raises InvalidFile for colours of another basis: one that the file names, or one that it holds without a name."""
+    """Raise InvalidFile unless the basis is spherical harmonics. basis_data alone is a learned texture."""
     named = npz.scalar("basis_type") if "basis_type" in npz else 4 if "basis_data" in npz else _SH
     if named != _SH:
         kind = _OTHERS.get(named, "unknown") if isinstance(named, int) else "unknown"
@@ -65,8 +66,8 @@ def _require_harmonics(npz: NpzReader) -> None:
 
 
 def _values(npz: NpzReader, *, old: bool) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any]]:
-    """(n,) raw densities, (n, 3B) coefficients."""
-    if old:  # density first, where svox has it last
+    """Return raw densities (n,) and coefficients (n, 3B)."""
+    if old:  # the density comes first; in svox it comes last
         data = _table(npz, "data", 1)
         return np.ascontiguousarray(data[:, 0], np.float32), data[:, 1:]
     density = npz.shaped("density_data", "f", (None, 1))
@@ -78,7 +79,7 @@ def _values(npz: NpzReader, *, old: bool) -> tuple[npt.NDArray[np.float32], npt.
 
 
 def _table(npz: NpzReader, key: str, others: int) -> npt.NDArray[Any]:
-    """A table of floats, as wide as colours of a known size and `others` columns beside them."""
+    """Return a table of floats. Its width must be that of a supported basis plus `others` columns."""
     table = npz.shaped(key, "f", (None, None))
     widths = [3 * size + others for size in _SIZES]
     if table.shape[1] not in widths:
@@ -91,7 +92,7 @@ def _table(npz: NpzReader, key: str, others: int) -> npt.NDArray[Any]:
 
 
 def _world(npz: NpzReader, key: str, default: float) -> npt.NDArray[np.float64]:
-    """(3,) of one number or three; old files have none."""
+    """Return one number or three as (3,); old files do not have the key."""
     if key not in npz:
         return np.full(3, default)
     array = npz.array(key, limit=1 << 16)

@@ -1,7 +1,7 @@
-"""TensoRF's checkpoint (.th), a file of torch's: planes and lines whose products are a lattice's values.
+"""Read TensoRF checkpoints (.th), which torch writes: the products of planes and lines are a lattice's values.
 
-Only nodes that the mask lets matter get a row, so that a lattice whose planes are small stays small. Keys:
-docs/formats/checkpoints.md. Source: TensoRF (Chen et al., 2022), 4, and the files that its program writes.
+Only nodes that contribute according to the mask get a row, to limit the memory. Keys: docs/formats/checkpoints.md.
+Source: TensoRF (Chen et al., 2022), 4, and the files that its program writes.
 """
 
 from __future__ import annotations
@@ -14,21 +14,20 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.factors import Shape, factors_of, rows_of, shape_of
-from nerfbake.formats.field.torch_model import TorchModel, as_singles, every_node, layers_of, told
-from nerfbake.formats.wire.torch_zip import is_torch
+from nerfbake.formats.field.torch_model import TorchModel, as_singles, every_node, format_setting, layers_of
+from nerfbake.formats.wire.torch import is_torch
 from nerfbake.kernels.arrays import Bits, Points, Singles
-from nerfbake.kernels.lattice.masks import nodes_around, touched_cells
-from nerfbake.kernels.lattice.planes import Factors
-from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.lattice.planes import Factors, nodes_around, touched_cells
+from nerfbake.kernels.maths.elementary import cast
 from nerfbake.scene.lattice_field import MAX_EDGE, Activation, Colour, LatticeField, MlpColour, ShColour
 
-_HEAD = 1 << 20  # bytes that the pickle begins in, which stands first
+_HEAD = 1 << 20  # bytes at the start of the file that contain the start of the pickle
 _LAYERS = ("renderModule.mlp.0", "renderModule.mlp.2", "renderModule.mlp.4")
 _SH_FEATURES = 27
 _MOST_FREQUENCIES = 16
-_NODE_BYTES = 6  # while nodes that matter are looked for
-# What other models than planes with lines are told by.
-_REFUSED = {"plane_coef": "its oldest model (TensorVM)", "density_line.0": "of lines alone (TensorCP)"}
+_NODE_BYTES = 6  # bytes per node during the search for contributing nodes
+# Keys of other TensoRF models, with a description for the error message.
+_REFUSED = {"plane_coef": "the oldest model (TensorVM)", "density_line.0": "lines alone (TensorCP)"}
 _COLOURS = "MLP_Fea, MLP or SH"
 
 
@@ -38,13 +37,13 @@ class _Mask(NamedTuple):
 
 
 def recognise(view: memoryview) -> bool:
-    """True for a file of torch's with the lines that this program keeps."""
+    """Return True for a torch file with TensoRF's lines."""
     head = bytes(view[:_HEAD])
     return is_torch(view) and b"density_line" in head and b"basis_mat" in head
 
 
 def decode(view: memoryview) -> LatticeField:
-    """The lattice of a checkpoint. Raises InvalidFile, MemoryLimit."""
+    """Return the lattice of a checkpoint. Raises InvalidFile, MemoryLimit."""
     model = TorchModel(view, "kwargs", "state_dict", "TensoRF")
     box = _box(model.settings.get("aabb"), model, "aabb")
     _require_world(model.settings, box)
@@ -75,15 +74,15 @@ def decode(view: memoryview) -> LatticeField:
 
 
 def _require_world(settings: dict[Any, Any], box: Points) -> None:
-    """Raises InvalidFile for a forward-facing scene: its rays go from 0 to 1, and its box from -1 to 1 along z."""
+    """Raise InvalidFile for a forward-facing scene: its near_far is 0 and 1, or its box is -1 to 1 along z."""
     reach = settings.get("near_far")
     if reach in ([0.0, 1.0], (0.0, 1.0)) or (reach is None and (box[:, 2] == (-1, 1)).all()):
-        found = "is of rays from 0 to 1: a forward-facing scene (NDC), whose lattice is no box of the world"
+        found = "is 0 to 1: a forward-facing scene (NDC), whose lattice is not a box in world space"
         raise InvalidFile(Problem("near_far", found, "a bounded scene of TensoRF"))
 
 
 def _box(value: Any, model: TorchModel, name: str) -> Points:
-    """(2, 3) lowest and highest corner."""
+    """Return the lowest and the highest corner, (2, 3)."""
     box = as_singles(model.file.array(value, name), name)
     if box.shape != (2, 3):
         raise InvalidFile(Problem(name, f"has shape {box.shape}", "(2, 3)"))
@@ -91,7 +90,10 @@ def _box(value: Any, model: TorchModel, name: str) -> Points:
 
 
 def _factors(model: TorchModel, what: str, matrix: Singles | None) -> Factors:
-    """density_plane, density_line or app_plane, app_line; the density is the sum of all parts."""
+    """Read density_plane and density_line, or app_plane and app_line.
+
+    matrix: None for the density, which is the sum of all parts.
+    """
     for key, kind in _REFUSED.items():
         if key in model.state and "density_plane.0" not in model.state:
             raise InvalidFile(Problem("state_dict", f"has {key}: {kind}", "planes and lines (TensorVMSplit)"))
@@ -115,9 +117,9 @@ def _activation(model: TorchModel) -> Activation:
     shift, scale = (_number(model, key) for key in ("density_shift", "distance_scale"))
     if kind == "softplus":
         return Activation("softplus", shift, scale)
-    if kind == "relu":  # which leaves the shift out
+    if kind == "relu":  # TensoRF ignores the shift for relu
         return Activation("relu", 0.0, scale)
-    raise InvalidFile(Problem("fea2denseAct", f"is {told(kind)}", "softplus or relu"))
+    raise InvalidFile(Problem("fea2denseAct", f"is {format_setting(kind)}", "softplus or relu"))
 
 
 def _number(model: TorchModel, key: str) -> float:
@@ -128,39 +130,44 @@ def _number(model: TorchModel, key: str) -> float:
 
 
 def _colour(model: TorchModel, features: int) -> Colour:
-    """Of so many features."""
+    """Return the colour model for this number of features."""
     mode = model.settings.get("shadingMode")
     if mode == "SH":
         if features != _SH_FEATURES:
-            raise InvalidFile(Problem("basis_mat.weight", f"makes {features} features", f"{_SH_FEATURES}, for SH"))
+            raise InvalidFile(Problem("basis_mat.weight", f"has {features} rows", f"{_SH_FEATURES}, for SH"))
         return ShColour(_SH_FEATURES // 3)
     if mode not in ("MLP_Fea", "MLP"):
-        kinds = {"MLP_PE": ", whose MLP asks for positions", "RGB": ", colours without a bound"}
+        kinds = {"MLP_PE": ", whose MLP takes positions as inputs", "RGB": ", colours without a bound"}
         kind = kinds.get(mode, "") if isinstance(mode, str) else ""
-        raise InvalidFile(Problem("shadingMode", f"is {told(mode)}{kind}", _COLOURS))
+        raise InvalidFile(Problem("shadingMode", f"is {format_setting(mode)}{kind}", _COLOURS))
     views = _frequencies(model, "view_pe")
     sines = _frequencies(model, "fea_pe") if mode == "MLP_Fea" else ()
     layers = layers_of(*model.layers(list(_LAYERS), list(_LAYERS)))
-    first, own = layers.first, 2 * features * len(sines)
-    if first.shape[1] != features + 3 + own + 6 * len(views):
+    first, encoded = layers.first, 2 * features * len(sines)
+    if first.shape[1] != features + 3 + encoded + 6 * len(views):
         found = f"takes {first.shape[1]} inputs"
-        raise InvalidFile(Problem(_LAYERS[0], found, f"{features + 3 + own + 6 * len(views)}, of {features} features"))
-    # There: features, d, sines of features, sines of d. Here: features with their sines, d with its sines.
-    parts = np.split(first, [features, features + 3, features + 3 + own], axis=1)
+        raise InvalidFile(
+            Problem(_LAYERS[0], found, f"{features + 3 + encoded + 6 * len(views)}, for {features} features")
+        )
+    # Inputs in the file: features, d, sines of features, sines of d. In MlpColour each sine follows its values.
+    parts = np.split(first, [features, features + 3, features + 3 + encoded], axis=1)
     layers = layers._replace(first=np.concatenate([parts[0], parts[2], parts[1], parts[3]], axis=1))
     return MlpColour(*layers, frequencies=views, encoded=features if sines else 0, feature_frequencies=sines)
 
 
 def _frequencies(model: TorchModel, key: str) -> tuple[float, ...]:
-    """1, 2, 4, ..., as many as the setting says."""
+    """Return the frequencies 1, 2, 4, ...; the setting is their number."""
     count = model.settings.get(key)
     if type(count) is not int or not 0 <= count <= _MOST_FREQUENCIES:
-        raise InvalidFile(Problem(key, f"is {told(count)}", f"0 to {_MOST_FREQUENCIES}"))
+        raise InvalidFile(Problem(key, f"is {format_setting(count)}", f"0 to {_MOST_FREQUENCIES}"))
     return tuple(float(1 << i) for i in range(count))
 
 
 def _mask(model: TorchModel) -> _Mask | None:
-    """Where a sample counts: in each cell that has a True node at a corner, even beside the outermost nodes."""
+    """Return the cells in which samples count: those with a True node at a corner.
+
+    This includes the cells outside the outermost nodes.
+    """
     root = model.file.root
     if "alphaMask.aabb" not in root:
         return None
@@ -171,7 +178,9 @@ def _mask(model: TorchModel) -> _Mask | None:
         or any(edge != 1 for edge in sizes[:-3])
         or not all(2 <= e <= MAX_EDGE for e in sizes[-3:])
     ):
-        raise InvalidFile(Problem("alphaMask.shape", f"is {sizes or told(shape)}", f"(Z, Y, X), 2 to {MAX_EDGE} each"))
+        raise InvalidFile(
+            Problem("alphaMask.shape", f"is {sizes or format_setting(shape)}", f"(Z, Y, X), 2 to {MAX_EDGE} each")
+        )
     Z, Y, X = sizes[-3:]
     packed = model.file.array(root.get("alphaMask.mask"), "alphaMask.mask")
     if packed.dtype != np.uint8 or packed.shape != ((X * Y * Z + 7) // 8,):
@@ -185,17 +194,17 @@ def _mask(model: TorchModel) -> _Mask | None:
 
 
 def _links(mask: _Mask | None, box: Points, shape: Shape) -> tuple[npt.NDArray[np.int32], int]:
-    """(X, Y, Z) to a row for each node that matters, x-major, and their count."""
+    """Return links (X, Y, Z) from each contributing node to its row, x-major, and the number of rows."""
     edges = [box[1] - box[0]] + ([mask.box[1] - mask.box[0]] if mask else [])
     if not all(np.isfinite(each).all() and (each > 0).all() for each in edges):
-        raise InvalidFile(Problem("aabb", "is no box", "the lowest corner, then the highest, of finite numbers"))
+        raise InvalidFile(Problem("aabb", "is not a box", "the lowest corner, then the highest, in finite numbers"))
     if mask is None:
         return every_node(shape), shape[0] * shape[1] * shape[2]
     size = max(shape[0] * shape[1] * shape[2], mask.cells.size)
     memory.require("the mask's nodes", _NODE_BYTES * size)
-    held = nodes_around(mask.cells, box, mask.box, shape, at_corners=True)
-    n = int(np.count_nonzero(held))
-    memory.hold("links", 4 * held.size)
+    contributing = nodes_around(mask.cells, box, mask.box, shape, at_corners=True)
+    n = int(np.count_nonzero(contributing))
+    memory.hold("links", 4 * contributing.size)
     links = np.full(shape, -1, np.int32)
-    links[held] = np.arange(n, dtype=np.int32)
+    links[contributing] = np.arange(n, dtype=np.int32)
     return links, n

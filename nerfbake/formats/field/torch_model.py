@@ -1,4 +1,4 @@
-"""What checkpoints in torch's files have in common: settings, and the arrays of a model's state by their names."""
+"""Read the settings and the model state of checkpoints that torch wrote."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire.torch_zip import TorchReader
+from nerfbake.formats.wire.torch import TorchReader
 from nerfbake.kernels.arrays import Singles
-from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.maths.elementary import cast
 
 
 class MlpLayers(NamedTuple):
-    """The first six fields of scene.lattice_colour's MLP."""
+    """The first six fields of scene.lattice_field.MlpColour."""
 
     first: Singles
     first_bias: Singles
@@ -27,7 +27,7 @@ class MlpLayers(NamedTuple):
 
 
 class TorchModel:
-    """A checkpoint of a program: `settings` and `state`, which stand in the file under these two keys."""
+    """A program's checkpoint; `settings` and `state` are the keys of these two tables in the file."""
 
     def __init__(self, view: memoryview, settings: str, state: str, program: str) -> None:
         self.file = TorchReader(view)
@@ -49,7 +49,7 @@ class TorchModel:
         return self.file.array(self.state[key], key)
 
     def single(self, key: str) -> Singles:
-        """Floats of any width as float32."""
+        """Return an array of floats of any width as float32."""
         return as_singles(self.any(key), key)
 
     def floats(self, key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
@@ -59,13 +59,13 @@ class TorchModel:
         return cast(array, np.float64)
 
     def layers(self, stems: list[str], names: list[str]) -> tuple[dict[str, Singles], dict[str, Singles]]:
-        """The weights and the biases of torch's Linear layers, by what errors call them."""
+        """Return the weights and biases of torch's Linear layers, by the names that error messages use."""
         weights = {name: self.single(f"{stem}.weight") for name, stem in zip(names, stems, strict=True)}
         return weights, {name: self.single(f"{stem}.bias") for name, stem in zip(names, stems, strict=True)}
 
 
 def as_singles(array: npt.NDArray[Any], name: str) -> Singles:
-    """Floats of any width as float32, lying together. Raises InvalidFile for other numbers."""
+    """Convert floats of any width to contiguous float32. Raises InvalidFile for other dtypes."""
     if array.dtype.kind != "f":
         raise InvalidFile(Problem(name, f"has dtype {array.dtype}", "floats"))
     if array.dtype != np.float32 or not array.flags.c_contiguous:
@@ -73,31 +73,33 @@ def as_singles(array: npt.NDArray[Any], name: str) -> Singles:
     return np.ascontiguousarray(cast(array, np.float32)).reshape(array.shape)
 
 
-def told(value: Any) -> str:
-    """A setting as a message shows it; of what holds other things its kind alone, which may hold any number of them."""
+def format_setting(value: Any) -> str:
+    """Format a setting for an error message. Only the type is shown for containers, which may be of any size."""
     if isinstance(value, str | int | float | bool | None):
         return repr(value)[:40]
     return f"a {type(value).__name__.lower()}"
 
 
 def layers_of(weights: dict[str, Singles], biases: dict[str, Singles]) -> MlpLayers:
-    """Layers by their names, (out, in) and (out,), in order. Raises InvalidFile."""
+    """Stack the layers by name and in order: weights (out, in), biases (out,). Raises InvalidFile."""
     names = list(weights)
     if len(names) < 2 or weights[names[0]].ndim != 2:
-        found = f"has {len(names)} layers, the first of {weights[names[0]].shape}"
-        raise InvalidFile(Problem(names[0].partition(".")[0], found, "two layers or more, of a matrix each"))
+        found = f"has {len(names)} layers, the first of shape {weights[names[0]].shape}"
+        raise InvalidFile(Problem(names[0].partition(".")[0], found, "two or more layers, each a matrix"))
     first, *between, last = names
     H = len(weights[first])
     for name in between:
         if weights[name].shape != (H, H) or biases[name].shape != (H,):
-            raise InvalidFile(Problem(name, f"has weights of {weights[name].shape}", f"({H}, {H}), as before"))
+            raise InvalidFile(
+                Problem(name, f"has weights of {weights[name].shape}", f"({H}, {H}), as the previous layer")
+            )
     middle = np.array([weights[name] for name in between], np.float32).reshape(len(between), H, H)
     middle_bias = np.array([biases[name] for name in between], np.float32).reshape(len(between), H)
     return MlpLayers(weights[first], biases[first], middle, middle_bias, weights[last], biases[last])
 
 
 def every_node(shape: tuple[int, ...]) -> npt.NDArray[np.int32]:
-    """Links of a lattice that has a row for each node, x-major. Raises InvalidFile, MemoryLimit."""
+    """Return the links of a lattice with one row for each node, x-major. Raises InvalidFile, MemoryLimit."""
     n = math.prod(shape)
     if n >= 1 << 31:
         raise InvalidFile(Problem("density", f"has {n:,} nodes", f"fewer than {1 << 31:,}"))

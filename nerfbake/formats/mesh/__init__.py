@@ -1,1 +1,1 @@
-"""Triangle meshes as bytes."""
+"""Read and write triangle meshes."""

@@ -1,30 +1,441 @@
-"""Meshes as glTF 2.0 in one file (.glb). Coordinates are the field's own: nothing is turned, whatever axis is up."""
+"""Read and write meshes as binary glTF 2.0 (.glb).
+
+    12 B header: "glTF", 2, total size | JSON chunk: size, "JSON", text, spaces | BIN chunk, if any: size, "BIN\0", data
+
+The reader returns the meshes of the default scene, in the scene's coordinates. It reads nothing outside the file.
+
+The writer keeps the coordinates of the field. If the up axis is not glTF's y, the nodes rotate the meshes. Textured
+meshes are unlit, and a mesh may have an octahedral atlas. Any viewer shows the diffuse texture. Atlas, labels and
+features are textures without a standard material slot; their indices and the conventions of the atlas are in the
+material's extras, under "nerfbake_atlas".
+
+Source: glTF 2.0, sections 3.6 and 4.4.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
 
-from nerfbake.formats.mesh.glb_reader import decode_glb
-from nerfbake.formats.mesh.glb_writer import Part, encode_glb
-from nerfbake.formats.wire.texture import encode_texture
-from nerfbake.scene.mesh import Mesh, Meshes
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.wire.json import parse_object
+from nerfbake.formats.wire.picture import decode_texture, encode_texture
+from nerfbake.kernels.maths.affine import compose, determinant, transform_points
+from nerfbake.kernels.maths.elementary import cast
+from nerfbake.kernels.picture.metrics import from_linear, to_linear
+from nerfbake.scene.mesh import Mesh, Meshes, require_few
+
+_COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
+_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def malformed(place: str, found: str, allowed: str) -> InvalidFile:
+    return InvalidFile(Problem(place, found, allowed))
+
+
+class Document:
+    """The parts of a .glb file. Each part is checked when it is accessed."""
+
+    def __init__(self, view: memoryview) -> None:
+        json_chunk, self._bin = _chunks(view)
+        self.root = parse_object(json_chunk, "the JSON chunk")
+
+    def item(self, name: str, index: Any) -> dict[str, Any]:
+        """Return root[name][index], which must be an object."""
+        entries = self.root.get(name)
+        if not isinstance(entries, list):
+            entries = []
+        if type(index) is not int or not 0 <= index < len(entries):
+            raise malformed(name, f"have no entry {str(index)[:40]}", f"one of {len(entries):,}")
+        entry = entries[index]
+        if not isinstance(entry, dict):
+            raise malformed(f"{name}[{index}]", f"is a {type(entry).__name__}", "an object")
+        return entry
+
+    def accessor(self, index: Any, kinds: tuple[str, ...]) -> npt.NDArray[Any]:
+        """Return an accessor whose type is among `kinds`, (count, columns). Normalised integers become floats."""
+        place, entry = f"accessors[{index}]", self.item("accessors", index)
+        kind, component = entry.get("type"), entry.get("componentType")
+        dtype = _DTYPES.get(component) if type(component) is int else None
+        if kind not in kinds or dtype is None:
+            found = f"is {str(kind)[:40]} of {str(component)[:40]}"
+            raise malformed(place, found, f"{' or '.join(kinds)} of 5120 to 5126")
+        if "sparse" in entry or "bufferView" not in entry:
+            raise malformed(place, "is sparse or has no bufferView", "an accessor with a bufferView, not sparse")
+        count, columns, item = whole(entry, "count", place), _COLUMNS[kind], np.dtype(dtype).itemsize
+        view = self.item("bufferViews", entry["bufferView"])
+        body = self.view(entry["bufferView"])
+        stride, start = whole(view, "byteStride", place, columns * item), whole(entry, "byteOffset", place, 0)
+        end = start + (count - 1) * stride + columns * item
+        if not count or stride < columns * item or end > len(body):
+            found = f"has {count:,} entries, up to byte {end:,}"
+            raise malformed(place, found, f"1 or more, within the {len(body):,} bytes of its bufferView")
+        memory.hold(place, _COPIES * count * columns)
+        array = np.ndarray((count, columns), dtype, body, start, (stride, item))
+        if entry.get("normalized") and dtype != "<f4":
+            return np.maximum(array.astype(np.float64) / np.iinfo(dtype).max, -1)
+        return array
+
+    def view(self, index: Any) -> memoryview:
+        """Return the bytes of a bufferView."""
+        place, entry = f"bufferViews[{index}]", self.item("bufferViews", index)
+        if "uri" in self.item("buffers", entry.get("buffer")) or entry.get("buffer") != 0:
+            raise malformed(place, "is in another file", "the binary chunk of the .glb")
+        start, size = whole(entry, "byteOffset", place, 0), whole(entry, "byteLength", place)
+        if start + size > len(self._bin):
+            raise malformed(
+                place, f"ends at byte {start + size:,}", f"the {len(self._bin):,} bytes of the binary chunk"
+            )
+        return self._bin[start : start + size]
+
+
+def whole(entry: dict[str, Any], key: str, place: str, default: int | None = None) -> int:
+    """Return a whole number, 0 or more."""
+    value = entry.get(key, default)
+    if type(value) is not int or not 0 <= value < 1 << 40:
+        raise malformed(f"{place}.{key}", f"is {str(value)[:40]}", "a whole number, 0 or more")
+    return value
+
+
+def _chunks(view: memoryview) -> tuple[memoryview, memoryview]:
+    if len(view) < 20 or bytes(view[:4]) != b"glTF":
+        raise malformed("file", "is not a .glb", "a complete binary glTF 2.0 file")
+    version, size, json_size, kind = struct.unpack_from("<III4s", view, 4)
+    if version != 2 or kind != b"JSON":
+        raise malformed("header", f"has version {version}, first chunk {kind!r}", "version 2, first chunk JSON")
+    if size > len(view) or 20 + json_size > size:
+        raise malformed("header", f"declares {max(size, 20 + json_size):,} bytes", f"the file's {len(view):,}")
+    rest = view[20 + json_size : size]
+    if len(rest) < 8:
+        return view[20 : 20 + json_size], rest[:0]
+    body_size, kind = struct.unpack_from("<I4s", rest)
+    if kind != b"BIN\0" or 8 + body_size > len(rest):
+        raise malformed("second chunk", f"is {kind!r} of {body_size:,} bytes", f"BIN, within {len(rest) - 8:,} bytes")
+    return view[20 : 20 + json_size], rest[8 : 8 + body_size]
+
+
+_MATERIALS = "KHR_materials_"  # prefix of extensions that only change the reflection of light, which is ignored
+_KNOWN = "KHR_mesh_quantization"
+# Extensions that do not affect triangles and their colours: lights, animation, audio and metadata.
+_BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
+_BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld"}
+MAX_NODES = 50_000
+_MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+Floats = npt.NDArray[np.float64]
+
+
+def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
+    """Return a mesh for each primitive of each node, with base colour, texture and vertex colours.
+
+    Lines and points are skipped. Raises InvalidFile for invalid glTF 2.0, for files that require another extension or
+    another file, and for files without triangles.
+    """
+    document = Document(view)
+    for extension in _list(document.root, "extensionsRequired", "JSON"):
+        if not (
+            isinstance(extension, str)
+            and (extension.startswith(_MATERIALS) or extension == _KNOWN or extension in _BESIDE)
+        ):
+            allowed = f"{_KNOWN}, {_MATERIALS}*, and extensions that change no triangle, such as KHR_lights_punctual"
+            raise malformed("extensionsRequired", f"has {str(extension)[:40]}", allowed)
+    looks = _Looks(document)
+    found: list[Mesh] = []
+    for index, matrix in _placed(document):
+        mesh = document.item("meshes", index)
+        for number, primitive in enumerate(_list(mesh, "primitives", f"meshes[{index}]")):
+            place = f"meshes[{index}].primitives[{number}]"
+            if not isinstance(primitive, dict):
+                raise malformed(place, f"is a {type(primitive).__name__}", "an object")
+            if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN):
+                found += _primitive(document, looks, primitive, matrix, place)
+            require_few(len(found))
+    if not found:
+        raise malformed("the mesh", "has no faces", "at least one triangle")
+    return tuple(found)
+
+
+def _placed(document: Document) -> Iterator[tuple[Any, Floats]]:
+    """Yield the mesh of each node of the scene, and its transform to the scene."""
+    nodes = _list(document.root, "nodes", "JSON")
+    if len(nodes) > MAX_NODES:
+        raise malformed("nodes", f"are {len(nodes):,}", f"{MAX_NODES:,} at most")
+    children = [_list(document.item("nodes", i), "children", f"nodes[{i}]") for i in range(len(nodes))]
+    if _list(document.root, "scenes", "JSON"):
+        roots = _list(document.item("scenes", document.root.get("scene", 0)), "nodes", "scenes")
+    else:
+        below = {child for each in children for child in each if type(child) is int}
+        roots = [index for index in range(len(nodes)) if index not in below]
+    seen: set[int] = set()
+    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    while waiting:
+        index, above = waiting.pop()
+        node = document.item("nodes", index)
+        if index in seen:
+            raise malformed(f"nodes[{index}]", "is in the scene twice", "a tree of nodes")
+        seen.add(index)
+        matrix = above
+        if not _MOVES.isdisjoint(node):
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrix = compose(above, _matrix(node, f"nodes[{index}]"))
+        if "mesh" in node:
+            yield node["mesh"], matrix
+        waiting += [(child, matrix) for child in reversed(children[index])]
+
+
+def _matrix(node: dict[str, Any], place: str) -> Floats:
+    def numbers(key: str, *default: float) -> Floats:
+        try:
+            values = np.array(node.get(key, default), np.float64)
+        except (ValueError, TypeError):
+            values = np.empty(0)
+        if values.shape != (len(default),) or not np.isfinite(values).all():
+            raise malformed(f"{place}.{key}", "is not a list of numbers", f"{len(default)} finite numbers")
+        return values
+
+    if "matrix" in node:
+        return numbers("matrix", *np.eye(4).reshape(-1)).reshape(4, 4).T
+    x, y, z, w = numbers("rotation", 0, 0, 0, 1)
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn * numbers("scale", 1, 1, 1)
+    matrix[:3, 3] = numbers("translation", 0, 0, 0)
+    return matrix
+
+
+def _primitive(
+    document: Document, looks: _Looks, primitive: dict[str, Any], matrix: Floats, place: str
+) -> Iterator[Mesh]:
+    attributes = primitive.get("attributes")
+    if not isinstance(attributes, dict):
+        raise malformed(f"{place}.attributes", "are missing", "an object with POSITION")
+    points = document.accessor(attributes.get("POSITION"), ("VEC3",))
+    if "indices" in primitive:
+        indices = document.accessor(primitive["indices"], ("SCALAR",)).reshape(-1)
+        if indices.dtype.kind != "u":
+            raise malformed(f"{place}.indices", f"are {indices.dtype.name}", "whole numbers, 0 or more")
+    else:
+        indices = np.arange(len(points), dtype=np.uint32)
+    faces = _faces(indices.astype(np.uint32), primitive.get("mode", _TRIANGLES))
+    if not len(faces):
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        if determinant(matrix[:3, :3]) < 0:
+            faces = faces[:, ::-1]  # a mirrored node: restore counter-clockwise order from outside
+        if np.array_equal(matrix, np.eye(4)):  # the most common case, and ten times as fast
+            positions = cast(points, np.float32) + np.float32(0)  # positive zeros, as in the result of a matrix product
+        else:
+            positions = transform_points(cast(points, np.float64), matrix).astype(np.float32)
+    mesh = Mesh(positions, None, np.ascontiguousarray(faces))
+    yield looks.dress(mesh, primitive, attributes, place)
+
+
+def _faces(indices: npt.NDArray[np.uint32], mode: int) -> npt.NDArray[np.uint32]:
+    if mode == _TRIANGLES:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    if mode == _FAN:
+        return np.stack([np.repeat(indices[:1], max(len(indices) - 2, 0)), indices[1:-1], indices[2:]], axis=1)
+    faces = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
+    faces[1::2] = faces[1::2, ::-1]  # every second triangle of a strip has the opposite orientation
+    return faces
+
+
+class _Looks:
+    """The materials of a file; each picture is decoded once."""
+
+    def __init__(self, document: Document) -> None:
+        self._document = document
+        self._textures: dict[int, npt.NDArray[np.uint8]] = {}
+
+    def dress(self, mesh: Mesh, primitive: dict[str, Any], attributes: dict[str, Any], place: str) -> Mesh:
+        """Return the mesh with its material.
+
+        Factors are linear. They are converted to sRGB and multiply the sRGB texture, which is a close approximation.
+        """
+        uvs, texture, light = None, None, np.ones((1, 3))
+        surface: Any = {}
+        if "material" in primitive:
+            surface = self._document.item("materials", primitive["material"]).get("pbrMetallicRoughness", {})
+        if not isinstance(surface, dict):
+            raise malformed(f"{place}.material", "is not a material", "pbrMetallicRoughness as an object")
+        painted = "COLOR_0" in attributes or "baseColorFactor" in surface
+        if "baseColorFactor" in surface:
+            light = light * _colour(surface["baseColorFactor"], place)
+        if "COLOR_0" in attributes:
+            light = light * cast(self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3], np.float64)
+        info = surface.get("baseColorTexture")
+        if isinstance(info, dict) and (key := f"TEXCOORD_{info.get('texCoord', 0)}") in attributes:
+            uvs = cast(self._document.accessor(attributes[key], ("VEC2",)), np.float32)
+            texture = self._texture(info.get("index"))
+        v = len(mesh.positions)
+        if len(light) not in (1, v) or (uvs is not None and len(uvs) != v):
+            raise malformed(place, "has attributes of different counts", f"{v:,}, as POSITION")
+        with np.errstate(invalid="ignore"):
+            colours = np.broadcast_to(from_linear(light), mesh.positions.shape) if painted else None
+        return replace(mesh, uvs=uvs, texture=texture, colours=colours)
+
+    def _texture(self, index: Any) -> npt.NDArray[np.uint8]:
+        source = whole(self._document.item("textures", index), "source", f"textures[{index}]")
+        if source not in self._textures:
+            image, place = self._document.item("images", source), f"images[{source}]"
+            if "uri" in image:
+                raise malformed(place, "is in another file", "pictures inside the .glb")
+            content = self._document.view(image.get("bufferView"))
+            texture = decode_texture(content, place, any_mode=True)
+            memory.hold(place, texture.nbytes)
+            self._textures[source] = texture
+        return self._textures[source]
+
+
+def _colour(factor: Any, place: str) -> Floats:
+    try:
+        colour = np.array(factor, np.float64)
+    except (ValueError, TypeError):
+        colour = np.empty(0)
+    if colour.shape != (4,) or not np.isfinite(colour).all():
+        raise InvalidScene(Problem(f"{place}.material", "has no base colour", "4 finite numbers"))
+    return colour[:3]
+
+
+def _list(entry: dict[str, Any], key: str, place: str) -> list[Any]:
+    found = entry.get(key, [])
+    if not isinstance(found, list):
+        raise malformed(f"{place}.{key}", f"is a {type(found).__name__}", "a list")
+    return found
+
+
+_FLOAT, _UINT32 = 5126, 5125
+_VERTICES, _INDICES = 34962, 34963
+_NEAREST, _LINEAR, _CLAMP, _REPEAT = 9728, 9729, 33071, 10497
+_TURNS: dict[str, dict[str, Any]] = {"y": {}, "z": {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}}
+_SAMPLERS = {"diffuse": 0, "atlas": 1, "labels": 2, "features": 2}
+
+
+class MeshPart(NamedTuple):
+    """A mesh, its PNG or JPEG textures by role ('diffuse', 'atlas', 'labels', 'features'), and its extras."""
+
+    name: str
+    mesh: Mesh
+    textures: Mapping[str, bytes | memoryview]
+    extras: Mapping[str, Any] | None = None
+
+
+def encode_glb(parts: list[MeshPart], generator: str, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:
+    """Return the file in chunks.
+
+    up: the up axis of the positions. glTF's is y; for "z" the nodes map (x, y, z) to (x, z, -y).
+    """
+    body = _Body()
+    for part in parts:
+        body.add(part)
+    document = {
+        "asset": {"version": "2.0", "generator": generator},
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(parts)))}],
+        "nodes": [{"name": part.name, "mesh": i, **_TURNS[up]} for i, part in enumerate(parts)],
+        "samplers": [
+            {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _REPEAT, "wrapT": _REPEAT},
+            {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP},
+            {"magFilter": _NEAREST, "minFilter": _NEAREST, "wrapS": _REPEAT, "wrapT": _REPEAT},
+        ],
+        **{name: entries for name, entries in body.lists.items() if entries},
+        "buffers": [{"byteLength": body.size}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + body.size
+    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
+    return [head, text, struct.pack("<I4s", body.size, b"BIN\0"), *body.pieces]
+
+
+class _Body:
+    """The binary chunk, and the JSON lists that refer to it."""
+
+    def __init__(self) -> None:
+        self.pieces: list[bytes | memoryview] = []
+        self.size = 0
+        names = ("meshes", "materials", "textures", "images", "accessors", "bufferViews")
+        self.lists: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+
+    def add(self, part: MeshPart) -> None:
+        textures = {role: self._texture(role, content, part.name) for role, content in part.textures.items()}
+        surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
+        material = {"name": part.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+        if textures:
+            material["extensions"] = {"KHR_materials_unlit": {}}
+        if "diffuse" in textures:
+            surface["baseColorTexture"] = {"index": textures.pop("diffuse")}
+        if part.extras is not None:
+            material["extras"] = {"nerfbake_atlas": {**part.extras, "textures": textures}}
+        positions = part.mesh.positions
+        bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+        attributes = {"POSITION": self._accessor(positions, _FLOAT, "VEC3", _VERTICES, **bounds)}
+        if part.mesh.uvs is not None:
+            attributes["TEXCOORD_0"] = self._accessor(part.mesh.uvs, _FLOAT, "VEC2", _VERTICES)
+        if part.mesh.colours is not None:
+            attributes["COLOR_0"] = self._accessor(to_linear(part.mesh.colours), _FLOAT, "VEC3", _VERTICES)
+        primitive = {
+            "attributes": attributes,
+            "indices": self._accessor(part.mesh.faces.reshape(-1), _UINT32, "SCALAR", _INDICES),
+            "material": self._append("materials", material),
+        }
+        self._append("meshes", {"name": part.name, "primitives": [primitive]})
+
+    def _texture(self, role: str, content: bytes | memoryview, name: str) -> int:
+        kind = "image/png" if bytes(content[:4]) == b"\x89PNG" else "image/jpeg"
+        view = self._append("bufferViews", self._view(content))
+        image = self._append("images", {"name": f"{name} {role}", "bufferView": view, "mimeType": kind})
+        return self._append("textures", {"sampler": _SAMPLERS[role], "source": image})
+
+    def _accessor(self, array: npt.NDArray[Any], component: int, kind: str, target: int, **more: Any) -> int:
+        content = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+        view = self._append("bufferViews", {**self._view(content), "target": target})
+        entry = {"bufferView": view, "componentType": component, "count": len(array), "type": kind, **more}
+        return self._append("accessors", entry)
+
+    def _view(self, content: bytes | memoryview) -> dict[str, Any]:
+        view = {"buffer": 0, "byteOffset": self.size, "byteLength": len(content)}
+        padding = bytes(-len(content) % 4)
+        self.pieces += [content, padding]
+        self.size += len(content) + len(padding)
+        return view
+
+    def _append(self, name: str, entry: dict[str, Any]) -> int:
+        self.lists[name].append(entry)
+        return len(self.lists[name]) - 1
 
 
 def recognise(view: memoryview) -> bool:
-    """True for glTF's magic number."""
+    """Return True for glTF's magic number."""
     return bytes(view[:4]) == b"glTF"
 
 
 def encode(scene: Meshes, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:
-    """up: the scene's axis that points up; glTF's is y."""
+    """Encode meshes. up: the up axis of the scene; glTF's is y."""
     return encode_glb([_part(number, mesh) for number, mesh in enumerate(scene.meshes)], "nerfbake", up=up)
 
 
 def decode(view: memoryview) -> Meshes:
-    """Raises InvalidFile for what is not sound or needs another file, InvalidScene for values that no mesh can have."""
+    """Read meshes. Raises InvalidFile for invalid files or external data, InvalidScene for invalid mesh values."""
     return Meshes(decode_glb(view))
 
 
-def _part(number: int, mesh: Mesh) -> Part:
+def _part(number: int, mesh: Mesh) -> MeshPart:
     textures = {} if mesh.texture is None else {"diffuse": encode_texture(mesh.texture)}
-    return Part(f"mesh {number}", mesh, textures)
+    return MeshPart(f"mesh {number}", mesh, textures)

@@ -1,36 +1,276 @@
-"""Meshes as Wavefront text (.obj): positions, texture coordinates, vertex colours, faces.
+r"""Read and write meshes as Wavefront text (.obj): positions, texture coordinates, vertex colours, faces.
 
-Coordinates are the field's own. Textures would stand in other files, named by a third: they are neither read nor
-written; .glb has them inside.
+    v x y z [w] [r g b]     vt u v     usemtl NAME     f v[/vt[/vn]] v[/vt[/vn]] v[/vt[/vn]] ...
+
+Indices start at 1 and count through the whole file. Negative indices count back from their line: -1 is the last entry
+before it. A \ at the end of a line joins it with the next line, and # starts a comment. All other statements are
+ignored. The parser works on whole columns at a time.
+
+Coordinates are those of the field. Materials and textures of .obj files are in separate files, which are neither read
+nor written; .glb files contain their textures.
 """
 
 from __future__ import annotations
 
+import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
 from nerfbake.contract import HEAD
-from nerfbake.errors import InvalidScene, Problem
-from nerfbake.formats.mesh.obj_reader import decode_obj
-from nerfbake.formats.mesh.obj_writer import encode_obj
-from nerfbake.scene.mesh import Meshes
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.scene.mesh import Mesh, Meshes, require_few
+
+_PER_BYTE = 8  # bytes of memory per byte of text while it is parsed
+_PER_CORNER = 200  # and per corner of a polygon; two bytes of text may be one corner
+_ALLOWED = "a whole .obj of polygons"
+_NUMBER = rb"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++|nan|inf)(?:e[-+]?[0-9]++)?"
+_NUMBERS = re.compile(rb"\s*+(?:" + _NUMBER + rb"(?:\s++|$))*+", re.IGNORECASE)
+_INDEX = rb"-?[0-9]{1,18}+"
+_CORNERS = re.compile(rb"\s*+(?:%b(?:/(?:%b)?(?:/(?:%b)?)?)?(?:\s++|$))*+" % (_INDEX, _INDEX, _INDEX))
+
+Bytes = npt.NDArray[np.uint8]
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+
+def decode_obj(view: memoryview, name: str) -> tuple[Mesh, ...]:
+    """Parse the meshes, one for each material. Polygons become triangle fans.
+
+    Vertices with several texture coordinates are split, and unused vertices are dropped. Colours are used only if every
+    vertex has one, texture coordinates only if every corner of a mesh has one. Raises InvalidFile, InvalidScene for
+    invalid mesh values, MemoryLimit.
+    """
+    with memory.lent(name, _PER_BYTE * len(view)):
+        text = _Text(view, name)
+        points, colours = text.vertices()
+        places = text.places()
+        corners = text.corners(len(points), len(places))
+        order = np.argsort(corners.material, kind="stable")
+        ends = np.flatnonzero(np.diff(corners.material[order], append=-1)) + 1
+        require_few(len(ends))
+        parts = np.split(order, ends[:-1])
+        # In the order in which materials first occur in the file.
+        return tuple(_mesh(corners, part, points, colours, places) for part in sorted(parts, key=lambda part: part[0]))
+
+
+class _Corners(NamedTuple):
+    """Indices for each triangle: vertices (t, 3), texture coordinates (t, 3) or -1 for none, material (t,)."""
+
+    vertex: Ints
+    place: Ints
+    material: Ints
+
+
+class _Numbers(NamedTuple):
+    """The concatenated numbers of several lines, and the count of each line, (lines,)."""
+
+    values: Floats
+    counts: Ints
+
+
+def _mesh(corners: _Corners, part: Ints, points: Floats, colours: Floats | None, places: Floats) -> Mesh:
+    vertex, place = corners.vertex[part].reshape(-1), corners.place[part].reshape(-1)
+    if (place < 0).any():
+        used, faces = np.unique(vertex, return_inverse=True)
+        uvs = None
+    else:
+        pairs, faces = np.unique(vertex * len(places) + place, return_inverse=True)
+        used, uvs = pairs // len(places), places[pairs % len(places)] * [1, -1] + [0, 1]  # v counts from the bottom
+    with np.errstate(over="ignore"):  # overflow becomes infinite, which Mesh rejects
+        return Mesh(
+            points[used].astype(np.float32),
+            None if uvs is None else uvs.astype(np.float32),
+            faces.reshape(-1, 3).astype(np.uint32),
+            colours=None if colours is None else colours[used].astype(np.float32),
+        )
+
+
+class _Text:
+    """The bytes of the file, with an index of its lines."""
+
+    def __init__(self, view: memoryview, name: str) -> None:
+        self._name = name
+        whole = bytes(view).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
+        if b"#" in whole:
+            whole = re.sub(rb"#[^\n]*+", b"", whole)
+        # Normalise the text: every line starts with its first word, and the last one is followed by other bytes.
+        self._bytes = np.frombuffer(re.sub(rb"\n[ \t\r\n]++", b"\n", b"\n" + whole + b"\n") + bytes(8), np.uint8)
+        breaks = np.flatnonzero(self._bytes == ord("\n"))
+        self._starts, self._ends = breaks[:-1] + 1, breaks[1:]
+
+    def lines(self, word: bytes) -> Ints:
+        """Return the indices of the lines that start with this word."""
+        found: npt.NDArray[np.bool_] = self._bytes[self._starts + len(word)] <= ord(" ")
+        for k, letter in enumerate(word):
+            found &= self._bytes[self._starts + k] == letter
+        return np.flatnonzero(found & (self._ends - self._starts > len(word)))
+
+    def numbers(self, lines: Ints) -> _Numbers:
+        """Parse the numbers after the first word of each line. Raises InvalidFile."""
+        text = self._behind_words(lines)
+        if not (match := _NUMBERS.match(text)) or match.end() < len(text):
+            self._refuse(text, match.end() if match else 0)
+        starts, line = _tokens(text)
+        values = np.fromstring(text.decode("ascii"), np.float64, sep=" ")
+        if len(values) != len(starts):
+            raise self._fault(f"{len(starts):,} words, of which only {len(values):,} are numbers", _ALLOWED)
+        return _Numbers(values, np.bincount(line, minlength=len(lines)))
+
+    def columns(self, numbers: _Numbers, first: int, end: int) -> Floats:
+        """Return columns first to end of the numbers, (lines, end - first). Raises InvalidFile for shorter lines."""
+        values, counts = numbers
+        if (counts < end).any():
+            raise self._fault(f"a line of {counts[(counts < end).argmax()]} numbers", f"{end} or more")
+        begin = np.cumsum(counts) - counts
+        return np.asarray(values[begin[:, None] + np.arange(first, end)], np.float64)
+
+    def vertices(self) -> tuple[Floats, Floats | None]:
+        """Return positions (v, 3), and colours (v, 3) if all vertices have one."""
+        found = self.numbers(self.lines(b"v"))
+        coloured = len(found.counts) and (found.counts >= 6).all()
+        return self.columns(found, 0, 3), self.columns(found, 3, 6) if coloured else None
+
+    def places(self) -> Floats:
+        """Return the texture coordinates, (p, 2)."""
+        return self.columns(self.numbers(self.lines(b"vt")), 0, 2)
+
+    def corners(self, vertices: int, places: int) -> _Corners:
+        """Parse all faces as triangles. Raises InvalidFile for invalid polygons and indices."""
+        lines = self.lines(b"f")
+        if not len(lines):
+            raise self._fault("no faces", "at least one triangle", verb="has")
+        text = self._behind_words(lines)
+        if not (match := _CORNERS.match(text)) or match.end() < len(text):
+            self._refuse(text, match.end() if match else 0)
+        starts, line = _tokens(text)
+        memory.hold(self._name, _PER_CORNER * len(starts))
+        counts = np.bincount(line, minlength=len(lines))
+        if (counts < 3).any():
+            raise self._fault(f"a face of {counts[(counts < 3).argmax()]} corners", "3 or more")
+        split = np.frombuffer(text, np.uint8)
+        slashes = np.cumsum(split == ord("/"), dtype=np.int32)
+        widths = np.diff(np.concatenate([[0], starts[1:], [len(split)]]))
+        slashes -= np.repeat(slashes[starts], widths)  # a corner starts with a digit or a sign
+        vertex = self._indices(split, slashes, 0, starts, line, lines, b"v", vertices)
+        place = self._indices(split, slashes, 1, starts, line, lines, b"vt", places)
+        # The triangles of a polygon: its first corner, with each pair of consecutive other corners.
+        triangles = np.repeat(counts - 2, counts - 2)
+        polygon = np.repeat(np.arange(len(counts)), counts - 2)
+        step = np.arange(len(triangles)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
+        first = (np.cumsum(counts) - counts)[polygon]
+        fan = np.stack([first, first + step + 1, first + step + 2], axis=1)
+        return _Corners(vertex[fan], place[fan], self._materials(lines)[polygon])
+
+    def _indices(
+        self,
+        text: Bytes,
+        slashes: npt.NDArray[np.int32],
+        part: int,
+        starts: Ints,
+        line: Ints,
+        lines: Ints,
+        word: bytes,
+        count: int,
+    ) -> Ints:
+        """Parse one index of each corner, (corners,), from 0; -1 if a corner does not have it."""
+        chosen = (slashes == part) & (text > ord(" ")) & (text != ord("/"))
+        have = np.logical_or.reduceat(chosen, starts)
+        digits = np.where(chosen, text, np.uint8(ord(" "))).tobytes().decode("ascii")
+        numbers = np.fromstring(digits, np.int64, sep=" ")
+        before = np.searchsorted(self.lines(word), lines[line[have]])
+        index = np.where(numbers < 0, before + numbers, numbers - 1)
+        wrong = (index < 0) | (index >= count)
+        if wrong.any():
+            raise self._fault(
+                f"a corner with {word.decode()} index {numbers[wrong.argmax()]}", f"1 to {count:,}, or -1 and below"
+            )
+        found = np.full(len(starts), -1, np.int64)
+        found[have] = index
+        return found
+
+    def _materials(self, lines: Ints) -> Ints:
+        """Return the material number of each of these lines, (faces,)."""
+        uses = self.lines(b"usemtl")
+        numbers: dict[bytes, int] = {}
+        named = [
+            numbers.setdefault(self._bytes[start:end].tobytes().strip(), 1 + len(numbers))
+            for start, end in zip(self._starts[uses] + 6, self._ends[uses], strict=True)
+        ]
+        return np.array([0, *named])[np.searchsorted(uses, lines)]
+
+    def _behind_words(self, lines: Ints) -> bytes:
+        """Return these lines without their first word, each with its line break."""
+        wanted = np.zeros(len(self._starts), bool)
+        wanted[lines] = True
+        mask = np.repeat(wanted, self._ends - self._starts + 1)
+        mask[self._starts[lines] - 1] = False
+        mask[self._starts[lines][self._bytes[self._starts[lines] + 1] > ord(" ")]] = False
+        return bytes(self._bytes[1 : 1 + len(mask)][mask].data)
+
+    def _refuse(self, text: bytes, at: int) -> None:
+        word = text[at : at + 40].split()[0].decode("latin-1")
+        raise self._fault(repr(word), _ALLOWED)
+
+    def _fault(self, found: str, allowed: str, verb: str = "cannot be read: it has") -> InvalidFile:
+        return InvalidFile(Problem(self._name, f"{verb} {found}", allowed))
+
+
+def _tokens(text: bytes) -> tuple[Ints, Ints]:
+    """Return the start of each word, and the line that contains it."""
+    bytes_ = np.frombuffer(text, np.uint8)
+    solid = bytes_ > ord(" ")
+    starts = np.flatnonzero(solid & ~np.concatenate([[False], solid[:-1]])) if len(solid) else np.empty(0, np.int64)
+    return starts, np.searchsorted(np.flatnonzero(bytes_ == ord("\n")), starts)
+
+
+def encode_obj(meshes: Sequence[Mesh], material: str | None = None) -> Iterator[bytes]:
+    """Yield the meshes as text. material: an .mtl file with `defaultMat`, which all meshes then use."""
+    if material:
+        yield f"mtllib {material}\nusemtl defaultMat\n".encode()
+    vertex, corner = 1, 1  # both count from 1 through the whole file
+    for number, mesh in enumerate(meshes):
+        if not material and len(meshes) > 1:
+            yield f"usemtl mesh_{number}\n".encode()
+        points = mesh.positions if mesh.colours is None else np.concatenate([mesh.positions, mesh.colours], axis=1)
+        yield _lines("v" + " %.7g" * points.shape[1], points)
+        faces = mesh.faces.astype(np.int64)
+        if mesh.uvs is None:
+            yield _lines("f %d %d %d", faces + vertex)
+        else:
+            yield _lines("vt %.7g %.7g", np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=1))
+            both = np.stack([faces + vertex, faces + corner], axis=2).reshape(-1, 6)
+            yield _lines("f %d/%d %d/%d %d/%d", both)
+            corner += len(mesh.uvs)
+        vertex += len(points)
+
+
+def _lines(form: str, rows: npt.NDArray[Any]) -> bytes:
+    text = io.BytesIO()
+    np.savetxt(text, rows, fmt=form)
+    return text.getvalue()
+
 
 _KEYWORD = re.compile(rb"^(v|vt|vn|mtllib|o|g|usemtl) ", re.MULTILINE)
 
 
 def recognise(view: memoryview) -> bool:
-    """True for text with a line such as an .obj starts with."""
+    """Return True for text with one of the statements that .obj files start with."""
     head = bytes(view[:HEAD])
     return b"\0" not in head and _KEYWORD.search(head) is not None
 
 
 def encode(scene: Meshes) -> Iterator[bytes]:
-    """Raises InvalidScene for meshes with textures."""
+    """Encode meshes. Raises InvalidScene for meshes with textures."""
     if any(mesh.texture is not None for mesh in scene.meshes):
         raise InvalidScene(Problem("the mesh", "has a texture", "meshes without textures, or .glb"))
     return encode_obj(scene.meshes)
 
 
 def decode(view: memoryview) -> Meshes:
-    """Raises InvalidFile for what cannot be read or has no faces, InvalidScene for values that no mesh can have."""
+    """Parse meshes. Raises InvalidFile for invalid text or no faces, InvalidScene for invalid mesh values."""
     return Meshes(decode_obj(view, "the mesh"))

@@ -1,24 +1,75 @@
-"""nerf2mesh's stage-1 folder: mesh_{c}.obj and .mtl, feat0_{c} (diffuse), feat1_{c} (specular feature), mlp.json.
+"""Read and write nerf2mesh's stage-1 folders.
 
-Textures are .jpg, or .png as older forks write them. mlp.json says how many cascades c there are. Feature textures and
-MLP must be there; without meshes every texel counts as used. A transforms.json says where cameras stood.
+| file | content |
+|---|---|
+| mesh_{c}.obj, .mtl | the mesh of cascade c; optional: without meshes every texel counts as used |
+| feat0_{c}.jpg or .png | diffuse texture |
+| feat1_{c}.jpg or .png | texture of specular features |
+| mlp.json | the weights as nested lists, `bound`, and `cascade`, the number of cascades |
+| transforms.json | optional: the positions of the cameras |
+
+Older forks write textures as .png.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.transforms_frames import decode_positions
-from nerfbake.formats.mesh.mlp import Mlp, decode_mlp, encode_mlp
+from nerfbake.formats.camera.transforms import decode_positions
 from nerfbake.formats.mesh.surface import decode_surface, encode_surface
-from nerfbake.formats.wire.texture import decode_texture, encode_texture
-from nerfbake.kernels.surface.raster import cover
+from nerfbake.formats.wire.json import number, parse_object, shorten, table, whole
+from nerfbake.formats.wire.picture import decode_texture, encode_texture
+from nerfbake.kernels.surface.raster import covered_texels
 from nerfbake.scene.mesh import Mesh
-from nerfbake.scene.specular import SpecularField
-from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.stage1 import SpecularField, Stage1
+
+MAX_CASCADES = 16
+_NAME = "mlp.json"
+
+
+class Mlp(NamedTuple):
+    """w0 (6, h) and w1 (h, 3) float32. scene.stage1 checks their shapes and values."""
+
+    w0: npt.NDArray[np.float32]
+    w1: npt.NDArray[np.float32]
+    bound: float
+    cascades: int
+
+
+def decode_mlp(view: memoryview) -> Mlp:
+    """Parse mlp.json."""
+    content = parse_object(view, _NAME)
+    cascades = whole(content, "cascade", _NAME, default=1, low=1, high=MAX_CASCADES)
+    bound = number(content, "bound", _NAME, default=1.0, low=1e-9, high=1e9)
+    if extra := sorted(
+        key for key in content if key.startswith("net.") and key not in ("net.0.weight", "net.1.weight")
+    ):
+        raise InvalidFile(
+            Problem(_NAME, f"has {shorten(extra[0])}", "two layers without bias: net.0.weight and net.1.weight")
+        )
+    return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), bound, cascades)
+
+
+def encode_mlp(mlp: Mlp) -> bytes:
+    content = {
+        "net.0.weight": mlp.w0.tolist(),
+        "net.1.weight": mlp.w1.tolist(),
+        "bound": mlp.bound,
+        "cascade": mlp.cascades,
+    }
+    return json.dumps(content).encode()
+
+
+def _weights(content: dict[str, Any], key: str) -> npt.NDArray[np.float32]:
+    if key not in content:
+        raise InvalidFile(Problem(_NAME, f"has no {key}", "net.0.weight and net.1.weight"))
+    return table(content[key], f"{_NAME}: {key}", (None, None)).astype(np.float32)
 
 
 def recognise(files: Mapping[str, memoryview]) -> bool:
@@ -26,29 +77,32 @@ def recognise(files: Mapping[str, memoryview]) -> bool:
 
 
 def decode(files: Mapping[str, memoryview]) -> Stage1:
-    """Raises InvalidFile naming the first file that is missing or wrong, InvalidScene for arrays that do not fit."""
+    """Read a folder.
+
+    Raises InvalidFile with the name of the first missing or wrong file, InvalidScene for arrays that do not match.
+    """
     mlp = decode_mlp(_require(files, "mlp.json"))
     fields: list[SpecularField] = []
     meshes: list[Mesh | None] = []
-    handed_on: dict[str, bytes | memoryview] = {}
+    copied: dict[str, bytes | memoryview] = {}
     for cascade in range(mlp.cascades):
         name = _texture_name(files, f"feat1_{cascade}")
         features = decode_texture(files[name], name)
         mesh = decode_surface(files, cascade)
         H, W, _ = features.shape
-        used = cover(mesh.require_unwrapped(), mesh.faces, H, W) if mesh else np.ones((H, W), bool)
+        used = covered_texels(mesh.require_unwrapped(), mesh.faces, H, W) if mesh else np.ones((H, W), bool)
         fields.append(SpecularField(features, mlp.w0, mlp.w1, used))
         meshes.append(mesh)
         others = (f"mesh_{cascade}.obj", f"mesh_{cascade}.mtl", f"feat0_{cascade}.jpg", f"feat0_{cascade}.png")
-        handed_on |= {other: files[other] for other in others if other in files}
+        copied |= {other: files[other] for other in others if other in files}
     cameras = None
     if "transforms.json" in files:
         cameras = decode_positions(files["transforms.json"])
-    return Stage1(tuple(fields), tuple(meshes), handed_on, cameras)
+    return Stage1(tuple(fields), tuple(meshes), copied, cameras)
 
 
 def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:
-    """The files by name. Textures are PNGs, so that features stay exact; what came from files stays as it was."""
+    """Yield the files by name. Textures are PNGs, so that features stay exact; files that were read are copied."""
     first = stage1.fields[0]
     yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, 1.0, len(stage1.fields)))]
     for cascade, field in enumerate(stage1.fields):
@@ -67,6 +121,6 @@ def _require(files: Mapping[str, memoryview], name: str) -> memoryview:
 def _texture_name(files: Mapping[str, memoryview], stem: str) -> str:
     there = [f"{stem}.{suffix}" for suffix in ("png", "jpg") if f"{stem}.{suffix}" in files]
     if len(there) != 1:
-        found = "is there as .png and as .jpg" if there else "is missing"
+        found = "exists as .png and as .jpg" if there else "is missing"
         raise InvalidFile(Problem(stem, found, f"{stem}.jpg or {stem}.png"))
     return there[0]

@@ -1,4 +1,4 @@
-"""A cascade's mesh as nerf2mesh's folders have it: mesh_{c}.obj, its mesh_{c}.mtl, and feat0_{c} as diffuse texture."""
+"""Read and write meshes in nerf2mesh folders: mesh_{c}.obj, mesh_{c}.mtl, and the diffuse texture feat0_{c}."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from nerfbake.formats.mesh.obj_reader import decode_obj
-from nerfbake.formats.mesh.obj_writer import encode_obj
-from nerfbake.formats.wire.texture import decode_texture, encode_texture
+from nerfbake.formats.mesh.obj import decode_obj, encode_obj
+from nerfbake.formats.wire.picture import decode_texture, encode_texture
 from nerfbake.scene.mesh import Mesh, joined_meshes
 from nerfbake.scene.stage1 import diffuse_name
 
@@ -16,7 +15,7 @@ _MTL = "newmtl defaultMat\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\nma
 
 
 def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None:
-    """The mesh with its diffuse texture, if that is there; None where there is no mesh.
+    """Read the mesh with its diffuse texture, if present; None if there is no mesh.
 
     Raises InvalidFile for files that cannot be read, InvalidScene for a mesh without texture coordinates.
     """
@@ -32,7 +31,7 @@ def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None
 def encode_surface(
     mesh: Mesh | None, files: Mapping[str, bytes | memoryview], cascade: int
 ) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:
-    """The files by name, unless there is no mesh or it came from `files`."""
+    """Yield the files by name. Yields nothing if there is no mesh or if `files` already contains it."""
     if mesh is None or f"mesh_{cascade}.obj" in files:
         return
     yield f"mesh_{cascade}.obj", encode_obj([mesh], f"mesh_{cascade}.mtl")

@@ -1,1 +1,1 @@
-"""Octrees as bytes."""
+"""Encoders and decoders of octree formats."""

@@ -1,44 +1,227 @@
-"""The octree as one BSON document (.svo.bson): the same names as in schemas/svo.proto.
+"""Read and write octrees as BSON documents (.svo.bson) with the field names of schemas/svo.proto.
 
     report   node_children an array of int32, node_data an array of doubles
-    bulk     each a document {dtype, shape, data: binary}, the binary being the array as it stands in memory
+    bulk     each a document {dtype, shape, data: binary}; the binary contains the array as it is in memory
 
-A test holds the bytes to be the same as those of pymongo's bson.
+pymongo's bson encodes and decodes the small fields. The large arrays are written and read here, because the library
+would create a Python object for every number or copy every blob. A test compares the bytes with those of the library.
+
+    document   int32 size | elements | 00          element   type | name 00 | value
+
+An array is a document whose names are "0", "1", "2", ...: 10 to 18 bytes a number. BSON's only float is the double;
+widening to it is exact. Source: bsonspec.org.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
+from typing import Any, NamedTuple
 
+import bson
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import (
     MAX_2GIB,
     NoChild,
     Profile,
+    VoxelType,
     children_with,
-    octree_of,
+    octree_from_fields,
     require_size,
     small_fields,
 )
-from nerfbake.formats.octree.type_urls import VoxelType
-from nerfbake.formats.wire.bson import (
-    ARRAY,
-    DOCUMENT,
-    DOUBLE,
-    INT32,
-    Large,
-    blob_in,
-    document_head,
-    numbers_in,
-    split_document,
-    starts_document,
-)
+from nerfbake.formats.wire.blob import Blob, blob_of
 from nerfbake.scene.octree import SparseVoxelOctree
+
+DOUBLE, _STRING, DOCUMENT, ARRAY, _BINARY, INT32, _INT64 = 1, 2, 3, 4, 5, 16, 18
+_FIXED_SIZES = {DOUBLE: 8, 7: 12, 8: 1, 9: 8, 10: 0, INT32: 4, 17: 8, _INT64: 8, 19: 16}
+_NUMBERS = {DOUBLE: "<f8", INT32: "<i4", _INT64: "<i8"}
+_CHUNK = 1 << 18
+_MAX_SMALL = 1 << 24
+_MAX_ELEMENTS = 1000
+_PER_VALUE = 16  # upper bound: bytes of Python objects for each byte of an array
+
+
+def starts_document(head: bytes) -> bool:
+    """True for the first bytes of a document whose first element is of a known type."""
+    return len(head) > 5 and head[4] in (*_FIXED_SIZES, _STRING, ARRAY, DOCUMENT)
+
+
+def document_head(small: dict[str, Any], *large: LargeElement) -> tuple[int, bytes]:
+    """Return the size of the whole document, and the bytes of its size field and its small fields."""
+    fields = bson.encode(small)[4:-1]
+    size = 4 + len(fields) + sum(value.size for value in large) + 1
+    return size, struct.pack("<I", size & 0xFFFFFFFF) + fields
+
+
+class LargeElement(NamedTuple):
+    """The element of a large array: its first bytes, its BSON type, and its size with the terminating zero."""
+
+    head: bytes
+    type: int
+    size: int
+
+    @staticmethod
+    def of(name: str, values: npt.NDArray[Any], kind: int, *, blob: bool) -> LargeElement:
+        """Describe the values as an array of numbers of BSON type `kind`, or as a blob."""
+        if not blob:
+            size = 5 + sum(len(rows) * _record(digits, kind).itemsize for digits, rows in _runs(values.size))
+            head = struct.pack("<B", ARRAY) + name.encode() + b"\0" + struct.pack("<I", size & 0xFFFFFFFF)
+            return LargeElement(head, kind, len(head) - 4 + size)
+        dtype = values.dtype.newbyteorder("<")
+        inner = bson.encode({"dtype": dtype.str, "shape": list(values.shape)})[4:-1] + b"\5data\0"
+        nbytes = values.size * dtype.itemsize
+        inner += struct.pack("<IB", nbytes & 0xFFFFFFFF, 0)
+        size = 4 + len(inner) + nbytes + 1
+        head = struct.pack("<B", DOCUMENT) + name.encode() + b"\0" + struct.pack("<I", size & 0xFFFFFFFF) + inner
+        return LargeElement(head, _BINARY, len(head) + nbytes + 1)
+
+    def pieces(self, values: npt.NDArray[Any]) -> Iterator[bytes | memoryview]:
+        yield self.head
+        if self.type == _BINARY:
+            yield blob_of(values).data
+        else:
+            flat = values.reshape(-1)
+            for digits, rows in _runs(len(flat)):
+                for start in range(rows.start, rows.stop, _CHUNK):
+                    part = range(start, min(start + _CHUNK, rows.stop))
+                    records = _records(part, digits, self.type)
+                    records["value"] = flat[part.start : part.stop]
+                    yield records.view(np.uint8).data
+        yield b"\0"
+
+
+def _runs(count: int) -> Iterator[tuple[int, range]]:
+    """Group the indices 0 to count - 1 by their number of digits: 1: 0..9, 2: 10..99, ..."""
+    start, digits = 0, 1
+    while start < count:
+        yield digits, range(start, min(10**digits, count))
+        start, digits = 10**digits, digits + 1
+
+
+def _record(digits: int, kind: int) -> np.dtype[Any]:
+    """The dtype of an array element whose index has this many digits; such elements have the same length."""
+    return np.dtype([("type", "u1"), ("index", "u1", (digits,)), ("zero", "u1"), ("value", _NUMBERS[kind])])
+
+
+def _records(rows: range, digits: int, kind: int) -> npt.NDArray[Any]:
+    """The elements of these indices, with values of 0."""
+    records = np.zeros(len(rows), _record(digits, kind))
+    records["type"] = kind
+    rest = np.arange(rows.start, rows.stop, dtype=np.uint32)
+    for k in reversed(range(digits)):
+        rest, digit = np.divmod(rest, np.uint32(10))
+        records["index"][:, k] = digit + ord("0")
+    return records
+
+
+def numbers_in(document: memoryview, name: str) -> npt.NDArray[Any] | list[Any]:
+    """Return the numbers of an array.
+
+    If all have the same type, as in every file from a typed array, no Python object is created for each number.
+    Mixed types are decoded by the library.
+    """
+    body = document[4:-1]
+    kind = body[0] if len(body) else 0
+    if kind in _NUMBERS:
+        # Room for all numbers twice: in parts, and concatenated.
+        size = len(body) // _record(1, kind).itemsize * np.dtype(_NUMBERS[kind]).itemsize
+        memory.hold(name, size)
+        memory.require(name, size)
+        parts, at, index = [], 0, 0
+        for digits, rows in _runs(len(body)):  # len(body) is an upper bound of the number of elements
+            record = _record(digits, kind)
+            count = min(len(rows), (len(body) - at) // record.itemsize)
+            for start in range(index, index + count, _CHUNK):
+                part = range(start, min(start + _CHUNK, index + count))
+                found = np.frombuffer(body, record, len(part), at)
+                expected = _records(part, digits, kind)
+                if not all((found[key] == expected[key]).all() for key in ("type", "index", "zero")):
+                    return _mixed(document, name)
+                parts.append(found["value"])
+                at += found.nbytes
+            index += count
+            if count < len(rows):
+                break
+        if at == len(body):
+            return np.concatenate(parts)
+    return _mixed(document, name)
+
+
+def _mixed(document: memoryview, name: str) -> list[Any]:
+    memory.require(name, _PER_VALUE * len(document))
+    return list(_loads(bytes(document), name).values())
+
+
+def _loads(document: bytes, name: str) -> dict[str, Any]:
+    try:
+        return bson.decode(document)
+    except (bson.errors.BSONError, ValueError, OverflowError, RecursionError) as error:
+        raise InvalidFile(Problem(name, f"is not BSON ({error})", "a whole document")) from None
+
+
+def blob_in(document: memoryview, name: str) -> Blob:
+    """Return the blob of a document {dtype, shape, data}. Raises InvalidFile."""
+    fields, large = split_document(document, name, ("data",))
+    kind, value = large.get("data", (0, document))
+    dtype, shape = fields.get("dtype"), fields.get("shape")
+    whole = isinstance(shape, list) and all(type(edge) is int for edge in shape)
+    if not (kind == _BINARY and value[4] == 0 and isinstance(dtype, str) and whole):
+        raise InvalidFile(Problem(name, "is not a blob", "dtype as text, shape as whole numbers, data as binary"))
+    return Blob(dtype, tuple(shape or ()), value[5:])
+
+
+def split_document(
+    document: memoryview, name: str, large: tuple[str, ...]
+) -> tuple[dict[str, Any], dict[str, tuple[int, memoryview]]]:
+    """Return a document's small fields as Python objects, and its large fields as BSON type and bytes."""
+    if len(document) < 5 or _size(document, 0) != len(document) or document[-1]:
+        said = f"declares {_size(document, 0):,} of {len(document):,} bytes" if len(document) > 3 else "is cut off"
+        raise InvalidFile(Problem(name, said, "a document that ends with the file and a zero"))
+    small, at, end = bytearray(), 4, len(document) - 1
+    found: dict[str, tuple[int, memoryview]] = {}
+    for _ in range(_MAX_ELEMENTS):
+        if at == end:
+            size = 4 + len(small) + 1
+            return _loads(struct.pack("<i", size) + small + b"\0", name), found
+        start, kind = at, document[at]
+        key = bytes(document[at + 1 : min(at + 80, end)]).partition(b"\0")[0]
+        at += 2 + len(key)
+        size = _value_size(document, at, kind, start)
+        if at + size > end:
+            raise InvalidFile(Problem(f"byte {start:,}", f"starts {size:,} bytes", f"{end - at:,} up to the end"))
+        if (known := key.decode("latin-1")) in large:
+            found[known] = (kind, document[at : at + size])
+        elif len(small) + size > _MAX_SMALL:
+            raise InvalidFile(Problem(known, f"has {size:,} bytes", f"{_MAX_SMALL:,} in all small fields"))
+        else:
+            small += document[start : at + size]
+        at += size
+    raise InvalidFile(Problem(name, f"has more than {_MAX_ELEMENTS:,} elements", "the fields of svo.proto"))
+
+
+def _value_size(document: memoryview, at: int, kind: int, start: int) -> int:
+    if kind in _FIXED_SIZES:
+        return _FIXED_SIZES[kind]
+    declared = _size(document, at) if at + 4 < len(document) else -1
+    extra = {_STRING: 4, DOCUMENT: 0, ARRAY: 0, _BINARY: 5}.get(kind)
+    if extra is None or declared < 0 or declared + extra < 5:
+        found = f"starts BSON type {kind} of {declared:,} bytes"
+        raise InvalidFile(Problem(f"byte {start:,}", found, "a number, text, array, document or binary"))
+    return declared + extra
+
+
+def _size(document: memoryview, at: int) -> int:
+    return int(struct.unpack_from("<i", document, at)[0])
 
 
 def recognise(view: memoryview) -> bool:
-    """True for the first bytes of a document with the octree's fields."""
+    """True for the first bytes of a document with the fields of an octree."""
     head = bytes(view[:HEAD])
     return starts_document(head) and b"type_url\0" in head
 
@@ -50,9 +233,9 @@ def encode(
     profile: Profile = "bulk",
     voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
-    """The document in pieces. Raises InvalidScene above BSON's 2 GiB."""
-    children = Large.of("node_children", octree.node_children, INT32, blob=profile == "bulk")
-    data = Large.of("node_data", octree.node_data, DOUBLE, blob=profile == "bulk")
+    """Yield the document in pieces. Raises InvalidScene above BSON's limit of 2 GiB."""
+    children = LargeElement.of("node_children", octree.node_children, INT32, blob=profile == "bulk")
+    data = LargeElement.of("node_data", octree.node_data, DOUBLE, blob=profile == "bulk")
     size, head = document_head(small_fields(octree, voxel_type), children, data)
     require_size("svo.bson", size, MAX_2GIB, "BSON's limit")
     yield head
@@ -62,7 +245,7 @@ def encode(
 
 
 def decode(view: memoryview) -> SparseVoxelOctree:
-    """The octree of either profile; blobs are views of the file."""
+    """Read an octree of either profile; blobs are views of the file."""
     fields, large = split_document(view, "document", ("node_children", "node_data"))
     for name, (kind, value) in large.items():
         if kind == ARRAY:
@@ -71,4 +254,4 @@ def decode(view: memoryview) -> SparseVoxelOctree:
             fields[name] = blob_in(value, name)
         else:
             raise InvalidFile(Problem(name, f"has BSON type {kind}", "an array of numbers, or dtype, shape and data"))
-    return octree_of(fields)
+    return octree_from_fields(fields)

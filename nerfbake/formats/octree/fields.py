@@ -1,10 +1,10 @@
-"""What every octree format shares: the fields of a file, how they become an octree, and what may be wrong with them.
+"""The fields that all octree formats share: convert an octree to fields and back, and check them.
 
-TR-24-01's listing 3 (docs/sources.md) names the fields; 7 and up are nerfbake's and may be absent; schemas/README.md
-has them all:
+Fields 1 to 6 are defined in TR-24-01's listing 3 (docs/sources.md). Fields 7 and up are nerfbake's additions and may
+be absent. schemas/README.md describes all of them:
 
     type_url, width, height, depth, node_children, node_data                     listing 3
-    data_format, data_dim, level_sizes, origin, voxel_size, extra_data           what it cannot say
+    data_format, data_dim, level_sizes, origin, voxel_size, extra_data           additions
 
 In the `report` profile node_children and node_data are plain lists of numbers; in `bulk` each is a Blob.
 """
@@ -20,27 +20,26 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.octree.type_urls import VoxelType, named_format, stored_dtype, type_url_of
 from nerfbake.formats.wire.blob import Blob
-from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.soundness import all_finite
-from nerfbake.scene.basis import guess_data_format, parse_basis
+from nerfbake.scene.basis import SH_SIZES, guess_data_format, parse_basis
 from nerfbake.scene.octree import SparseVoxelOctree
 
 Profile = Literal["report", "bulk"]
 NoChild = Literal[0, -1]
 
 MAX_2GIB = 2**31 - 1
-SMALL_SIZE = 1 << 20  # more than all small fields and a format's own bytes can take
+SMALL_SIZE = 1 << 20  # bytes: upper bound of all small fields and of a format's overhead
 
 
 def children_with(children: npt.NDArray[np.int32], no_child: int) -> npt.NDArray[np.int32]:
-    """The children table with 0 (as it is in memory) or -1 for "no child"."""
+    """The children table with 0 (as in memory) or -1 for "no child"."""
     return children if no_child == 0 else np.where(children == 0, np.int32(no_child), children)
 
 
 def small_fields(octree: SparseVoxelOctree, voxel_type: VoxelType = "number") -> dict[str, Any]:
-    """Every field but the two large arrays, as Python's own types."""
+    """All fields except the two large arrays, as Python types."""
     fields = {
         "type_url": type_url_of(octree, voxel_type),
         **dict(zip(("width", "height", "depth"), octree.size, strict=True)),
@@ -56,7 +55,7 @@ def small_fields(octree: SparseVoxelOctree, voxel_type: VoxelType = "number") ->
 
 
 def require_finite(octree: SparseVoxelOctree, form: str, *, node_data: bool) -> None:
-    """Raises InvalidScene, before anything is written, if the format cannot spell a number. Infinities count."""
+    """Raise InvalidScene before anything is written if a value is NaN or infinite. node_data: check node_data, too."""
     for name in ("node_data", "origin", "voxel_size", "extra_data"):
         values = getattr(octree, name)
         if values is not None and (node_data or name != "node_data") and not all_finite(values):
@@ -65,16 +64,16 @@ def require_finite(octree: SparseVoxelOctree, form: str, *, node_data: bool) -> 
 
 
 def require_size(form: str, size: int, limit: int, whose: str) -> None:
-    """Raises InvalidScene, before anything is written, if the file could not be read again."""
+    """Raise InvalidScene before anything is written if the file would exceed the format's size limit."""
     if size > limit:
         raise InvalidScene(Problem(form, f"would take {size:,} bytes", f"{limit:,}, {whose}"))
 
 
-def octree_of(fields: Mapping[str, Any]) -> SparseVoxelOctree:
-    """The octree that a file's fields say. What listing 3 has not may be absent, empty or 0.
+def octree_from_fields(fields: Mapping[str, Any]) -> SparseVoxelOctree:
+    """Build the octree from a file's fields. Fields that are not in listing 3 may be absent, empty or 0.
 
     node_children and node_data are a Blob, a list of numbers or a flat array; text is str, small arrays are lists or
-    arrays. Raises InvalidFile for what cannot be; a wrong topology is left for the scene to report.
+    arrays. Raises InvalidFile for invalid fields. The topology is not checked here: the scene reports its problems.
     """
     type_url = _text(fields, "type_url")
     dtype = stored_dtype(type_url)
@@ -118,9 +117,10 @@ def assemble(
     voxel_size: npt.NDArray[Any],
     extra_data: npt.NDArray[np.float32] | None,
 ) -> SparseVoxelOctree:
-    """An octree from a file's arrays: -1 read as 0, nodes in another order sorted breadth-first, no format guessed.
+    """Build an octree from a file's arrays.
 
-    children (c, 8) integers. What cannot be right is left as it is: the scene reports it when asked.
+    A child of -1 is read as 0, nodes in another order are sorted breadth-first, and an empty data format is guessed
+    from the number of values. children: (c, 8) integers. Invalid values stay as they are: the scene reports them.
     """
     if children.dtype != np.int32:
         if children.size and (abs(int(children.max())) > 2**31 - 1 or abs(int(children.min())) > 2**31 - 1):
@@ -153,15 +153,17 @@ def _large(fields: Mapping[str, Any], name: str, dtype: np.dtype[Any]) -> npt.ND
 
 
 def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """A list of numbers, or an array of them, as a flat array of this dtype. Nothing is rounded to whole numbers,
-    and nothing finite becomes infinite."""
+    """Convert a list or array of numbers to a flat array of this dtype.
+
+    Raises InvalidFile instead of rounding to whole numbers or turning a finite value into infinity.
+    """
     if value is None:
         return np.empty(0, dtype)
     if isinstance(value, np.ndarray):
         flat = value.reshape(-1)
     elif isinstance(value, list):
-        try:  # array() takes numbers alone: no text, no None, no lists
-            memory.hold(name, 9 * len(value))  # it grows by an eighth
+        try:  # array() accepts only numbers: no text, no None, no lists
+            memory.hold(name, 9 * len(value))  # 8 bytes a number; the array over-allocates by an eighth
             flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")
         except (TypeError, ValueError, OverflowError):
             raise InvalidFile(
@@ -214,3 +216,65 @@ def _lobes(fields: Mapping[str, Any], data_format: str) -> npt.NDArray[np.float3
     if values.size % size:
         raise InvalidFile(Problem("extra_data", f"has {values.size:,} numbers", f"a multiple of {size}"))
     return values.reshape(size, -1)
+
+
+VoxelType = Literal["number", "struct"]
+
+
+_HOME = "type.googleapis.com/"
+
+
+TYPE_URLS = {"float32": f"{_HOME}google.protobuf.FloatValue", "float16": f"{_HOME}svo.protobuf.Float16Value"}
+
+
+NAMED = ("RGBA", *(f"SH{size}" for size in SH_SIZES))  # data formats whose voxels have a message
+
+
+_VOXELS = {
+    f"{_HOME}svo.protobuf.{data_format}{half}Voxel": (dtype, data_format)
+    for data_format in NAMED
+    for half, dtype in (("", "<f4"), ("Half", "<f2"))
+}
+
+
+_MEANINGS = {TYPE_URLS["float32"]: ("<f4", ""), TYPE_URLS["float16"]: ("<f2", ""), **_VOXELS}
+
+
+def type_url_of(octree: SparseVoxelOctree, voxel_type: VoxelType) -> str:
+    """Return the type URL of a value (`number`), or of a node with all its values named (`struct`).
+
+    Raises InvalidScene if no such type exists.
+    """
+    dtype = octree.node_rows.dtype
+    if voxel_type == "number":
+        return TYPE_URLS[dtype.name]
+    if octree.data_format not in NAMED:
+        found = f"is {octree.data_format!r}, which has no voxel type"
+        raise InvalidScene(Problem("data_format", found, f"{', '.join(NAMED)}, or the voxel type 'number'"))
+    return next(url for url, known in _VOXELS.items() if known == (dtype.newbyteorder("<").str, octree.data_format))
+
+
+def stored_dtype(type_url: str) -> np.dtype[Any]:
+    """The number type of node_data; float32 for an empty type_url. Raises InvalidFile for an unknown type."""
+    return np.dtype(_meaning(type_url)[0])
+
+
+def named_format(type_url: str, data_format: str) -> str:
+    """Return the data format from data_format, or from the voxel type in type_url.
+
+    Raises InvalidFile if the two differ.
+    """
+    named = _meaning(type_url)[1]
+    if named and data_format and named != data_format:
+        raise InvalidFile(
+            Problem("type_url", f"names a voxel of {named}", f"one of {data_format[:40]}, as data_format says")
+        )
+    return named or data_format
+
+
+def _meaning(type_url: str) -> tuple[str, str]:
+    found = _MEANINGS.get(type_url or TYPE_URLS["float32"])
+    if found is None:
+        allowed = f"{' or '.join(TYPE_URLS.values())}, or a voxel of schemas/voxels.proto"
+        raise InvalidFile(Problem("type_url", f"is {type_url[:80]!r}", allowed))
+    return found

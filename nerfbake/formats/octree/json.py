@@ -1,9 +1,9 @@
-"""The octree as JSON (.svo.json): one object, the same names as in schemas/svo.proto.
+"""Read and write octrees as JSON (.svo.json): one object with the field names of schemas/svo.proto.
 
     report   {..., "node_children": [1, 2, 0, ...], "node_data": [0.25, ...]}
     bulk     {..., "node_children": {"dtype": "<i4", "shape": [c, 8], "data": "<base64>"}, "node_data": {...}}
 
-A number is written with the fewest digits that give the same float back; JSON has none for NaN and infinity.
+A number has the fewest digits that give the same float when parsed. JSON cannot represent NaN and infinity.
 """
 
 from __future__ import annotations
@@ -20,20 +20,27 @@ import orjson
 from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.octree.fields import NoChild, Profile, children_with, octree_of, require_finite, small_fields
-from nerfbake.formats.octree.type_urls import VoxelType
+from nerfbake.formats.octree.fields import (
+    NoChild,
+    Profile,
+    VoxelType,
+    children_with,
+    octree_from_fields,
+    require_finite,
+    small_fields,
+)
 from nerfbake.formats.wire.blob import Blob, blob_of
 from nerfbake.formats.wire.json import parse_object
 from nerfbake.scene.octree import SparseVoxelOctree
 
 _CHUNK = 3 << 17  # numbers, or bytes: base64 needs a multiple of 3
-# A reader that goes through a double rounds this one float32 twice, and wrongly, when it is written with fewest digits.
-# It is the only one: all 2^31 finite and positive ones were tried.
+# Written with the fewest digits, this float32 is read wrongly through a double, because it is rounded twice. It is the
+# only such value: all 2^31 finite positive ones were tried.
 _ROUNDED_TWICE = np.float32(7.038531e-26)
 
 
 def recognise(view: memoryview) -> bool:
-    """True for the first bytes of a JSON object with the octree's fields."""
+    """True for the first bytes of a JSON object with the fields of an octree."""
     head = bytes(view[:HEAD])
     return head.lstrip()[:1] == b"{" and any(
         name in head for name in (b'"type_url"', b'"node_children"', b'"node_data"')
@@ -47,7 +54,7 @@ def encode(
     profile: Profile = "bulk",
     voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
-    """The object in pieces. Raises InvalidScene for a NaN or an infinity that JSON cannot say."""
+    """Yield the object in pieces. Raises InvalidScene for NaN or infinity in a field that is written as numbers."""
     require_finite(octree, "svo.json", node_data=profile == "report")
     pieces = _list if profile == "report" else _blob
     yield orjson.dumps(small_fields(octree, voxel_type))[:-1]
@@ -59,12 +66,12 @@ def encode(
 
 
 def decode(view: memoryview) -> SparseVoxelOctree:
-    """The octree of either profile."""
+    """Read an octree of either profile."""
     fields = parse_object(view, "the JSON")
     for name in ("node_children", "node_data"):
         if isinstance(fields.get(name), dict):
             fields[name] = _read_blob(name, fields[name])
-    return octree_of(fields)
+    return octree_from_fields(fields)
 
 
 def _list(values: npt.NDArray[Any]) -> Iterator[bytes | memoryview]:
@@ -92,9 +99,9 @@ def _read_blob(name: str, blob: dict[str, Any]) -> Blob:
     dtype, shape, text = blob.get("dtype"), blob.get("shape"), blob.get("data")
     whole = isinstance(shape, list) and all(type(edge) is int for edge in shape)
     if not (isinstance(dtype, str) and whole and isinstance(text, str)):
-        raise InvalidFile(Problem(name, "is no blob", "dtype as text, shape as whole numbers, data as base64"))
+        raise InvalidFile(Problem(name, "is not a blob", "dtype as text, shape as whole numbers, data as base64"))
     memory.hold(name, len(text) * 3 // 4)
     try:
         return Blob(dtype, tuple(shape or ()), memoryview(a2b_base64(text, strict_mode=True)))
     except (Base64Error, ValueError) as error:
-        raise InvalidFile(Problem(name, f"has data that are no base64 ({error})", "RFC 4648, no breaks")) from None
+        raise InvalidFile(Problem(name, f"has data that is not base64 ({error})", "RFC 4648, no breaks")) from None

@@ -1,4 +1,4 @@
-"""The octree as plain NumPy arrays (.svo.npz), for scripts: `np.load` is the whole reader.
+"""Read and write octrees as NumPy archives (.svo.npz), which scripts can read with `np.load` alone.
 
 | key | dtype, shape | meaning |
 |---|---|---|
@@ -21,25 +21,24 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import NoChild, assemble, children_with
-from nerfbake.formats.wire.npz_names import npz_keys
-from nerfbake.formats.wire.npz_reader import NpzReader
-from nerfbake.formats.wire.npz_writer import Pieces, write_npz
+from nerfbake.formats.wire.npz import NpzReader, StreamedArray, write_npz
+from nerfbake.formats.wire.zip_reader import npz_keys
 from nerfbake.scene.octree import SparseVoxelOctree
 
 VERSION = 1
 
 
 def recognise(view: memoryview) -> bool:
-    """True for an archive that calls itself an octree's."""
+    """True for an archive with the member svo_version."""
     return "svo_version" in npz_keys(view)
 
 
 def encode(octree: SparseVoxelOctree, *, no_child: NoChild = 0) -> Iterator[bytes | memoryview]:
-    arrays: dict[str, npt.ArrayLike | Pieces] = {
+    arrays: dict[str, npt.ArrayLike | StreamedArray] = {
         "svo_version": np.int64(VERSION),
         "size": np.array(octree.size, np.int32),
         "node_children": children_with(octree.node_children, no_child),
-        "node_data": Pieces(octree.node_rows),
+        "node_data": StreamedArray(octree.node_rows),
         "level_sizes": np.array(octree.level_sizes, np.int32),
         "data_format": np.array(octree.data_format),
         "origin": octree.origin,

@@ -1,11 +1,20 @@
-"""The compressed octree (.svoq): whole numbers of a transform, range-coded or deflated. schemas/svoq.md has every byte.
+"""Read and write compressed octrees (.svoq): integer transform coefficients, range-coded or deflated.
 
-A file is written from a QuantisedOctree and read as the octree that it stands for. The parts:
+schemas/svoq.md specifies every byte. encode() writes a QuantisedOctree; decode() returns the restored octree. The parts
+of a file:
 
     basis         mixing (3B, 3B) int16, then row 0 of the coefficients (3B + 1,) int32
     topology      the masks                                          kernels.coding.topology, or a zlib stream
     coefficients  the other rows, in streams of some channels each   kernels.coding.coefficients, or a zlib stream
-    padding       zeros, only where an octree is so regular that it would have more leaves a byte than a reader believes
+    padding       zeros; present only if the file would otherwise exceed the reader's limit of leaves for each byte
+
+The coding `deflate` needs no range decoder. Its zlib streams contain:
+
+    topology       the masks, a byte each
+    coefficients   for each of the rows 1, 2, ... a byte: its length, the number of colour channels before its trailing
+                   zeros. Then the values channel by channel: colour channel k for the rows with a length above k,
+                   density for all rows. A value v is a byte: 2v, or -2v - 1 if v is below 0. The byte 255 marks a
+                   number of 255 or more; these numbers follow all other values as u32, in the same order
 """
 
 from __future__ import annotations
@@ -18,7 +27,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.octree.svoq_deflate import deflated, inflate_values, inflated_masks
+from nerfbake.formats.wire.deflate import deflate_best, inflate
 from nerfbake.formats.wire.svoq import (
     BASIS,
     COEFFICIENTS,
@@ -27,7 +36,7 @@ from nerfbake.formats.wire.svoq import (
     NAMES,
     PADDING,
     TOPOLOGY,
-    Part,
+    SvoqPart,
     file_size,
     read_file,
     write_file,
@@ -38,14 +47,76 @@ from nerfbake.scene.basis import SH_SIZES
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import MAX_VALUE, QuantisedOctree
 
+_LARGE = 255
+
+
+def deflated(masks: npt.NDArray[np.uint8], values: npt.NDArray[np.int32]) -> list[SvoqPart]:
+    """Pack masks (c,) and values (m, C) except row 0 as zlib streams."""
+    rows, C = values[1:], values.shape[1]
+    filled = rows[:, :-1] != 0
+    lengths = ((C - 1 - filled[:, ::-1].argmax(axis=1)) * filled.any(axis=1)).astype(np.uint8)
+    pieces, large = [lengths], [np.zeros(0, np.uint32)]
+    for channel in range(C):
+        some = (rows[:, channel] if channel == C - 1 else rows[lengths > channel, channel]).astype(np.int64)
+        unsigned = np.where(some < 0, -2 * some - 1, 2 * some).astype(np.uint32)
+        pieces.append(np.minimum(unsigned, _LARGE).astype(np.uint8))
+        large.append(unsigned[unsigned >= _LARGE])
+    whole = b"".join(piece.tobytes() for piece in pieces) + np.concatenate(large).astype("<u4").tobytes()
+    return [_part(TOPOLOGY, 0, masks.tobytes()), _part(COEFFICIENTS, C, whole)]
+
+
+def inflated_masks(part: SvoqPart, c: int) -> npt.NDArray[np.uint8]:
+    """Return the (c,) masks of a zlib stream. Raises InvalidFile, MemoryLimit."""
+    if part.unpacked != c:
+        raise InvalidFile(Problem("topology", f"unpacks to {part.unpacked:,} bytes", f"{c:,}, one for each mask"))
+    return np.frombuffer(inflate(part.data, c, "topology"), np.uint8).copy()
+
+
+def inflate_values(part: SvoqPart, values: npt.NDArray[np.int32]) -> None:
+    """Fill values (m, C) except row 0 from a zlib stream. Raises InvalidFile, MemoryLimit."""
+    rows, C = values[1:], values.shape[1]
+    if part.unpacked > 5 * rows.size + len(rows):
+        found = f"unpack to {part.unpacked:,} bytes"
+        raise InvalidFile(Problem("coefficients", found, f"up to {5 * rows.size + len(rows):,} for {len(rows):,} rows"))
+    memory.require("the coefficients", part.unpacked + 13 * len(rows))
+    data = np.frombuffer(inflate(part.data, part.unpacked, "coefficients"), np.uint8)
+    lengths = data[: len(rows)]
+    counts = [*(int(np.count_nonzero(lengths > channel)) for channel in range(C - 1)), len(rows)]
+    end = len(rows) + sum(counts)
+    large = data[end:]
+    if (
+        end > len(data)
+        or int(lengths.max(initial=0)) > C - 1
+        or 4 * int(np.count_nonzero(data[len(rows) : end] == _LARGE)) != len(large)
+    ):
+        raise InvalidFile(Problem("coefficients", f"unpack to {len(data):,} bytes", "the size by its row lengths"))
+    numbers, begin, used = large.view("<u4") if len(large) % 4 == 0 else large, len(rows), 0
+    for channel, count in enumerate(counts):
+        unsigned = data[begin : begin + count].astype(np.int64)
+        escaped = np.flatnonzero(unsigned == _LARGE)
+        unsigned[escaped] = numbers[used : used + len(escaped)]
+        begin, used = begin + count, used + len(escaped)
+        if int(unsigned.max(initial=0)) > 2 * MAX_VALUE:
+            raise InvalidFile(Problem("coefficients", f"hold {int(unsigned.max()):,}", f"{2 * MAX_VALUE:,} (unsigned)"))
+        signed = np.where(unsigned & 1, -(unsigned + 1 >> 1), unsigned >> 1)
+        if channel == C - 1:
+            rows[:, channel] = signed
+        else:
+            rows[lengths > channel, channel] = signed
+
+
+def _part(kind: int, end: int, data: bytes) -> SvoqPart:
+    return SvoqPart(kind, end, memoryview(deflate_best(data)), len(data))
+
+
 Coding = Literal["range", "deflate"]
 CODINGS: tuple[Coding, ...] = ("range", "deflate")
 
 STEPS = ("mixing_scale", "colour_step", "density_step", "density_scale")
-LEAVES_PER_BYTE = 256  # that a reader believes; the chair has 0.3
-NODES_PER_LEAF = 13  # with masks: one a level
-_PAIR_BYTES, _MASK_BYTES = 17, 81  # that decoding takes for each leaf and each mask, beside what it gives
-_FEW = 8  # channels: no more streams than one
+LEAVES_PER_BYTE = 256  # limit of the reader; the chair has 0.3
+NODES_PER_LEAF = 13  # limit of masks for each leaf: one a level
+_PAIR_BYTES, _MASK_BYTES = 17, 81  # working memory of decoding for each leaf and each mask
+_FEW = 8  # channels; fewer go into a single stream
 
 
 def recognise(view: memoryview) -> bool:
@@ -54,23 +125,26 @@ def recognise(view: memoryview) -> bool:
 
 
 def encode(octree: QuantisedOctree, *, coding: Coding = "range") -> Iterator[bytes | memoryview]:
-    """The file in pieces. Raises InvalidScene if the octree is not sound, or a coefficient is too large."""
+    """Yield the file in pieces. Raises InvalidScene if the octree is invalid or a coefficient is too large."""
     return write_file(_header(octree, coding), _parts(octree, coding))
 
 
 def coded_size(octree: QuantisedOctree, *, coding: Coding = "range") -> int:
-    """Bytes of the file that encode() gives."""
+    """The size in bytes of the file that encode() returns."""
     return file_size(_parts(octree, coding))
 
 
 def decode(view: memoryview) -> SparseVoxelOctree:
-    """The octree that the file stands for."""
+    """Read a file and restore its octree."""
     return decode_quantised(view).restored()
 
 
 def describe_packing(view: memoryview) -> dict[str, Any]:
-    """How the whole numbers are coded, and their steps; bytes, and the share of the file, of each kind of part, and of
-    the header with the table of parts and the checksum."""
+    """Describe the coding of a file: its name, the quantisation steps, and the sizes of the parts.
+
+    Sizes are in bytes and in percent of the file, for each kind of part. "header" includes the table of parts and the
+    checksum.
+    """
     header, parts = read_file(view)
     sizes = {"header": file_size(parts) - sum(len(part.data) for part in parts)}
     for part in parts:
@@ -98,25 +172,28 @@ def _header(octree: QuantisedOctree, coding: Coding) -> np.void:
     return header
 
 
-def _parts(octree: QuantisedOctree, coding: Coding) -> list[Part]:
+def _parts(octree: QuantisedOctree, coding: Coding) -> list[SvoqPart]:
     for problem in octree.problems():
         raise InvalidScene(problem)
     first = octree.mixing.astype("<i2").tobytes() + octree.values[0].astype("<i4").tobytes()
-    parts = [Part(BASIS, 0, memoryview(first))]
+    parts = [SvoqPart(BASIS, 0, memoryview(first))]
     if coding == "deflate":
         parts += deflated(octree.masks, octree.values)
     else:
         ends = _stream_ends(octree.values.shape[1])
         streams = coefficients.encode_values(octree.values, pairs_of(octree.masks, octree.m), ends)
-        parts.append(Part(TOPOLOGY, 0, topology.encode_masks(octree.masks).data))
-        parts += [Part(COEFFICIENTS, end, stream.data) for end, stream in zip(ends, streams, strict=True)]
+        parts.append(SvoqPart(TOPOLOGY, 0, topology.encode_masks(octree.masks).data))
+        parts += [SvoqPart(COEFFICIENTS, end, stream.data) for end, stream in zip(ends, streams, strict=True)]
     if (missing := -(-octree.m // LEAVES_PER_BYTE) - file_size(parts)) > 0:
-        parts.append(Part(PADDING, 0, memoryview(bytes(missing))))
+        parts.append(SvoqPart(PADDING, 0, memoryview(bytes(missing))))
     return parts
 
 
 def _stream_ends(C: int) -> list[int]:
-    """Two streams of about as many bytes, which two cores decode; no group of channels in both."""
+    """Split the channels into two streams of similar size, so that two cores can decode them.
+
+    A group of channels is never split.
+    """
     first = C // 4
     groups = max(0, first - coefficients.FIRST_GROUP) // coefficients.GROUP
     if first > coefficients.FIRST_GROUP:
@@ -126,7 +203,7 @@ def _stream_ends(C: int) -> list[int]:
 
 # -- reading ---------------------------------------------------------------------------------------------------
 def decode_quantised(view: memoryview) -> QuantisedOctree:
-    """The whole numbers in a file. Raises InvalidFile, MemoryLimit; before it allocates anything for it."""
+    """Read the quantised octree of a file. Raises InvalidFile or MemoryLimit before it allocates memory."""
     header, parts = read_file(view)
     if header["basis"] not in (0, *SH_SIZES):
         raise InvalidFile(Problem("basis", f"is {header['basis']}", f"0 (RGBA), {', '.join(map(str, SH_SIZES))}"))
@@ -163,7 +240,7 @@ def decode_quantised(view: memoryview) -> QuantisedOctree:
 
 
 def _require_believable(c: int, m: int, size: int) -> None:
-    """What a file declares is held against its bytes before anything is made of it."""
+    """Check the declared counts against the file's size, before anything is allocated."""
     if not 1 <= m <= LEAVES_PER_BYTE * size:
         allowed = f"1 to {LEAVES_PER_BYTE * size:,}, {LEAVES_PER_BYTE} for each byte of the file"
         raise InvalidFile(Problem("leaves", f"are {m:,}", allowed))
@@ -173,23 +250,23 @@ def _require_believable(c: int, m: int, size: int) -> None:
         )
 
 
-def _arranged(parts: Sequence[Part], C: int, *, packed: bool) -> tuple[Part, Part, list[Part]]:
-    """The basis, the topology and the coefficients' streams, which must stand in this order."""
+def _arranged(parts: Sequence[SvoqPart], C: int, *, packed: bool) -> tuple[SvoqPart, SvoqPart, list[SvoqPart]]:
+    """Return the basis, the topology and the coefficient streams, which must be in this order."""
     padding = [part for part in parts[3:] if part.kind == PADDING]
     kinds, ends = [part.kind for part in parts], [part.end for part in parts[2 : len(parts) - len(padding)]]
     streams = [COEFFICIENTS] * len(ends)
     if kinds != [BASIS, TOPOLOGY, *streams, *[PADDING] * len(padding)] or len(padding) > 1 or not streams:
-        raise InvalidFile(Problem("parts", f"are of kinds {kinds[:16]}", "0, 1, 2 (as often as need be), 3 (or none)"))
+        raise InvalidFile(Problem("parts", f"are of kinds {kinds[:16]}", "0, 1, 2 (one or more), 3 (at most one)"))
     rising = all(one < other for one, other in zip([0, *ends], ends, strict=False))
     if ends[-1] != C or not rising or (packed and len(ends) > 1):
         allowed = f"rising up to {C}, the number of channels" if not packed else f"{C}, the number of channels"
         raise InvalidFile(Problem("coefficients", f"end at channels {ends[:16]}", allowed))
     if padding and any(padding[0].data):
-        raise InvalidFile(Problem("padding", "holds something", "zeros"))
+        raise InvalidFile(Problem("padding", "has non-zero bytes", "zeros"))
     return parts[0], parts[1], list(parts[2 : 2 + len(ends)])
 
 
-def _basis(part: Part, C: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int32]]:
+def _basis(part: SvoqPart, C: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int32]]:
     """(3B, 3B) mixing and (C,) row 0."""
     mixing = 2 * (C - 1) ** 2
     if len(part.data) != mixing + 4 * C:
@@ -198,21 +275,21 @@ def _basis(part: Part, C: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.in
     return matrix, np.frombuffer(part.data[mixing:], "<i4").astype(np.int32)
 
 
-def _decoded_masks(part: Part, c: int, levels: int) -> npt.NDArray[np.uint8]:
+def _decoded_masks(part: SvoqPart, c: int, levels: int) -> npt.NDArray[np.uint8]:
     masks, found, used = topology.decode_masks(np.frombuffer(part.data, np.uint8), c, levels)
     if found == topology.ORPHAN:
         raise InvalidFile(
-            Problem("topology", f"declares {c:,} masks", "as many as there are nodes above single voxels")
+            Problem("topology", f"declares {c:,} masks", "one for each node above the level of single voxels")
         )
     if found == topology.DEEP:
-        raise InvalidFile(Problem("topology", "has nodes below single voxels", f"masks in {levels} levels"))
+        raise InvalidFile(Problem("topology", "has nodes below single voxels", f"masks in {levels} levels only"))
     if used != len(part.data):
-        raise InvalidFile(Problem("topology", f"has {len(part.data):,} bytes", "as many as its masks take"))
+        raise InvalidFile(Problem("topology", f"has {len(part.data):,} bytes", "the size that its masks need"))
     return masks
 
 
-def _decode_streams(streams: Sequence[Part], octree: QuantisedOctree) -> None:
-    """Fills the values, all but row 0."""
+def _decode_streams(streams: Sequence[SvoqPart], octree: QuantisedOctree) -> None:
+    """Fill the values except row 0."""
     data = [np.frombuffer(part.data, np.uint8) for part in streams]
     pairs = pairs_of(octree.masks, octree.m)
     found, used = coefficients.decode_values(data, octree.values, pairs, [part.end for part in streams])
@@ -220,4 +297,4 @@ def _decode_streams(streams: Sequence[Part], octree: QuantisedOctree) -> None:
         raise InvalidFile(Problem("coefficients", "hold a number that is too large", f"{MAX_VALUE:,}"))
     sizes = [len(part) for part in data]
     if found == coefficients.TOO_SHORT or used != sizes:
-        raise InvalidFile(Problem("coefficients", f"have {sizes} bytes", "as many as their numbers take"))
+        raise InvalidFile(Problem("coefficients", f"have {sizes} bytes", "the sizes that their values need"))

@@ -1,8 +1,8 @@
-"""A comparison as one page that needs nothing else: verdict, figures, sizes, and every picture inside it.
+"""Write a comparison as one self-contained HTML page: verdict, numbers, file sizes and all pictures.
 
-No script, no date, no address of anything outside (and a policy that forbids them), so that it can be mailed, archived
-and compared with the next. It reads in light and dark, on a phone and on paper. Whatever a file is called, it is text.
-Every figure stands in a `data` element, rounded for people, whole in its `value`.
+The page contains no script, no date and no external address, and its policy forbids them. So it can be mailed, archived
+and compared with later pages. It has a light and a dark scheme, and is readable on phones and on paper. File names are
+escaped. Every number is in a `data` element: rounded in its text, at full precision in its attribute `value`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from nerfbake.errors import format_size
 from nerfbake.formats.picture import png
-from nerfbake.formats.wire.page_pieces import END, beginning, figure, picture, table, text
+from nerfbake.formats.wire.page import END, beginning, figure, picture, table, text
 from nerfbake.scene.camera import rays_told
 from nerfbake.scene.comparison import AMPLIFIED, Comparison, Verdict
 from nerfbake.scene.image import Image
@@ -46,8 +46,9 @@ def encode(
     min_psnr: float | None = None,
     max_error: float | None = None,
 ) -> Iterator[bytes]:
-    """The page, in pieces. a, b: what to tell of the two, name by name (`name`, `bytes`, ...); budgets as judge() has
-    them, whether they hold or not.
+    """Yield the page in pieces, whether the budgets hold or not.
+
+    a, b: facts about the two scenes by name (`name`, `bytes`, ...). min_psnr, max_error: the budgets of judge().
     """
     sides = {"a": {"name": "a scene", **(a or {})}, "b": {"name": "another", **(b or {})}}
     captions = _PICTURES | {side: f"{side.upper()}: {_short(facts)}" for side, facts in sides.items()}

@@ -1,38 +1,37 @@
-"""Triangles as a page carries them, bit for bit: one zlib stream of arrays, one after the other.
+"""Pack the triangles of a page losslessly into one zlib stream of arrays.
 
-For each part (a cascade, or a mesh of its own): positions (v, 3) float32, faces (t, 3) uint32, where they are there uvs
-(v, 2) and colours (v, 3) float32, then its textures (H, W, 3) uint8 in the order in which the facts name them. Behind
-all of them the MLP, where there is one: a line for each hidden unit, (h, 6) and (h, 3) float32.
+Each part (a cascade or a mesh) has: positions (v, 3) float32, faces (t, 3) uint32, optionally uvs (v, 2) and colours
+(v, 3) float32, then its textures (H, W, 3) uint8 in the order of their names in the facts. If the page has an MLP, it
+follows all parts: a line for each hidden unit, (h, 6) and (h, 3) float32.
 
-Four-byte numbers go column by column, each as its difference from the one before it (of bits, modulo 2^32), first the
-lowest bytes of them all, then the next ones. Texels go channel by channel, each as its difference from the one before
-it. nerfbake/shaders/page/triangles.js reads all of it. What is already a picture is not carried as PNG, since a browser
-may change its colours as it decodes them.
+Four-byte numbers are stored column by column, each as the difference of its bits from those of the number before it,
+modulo 2^32: the lowest bytes of all numbers first, then the next ones. Texels are stored channel by channel, each as
+the difference from the texel before it. nerfbake/shaders/page/triangles.js reads the stream. Textures are not embedded
+as PNG, since a browser may change colours when it decodes a PNG.
 """
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.formats.atlas import document as atlas_json
+from nerfbake.formats.atlas import folder as atlas_json
 from nerfbake.formats.atlas.folder import label_texels
-from nerfbake.formats.page.parts import ball_of, part_of
 from nerfbake.formats.wire.deflate import deflate_whole
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.camera import WORLD
 from nerfbake.scene.mesh import Mesh, vertex_box
-from nerfbake.scene.page import Page
-from nerfbake.scene.page_surface import PageSurface
+from nerfbake.scene.page import Page, PageSurface
 
 Parts = PageSurface | Sequence[Mesh]
 
 
 def pack_triangles(page: Page) -> bytes:
-    """The zlib stream; nothing for a page without triangles."""
+    """Return the zlib stream; empty for a page without triangles."""
     parts = _parts(page)
     if not parts:
         return b""
@@ -40,9 +39,9 @@ def pack_triangles(page: Page) -> bytes:
 
 
 def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:
-    """What the page's script has to know of them, and the shaders that draw them; nothing for a page without triangles.
+    """Return the facts about the triangles for the page's script, and their shaders; {} for a page without triangles.
 
-    at: where the stream starts in the page's data.
+    at: the offset of the stream in the page's data.
     """
     parts = _parts(page)
     if not parts:
@@ -68,7 +67,7 @@ def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:
 
 
 def surface_facts(surface: Any) -> dict[str, Any]:
-    """What is said of a PageSurface in place of a field: it is looked at in the world, whose third axis is up."""
+    """Return the facts about a PageSurface, in place of those of a field: world coordinates, the third axis is up."""
     centre, radius = ball_of(vertex_box(surface.meshes))
     return {
         "kind": "surface",
@@ -113,7 +112,7 @@ def _arrays(parts: Parts) -> Iterator[npt.NDArray[Any]]:
 
 
 def _textures(parts: Parts, i: int) -> dict[str, npt.NDArray[np.uint8]]:
-    """A part's, by the names that the shader has for them."""
+    """The textures of a part, by their names in the shader."""
     texture = _meshes(parts)[i].texture
     textures = {} if texture is None else {"diffuse": texture}
     if isinstance(parts, PageSurface) and parts.atlases:
@@ -129,8 +128,8 @@ def _textures(parts: Parts, i: int) -> dict[str, npt.NDArray[np.uint8]]:
 
 
 def _numbers(atlas: OctahedralAtlas) -> dict[str, float]:
-    """What atlas.glsl calls an Atlas."""
-    entry = atlas_json.entry(atlas)
+    """The members of the struct Atlas in atlas.glsl."""
+    entry = atlas_json.cascade_entry(atlas)
     names = {"mapSize": "map_size", "border": "border", "tilesPerRow": "tiles_per_row", "slope": "slope", "n": "n"}
     return {name: float(entry[key]) for name, key in names.items() if key in entry}
 
@@ -144,3 +143,15 @@ def _words(array: npt.NDArray[Any]) -> bytes:
 def _texels(texels: npt.NDArray[np.uint8]) -> bytes:
     flat = texels.reshape(-1, 3)
     return np.ascontiguousarray(np.diff(flat, axis=0, prepend=np.zeros((1, 3), np.uint8)).T).tobytes()
+
+
+def part_of(name: str, folder: str = "shaders/page") -> str:
+    """Read a text file of the package, wherever it was imported from."""
+    data = pkgutil.get_data("nerfbake", f"{folder}/{name}")
+    assert data is not None
+    return data.decode()
+
+
+def ball_of(corners: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], float]:
+    """Return the centre of a box with the opposite corners (2, 3), and their distance from it."""
+    return corners.mean(axis=0), float(np.sqrt(((corners[1] - corners[0]) ** 2).sum())) / 2

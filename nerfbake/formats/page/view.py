@@ -1,17 +1,20 @@
-"""A scene to look around in as one page that needs nothing else: opened from a file, it asks nobody for anything.
+"""Write a scene as one self-contained, interactive HTML page that opens from a file without network requests.
 
-The page's own parts stand in nerfbake/shaders/page, as they are: document, style, scripts and shader. What it carries
-are a picture that is there at once, facts (JSON: what its script reads) and the data in base64, at its end:
+nerfbake/shaders/page contains the parts of the page: document, style, scripts and shaders. encode() adds a picture that
+is visible before the scene is decoded, the facts (JSON, read by the script), and at the end the data in base64:
 
-    octree  the bytes of a .svoq, as schemas/svoq.md has them
+    octree  the bytes of a .svoq, see schemas/svoq.md
     arrays  a zlib stream of a PageField's top and blocks, little-endian, then for each of the 4 T channels of the
             texels the lower bytes of all rows, then their upper bytes
     surface none of these
 
-and behind them triangles, where there are some, as triangles.py in this folder packs them.
+followed by the triangles, if any, as packed by triangles.py in this folder.
 
-Its policy lets its own script and style run, told by their digests, and nothing else; whatever a file is called, its
-name is text. The same page is the same bytes.
+The scripts are concatenated in the order of _SCRIPTS into one scope. They are not modules: a page that is opened from a
+file cannot import modules, and a bundler would need Node wherever nerfbake runs. TypeScript checks them as one program.
+
+The page's policy allows only its own script and style, which it identifies by their digests. File names are escaped.
+The same page gives the same bytes.
 """
 
 from __future__ import annotations
@@ -29,17 +32,14 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, one_line
 from nerfbake.formats.octree import svoq
-from nerfbake.formats.page.parts import ball_of, part_of
-from nerfbake.formats.page.triangles import pack_triangles, surface_facts, triangle_facts
+from nerfbake.formats.page.triangles import ball_of, pack_triangles, part_of, surface_facts, triangle_facts
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.deflate import deflate_whole, inflate
-from nerfbake.formats.wire.photograph import encode_thumbnail
+from nerfbake.formats.wire.picture import encode_thumbnail
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.page import Page
-from nerfbake.scene.page_field import PageField, density_unit, grid_of, texels_of
-from nerfbake.scene.page_surface import PageSurface
+from nerfbake.scene.page import Page, PageField, PageSurface, density_unit, grid_of, texels_of
 from nerfbake.scene.radiance_field import RadianceField
 
 _SCRIPTS = (
@@ -59,12 +59,12 @@ _SCRIPTS = (
     "main.js",
 )
 _SHADERS = ("field.glsl", "march.glsl", "smooth.glsl", "shown.glsl")
-_THUMBNAIL = 200, 64  # of og:image: pixels along an edge, the least that sites ask for, and colours
-_NEAREST = 0.1  # of the scene's radius: no pivot is nearer to a camera
+_THUMBNAIL = 200, 64  # og:image: pixels an edge (the minimum that sites require), and colours
+_NEAREST = 0.1  # minimum distance of a pivot from its camera, in radii of the scene
 
 
 def encode(page: Page) -> Iterator[bytes]:
-    """The page, in pieces."""
+    """Yield the page in pieces."""
     content = _data(page.content)
     data = base64.b64encode(content + pack_triangles(page))
     head, tail = _document(page, {"length": len(data), **_facts(page), **triangle_facts(page, at=len(content))})
@@ -74,22 +74,22 @@ def encode(page: Page) -> Iterator[bytes]:
 
 
 def coded_size(page: Page) -> int:
-    """Bytes of the page that encode() gives."""
+    """The size in bytes of the page that encode() returns."""
     return sum(map(len, encode(page)))
 
 
-def carried(view: memoryview) -> bytes:
-    """The bytes of a .svoq as they are, or with the same numbers in the coding that the page's script reads."""
+def script_readable(view: memoryview) -> bytes:
+    """Return the bytes of a .svoq, recoded without loss if it is not in the coding that the page's script reads."""
     if svoq.describe_packing(view)["coding"] == svoq.CODINGS[0]:
         return bytes(view)
     return b"".join(svoq.encode(svoq.decode_quantised(view)))
 
 
 def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
-    """The field that a page carries, of the bytes that encode() gave. Raises InvalidFile, MemoryLimit."""
+    """Read the field of a page that encode() wrote. Raises InvalidFile, MemoryLimit."""
     found = re.search(rb'id="facts">([^<]*)</script>.*?id="data">([^<]*)</script>', view, re.DOTALL)
     if found is None:
-        raise InvalidFile("is no whole page to look around in; allowed: what `nerfbake view` writes")
+        raise InvalidFile("is not a complete page of a scene; allowed: a page that `nerfbake view` writes")
     facts = json.loads(found[1])
     data = base64.b64decode(found[2])[: facts.get("triangles", {}).get("at")]
     if facts["kind"] == "svoq":
@@ -110,7 +110,7 @@ def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
 
 
 def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
-    """The page up to its data, and behind them."""
+    """Return the page before its data, and after them."""
     script = '(() => {\n"use strict";\n' + "\n".join(map(part_of, _SCRIPTS)) + "})();\n"
     style = part_of("page.css")
     digests = {name: _digest(text) for name, text in (("script", script), ("style", style))}
@@ -137,7 +137,7 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
         "about": escape(f"All of the scene is in this file: {all_of_it}."),
         "facts": json.dumps(facts).replace("<", "\\u003c"),
     }
-    # One pass: what stands in a part, whatever it is, is not looked at again.
+    # One pass, so that placeholders inside a part are never replaced.
     head, tail = (
         re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], text) for text in part_of("page.html").split("{{data}}")
     )
@@ -149,7 +149,7 @@ def _digest(text: str) -> str:
 
 
 def _facts(page: Page) -> dict[str, Any]:
-    """What the page's script reads; all places and directions in the world, but for those named otherwise."""
+    """Return the facts for the page's script. Positions and directions are in the world unless named otherwise."""
     facts = _field_facts(page.content, page.field) if page.field else surface_facts(page.content)
     facts |= {"background": page.background, "turns": page.turns, "lookup": page.lookup}
     centre, radius = np.array(facts["centre"]), facts["radius"]
@@ -183,7 +183,7 @@ def _field_facts(content: Any, field: RadianceField) -> dict[str, Any]:
 
 
 def _view(camera: Camera, centre: npt.NDArray[np.float64], radius: float) -> dict[str, Any]:
-    """A camera, with the pivot where its line of sight passes the scene's middle."""
+    """Return a camera; its pivot is the point of its line of sight that is closest to the scene's centre."""
     distance = float((camera.pose[:3, 2] * (camera.pose[:3, 3] - centre)).sum())
     focal = 2 * camera.fx / min(camera.width, camera.height)
     return {"pose": camera.pose.tolist(), "focal": focal, "distance": max(distance, _NEAREST * radius)}

@@ -1,1 +1,1 @@
-"""Pictures and depth as bytes."""
+"""Encoders and decoders of pictures and depth."""

@@ -1,4 +1,4 @@
-"""Depth as NumPy's .npy: (H, W) float32 in world units, 0 where a ray meets nothing."""
+"""Read and write depth as NumPy's .npy: (H, W) float32 in world units, 0 where a ray hits nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.npy import MAX_HEADER, npy_pieces, read_header
-from nerfbake.scene.depth import Depth
+from nerfbake.scene.image import Depth
 
 
 def recognise(view: memoryview) -> bool:
@@ -23,7 +23,7 @@ def encode(depth: Depth) -> Iterator[bytes | memoryview]:
 
 
 def decode(view: memoryview) -> Depth:
-    """A view of the file: nothing is allocated."""
+    """Return the depth as a view of the file, without allocation."""
     stream = io.BytesIO(view[: MAX_HEADER + 12])
     shape, fortran, dtype = read_header("depth", stream)
     body = view[stream.tell() :]

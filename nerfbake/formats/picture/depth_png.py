@@ -1,4 +1,4 @@
-"""Depth as a 16-bit grey PNG: thousandths of a world unit, 0 where a ray meets nothing."""
+"""Read and write depth as a 16-bit grey PNG: thousandths of a world unit, 0 where a ray hits nothing."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from PIL import Image
 
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.wire.picture import opened, png_of
-from nerfbake.scene.depth import Depth
+from nerfbake.scene.image import Depth
 
-STEPS = 1000  # of grey in a world unit
+STEPS = 1000  # grey levels for each world unit
 _MOST = 65535
 
 
@@ -26,7 +26,7 @@ def encode(depth: Depth) -> Iterator[bytes]:
     if steps.max(initial=0) > _MOST:
         found = f"reaches {depth.distance.max():g} world units"
         raise InvalidScene(Problem("depth", found, f"up to {_MOST / STEPS:g} in a .png; .npy has no limit"))
-    # What is met is never 0, however near.
+    # A hit is never 0, however near.
     yield png_of(Image.fromarray(np.where(depth.distance > 0, np.maximum(steps, 1), 0).astype(np.uint16)))
 
 

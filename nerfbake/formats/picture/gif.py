@@ -1,8 +1,8 @@
-"""Moving pictures as GIF 89a: 255 colours for all pictures together and one for the background, forever again.
+"""Write animations as looping GIF 89a with one palette: 255 colours for all frames, and one for the background.
 
-One palette and no dithering, so that nothing flickers from picture to picture: what keeps its colour keeps its index.
-The background has the last index, exactly; where there is none, that index is transparent, and a pixel is that where
-it is less than half covered. Pillow joins pictures that are equal into one that stays as long.
+The palette is shared and there is no dithering, so that nothing flickers: an unchanged colour keeps its index. The last
+index is exactly the background. Without a background, that index is transparent, and a pixel is transparent if it is
+less than half covered. Pillow merges equal consecutive frames into one with their total duration.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as Pillow
 
-from nerfbake.kernels.picture.palette import ALL_COLOURS, UNKNOWN, nearest_colour
-from nerfbake.scene.animation import Animation
+from nerfbake.kernels.picture.drawing import ALL_COLOURS, UNKNOWN, nearest_colour
+from nerfbake.scene.image import Animation
 
 Pixels = npt.NDArray[np.uint8]
 
-_PAUSE = 80  # milliseconds a picture; GIF counts in hundredths of a second
+_PAUSE = 80  # milliseconds a frame; GIF counts in hundredths of a second
 _LAST = 255  # the background's index
-_SAMPLE = 1 << 18  # pixels that a palette is made from
+_SAMPLE = 1 << 18  # pixels from which the palette is computed
 _RESET = 2  # GIF's disposal method: back to transparency before the next picture
 
 
@@ -39,10 +39,10 @@ def encode(animation: Animation) -> Iterator[bytes]:
 
 
 def _palette(animation: Animation) -> Pixels:
-    """(256, 3): median cut over all pictures without their background, moved to the means of what they stand for.
+    """Compute the palette (256, 3): median cut over all frames without the background, then one step of k-means.
 
-    A colour counts as the square root of how often it is seen: else the largest thing takes all colours, and a small
-    round one shows bands.
+    A colour is weighted by the square root of its frequency. Otherwise the largest object would get most colours, and
+    small round objects would show bands.
     """
     background = np.rint(255 * np.array(animation.frames[0].background or (0, 0, 0))).astype(np.uint8)
     step = max(1, len(animation.frames) * animation.size[0] * animation.size[1] // _SAMPLE)
@@ -57,7 +57,7 @@ def _palette(animation: Animation) -> Pixels:
 
 
 def _covered(pixels: Pixels, background: Pixels) -> Pixels:
-    """(m, 3) the colours of the pixels that show something."""
+    """The colours (m, 3) of the pixels that are not background."""
     shown = pixels[..., 3] >= 128 if pixels.shape[2] == 4 else (pixels != background).any(axis=2)
     return pixels[shown][:, :3]
 

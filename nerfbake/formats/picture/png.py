@@ -1,4 +1,4 @@
-"""Pictures as PNG: 8-bit sRGB, with straight alpha where there is no background. Depth has files of its own."""
+"""Read and write pictures as PNG: 8-bit sRGB, with straight alpha if there is no background."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nerfbake.scene.image import Image
 
 
 def recognise(view: memoryview) -> bool:
-    """True for a PNG's signature and colours."""
+    """True for the signature of a PNG."""
     return bytes(view[:8]) == b"\x89PNG\r\n\x1a\n"
 
 
@@ -21,12 +21,12 @@ def encode(image: Image) -> Iterator[bytes]:
 
 
 def decode(view: memoryview) -> Image:
-    """The picture; colours premultiplied by alpha where it has one."""
+    """Read a picture; if it has alpha, the colours are premultiplied."""
     with opened(view, "PNG", "PNG", bytes_per_pixel=28) as picture:
         transparent = picture.mode in ("RGBA", "LA") or "transparency" in picture.info
         pixels = np.asarray(picture.convert("RGBA"))
     colour, alpha = np.empty((*pixels.shape[:2], 3), np.float32), np.empty(pixels.shape[:2], np.float32)
-    # Into its place: eleven bytes less for each pixel, of which there may be 268 million, and half the time.
+    # Dividing in place saves eleven bytes a pixel, of up to 268 million pixels, and half the time.
     np.divide(pixels[..., 3], np.float32(255), out=alpha)
     np.divide(pixels[..., :3], np.float32(255), out=colour)
     if transparent:

@@ -1,1 +1,1 @@
-"""VDB grids as bytes."""
+"""Read and write VDB grids as NanoVDB, OpenVDB and NumPy files."""

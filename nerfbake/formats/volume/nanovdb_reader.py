@@ -1,4 +1,11 @@
-"""A NanoVDB file from anywhere: segments of grids, one behind the other; nanovdb_tree reads what a grid holds."""
+"""Read NanoVDB files of any program: segments of grids, one after the other.
+
+Every count and offset is checked against the values of a breadth-first tree.
+
+The root's tiles may be in any order: NanoVDB searches them linearly (its binary search is disabled), and
+nanovdb_convert leaves them in OpenVDB's order, by signed coordinates. nerfbake writes them sorted by key, which both
+kinds of search can find.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +20,163 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem, one_line
 from nerfbake.formats.volume.frame import NAME, parse_frame
-from nerfbake.formats.volume.nanovdb_tree import read_tree, structs
-from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.formats.wire import nanovdb as nano
 from nerfbake.formats.wire.deflate import inflate
+from nerfbake.formats.wire.nanovdb import LeafCodes, ValueBudget, root_tiles_of, tiles_of, voxels_of
+from nerfbake.kernels.arrays import Bits, Ints
+from nerfbake.kernels.maths.elementary import cast
+from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.vdb.bitmask import root_keys, slots_of
 from nerfbake.scene.vdb import GRID_CLASSES, GridClass, IndexGrid, VdbTree
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.volume import OctreeFrame, Volume
+
+_CHUNK = 1 << 12  # leaf headers copied at a time
+Nodes = npt.NDArray[Any]
+
+
+class NanoVdbGrid(NamedTuple):
+    """A grid without its name and transform; the fields are those of scene.vdb.VdbTree.
+
+    rows: position in the file of each value, None if the values are already in order. An index grid has no values.
+    """
+
+    topology: VdbTopology
+    rows: Ints | None
+    values: npt.NDArray[np.float32]
+    background: npt.NDArray[np.float32]
+    active: Bits
+
+
+def read_tree(view: memoryview, layout: nano.Layout, *, signed: bool) -> NanoVdbGrid:
+    """Read the tree of one grid.
+
+    signed: inactive quantised values may represent minus the background. Raises InvalidFile, MemoryLimit.
+    """
+    base = nano.GRID.itemsize
+    tree = structs(view, base, nano.TREE, 1, "TreeData")[0]
+    leaf_at, lower_at, upper_at, root_at = (base + int(offset) for offset in tree["offsets"])
+    leaves, lowers, uppers = map(int, tree["counts"])
+    root = structs(view, root_at, layout.root, 1, "the root")[0]
+    entries = structs(view, root_at + layout.root.itemsize, layout.tile, int(root["tiles"]), "the root's tiles")
+    upper = structs(view, upper_at, layout.upper, uppers, "upper nodes")
+    lower = structs(view, lower_at, layout.lower, lowers, "lower nodes")
+    origin, is_node = _origins(entries["key"]), entries["child"] != 0
+    nodes = int(np.count_nonzero(is_node))
+    if nodes != uppers or (root_keys(origin).astype(np.uint64) != entries["key"]).any():
+        raise InvalidFile(
+            Problem("the root", f"has {nodes:,} tiles with nodes", f"{uppers:,}, one for each upper node")
+        )
+    if (entries["child"][is_node] + root_at != upper_at + np.arange(uppers) * layout.upper.itemsize).any():
+        raise InvalidFile(Problem("the root", "has tiles out of order", "children in consecutive order"))
+    leaf, codes = _leaves(view, layout, leaf_at, leaves, lower, lower_at)
+    masks = (np.ascontiguousarray(each) for each in (upper["children"], lower["children"], leaf["mask"]))
+    upper_mask, lower_mask, leaf_mask = masks
+    own = VdbTopology(origin[is_node], upper_mask, lower_mask, leaf_mask)
+    for problem in own.mask_problems():
+        raise InvalidFile(problem)
+    _require_links(upper, own.upper_mask, upper_at, lower_at + np.arange(lowers) * layout.lower.itemsize, "upper")
+    _require_links(lower, own.lower_mask, lower_at, codes.at, "lower")
+    _require_places(leaf, own)
+    background = cast(np.atleast_1d(root["background"]), np.float32)
+    if layout is nano.ON_INDEX:
+        return _index(own, leaf, int(tree["voxels"]), upper, lower, entries, is_node)
+    room = ValueBudget(memory.left())
+    tiles = [tiles_of(each, layout, background, room) for each in (lower, upper)]
+    in_root = root_tiles_of(entries[~is_node], background)
+    held = voxels_of(view, leaf, codes, layout, background, room, signed=signed)
+    outer = VdbTiles(tiles[0].mask, tiles[1].mask, origin[~is_node][in_root.mask.astype(bool)])
+    stored = VdbTopology(own.root_origin, upper_mask, lower_mask, held.mask, outer)
+    parts = [held, *tiles, in_root]
+    values, active = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "active"))
+    if int(tree["voxels"]) != (voxels := stored.only(active).voxel_count):
+        raise InvalidFile(Problem("TreeData", f"counts {tree['voxels']:,} voxels", f"{voxels:,}, the masks' bits"))
+    memory.hold("the grid", values.nbytes)
+    topology, rows = _sorted(stored)
+    if rows is not None:
+        values, active = values[rows], active[rows]
+    return NanoVdbGrid(topology, rows, values, background, active)
+
+
+def structs(view: memoryview, start: int, dtype: np.dtype[Any], count: int, what: str) -> Nodes:
+    """Return `count` structs of a dtype as a view, (count,). Raises InvalidFile if they extend beyond the file."""
+    end = start + count * dtype.itemsize
+    if start < 0 or end > len(view):
+        raise InvalidFile(Problem(what, f"would be at bytes {start:,} to {end:,}", f"0 to {len(view):,}"))
+    return np.frombuffer(view[start:end], dtype)
+
+
+def _sorted(stored: VdbTopology) -> tuple[VdbTopology, Ints | None]:
+    topology, rows = stored.in_order()
+    for problem in topology.structure_problems():
+        raise InvalidFile(problem)
+    return topology, rows
+
+
+def _index(
+    own: VdbTopology, leaf: Nodes, voxels: int, upper: Nodes, lower: Nodes, entries: Nodes, is_node: Bits
+) -> NanoVdbGrid:
+    if upper["tiles"].any() or lower["tiles"].any() or entries["state"][~is_node].any():
+        raise InvalidFile(Problem("the index", "has active tiles", "an index of voxels"))
+    if voxels != own.m:
+        raise InvalidFile(Problem("TreeData", f"counts {voxels:,} voxels", f"{own.m:,}, the leaves' bits"))
+    if (leaf["first"] != own.first + 1).any():
+        raise InvalidFile(Problem("the leaves", "do not number their voxels in order", "from 1, leaf by leaf"))
+    nothing = np.zeros((0, 1), np.float32)
+    return NanoVdbGrid(*_sorted(own), nothing, nothing[:, 0], np.zeros(0, bool))
+
+
+# -- nodes -----------------------------------------------------------------------------------------------------
+def _leaves(
+    view: memoryview, layout: nano.Layout, start: int, count: int, lower: Nodes, lower_at: int
+) -> tuple[Nodes, LeafCodes]:
+    size = layout.leaf.itemsize
+    if layout is not nano.FPN:
+        leaf = structs(view, start, layout.leaf, count, "leaves")
+        return leaf, LeafCodes(start + np.arange(count) * size, np.zeros(count, np.int64))
+    # FpN leaves have variable lengths; the start of each leaf follows from the offset in its parent node.
+    row, slot = slots_of(lower["children"])
+    at = lower_at + row * lower.dtype.itemsize + lower["table"][row, slot, 0]
+    if len(at) != count or (at < 0).any() or (at + size > len(view)).any():
+        raise InvalidFile(Problem("the leaves", f"are {len(at):,}, or beyond the grid", f"{count:,} within it"))
+    octets, heads = np.frombuffer(view, np.uint8), np.empty((count, size), np.uint8)
+
+    def copy(begin: int, end: int) -> None:
+        heads[begin:end] = octets[at[begin:end, None] + np.arange(size)]
+
+    over_chunks(copy, count, _CHUNK)
+    leaf = heads.reshape(-1).view(layout.leaf)
+    bits = 1 << (leaf["flags"] >> 5).astype(np.int64)
+    ends = at + size + 64 * bits
+    if (bits > 16).any() or (at[1:] != ends[:-1]).any() or (count and (at[0] != start or ends[-1] > len(view))):
+        raise InvalidFile(Problem("the leaves", "do not follow each other", "codes of 1, 2, 4, 8 or 16 bits"))
+    return leaf, LeafCodes(at, bits)
+
+
+def _require_links(nodes: Nodes, masks: Nodes, start: int, children: Ints, what: str) -> None:
+    """Raise InvalidFile unless the nodes point to these children in the order of the mask bits."""
+    row, slot = slots_of(masks)
+    offset = children - (start + row * nodes.dtype.itemsize)
+    wrong = nodes["table"][row, slot, 0] != offset
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        found = f"has offset {int(nodes['table'][row[first], slot[first], 0]):,}"
+        raise InvalidFile(Problem(f"{what}[{row[first]}].child[{slot[first]}]", found, f"{int(offset[first]):,}"))
+
+
+def _require_places(leaf: Nodes, own: VdbTopology) -> None:
+    wrong = ((leaf["low"] & ~7) != own.leaf_origin).any(axis=1) & own.leaf_mask.any(axis=1)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        found, right = leaf["low"][first].tolist(), own.leaf_origin[first].tolist()
+        raise InvalidFile(Problem(f"leaf {first}", f"lies at {found}", f"{right} to 7 voxels further"))
+
+
+def _origins(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.int32]:
+    """Return the lowest voxels of root tiles, (u, 3)."""
+    numbers = np.stack([keys >> np.uint64(42), keys >> np.uint64(21), keys], axis=1).astype(np.int64) & 0xFFFFF
+    return (((numbers + (1 << 19)) % (1 << 20) - (1 << 19)) * 4096).astype(np.int32)
+
 
 MAX_GRIDS = 1000
 _HALVES = {nano.DOUBLE.name: "double", nano.FP4.name: "Fp4", nano.FP8.name: "Fp8", nano.FPN.name: "FpN"}
@@ -32,7 +191,7 @@ class _Grid(NamedTuple):
 
 
 def read_file(view: memoryview) -> Volume:
-    """The volume of the file's grids. Raises InvalidFile, MemoryLimit."""
+    """Read all grids of a file as a volume. Raises InvalidFile, MemoryLimit."""
     read: list[_Grid] = []
     unread: list[Problem] = []
     for meta, name, payload in _segments(view):
@@ -49,7 +208,9 @@ def read_file(view: memoryview) -> Volume:
         own = transform.tobytes() != first.tobytes()
         if own and isinstance(tree, IndexGrid):
             raise InvalidFile(
-                Problem(f"grid {tree.name!r}", "is an index elsewhere", "the transform of the first grid")
+                Problem(
+                    f"grid {tree.name!r}", "is an index grid with another transform", "the transform of the first grid"
+                )
             )
         grids.append(replace(tree, place=transform) if own and isinstance(tree, VdbTree) else tree)
     frame = next((grid.frame for grid in read if grid.frame), None)
@@ -58,17 +219,17 @@ def read_file(view: memoryview) -> Volume:
 
 # -- the file --------------------------------------------------------------------------------------------------
 def _segments(view: memoryview) -> Iterator[tuple[Any, str, memoryview]]:
-    """Of each grid its metadata, its name and its bytes as they are stored."""
+    """Yield the metadata, the name and the stored bytes of each grid."""
     at = count = 0
     while at < len(view):
-        file = structs(view, at, nano.FILE, 1, "the file's header" if not at else "what stands behind the grids")[0]
+        file = structs(view, at, nano.FILE, 1, "the file's header" if not at else "the data after the grids")[0]
         if int(file["magic"]) != nano.MAGIC:
             found = f"starts with {one_line(bytes(view[at : at + 8]).decode('latin-1'))!r}"
-            place = "what stands behind the grids" if at else "the file"
+            place = "the data after the grids" if at else "the file"
             raise InvalidFile(Problem(place, found, "'NanoVDB0', as versions 32.4 to 32.6 do"))
         count += int(file["grids"])
         if not int(file["grids"]) or count > MAX_GRIDS:
-            raise InvalidFile(Problem("the file", f"holds {count:,} grids", f"1 to {MAX_GRIDS:,}"))
+            raise InvalidFile(Problem("the file", f"contains {count:,} grids", f"1 to {MAX_GRIDS:,}"))
         at += nano.FILE.itemsize
         metas = []
         for _ in range(int(file["grids"])):
@@ -80,13 +241,13 @@ def _segments(view: memoryview) -> Iterator[tuple[Any, str, memoryview]]:
             payload = view[at : at + stored]
             if len(payload) < stored:
                 found = f"ends after {len(payload):,} bytes"
-                raise InvalidFile(Problem("the grid", found, f"{stored:,} as its metadata says"))
+                raise InvalidFile(Problem("the grid", found, f"{stored:,}, the size in its metadata"))
             at += stored
             yield meta, name, payload
 
 
 def _unpacked(meta: Any, payload: memoryview) -> memoryview:
-    """A grid's bytes from what is stored of them."""
+    """Decompress the stored bytes of a grid."""
     codec, size = int(meta["codec"]), int(meta["grid_size"])
     if codec not in nano.CODECS.values():
         raise InvalidFile(Problem("the grid", f"has codec {codec}", "0 (none), 1 (zip) or 2 (blosc)"))
@@ -95,13 +256,13 @@ def _unpacked(meta: Any, payload: memoryview) -> memoryview:
         zipped = codec == nano.CODECS["zip"]
         payload = memoryview(inflate(payload[8:], size, "the grid") if zipped else _unblosced(payload, size))
     if len(payload) != size:
-        raise InvalidFile(Problem("the grid", f"has {len(payload):,} bytes", f"{size:,} as its metadata says"))
+        raise InvalidFile(Problem("the grid", f"has {len(payload):,} bytes", f"{size:,}, the size in its metadata"))
     return payload
 
 
 def _unblosced(payload: memoryview, size: int) -> bytes:
-    """The grid from buffers of at most 1 GiB each: u64 size | blosc buffer."""
-    from nerfbake.formats.wire.blosc import unblosc  # only files of other programs need it
+    """Decompress a grid from blosc buffers of at most 1 GiB each: u64 size | blosc buffer."""
+    from nerfbake.formats.wire.blosc import unblosc  # imported here: only files of other programs use blosc
 
     parts, at = [], 0
     for start in range(0, size, nano.BLOSC_CHUNK):
@@ -114,7 +275,7 @@ def _unblosced(payload: memoryview, size: int) -> bytes:
 
 # -- a grid ----------------------------------------------------------------------------------------------------
 def _read_grid(view: memoryview, name: str) -> _Grid | Problem:
-    """The grid, or why it is none that could be read."""
+    """Return the grid, or the problem if its type is not supported."""
     head = structs(view, 0, nano.GRID, 1, "GridData")[0]
     if int(head["magic"]) != nano.MAGIC:
         raise InvalidFile(Problem("GridData", f"has magic {int(head['magic']):016x}", f"{nano.MAGIC:016x}"))
@@ -126,7 +287,7 @@ def _read_grid(view: memoryview, name: str) -> _Grid | Problem:
         found = f"has values of type {nano.OTHERS.get(number, number)}"
         return Problem(f"grid {name[:80]!r}", found, ", ".join(known.name for known in nano.LAYOUTS.values()))
     if int(head["size"]) != len(view):
-        raise InvalidFile(Problem("GridData", f"has size {head['size']:,}", f"{len(view):,}, the grid's own"))
+        raise InvalidFile(Problem("GridData", f"has size {head['size']:,}", f"{len(view):,}, the size of the grid"))
     grid_class = _CLASSES.get(int(head["grid_class"]), "unknown")
     tree = read_tree(view, layout, signed=grid_class == "level set")
     checksum = _verify(view, head, layout)
@@ -142,21 +303,21 @@ def _read_grid(view: memoryview, name: str) -> _Grid | Problem:
 
 
 def _verify(view: memoryview, head: Any, layout: nano.Layout) -> str:
-    """What kind of checksum there is; its first part is verified. Raises InvalidFile if it is wrong."""
+    """Verify the first part of the checksum and return its kind. Raises InvalidFile if the checksum is wrong."""
     first, second = map(int, head["crc"])
     if first == second == nano.HALF_CHECKSUM:
         return "none"
     tree = structs(view, nano.GRID.itemsize, nano.TREE, 1, "TreeData")[0]
-    # nanovdb_convert says 0 where there are no upper nodes.
+    # nanovdb_convert writes 0 if there are no upper nodes.
     end = nano.GRID.itemsize + int(tree["offsets"][2] or tree["offsets"][3] + layout.root.itemsize)
     found = zlib.crc32(view[16:end])
     if found != first:
-        raise InvalidFile(Problem("the checksum", f"is {first:08x}", f"{found:08x}, the CRC-32 of what stands there"))
+        raise InvalidFile(Problem("the checksum", f"is {first:08x}", f"{found:08x}, the CRC-32 of the data"))
     return "half" if second == nano.HALF_CHECKSUM else "full"
 
 
 def _read_blind(view: memoryview, head: Any, m: int) -> tuple[npt.NDArray[Any], OctreeFrame | None]:
-    """The table and, if there is one, the frame."""
+    """Read the table of an index grid, and the frame if there is one."""
     start, count = int(head["blind_offset"]), int(head["blind"])
     blind = structs(view, start, nano.BLIND, count, "blind data")
     table, frame = None, None
@@ -170,10 +331,12 @@ def _read_blind(view: memoryview, head: Any, m: int) -> tuple[npt.NDArray[Any], 
             channels, rest = divmod(int(struct["count"]), m + 1)
             if dtype is None or rest or not channels:
                 found = f"has {struct['count']:,} values of type {number} for {m:,} voxels"
-                raise InvalidFile(Problem(f"blind data {name!r}", found, "float or half, as many for each row"))
+                raise InvalidFile(Problem(f"blind data {name!r}", found, "float or half, the same number for each row"))
             table = structs(view, at, dtype, channels * (m + 1), name).reshape(m + 1, channels)
     if table is None:
-        raise InvalidFile(Problem("the grid", f"has {count} blind data, none a table", "M_vdb, a channel array"))
+        raise InvalidFile(
+            Problem("the grid", f"has {count} blind data sections, none of them a table", "M_vdb, a channel array")
+        )
     return table, frame
 
 

@@ -1,6 +1,8 @@
-"""One grid as NanoVDB's bytes, without the file around it; every section starts at a multiple of 32 bytes.
+"""Write one grid in NanoVDB's layout, without the file header. Every section starts at a multiple of 32 bytes.
 
 GridData 672 | TreeData 64 | root, tiles 32 each | upper nodes | lower nodes | leaves | blind structs | blind data
+
+Nodes contain the box of the active voxels below them, and their minimum, maximum, mean and standard deviation.
 """
 
 from __future__ import annotations
@@ -14,41 +16,108 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.volume.frame import NAME, frame_text
-from nerfbake.formats.volume.nanovdb_stats import add_stats, set_boxes
-from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.formats.wire import nanovdb as nano
 from nerfbake.kernels.arrays import Ints, Words
-from nerfbake.kernels.maths.affine import inverse, placed
-from nerfbake.kernels.vdb.bitmask import exclusive_sum, prefix_counts, slots_of
-from nerfbake.kernels.vdb.slots import root_keys
+from nerfbake.kernels.maths.affine import inverse, transform_points
+from nerfbake.kernels.vdb.bitmask import (
+    RunSpread,
+    exclusive_sum,
+    popcount,
+    prefix_counts,
+    reduce_runs,
+    root_keys,
+    slots_of,
+    spread_of,
+    spread_over,
+    spread_with,
+)
 from nerfbake.scene.rows import Rows
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_topology import VdbTopology
+from nerfbake.scene.vdb_topology import Cubes, VdbTopology
 from nerfbake.scene.volume import Volume, edges_of
 
 Nodes = npt.NDArray[Any]
 
 
-class Later(NamedTuple):
-    """Bytes that are made as they are written: an index's table."""
+def set_boxes(active: VdbTopology, upper: Nodes, lower: Nodes) -> npt.NDArray[np.int32]:
+    """Write the boxes of active voxels and tiles into the nodes. Return the box of the whole tree."""
+    low, high = active.leaf_boxes
+    boxes = np.concatenate([low, high], axis=1).astype(np.int32)
+    boxes[~active.leaf_mask.any(axis=1)] = nano.EMPTY_BOX
+    cubes = iter(active.tile_cubes)
+    for nodes, name in ((lower, "lower_mask"), (upper, "upper_mask")):
+        boxes = _boxes(boxes, popcount(getattr(active, name)))
+        if active.tiles is not None:
+            boxes = _around(boxes, _boxes(_boxes_of(next(cubes)), popcount(getattr(active.tiles, name))))
+        nodes["box"] = boxes
+    outer = np.concatenate([boxes, *(_boxes_of(cube) for cube in cubes)])
+    whole: npt.NDArray[np.int32] = _boxes(outer, np.array([len(outer)]))[0]
+    return whole
+
+
+def _boxes_of(cubes: Cubes) -> npt.NDArray[np.int32]:
+    return np.concatenate([cubes.low, cubes.low + np.int32(cubes.edge - 1)], axis=1)
+
+
+def _around(one: npt.NDArray[np.int32], other: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    low = np.minimum(one[:, :3], other[:, :3])
+    return np.concatenate([low, np.maximum(one[:, 3:], other[:, 3:])], axis=1)
+
+
+def _boxes(boxes: npt.NDArray[np.int32], counts: Ints) -> npt.NDArray[np.int32]:
+    """Return the bounding box of each run of boxes, (p, 6)."""
+    low = reduce_runs(np.minimum, boxes[:, :3], counts, nano.EMPTY_BOX[0])
+    return np.concatenate([low, reduce_runs(np.maximum, boxes[:, 3:], counts, nano.EMPTY_BOX[3])], axis=1)
+
+
+def add_stats(grid: VdbTree, leaf: Nodes, lower: Nodes, upper: Nodes, root: Nodes) -> None:
+    """Write minimum, maximum, mean and standard deviation of the active values, from the leaves up to the root.
+
+    A tile is weighted by its number of voxels.
+    """
+    active, values = grid.active_topology, grid.active_values[:, 0]
+    tiles = iter(np.split(values[active.m :], np.cumsum(active.tile_counts)[:2]))
+    spread = spread_of(values[: active.m], popcount(active.leaf_mask))
+    _set_stats(leaf, spread)
+    for nodes, name, edge in ((lower, "lower_mask", 8), (upper, "upper_mask", 128)):
+        spread = spread_over(spread, popcount(getattr(active, name)))
+        if active.tiles is not None:
+            tile_spread = spread_of(next(tiles), popcount(getattr(active.tiles, name)), weight=edge**3)
+            spread = spread_with(tile_spread, spread)
+        _set_stats(nodes, spread)
+    spread = spread_over(spread, np.array([len(upper)]))
+    if active.tile_counts[2]:
+        spread = spread_with(spread_of(next(tiles), np.array([active.tile_counts[2]]), weight=4096**3), spread)
+    _set_stats(root, spread)
+    if not active.count:
+        root["stats"][:, :2] = grid.background
+
+
+def _set_stats(nodes: Nodes, spread: RunSpread) -> None:
+    nodes["stats"] = np.stack([spread.low, spread.high, spread.mean, spread.deviation], axis=1)
+
+
+class LazyBytes(NamedTuple):
+    """Bytes that are computed while they are written: the table of an index grid."""
 
     rows: Rows
     size: int
 
 
 class GridBytes(NamedTuple):
-    """A grid's buffers, its GridData, and the box of its active voxels."""
+    """The buffers of a grid, its GridData, and the box of its active voxels."""
 
-    pieces: list[bytes | memoryview | Later]
+    pieces: list[bytes | memoryview | LazyBytes]
     head: Any
     box: npt.NDArray[np.int32]
 
 
-def size_of(piece: bytes | memoryview | Later) -> int:
-    return piece.size if isinstance(piece, Later) else len(piece)
+def size_of(piece: bytes | memoryview | LazyBytes) -> int:
+    return piece.size if isinstance(piece, LazyBytes) else len(piece)
 
 
 def write_grid(volume: Volume) -> GridBytes:
-    """The volume's one grid. Raises InvalidScene for a name that is too long, or colours in half."""
+    """Write the single grid of a volume. Raises InvalidScene for a name that is too long, and for float16 colours."""
     grid = volume.grids[0]
     layout, topology = _layout_of(grid), grid.topology
     active = grid.active_topology if isinstance(grid, VdbTree) else topology
@@ -70,7 +139,7 @@ def write_grid(volume: Volume) -> GridBytes:
         _put_tiles(grid, upper, lower)
     _put_entries(grid, entries, _at(starts.upper, upper) - starts.root)
     if layout is nano.FLOAT and isinstance(grid, VdbTree):
-        with np.errstate(all="ignore"):  # what is not finite is kept, and so are statistics of it
+        with np.errstate(all="ignore"):  # non-finite values are kept, and so are their statistics
             add_stats(grid, leaf, lower, upper, root)
     head = _head(volume, layout, starts, box, bool(blind))
     tree = np.zeros(1, nano.TREE)
@@ -83,7 +152,7 @@ def write_grid(volume: Volume) -> GridBytes:
 
 
 def _root_entries(topology: VdbTopology) -> int:
-    """Upper nodes, and tiles in their place."""
+    """Return the number of the root's entries: upper nodes and tiles."""
     return len(topology.root_origin) + topology.tile_counts[2]
 
 
@@ -98,7 +167,7 @@ def _layout_of(grid: VdbTree | IndexGrid) -> nano.Layout:
 
 
 class _Starts(NamedTuple):
-    """Where each section starts in the grid, and where the grid ends."""
+    """Offsets of the sections in the grid, and of its end."""
 
     root: int
     upper: int
@@ -108,7 +177,7 @@ class _Starts(NamedTuple):
     end: int
 
 
-def _starts(layout: nano.Layout, topology: VdbTopology, blind: list[bytes | memoryview | Later]) -> _Starts:
+def _starts(layout: nano.Layout, topology: VdbTopology, blind: list[bytes | memoryview | LazyBytes]) -> _Starts:
     root = nano.GRID.itemsize + nano.TREE.itemsize
     upper = root + layout.root.itemsize + _root_entries(topology) * layout.tile.itemsize
     lower = upper + len(topology.upper_mask) * layout.upper.itemsize
@@ -145,12 +214,12 @@ def _head(volume: Volume, layout: nano.Layout, starts: _Starts, box: npt.NDArray
 
 
 def _world_box(transform: npt.NDArray[np.float64], box: npt.NDArray[np.int32], empty: bool) -> npt.NDArray[np.float64]:
-    """(6,) around the corners of the index box, whose highest voxel ends one further."""
+    """Return the world bounding box of the index box, (6,). The end of the highest voxel is one further."""
     if empty:
         return np.repeat([np.finfo(np.float64).max, np.finfo(np.float64).min], 3)
     ends = np.stack([box[:3], box[3:] + 1])
     corners = np.stack([ends[np.arange(8) >> axis & 1, axis] for axis in range(3)], axis=1)
-    world = placed(corners, transform)
+    world = transform_points(corners, transform)
     return np.concatenate([world.min(axis=0), world.max(axis=0)])
 
 
@@ -162,32 +231,32 @@ def _inner(dtype: np.dtype[Any], masks: Words) -> Nodes:
 
 
 def _at(start: int, nodes: Nodes) -> Ints:
-    """Where each node stands in the grid."""
+    """Return the offset of each node in the grid."""
     return start + np.arange(len(nodes)) * nodes.dtype.itemsize
 
 
 def _link(nodes: Nodes, masks: Words, start: int, children: Ints) -> None:
-    """Offsets from each node to its children, which stand in the order of the masks' bits."""
+    """Write the offset from each node to its children, in the order of the mask bits."""
     row, slot = slots_of(masks)
     nodes["table"][row, slot, 0] = children - _at(start, nodes)[row]
 
 
 def _fill(nodes: Nodes, masks: Words, values: npt.NDArray[np.int64]) -> None:
-    """Values (1 or all, slot words) in these slots of all nodes; zeros are there already."""
+    """Write values (1 or all, slot words) into these slots of all nodes. Slots are zero before."""
     if values.any():
         row, slot = slots_of(masks)
         nodes["table"][row, slot] = values
 
 
 def _slots(values: npt.NDArray[np.float32], nodes: Nodes) -> npt.NDArray[np.int64]:
-    """(q, c) -> (q, words) as a table's slots hold them."""
+    """Convert values (q, c) to the layout of table slots, (q, words)."""
     wide = np.zeros((len(values), 2 * nodes["table"].shape[2]), "<f4")
     wide[:, : values.shape[1]] = values
     return wide.view("<i8")
 
 
 def _put_tiles(grid: VdbTree, upper: Nodes, lower: Nodes) -> None:
-    """The values of tiles in lower and upper nodes."""
+    """Write the values of the tiles in lower and upper nodes."""
     if (tiles := grid.topology.tiles) is not None:
         small, middle, _ = np.split(grid.values[grid.topology.m :], np.cumsum(tiles.counts)[:2])
         _fill(lower, tiles.lower_mask, _slots(small, lower))
@@ -195,7 +264,7 @@ def _put_tiles(grid: VdbTree, upper: Nodes, lower: Nodes) -> None:
 
 
 def _put_entries(grid: VdbTree | IndexGrid, entries: Nodes, children: Ints) -> None:
-    """The root's entries, by key: nodes, with the offsets of these children, and tiles."""
+    """Write the root's entries sorted by key: nodes with the offsets of these children, and tiles."""
     topology = grid.topology
     nodes, keys = len(topology.root_origin), root_keys(topology.root_origin)
     place = np.arange(nodes)
@@ -218,14 +287,14 @@ def _leaves(grid: VdbTree | IndexGrid, active: VdbTopology, layout: nano.Layout)
     leaf["low"], leaf["dif"], leaf["mask"] = low, high - low, active.leaf_mask
     leaf["flags"] = np.where(active.leaf_mask.any(axis=1), 2, 0)
     if isinstance(grid, IndexGrid):
-        # Seven running counts of 9 bits: of the mask's words 0, 0 to 1, ..., 0 to 6.
+        # Seven cumulative bit counts of 9 bits each: of the mask words 0, 0 to 1, ..., 0 to 6.
         counts = prefix_counts(topology.leaf_mask)[:, 1:].astype(np.uint64) << np.arange(0, 63, 9, dtype=np.uint64)
         leaf["first"], leaf["prefix"] = 1 + topology.first, np.bitwise_or.reduce(counts, axis=1)
         return leaf
     row, slot = slots_of(topology.leaf_mask)
     if layout is nano.FP16:
         for problem in grid.value_problems():
-            raise InvalidScene(problem)  # no codes stand for what is not finite
+            raise InvalidScene(problem)  # codes cannot represent non-finite values
         _quantise(grid, leaf, row * 512 + slot)
         return leaf
     if grid.background.any():
@@ -235,7 +304,7 @@ def _leaves(grid: VdbTree | IndexGrid, active: VdbTopology, layout: nano.Layout)
 
 
 def _quantise(grid: VdbTree, leaf: Nodes, place: Ints) -> None:
-    """Codes of 16 bits between each leaf's least and greatest value, background included: min + code * quantum."""
+    """Quantise to 16 bits between each leaf's minimum and maximum, background included: minimum + code * quantum."""
     dense = np.full((len(leaf), 512), grid.background[0], np.float32)
     dense.reshape(-1)[place] = grid.values[: grid.topology.m, 0]
     least = dense.min(axis=1)
@@ -246,16 +315,16 @@ def _quantise(grid: VdbTree, leaf: Nodes, place: Ints) -> None:
 
 
 # -- blind data ------------------------------------------------------------------------------------------------
-def _blind(volume: Volume) -> list[bytes | memoryview | Later]:
-    """An index grid's table, and the octree's frame behind it."""
+def _blind(volume: Volume) -> list[bytes | memoryview | LazyBytes]:
+    """Return the blind data: the table of an index grid, then the octree's frame."""
     grid = volume.grids[0]
     if not isinstance(grid, IndexGrid):
         return []
     rows = grid.table_rows
     count, itemsize = prod(rows.shape), rows.dtype.itemsize
-    parts: list[tuple[str, int, int, int, int, bytes | Later]] = []
+    parts: list[tuple[str, int, int, int, int, bytes | LazyBytes]] = []
     number = nano.TABLE_TYPES[rows.dtype.name]
-    parts.append(("M_vdb", count, itemsize, nano.CHANNEL_BLIND, number, Later(rows, count * itemsize)))
+    parts.append(("M_vdb", count, itemsize, nano.CHANNEL_BLIND, number, LazyBytes(rows, count * itemsize)))
     if volume.frame is not None:
         text = frame_text(volume.frame).encode()
         parts.append((NAME, len(text), 1, 0, 0, text))
@@ -265,7 +334,7 @@ def _blind(volume: Volume) -> list[bytes | memoryview | Later]:
     for struct, (name, count, size, blind_class, number, _) in zip(structs, parts, strict=True):
         struct["name"], struct["count"], struct["value_size"] = name.encode(), count, size
         struct["blind_class"], struct["type"] = blind_class, number
-    pieces: list[bytes | memoryview | Later] = [structs.tobytes()]
+    pieces: list[bytes | memoryview | LazyBytes] = [structs.tobytes()]
     for size, (*_, data) in zip(sizes, parts, strict=True):
         pieces += [data, bytes(size - size_of(data))]
     return pieces

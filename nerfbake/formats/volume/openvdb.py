@@ -1,12 +1,12 @@
-"""OpenVDB (.vdb), file version 224: any number of grids, float or 3 floats a voxel, or halves.
+"""Read and write OpenVDB (.vdb), file version 224: any number of grids of float, half, or three of them per voxel.
 
     i64 0x56444220 | u32 224 | u32 major | u32 minor | u8 1 | 36 characters UUID | metadata | i32 grids
-    per grid: name | type | parent '' | i64 start, buffers, end | at start: openvdb_writer draws the rest
+    per grid: name | type | parent '' | i64 start, buffers, end | at start: see openvdb_writer.py
 
 text = u32 length | bytes                       metadata = u32 entries | (name, type, u32 size, value) each
 
-Of each node only active values are stored, each node's as a zlib stream of its own. The UUID is zeros, so that the
-same grids give the same bytes. Source: docs/formats/vdb.md, "OpenVDB files".
+Each node stores only its active values, as a separate zlib stream. The UUID is zeros, so that the same grids give the
+same bytes. Source: docs/formats/vdb.md, "OpenVDB files".
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from typing import Literal
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.formats.volume.openvdb_reader import read_file
 from nerfbake.formats.volume.openvdb_writer import TYPES, write_grid
-from nerfbake.formats.wire.openvdb_stream import MAGIC, UUID, VERSION, text
+from nerfbake.formats.wire.openvdb import MAGIC, UUID, VERSION, text
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import OctreeFrame, Transform, Volume
 
-LIBRARY = (10, 0)  # the version of OpenVDB whose files these are like
+LIBRARY = (10, 0)  # the OpenVDB version that files declare
 DEFAULT_GRIDS = ("density", "Cd")
 KEEPS_HALVES = True
 HALF_NOTE = None
 
 
 def recognise(view: memoryview) -> bool:
-    """True for the first bytes of an OpenVDB file of any version."""
+    """Return True for the first bytes of an OpenVDB file of any version."""
     return bytes(view[:8]) == MAGIC.to_bytes(8, "little")
 
 
 def require_grids(grids: tuple[str, ...], *, half: bool) -> None:
     if "index" in grids:
-        raise UsageError("a .vdb has no index grids; allowed: density, Cd, sh; or a .nvdb, a .vdb.npz")
+        raise UsageError("a .vdb has no index grids; allowed: density, Cd, sh, or a .nvdb or .vdb.npz")
 
 
 def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator[bytes | memoryview]:
-    """The file in pieces. Raises InvalidScene for an index grid, which the format does not have."""
+    """Yield the file in chunks. Raises InvalidScene for an index grid, which the format does not support."""
     placed = ((_tree(grid), volume.transform_of(grid)) for grid in volume.grids)
     yield from file_of(placed, len(volume.grids), frame=volume.frame, zipped=codec == "zip")
 
@@ -47,11 +47,11 @@ def encode(volume: Volume, *, codec: Literal["none", "zip"] = "zip") -> Iterator
 def file_of(
     grids: Iterable[tuple[VdbTree, Transform]], count: int, *, frame: OctreeFrame | None = None, zipped: bool = True
 ) -> Iterator[bytes | memoryview]:
-    """The same of so many grids with their transforms, each of which may be made when its turn comes."""
+    """Yield a file of `count` grids with their transforms. `grids` may be a generator that creates them one by one."""
     yield struct.pack("<qIIIB", MAGIC, VERSION, *LIBRARY, 1) + UUID + struct.pack("<Ii", 0, count)
     at = 8 + 12 + 1 + len(UUID) + 8
     for k, (grid, transform) in enumerate(grids):
-        # The frame stands in the first grid: tools that copy grids keep what a grid says.
+        # The frame is metadata of the first grid, because tools that copy grids keep the metadata of a grid.
         written = write_grid(grid, transform, frame if k == 0 else None, zipped=zipped)
         name = text(grid.name) + text(TYPES[grid.values.shape[1], grid.values.dtype.name]) + text("")
         start = at + len(name) + 24
@@ -64,7 +64,7 @@ def file_of(
 
 def _tree(grid: VdbTree | IndexGrid) -> VdbTree:
     if isinstance(grid, IndexGrid):
-        raise InvalidScene(Problem("a .vdb", "has no index grids", "density, Cd, sh; or a .nvdb"))
+        raise InvalidScene(Problem("a .vdb", "has no index grids", "density, Cd, sh, or a .nvdb"))
     return grid
 
 

@@ -1,26 +1,133 @@
-"""An OpenVDB file from anywhere, version 222 to 224: grids of one or three floats, halves or doubles.
+"""Read OpenVDB files of any program, versions 222 to 224: grids of one or three floats, halves or doubles.
 
-A node's values say their own size, so nodes are walked one after the other; values are unpacked once all masks are
-known and what they need may be taken.
+A tree is stored as masks and tiles, node by node, then the values of all leaves. The size of a node's values is only
+stored with the values, so nodes are parsed sequentially. Values are decompressed after all masks have been read and the
+memory limit has been checked.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, NerfbakeError, Problem, one_line
 from nerfbake.formats.volume.frame import NAME, parse_frame
-from nerfbake.formats.volume.openvdb_tree import Tree, read_tree
-from nerfbake.formats.wire.openvdb_stream import ACTIVE_MASK, MAGIC, PACKED, VERSION, Stream
-from nerfbake.formats.wire.openvdb_values import Kind
+from nerfbake.formats.wire.openvdb import (
+    ACTIVE_MASK,
+    MAGIC,
+    PACKED,
+    VERSION,
+    Stream,
+    ValueType,
+    read_leaves,
+    read_slots,
+)
+from nerfbake.formats.wire.vdb_values import StoredValues
+from nerfbake.kernels.arrays import Words
+from nerfbake.kernels.maths.elementary import cast
+from nerfbake.kernels.vdb.bitmask import popcount
 from nerfbake.scene.vdb import GRID_CLASSES, GridClass, VdbTree
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.volume import OctreeFrame, Volume
 
-OLDEST = 222  # the first version whose nodes are stored as today
+
+class OpenVdbGrid(NamedTuple):
+    """A grid without its name and transform; the fields are those of scene.vdb.VdbTree."""
+
+    topology: VdbTopology
+    values: npt.NDArray[Any]
+    background: npt.NDArray[np.float32]
+    active: npt.NDArray[np.bool_]
+
+
+def read_tree(stream: Stream, kind: ValueType, flags: int, what: str) -> OpenVdbGrid:
+    """Read the tree of one grid. Raises InvalidFile, MemoryLimit."""
+    nodes = _Nodes(stream, kind, flags, what)
+    leaves = read_leaves(stream, nodes.leaf_mask, kind, flags, nodes.background, what)
+    parts = [leaves, *nodes.tiles]
+    tiles = VdbTiles(nodes.tiles[0].mask, nodes.tiles[1].mask, nodes.tile_origin)
+    stored = VdbTopology(nodes.root_origin, nodes.upper_mask, nodes.lower_mask, leaves.mask, tiles)
+    for problem in stored.mask_problems():
+        raise InvalidFile(problem)
+    values, active = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "active"))
+    topology, rows = stored.in_order()
+    for problem in topology.structure_problems():
+        raise InvalidFile(problem)
+    if rows is not None:
+        values, active = values[rows], active[rows]
+    return OpenVdbGrid(topology, values, cast(nodes.background, np.float32), active)
+
+
+class _Nodes:
+    """Masks and tiles of all nodes, in the order of the file."""
+
+    def __init__(self, stream: Stream, kind: ValueType, flags: int, what: str) -> None:
+        self._stream, self._kind, self._flags, self._what = stream, kind, flags, what
+        (buffers,) = stream.numbers("I", what)
+        if buffers != 1:
+            raise InvalidFile(Problem(what, f"has {buffers:,} buffers per leaf", "1"))
+        self.background = kind.read(stream.take(kind.channels * kind.full.itemsize, what), kind.full)[0]
+        tiles, children = stream.numbers("II", what)
+        root, self.tile_origin = self._root_tiles(tiles)
+        origins, masks = [], (list[Words](), list[Words](), list[Words]())
+        uppers: list[StoredValues | None] = []
+        lowers: list[StoredValues | None] = []
+        for _ in range(children):
+            origins.append(stream.array("<i4", 3, what))
+            upper = self._inner(4096, uppers)
+            masks[0].append(upper)
+            for _ in range(int(popcount(upper[None])[0])):
+                lower = self._inner(512, lowers)
+                masks[1].append(lower)
+                masks[2].append(stream.array("<u8", 8 * int(popcount(lower[None])[0]), what))
+        self.root_origin = np.array(origins, np.int32).reshape(-1, 3)
+        self.upper_mask, self.lower_mask, self.leaf_mask = map(_stacked, masks, (512, 64, 8))
+        self.tiles = [self._joined(lowers, 64), self._joined(uppers, 512), root]
+
+    def _root_tiles(self, count: int) -> tuple[StoredValues, npt.NDArray[np.int32]]:
+        kind = self._kind
+        dtype = np.dtype(
+            [("origin", "<i4", 3), ("value", kind.full.newbyteorder("<"), kind.channels), ("active", "u1")]
+        )
+        tiles = np.frombuffer(self._stream.take(count * dtype.itemsize, self._what), dtype)
+        values = kind.read(np.ascontiguousarray(tiles["value"]).data, kind.full)
+        active = tiles["active"] != 0
+        stored = active | (values != self.background).any(axis=1)
+        return StoredValues(np.zeros((0, 0), np.uint64), values[stored], active[stored]), tiles["origin"][
+            stored
+        ].astype(np.int32)
+
+    def _inner(self, size: int, found: list[StoredValues | None]) -> Words:
+        """Read an inner node: return its child mask (`size` bytes), append its tiles to `found`."""
+        children = self._stream.array("<u8", size // 8, self._what)
+        active = self._stream.array("<u8", size // 8, self._what)
+        tiles = read_slots(self._stream, children, active, self._kind, self._flags, self.background, self._what)
+        if tiles is not None:
+            memory.hold(self._what, tiles.values.nbytes)
+        found.append(tiles)
+        return children
+
+    def _joined(self, nodes: list[StoredValues | None], width: int) -> StoredValues:
+        """Concatenate the tiles of all nodes of a level."""
+        mask = np.zeros((len(nodes), width), np.uint64)
+        values, active = [np.zeros((0, self._kind.channels), self._kind.held)], [np.zeros(0, bool)]
+        for row, node in enumerate(nodes):
+            if node is not None:
+                mask[row] = node.mask
+                values.append(node.values)
+                active.append(node.active)
+        return StoredValues(mask, np.concatenate(values), np.concatenate(active))
+
+
+def _stacked(rows: list[Words], width: int) -> Words:
+    return np.concatenate(rows or [np.zeros(0, np.uint64)]).astype(np.uint64).reshape(-1, width)
+
+
+OLDEST = 222  # first version with the current node layout
 MAX_GRIDS = 1000
 _SCALES, _AFFINE = ("UniformScaleMap", "ScaleMap"), "AffineMap"
 _SCALES_AND_MOVES = ("UniformScaleTranslateMap", "ScaleTranslateMap")
@@ -28,11 +135,11 @@ _MAPS = (*_SCALES, *_SCALES_AND_MOVES, "TranslationMap", _AFFINE)
 _TREES = {"float": (1, "<f4"), "double": (1, "<f8"), "vec3s": (3, "<f4"), "vec3d": (3, "<f8")}
 _HALF = "_HalfFloat"
 READABLE = "float, double, vec3s or vec3d, and their halves"
-SEPARATOR = "\x1e"  # before the number that tells grids of one name apart
+SEPARATOR = "\x1e"  # precedes the number of a grid whose name is not unique
 
 
 class _Header(NamedTuple):
-    """What stands before a grid: its name, how many of that name stand before it, its type, whose tree it shares."""
+    """The header of a grid: name, number among the grids of that name, type, and the grid whose tree it shares."""
 
     name: str
     number: int
@@ -54,7 +161,7 @@ class _Grid(NamedTuple):
 
 
 def read_file(view: memoryview) -> Volume:
-    """The file's grids; those of one name by their numbers. Raises InvalidFile, MemoryLimit."""
+    """Read all grids of a file; grids of the same name are sorted by number. Raises InvalidFile, MemoryLimit."""
     stream = Stream(view)
     magic, version, _, _, offsets = stream.numbers("qIIIB", "the file's header")
     if magic != MAGIC:
@@ -72,20 +179,22 @@ def read_file(view: memoryview) -> Volume:
     unread: list[Problem] = []
     for _ in range(count):
         header, unique = _read_header(stream, seekable=bool(offsets))
-        if (problem := _why_not(header, read)) is not None:
+        if (problem := _problem_of(header, read)) is not None:
             if not offsets:
-                raise InvalidFile(problem)  # nothing says where the next grid starts
+                raise InvalidFile(problem)  # without offsets the start of the next grid is unknown
             unread.append(problem)
             stream.at = header.end
             continue
-        parent = read[header.parent] if header.parent else None  # '' is none, even where a grid before has no name
+        parent = (
+            read[header.parent] if header.parent else None
+        )  # '' means no parent, even if an earlier grid has no name
         grid = _read_grid(stream, header, parent, seekable=bool(offsets))
-        # Grids of one name without numbers are told apart by their places.
+        # Grids of the same name without numbers are distinguished by their order in the file.
         read[unique if unique not in read else f"{unique}{SEPARATOR}{len(read)}"] = grid
     if not read:
         raise InvalidFile(unread[0])
     if offsets and stream.at != len(view):
-        raise InvalidFile(Problem("the file", f"goes on for {len(view) - stream.at:,} bytes", "the grids it counts"))
+        raise InvalidFile(Problem("the file", f"has {len(view) - stream.at:,} bytes after the last grid", "none"))
     return _volume(list(read.values()), unread)
 
 
@@ -95,14 +204,14 @@ def _volume(grids: list[_Grid], unread: list[Problem]) -> Volume:
     first = grids[0].transform
     trees = []
     for grid in grids:
-        own = None if grid.transform.tobytes() == first.tobytes() else grid.transform
-        trees.append(replace(grid.tree, place=own))
+        place = None if grid.transform.tobytes() == first.tobytes() else grid.transform
+        trees.append(replace(grid.tree, place=place))
     frame = next((grid.frame for grid in grids if grid.frame), None)
     return Volume(tuple(trees), first, frame, unread=tuple(unread))
 
 
 def _read_header(stream: Stream, *, seekable: bool) -> tuple[_Header, str]:
-    """What stands before the next grid, and its name with the number that OpenVDB gave it."""
+    """Read the header of the next grid. Return it with the unique name: the name and OpenVDB's number."""
     unique = stream.text("a grid's name")
     name, _, number = unique.partition(SEPARATOR)
     name = one_line(name)
@@ -110,14 +219,14 @@ def _read_header(stream: Stream, *, seekable: bool) -> tuple[_Header, str]:
     kind, parent = stream.text(what), stream.text(what)
     start, _, end = stream.numbers("3q", what)
     if seekable and (start != stream.at or not start < end <= len(stream.view)):
-        found = f"stands at bytes {start:,} to {end:,}"
+        found = f"is at bytes {start:,} to {end:,}"
         raise InvalidFile(Problem(what, found, f"{stream.at:,} to {len(stream.view):,} at most"))
     place = int(number) if number.isascii() and number.isdecimal() and len(number) < 10 else 0
     return _Header(name, place, kind, parent, start, end), unique
 
 
-def _why_not(header: _Header, read: dict[str, _Grid]) -> Problem | None:
-    """Why a grid cannot be read, if it cannot."""
+def _problem_of(header: _Header, read: dict[str, _Grid]) -> Problem | None:
+    """Return the reason why a grid cannot be read, or None."""
     if _kind_of(header.type) is None:
         return Problem(header.what, f"is a {one_line(header.type[:60])}", f"trees 5_4_3 of {READABLE}")
     if header.parent and header.parent not in read:
@@ -125,14 +234,14 @@ def _why_not(header: _Header, read: dict[str, _Grid]) -> Problem | None:
     return None
 
 
-def _kind_of(type_name: str) -> Kind | None:
-    """Tree_float_5_4_3_HalfFloat and its like."""
+def _kind_of(type_name: str) -> ValueType | None:
+    """Parse a type name such as Tree_float_5_4_3_HalfFloat. Return None if the type is not supported."""
     half = type_name.endswith(_HALF)
     inner = type_name.removesuffix(_HALF).removeprefix("Tree_").removesuffix("_5_4_3")
     if inner not in _TREES or type_name != f"Tree_{inner}_5_4_3{_HALF * half}":
         return None
     channels, full = _TREES[inner]
-    return Kind(channels, np.dtype("<f2" if half else full), np.dtype(full))
+    return ValueType(channels, np.dtype("<f2" if half else full), np.dtype(full))
 
 
 def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekable: bool) -> _Grid:
@@ -148,9 +257,11 @@ def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekabl
     else:
         shared = parent.tree
         active = np.ones(len(shared.values), bool) if shared.active is None else shared.active
-        tree = Tree(shared.topology, shared.values, shared.background, active)
+        tree = OpenVdbGrid(shared.topology, shared.values, shared.background, active)
     if seekable and stream.at != header.end:
-        raise InvalidFile(Problem(header.what, f"ends at byte {stream.at:,}", f"{header.end:,} as it says"))
+        raise InvalidFile(
+            Problem(header.what, f"ends at byte {stream.at:,}", f"{header.end:,}, as its header declares")
+        )
     frame = parse_frame(metadata[NAME]) if NAME in metadata else None
     try:
         grid = VdbTree(
@@ -168,12 +279,12 @@ def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekabl
 
 
 def _class_of(text: bytes) -> GridClass:
-    """What OpenVDB makes of a class: a word that it does not know is unknown."""
+    """Parse a grid class as OpenVDB does: any other word is 'unknown'."""
     return next((known for known in GRID_CLASSES if known.encode() == text.strip().lower()), "unknown")
 
 
 def _read_map(stream: Stream) -> npt.NDArray[np.float64]:
-    """(3, 4) from an index to the world."""
+    """Read the transform from indices to world coordinates, (3, 4)."""
     kind = stream.text("the map")
     if kind not in _MAPS:
         raise InvalidFile(Problem("the map", f"is a {one_line(kind[:60])}", ", ".join(_MAPS)))

@@ -1,16 +1,16 @@
-"""One grid of an OpenVDB file, from its flags to its last leaf.
+"""Write one grid of an OpenVDB file, from its flags to its last leaf.
 
     u32 flags | metadata | map type | map
     u32 1 | background | u32 tiles | u32 upper nodes | tiles: origin 3 x i32 | value | u8 active
     upper:  origin 3 x i32 | child mask 4096 B | active mask 4096 B | values
-    lower:                   child mask  512 B | active mask  512 B | values      behind its upper node
-    leaf:                                        active mask   64 B               behind its lower node
-    and once more each leaf: active mask 64 B | values
+    lower:                   child mask  512 B | active mask  512 B | values      after its upper node
+    leaf:                                        active mask   64 B               after its lower node
+    then again for each leaf: active mask 64 B | values
 
-    values = u8 0 (those of active voxels; the rest is background) | data
-    data   = f32 or f16 as they are; zipped: i64 size | zlib stream, or i64 -size | bytes, where zlib does not help
+    values = u8 0 (active voxels only; all others are background) | data
+    data   = f32 or f16 uncompressed; zipped: i64 size | zlib stream, or i64 -size | bytes if zlib does not help
 
-An empty zipped f32 array is an i64 0, an empty f16 array is nothing at all. openvdb_values has the codes other than 0.
+An empty zipped f32 array is an i64 0, an empty f16 array is zero bytes. Codes other than 0: wire/openvdb.py.
 """
 
 from __future__ import annotations
@@ -23,15 +23,75 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.formats.volume.frame import NAME, frame_text
-from nerfbake.formats.wire.openvdb_packer import NodeValues, Packer
-from nerfbake.formats.wire.openvdb_stream import ACTIVE_MASK, ACTIVE_ONLY, ZIP, text
-from nerfbake.kernels.arrays import Ints, Words
+from nerfbake.formats.wire.deflate import deflate
+from nerfbake.formats.wire.openvdb import ACTIVE_MASK, ACTIVE_ONLY, ALL_VALUES, ZIP, text
+from nerfbake.kernels.arrays import Bits, Ints, Words
 from nerfbake.kernels.parallel import over_chunks
-from nerfbake.kernels.vdb.bitmask import exclusive_sum, popcount
-from nerfbake.kernels.vdb.runs import reduce_runs, rows_of_runs
+from nerfbake.kernels.vdb.bitmask import bits_of, exclusive_sum, popcount, reduce_runs, rows_of_runs
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame
+
+MINUS, CHOSEN = 1, 3  # codes: inactive voxels are minus the background; a mask selects this or the background
+
+
+class Packer(NamedTuple):
+    """Compress data if `zipped`, in OpenVDB's layout."""
+
+    zipped: bool
+    half: bool
+
+    def __call__(self, data: bytes | memoryview) -> bytes | memoryview:
+        if not self.zipped or (self.half and not len(data)):
+            return data
+        return _zipped(data)
+
+
+class NodeValues:
+    """The stored values of a run of nodes: a code for each node, and its data.
+
+    held (p, w): mask of the slots with stored values
+    active (p, w): mask of the active slots among them
+    children (p, w): mask of the slots that are nodes
+    values (q, c): values of the held slots, node by node
+    """
+
+    def __init__(
+        self, held: Words, active: Words, children: Words | None, values: npt.NDArray[Any], background: Any
+    ) -> None:
+        self._held, self._active, self._background = held, active, background
+        self._values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        self._first = np.append(exclusive_sum(counts := popcount(held)), counts.sum())
+        self._is_active: Bits = bits_of(active)[bits_of(held)]
+        minus = self._is_active | (self._values == -background.astype(values.dtype)).all(axis=1)
+        other = ~reduce_runs(np.logical_and, minus, counts, True)
+        everywhere = (held | (0 if children is None else children)) == ~np.uint64(0)
+        inactive = (held & ~active).any(axis=1)
+        self.code = np.where(inactive, np.where(everywhere.all(axis=1), MINUS, CHOSEN), ACTIVE_ONLY)
+        self.code[other] = ALL_VALUES
+
+    def stored(self, node: int, pack: Packer) -> bytes:
+        """Return the code of a node and its data."""
+        code, run = int(self.code[node]), slice(self._first[node], self._first[node + 1])
+        values = self._values[run]
+        if code == ALL_VALUES:
+            slots = bits_of(self._held[node])
+            dense = np.zeros((len(slots), values.shape[1]), values.dtype)
+            dense[:] = self._background
+            dense[slots] = values
+            values = dense
+        else:
+            values = values[self._is_active[run]]
+        mask = (~(self._held[node] & ~self._active[node])).astype("<u8").tobytes() if code == CHOSEN else b""
+        return struct.pack("<B", code) + mask + pack(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
+
+
+def _zipped(data: bytes | memoryview) -> bytes:
+    packed = deflate(data)
+    if len(packed) < len(data):
+        return struct.pack("<q", len(packed)) + packed
+    return struct.pack("<q", -len(data)) + data
+
 
 TYPES = {
     (1, "float32"): "Tree_float_5_4_3",
@@ -39,21 +99,21 @@ TYPES = {
     (3, "float32"): "Tree_vec3s_5_4_3",
     (3, "float16"): "Tree_vec3s_5_4_3_HalfFloat",
 }
-_CHUNK = 256  # leaves packed at a time by each core
+_CHUNK = 256  # leaves compressed at a time by each core
 Bytes = npt.NDArray[np.uint8]
 
 
 class Written(NamedTuple):
-    """A grid's tree, in the two parts that the file keeps apart."""
+    """The two parts of a grid in the file."""
 
-    front: list[bytes | memoryview]  # up to the last mask
+    front: list[bytes | memoryview]  # everything up to the last mask
     buffers: list[bytes | memoryview]
 
 
 def write_grid(
     grid: VdbTree, transform: npt.NDArray[np.float64], frame: OctreeFrame | None, *, zipped: bool
 ) -> Written:
-    """The grid's bytes. Nodes stand in the order of their signed coordinates, unlike NanoVDB's."""
+    """Write a grid. Unlike in NanoVDB, nodes are in the order of their signed coordinates."""
     order, pack = _Order(grid.topology), Packer(zipped, grid.values.dtype == np.float16)
     tiles, background = _root_tiles(grid), _background(grid).tobytes()
     counts = struct.pack("<II", len(grid.topology.tiles.root_origin) if grid.topology.tiles else 0, len(order.upper))
@@ -68,7 +128,7 @@ def write_grid(
 
 
 class _Order:
-    """The order of nodes in the file, as rows of the topology's: only that of the root's tiles differs."""
+    """The order of nodes in the file, as rows of the topology. Only the order of the root's tiles differs."""
 
     def __init__(self, topology: VdbTopology) -> None:
         x, y, z = topology.root_origin.T
@@ -77,7 +137,7 @@ class _Order:
         self.leaf = rows_of_runs(popcount(topology.lower_mask), self.lower)
 
 
-# -- what stands before the tree -------------------------------------------------------------------------------
+# -- before the tree -------------------------------------------------------------------------------------------
 def _metadata(grid: VdbTree, frame: OctreeFrame | None) -> bytes:
     half = grid.values.dtype == np.float16
     entries = {"is_saved_as_half_float": ("bool", struct.pack("<B", half)), "name": ("string", grid.name.encode())}
@@ -97,11 +157,11 @@ def _metadata(grid: VdbTree, frame: OctreeFrame | None) -> bytes:
 
 
 def _map(transform: npt.NDArray[np.float64]) -> bytes:
-    """The simplest of OpenVDB's maps that says it: scales alone, or any affine one."""
+    """Write the simplest of OpenVDB's maps that represents the transform: scale and translation, or affine."""
     mat, vec = transform[:, :3], transform[:, 3]
     scale = np.diag(mat)
     if (mat != np.diag(scale)).any() or not (scale > 0).all():
-        # OpenVDB multiplies row vectors: its matrix is ours on its side, the translation its last row.
+        # OpenVDB multiplies row vectors: its matrix is the transpose, with the translation in the last row.
         square = np.eye(4)
         square[:3, :3], square[3, :3] = mat.T, vec
         return text("AffineMap") + square.astype("<f8").tobytes()
@@ -127,13 +187,13 @@ def _root_tiles(grid: VdbTree) -> bytes:
 
 # -- the tree --------------------------------------------------------------------------------------------------
 def _masks(grid: VdbTree, order: _Order, pack: Packer) -> Bytes:
-    """All nodes' masks and tiles, each node's before its children's: every size is known, so every place is."""
+    """Write masks and tiles of all nodes, each node before its children. All sizes, hence all offsets, are known."""
     topology = grid.topology
     upper = _Inner(grid, "upper_mask", order.upper, sum(topology.tile_counts[:1]), pack)
     lower = _Inner(grid, "lower_mask", order.lower, 0, pack)
     leaves, lowers = popcount(lower.children), popcount(upper.children)
     lower_total = lower.sizes + 64 * leaves
-    # Before a lower node stand all lower nodes before it, and the upper ones up to its own.
+    # The offset of a lower node is the size of all earlier lower nodes plus the upper nodes up to its parent.
     upper_size = 12 + upper.sizes
     lower_at = exclusive_sum(lower_total) + np.repeat(np.cumsum(upper_size), lowers)
     upper_at = exclusive_sum(upper_size + reduce_runs(np.add, lower_total, lowers, 0))
@@ -148,7 +208,7 @@ def _masks(grid: VdbTree, order: _Order, pack: Packer) -> Bytes:
 
 
 class _Inner:
-    """A level's inner nodes in the file's order: children (p, w), sizes (p,) in bytes."""
+    """The inner nodes of a level in the order of the file: children (p, w), sizes (p,) in bytes."""
 
     def __init__(self, grid: VdbTree, name: str, order: Ints, start: int, pack: Packer) -> None:
         topology, live = grid.topology, grid.active_topology.tiles
@@ -168,7 +228,7 @@ class _Inner:
             self.sizes[i] += len(stored) - len(nothing)
 
     def put(self, out: Bytes, at: Ints) -> None:
-        """Child masks, masks of active tiles and values, each node's from its place on."""
+        """Write child mask, mask of active tiles and values of each node at its offset."""
         size = 8 * self.children.shape[1]
         _put(out, at, _octets(self.children))
         _put(out, at + size, _octets(self._active))
@@ -188,7 +248,7 @@ def _octets(masks: Words) -> Bytes:
 
 
 def _buffers(grid: VdbTree, order: _Order, pack: Packer) -> list[bytes | memoryview]:
-    """Masks and values of all leaves. Each leaf is a zlib stream of its own, so zlib is called leaf by leaf."""
+    """Encode masks and values of all leaves. Each leaf is a separate zlib stream, so zlib is called for each leaf."""
     topology, values = grid.topology, grid.values[: grid.topology.m]
     masks = _octets(grid.active_topology.leaf_mask[order.leaf]).tobytes()
     pieces: list[bytes | memoryview] = [b""] * len(order.leaf)
@@ -211,7 +271,7 @@ def _buffers(grid: VdbTree, order: _Order, pack: Packer) -> list[bytes | memoryv
 def _active_leaves(
     topology: VdbTopology, values: npt.NDArray[Any], order: _Order, pack: Packer
 ) -> Callable[[int], bytes]:
-    """What a leaf of active voxels stores: the rule, and a third of the time of NodeValues."""
+    """Encode leaves that contain only active voxels, the common case, in a third of the time of NodeValues."""
     counts, first = popcount(topology.leaf_mask)[order.leaf], topology.first[order.leaf]
     raw = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(-1).view(np.uint8).data
     width, code = values.itemsize * values.shape[1], struct.pack("<B", ACTIVE_ONLY)

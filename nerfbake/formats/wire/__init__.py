@@ -1,1 +1,1 @@
-"""Formats of bytes that know no scene: containers, codecs, number encodings."""
+"""Containers, codecs and number encodings that do not depend on scene types."""

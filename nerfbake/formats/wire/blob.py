@@ -1,4 +1,4 @@
-"""An array as one block of bytes, with its dtype and shape beside it: how every wire stores a large array."""
+"""Large arrays as blobs: one block of bytes with a dtype and a shape. All wire formats store large arrays this way."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.parallel import ahead
+from nerfbake.kernels.parallel import prefetched
 
-_ROWS = 1 << 13  # made at a time: a megabyte or so
+_ROWS = 1 << 13  # computed at a time: about a megabyte
 
 
 class Blob(NamedTuple):
-    """An array as its little-endian bytes, C order, with dtype and shape beside them."""
+    """The little-endian bytes of an array in C order, with its dtype and shape."""
 
     dtype: str  # NumPy's spelling: <i4, <f4, <f2
     shape: tuple[int, ...]
@@ -22,13 +22,13 @@ class Blob(NamedTuple):
 
 
 def blob_of(values: npt.NDArray[Any]) -> Blob:
-    """The array's own memory where it is little-endian and contiguous already, else a copy."""
+    """Return the array as a blob; copied unless it is little-endian and contiguous."""
     little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return Blob(little.dtype.newbyteorder("<").str, values.shape, little.reshape(-1).view(np.uint8).data)
 
 
-class Rows(Protocol):
-    """An array, or what makes it, some rows at a time."""
+class RowSource(Protocol):
+    """An array, or an object that computes the rows of one on demand."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -39,17 +39,17 @@ class Rows(Protocol):
     def __getitem__(self, rows: slice, /) -> npt.NDArray[Any]: ...
 
 
-def row_pieces(rows: Rows) -> Iterator[memoryview]:
-    """The rows' little-endian bytes in order; what is not made yet is made while the part before it is written."""
+def row_pieces(rows: RowSource) -> Iterator[memoryview]:
+    """Yield the little-endian bytes of the rows in order; the next rows are computed while the caller writes."""
     if isinstance(rows, np.ndarray):
         yield blob_of(rows).data
         return
     starts = range(0, rows.shape[0], _ROWS)
-    yield from ahead(blob_of(rows[start : start + _ROWS]).data for start in starts)
+    yield from prefetched(blob_of(rows[start : start + _ROWS]).data for start in starts)
 
 
 class Record(Protocol):
-    """A struct or table that is read by its fields' numbers."""
+    """A struct or table whose fields are read by number."""
 
     def text(self, index: int, /) -> str: ...
 
@@ -57,13 +57,13 @@ class Record(Protocol):
 
 
 def array_fields(values: npt.NDArray[Any]) -> list[Any]:
-    """The fields of the schemas' Array: dtype, shape, bytes."""
+    """Return the fields of the type Array in the schemas: dtype, shape, bytes."""
     blob = blob_of(values)
     return [blob.dtype, np.array(blob.shape, np.uint64), np.frombuffer(blob.data, np.uint8)]
 
 
 def blob_in(record: Record | None) -> Blob | None:
-    """What such an Array holds, where there is one."""
+    """Return the blob of a record of the type Array; None if there is no record."""
     if record is None:
         return None
     return Blob(record.text(0), tuple(record.array(1, "<u8").tolist()), record.array(2, "u1").data)

@@ -1,4 +1,4 @@
-"""Blosc's buffers, as OpenVDB writes them unless told otherwise: unpacked to the size they must have, or refused.
+"""Decompress Blosc buffers, OpenVDB's default codec, to exactly the expected size.
 
 u8 version | u8 codec's version | u8 flags | u8 type size | u32 size | u32 block size | u32 packed size | blocks
 """
@@ -11,12 +11,12 @@ import blosc
 
 from nerfbake.errors import InvalidFile, Problem
 
-MAX_INFLATION = 255  # LZ4's own bound, the codec that OpenVDB and NanoVDB use
+MAX_INFLATION = 255  # limit of LZ4, the codec that OpenVDB and NanoVDB use in Blosc
 _HEADER = struct.Struct("<4B3I")
 
 
 def unblosc(packed: memoryview, size: int, what: str) -> bytes:
-    """The `size` bytes of a buffer. Raises InvalidFile, before anything is allocated if it declares another size."""
+    """Return the `size` bytes of a buffer. Raises InvalidFile before allocation if it declares another size."""
     if len(packed) < _HEADER.size:
         raise InvalidFile(Problem(what, f"has a blosc buffer of {len(packed)} bytes", f"{_HEADER.size} or more"))
     *_, declared, _, stored = _HEADER.unpack_from(packed)

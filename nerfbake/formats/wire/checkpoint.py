@@ -1,4 +1,4 @@
-"""Where a piece of work stands: facts as JSON, and arrays by name, in one .npz.
+"""Read and write checkpoints of jobs: a JSON object and named arrays in one .npz.
 
 facts.npy      uint8: a JSON object
 NAME.npy, ...  numbers of any shape, stored as they are
@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.json import parse_object
-from nerfbake.formats.wire.npz_reader import NpzReader
-from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.formats.wire.npz import NpzReader, write_npz
 
 _FACTS = "facts"
 _MOST_FACTS = 1 << 24  # bytes
@@ -30,7 +29,7 @@ def encode_checkpoint(facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray
 
 
 def decode_checkpoint(view: memoryview) -> tuple[dict[str, Any], Arrays]:
-    """The facts, and views of the file where it is aligned; what the numbers mean is for others to check."""
+    """Return the facts and the arrays, which are views of the file if aligned. The caller checks their contents."""
     reader = NpzReader(view)
     text = reader.array(_FACTS, limit=_MOST_FACTS)
     if text.dtype != np.uint8 or text.ndim != 1:

@@ -1,8 +1,8 @@
-"""JSON, read as if a stranger had sent it: the one door for every file that holds some.
+"""Read untrusted JSON. All formats that contain JSON use this module.
 
-orjson refuses what breaks others: numbers beyond a double (1e999, 400 digits), NaN, text beyond Unicode, nesting beyond
-1024. What Python's objects for a text can take is settled from its punctuation before anything is parsed, and the
-garbage collector waits meanwhile: going through millions of new lists again and again takes longer than parsing.
+orjson rejects numbers beyond a double (1e999, 400 digits), NaN, text that is not Unicode, and nesting beyond 1024. The
+memory of the Python objects is estimated from the text's punctuation before parsing. The garbage collector is paused
+while parsing: traversing millions of new lists repeatedly takes longer than parsing them.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ import orjson
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 
-MAX_NUMBER = 1e15  # of a length, a pixel or a weight: beyond it double precision has no digits for what it is added to
+MAX_NUMBER = 1e15  # lengths, pixels, weights: a double beyond it has no digits left for what is added to it
 _CHUNK = 1 << 18
-# Bytes of Python's objects: 44 for a number with its slot in a list that grows; more for a list, an object, text. And
-# of orjson's own tree, which is there beside them while it parses: 16 a value.
+# Bytes of Python objects: 44 for a number with its slot in a growing list; more for a list, an object, text. While it
+# parses, orjson also keeps its tree in memory: 16 bytes a value.
 _PER_VALUE, _PER_CONTAINER, _PER_NODE = 44, 128, 16
 _BOM = b"\xef\xbb\xbf"
 _COMMENT = re.compile(rb'("(?:[^"\\]|\\.)*+")|//[^\n]*|/\*(?:.*?\*/|.*)', re.DOTALL)
 
 
 def parse(view: memoryview | bytes, name: str, *, comments: bool = False) -> Any:
-    """The document, as Python's own types. comments: // and /* */ are passed over, as instant-ngp's files have them.
+    """Parse a document to Python types. comments: skip // and /* */, which instant-ngp's files contain.
 
-    Its memory is taken until the end of the file's reading. Raises InvalidFile, MemoryLimit.
+    The memory counts as used until the file has been read. Raises InvalidFile, MemoryLimit.
     """
     size = size_of_parsed(view)
     memory.require(f"{name}, parsed,", size.parsing)
@@ -53,7 +53,7 @@ def parse(view: memoryview | bytes, name: str, *, comments: bool = False) -> Any
 
 
 def parse_object(view: memoryview | bytes, name: str, *, comments: bool = False) -> dict[str, Any]:
-    """The same for a document that is an object."""
+    """Parse a document that must be an object."""
     document = parse(view, name, comments=comments)
     if not isinstance(document, dict):
         raise InvalidFile(Problem(name, f"holds {kind_of(document)}", "an object"))
@@ -61,7 +61,7 @@ def parse_object(view: memoryview | bytes, name: str, *, comments: bool = False)
 
 
 def kind_of(value: Any) -> str:
-    """What a reader of JSON calls a value."""
+    """The JSON name of a value's type, for messages."""
     kinds = {dict: "an object", list: "a list", str: "text", bool: "true or false", type(None): "null"}
     return kinds.get(type(value), "a number")
 
@@ -75,33 +75,33 @@ def number(
     low: float = -MAX_NUMBER,
     high: float = MAX_NUMBER,
 ) -> float:
-    """A finite number from low to high; `place` names the object that it stands in."""
+    """Return a field as a finite number from low to high; `place` is the name of the object in messages."""
     value = fields.get(key, default)
     if type(value) not in (int, float) or not low <= value <= high:
-        found = "is missing" if value is None else f"is {shown(value)}"
-        raise InvalidFile(Problem(within(place, key), found, f"a number from {low:g} to {high:g}"))
+        found = "is missing" if value is None else f"is {shorten(value)}"
+        raise InvalidFile(Problem(key_place(place, key), found, f"a number from {low:g} to {high:g}"))
     return float(value)
 
 
 def whole(
     fields: Mapping[str, Any], key: str, place: str = "", *, default: int | None = None, low: int = 0, high: int
 ) -> int:
-    """A whole number from low to high."""
+    """Return a field as an integer from low to high."""
     value = fields.get(key, default)
     if type(value) is not int or not low <= value <= high:
-        found = "is missing" if value is None else f"is {shown(value)}"
-        raise InvalidFile(Problem(within(place, key), found, f"a whole number from {low:,} to {high:,}"))
+        found = "is missing" if value is None else f"is {shorten(value)}"
+        raise InvalidFile(Problem(key_place(place, key), found, f"a whole number from {low:,} to {high:,}"))
     return value
 
 
 def table(value: Any, place: str, shape: tuple[int | None, ...]) -> npt.NDArray[np.float64]:
-    """Nested lists of numbers as an array of this shape, None for an edge of any length."""
+    """Convert nested lists of numbers to an array of this shape; None stands for any length."""
     allowed = f"{' x '.join('any' if edge is None else str(edge) for edge in shape)} numbers"
     try:
         with collector_paused():
             array = np.array(value, np.float64)
     except (ValueError, TypeError, OverflowError):
-        raise InvalidFile(Problem(place, "is no table of numbers", allowed)) from None
+        raise InvalidFile(Problem(place, "is not a table of numbers", allowed)) from None
     if array.ndim != len(shape) or any(a not in (None, b) for a, b in zip(shape, array.shape, strict=True)):
         raise InvalidFile(Problem(place, f"has shape {array.shape}", allowed))
     if (bad := ~(np.abs(array) <= MAX_NUMBER)).any():
@@ -111,22 +111,22 @@ def table(value: Any, place: str, shape: tuple[int | None, ...]) -> npt.NDArray[
     return array
 
 
-def shown(value: Any) -> str:
-    """A value as a message shows it, at most 40 characters long however long it is."""
+def shorten(value: Any) -> str:
+    """A value as text for messages, at most 40 characters long."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 1 << 64:
         return f"a number of about {int(math.log10(abs(value)))} digits"
     return str(value)[:40] if isinstance(value, str | int | float | bool | None) else kind_of(value)
 
 
-class Size(NamedTuple):
-    """Most bytes that a text can take: while it is parsed, and as Python's objects."""
+class ParsedSize(NamedTuple):
+    """Upper bounds of the memory for a text in bytes: while it is parsed, and as Python objects."""
 
     parsing: int
     parsed: int
 
 
-def size_of_parsed(view: memoryview | bytes) -> Size:
-    """What the text's punctuation announces, and the text itself, whose characters may take 1, 2 or 4 bytes each."""
+def size_of_parsed(view: memoryview | bytes) -> ParsedSize:
+    """Bound the memory for a text by its punctuation and its length; a character takes 1, 2 or 4 bytes."""
     text = np.frombuffer(view, np.uint8)
     counts = np.zeros(256, np.int64)
     for start in range(0, len(text), _CHUNK):
@@ -135,12 +135,12 @@ def size_of_parsed(view: memoryview | bytes) -> Size:
     containers = int(counts[[ord("["), ord("{"), ord('"')]].sum())
     width = 4 if counts[0xF0:].any() else 2 if counts[0xC4:].any() else 1
     parsed = width * len(text) + _PER_VALUE * values + _PER_CONTAINER * containers
-    return Size(parsed + len(text) + _PER_NODE * (values + containers), parsed)
+    return ParsedSize(parsed + len(text) + _PER_NODE * (values + containers), parsed)
 
 
 @contextmanager
 def collector_paused() -> Iterator[None]:
-    """No garbage collection inside the block; before and after as it was."""
+    """Pause garbage collection inside the block."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -150,8 +150,8 @@ def collector_paused() -> Iterator[None]:
             gc.enable()
 
 
-def within(place: str, key: str) -> str:
-    """A key as a message names it, in the object at this place."""
+def key_place(place: str, key: str) -> str:
+    """The name of a key in messages, for the object at this place."""
     if place.endswith(".json"):
         return f"{place}: {key}"
     return f"{place}.{key}" if place else key

@@ -1,4 +1,4 @@
-"""NumPy's .npy: a header that declares dtype, order and shape, and the array's bytes; alone, or a member of an .npz."""
+"""Headers of NumPy's .npy files and .npz members: dtype, order and shape; the bytes of the array follow."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ MAX_HEADER = 10_000
 MAX_DIMENSIONS = 8
 MAX_BYTES = 1 << 48
 
-# A dict literal of these three, in any order; whole numbers as Python 2 wrote them, too: 12L. Nothing backtracks (*+).
+# A dict literal with three keys in any order. Python 2 wrote integers as 12L. Possessive quantifiers (*+) prevent
+# backtracking.
 _NUMBER = re.compile(r"[0-9]+")
 _TUPLE = r"\(\s*+(?:[0-9]{1,15}+L?\s*+(?:,\s*+|(?=\))))*+\)"
 _VALUE = rf"True|False|'[^'\\]*+'|\"[^\"\\]*+\"|\[[^\]]*+\]|{_TUPLE}"
@@ -30,7 +31,7 @@ class _Stream(Protocol):
 
 
 def read_header(key: str, stream: _Stream) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, Fortran order and dtype as an .npy file declares them, in a Python dict literal."""
+    """Read the header of an .npy file, a Python dict literal: shape, Fortran order and dtype."""
     magic = stream.read(8)
     if magic[:6] != np.lib.format.MAGIC_PREFIX or magic[6:7] not in (b"\1", b"\2", b"\3"):
         raise InvalidFile(Problem(key, f"starts with {magic[:6]!r}", "an array (.npy, version 1 to 3)"))
@@ -49,20 +50,20 @@ def read_header(key: str, stream: _Stream) -> tuple[tuple[int, ...], bool, np.dt
     if len(shape) > MAX_DIMENSIONS:
         raise InvalidFile(Problem(key, f"has {len(shape)} dimensions", f"{MAX_DIMENSIONS} at most"))
     dtype = np.dtype(descr)
-    # NumPy multiplies all edges but those of 0.
+    # NumPy multiplies all edges except those of 0.
     if dtype.itemsize * math.prod(edge for edge in shape if edge) > MAX_BYTES:
         raise InvalidFile(Problem(key, f"has shape {shape}", f"{MAX_BYTES:,} bytes at most, edges of 0 left out"))
     return shape, items["fortran_order"] == "True", dtype
 
 
 def npy_pieces(array: npt.NDArray[Any]) -> tuple[bytes, memoryview]:
-    """An array as .npy: its header and its little-endian bytes."""
+    """Return an array as .npy: its header and its little-endian bytes."""
     array = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
     return npy_head(array.shape, array.dtype), array.reshape(-1).view(np.uint8).data
 
 
 def npy_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
-    """The header of an array whose little-endian bytes follow in C order."""
+    """Return the header of an array whose little-endian bytes follow in C order."""
     descr = np.lib.format.dtype_to_descr(dtype.newbyteorder("<"))
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, {"descr": descr, "fortran_order": False, "shape": shape})

@@ -1,4 +1,12 @@
-"""Pillow's decoders, fenced in: sizes are settled from the header before anything is inflated, and errors are ours."""
+"""Decode and encode pictures with Pillow: textures, photographs and thumbnails.
+
+Sizes are checked in the header before anything is inflated, and Pillow's errors become InvalidFile. Textures are PNG or
+JPEG with 8-bit RGB. Photographs are PNG or JPEG with 8-bit sRGB and straight alpha.
+
+COLMAP, instant-ngp and nerfstudio estimate poses on the pixels as stored, so the EXIF orientation is ignored. The poses
+of some captures were estimated on pictures that had been rotated upright. There the width of the camera is the height
+of the stored picture; only then is the picture rotated.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +15,9 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from PIL import Image
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageOps
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
@@ -19,10 +29,10 @@ _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, Typ
 
 @contextmanager
 def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> Iterator[Image.Image]:
-    """The picture, not yet decoded; decode it inside. Raises InvalidFile, and MemoryLimit."""
+    """Open a picture; decode it inside the block. Raises InvalidFile, MemoryLimit."""
     try:
         with warnings.catch_warnings(), memory.lent(name, len(view)):  # Pillow reads from a copy
-            warnings.simplefilter("ignore")  # large images are ours to refuse
+            warnings.simplefilter("ignore")  # large images are rejected below
             with Image.open(io.BytesIO(view), formats=kinds) as picture:
                 width, height = picture.size
                 if max(width, height) > MAX_EDGE:
@@ -36,13 +46,70 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
 
 
 def png_of(picture: Image.Image) -> bytes:
-    """The picture as PNG, without colour profile or date."""
+    """Encode a picture as PNG, without colour profile or date."""
     file = io.BytesIO()
     picture.save(file, "PNG", compress_level=COMPRESSION)
     return file.getvalue()
 
 
 def size_of(head: bytes, name: str) -> tuple[int, int]:
-    """Width and height of a PNG or JPEG from its first bytes. Raises InvalidFile."""
+    """Return width and height of a PNG or JPEG from its first bytes. Raises InvalidFile."""
     with opened(memoryview(head), name, "PNG", "JPEG", bytes_per_pixel=0) as picture:
         return picture.size
+
+
+def decode_texture(view: memoryview, name: str, *, any_mode: bool = False) -> npt.NDArray[np.uint8]:
+    """Decode a texture to (H, W, 3) uint8, row 0 at the top. Raises InvalidFile unless it is 8-bit RGB, PNG or JPEG.
+
+    any_mode: convert grey, palette and alpha to RGB instead, for pictures that are only displayed.
+    """
+    with opened(view, name, "PNG", "JPEG", bytes_per_pixel=3) as image:
+        if any_mode:
+            return np.asarray(image.convert("RGB"))
+        if image.mode != "RGB":
+            raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
+        return np.asarray(image)
+
+
+def encode_texture(texels: npt.NDArray[np.uint8]) -> bytes:
+    """Encode (H, W, 3) uint8 as a lossless PNG."""
+    return png_of(Image.fromarray(texels))
+
+
+_ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF 2.32, table 4
+_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
+
+
+def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
+    """Decode a photograph to (H, W, 4) uint8, row 0 at the top; alpha is 255 if the file has none.
+
+    size: (W, H) of the camera. If the EXIF orientation is a quarter turn and only the rotated picture has the camera's
+    shape, the picture is rotated upright. Raises InvalidFile, MemoryLimit.
+    """
+    with opened(view, "the picture", "PNG", "JPEG", bytes_per_pixel=12) as picture:
+        if picture.mode not in _MODES:
+            found = f"holds {picture.mode} pixels"
+            raise InvalidFile(Problem("the picture", found, "grey, a palette or RGB, 8 bits a channel"))
+        if size is not None and _needs_turn(picture, size):
+            memory.require("the picture", 2 * 12 * picture.width * picture.height)
+            return np.asarray(ImageOps.exif_transpose(picture.convert("RGBA")))
+        return np.asarray(picture.convert("RGBA"))
+
+
+def _needs_turn(picture: Image.Image, size: tuple[int, int]) -> bool:
+    """True if a picture has its camera's shape only after the quarter turn of its EXIF orientation."""
+    (width, height), (W, H) = picture.size, size
+    if (width > height) == (W > H) or width == height or W == H:
+        return False
+    return picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS
+
+
+def encode_thumbnail(view: memoryview, edge: int, colours: int | None = None) -> bytes:
+    """Scale a PNG, a JPEG or the first picture of a GIF down to at most `edge` pixels an edge, as PNG.
+
+    A smaller picture keeps its size. colours: size of the palette; None: no palette. Raises InvalidFile, MemoryLimit.
+    """
+    with opened(view, "the picture", "PNG", "JPEG", "GIF", bytes_per_pixel=12) as picture:
+        small = picture.convert("RGBA")
+        small.thumbnail((edge, edge), Image.Resampling.BOX)
+        return png_of(small if colours is None else small.quantize(colours, Image.Quantize.FASTOCTREE))

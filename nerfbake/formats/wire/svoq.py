@@ -1,4 +1,4 @@
-"""The container of a .svoq: a header, a table of parts, the parts, a checksum. Little-endian.
+"""Read and write the container of .svoq files: a header, a table of parts, the parts, a checksum. Little-endian.
 
 0    'SVOQ' | u8 version = 1 | u8 coding | u8 basis | u8 parts
 8    u16 width, height, depth | u16 0
@@ -6,7 +6,7 @@
 24   f64 origin x 3, voxel_size x 3
 72   f64 colour_step, density_step, density_scale, mixing_scale
 104  a line for each part: u8 kind, u8 end, u16 0, u32 bytes, u32 bytes when unpacked (0: not packed)
-     the parts one behind the other
+     the parts, one after the other
 -4   u32 CRC-32 (zlib's) of all bytes before it
 """
 
@@ -33,8 +33,8 @@ BASIS, TOPOLOGY, COEFFICIENTS, PADDING = range(4)  # kinds of parts
 NAMES = ("basis", "topology", "coefficients", "padding")
 
 
-class Part(NamedTuple):
-    """kind as above; end: behind the last channel of coefficients, else 0; unpacked: its size, 0 where not packed."""
+class SvoqPart(NamedTuple):
+    """kind: see above. end: one past the last channel of coefficients, else 0. unpacked: the size, 0 if not packed."""
 
     kind: int
     end: int
@@ -42,8 +42,8 @@ class Part(NamedTuple):
     unpacked: int = 0
 
 
-def write_file(header: np.void, parts: Sequence[Part]) -> Iterator[bytes | memoryview]:
-    """The file in pieces; of the header all is filled in but what the parts say."""
+def write_file(header: np.void, parts: Sequence[SvoqPart]) -> Iterator[bytes | memoryview]:
+    """Yield the file in pieces. The magic, version and number of parts in the header are filled in here."""
     table = np.zeros(len(parts), PART)
     for line, part in zip(table, parts, strict=True):
         line["kind"], line["end"], line["size"], line["unpacked"] = part.kind, part.end, len(part.data), part.unpacked
@@ -56,16 +56,16 @@ def write_file(header: np.void, parts: Sequence[Part]) -> Iterator[bytes | memor
     yield checksum.to_bytes(CHECKSUM, "little")
 
 
-def file_size(parts: Sequence[Part]) -> int:
-    """Bytes of the file that these parts make."""
+def file_size(parts: Sequence[SvoqPart]) -> int:
+    """The size in bytes of a file with these parts."""
     return HEADER.itemsize + len(parts) * PART.itemsize + sum(len(part.data) for part in parts) + CHECKSUM
 
 
-def read_file(view: memoryview) -> tuple[np.void, list[Part]]:
-    """The header and the parts. Raises InvalidFile for what is cut off, damaged, or of another version."""
+def read_file(view: memoryview) -> tuple[np.void, list[SvoqPart]]:
+    """Return the header and the parts. Raises InvalidFile if the file is cut off, damaged, or of another version."""
     if len(view) < HEADER.itemsize + CHECKSUM:
         found = f"has {len(view):,} bytes"
-        raise InvalidFile(Problem("the file", found, f"a header of {HEADER.itemsize} bytes and what follows it"))
+        raise InvalidFile(Problem("the file", found, f"a header of {HEADER.itemsize} bytes and its parts"))
     header = np.frombuffer(view, HEADER, 1)[0]
     if header["magic"] != MAGIC:
         raise InvalidFile(Problem("the file", f"starts with {bytes(view[:4]).hex(' ')}", "SVOQ"))
@@ -77,14 +77,14 @@ def read_file(view: memoryview) -> tuple[np.void, list[Part]]:
     table = np.frombuffer(view, PART, int(header["parts"]), HEADER.itemsize)
     sizes = [int(size) for size in table["size"]]
     if (size := start + sum(sizes) + CHECKSUM) != len(view):
-        raise InvalidFile(Problem("the file", f"has {len(view):,} bytes", f"{size:,}, as its parts say"))
+        raise InvalidFile(Problem("the file", f"has {len(view):,} bytes", f"{size:,}, as its parts declare"))
     checksum = int.from_bytes(view[-CHECKSUM:], "little")
     if (own := zlib.crc32(view[:-CHECKSUM])) != checksum:
-        told = f"is damaged: its checksum is {own:08x}"
-        raise InvalidFile(Problem("the file", told, f"{checksum:08x}, as it says"))
+        found = f"is damaged: its checksum is {own:08x}"
+        raise InvalidFile(Problem("the file", found, f"{checksum:08x}, as stored in it"))
     ends = np.cumsum(sizes) + start
     parts = [
-        Part(int(line["kind"]), int(line["end"]), view[end - size : end], int(line["unpacked"]))
+        SvoqPart(int(line["kind"]), int(line["end"]), view[end - size : end], int(line["unpacked"]))
         for line, end, size in zip(table, ends.tolist(), sizes, strict=True)
     ]
     return header, parts

@@ -1,7 +1,7 @@
-"""What the pickle of a torch file may make: descriptions of tensors and arrays, dicts, bytes; nothing that is run.
+"""The values that the pickle of a torch file may create: descriptions of tensors and arrays, dicts, and bytes.
 
-Each builder takes the arguments that stand in the file and looks at all of them. What it makes is no larger than they
-are, so that a file cannot ask for more than it holds.
+Each builder checks all arguments in the file. Its result is no larger than the arguments, so that a small file cannot
+use much memory.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 MAX_DIMENSIONS = 8
 _MOST = 1 << 48  # numbers of a storage
 
-# Of torch's storages: NumPy's letters for a number of theirs. BFloat16 has no dtype in NumPy: its bits.
+# The NumPy dtypes of torch's storages. NumPy has no bfloat16: its bits are read as integers.
 STORAGES = {
     "DoubleStorage": "f8",
     "FloatStorage": "f4",
@@ -32,7 +32,7 @@ _NUMBERS = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "b
 
 
 class Storage(NamedTuple):
-    """What is behind tensors: so many numbers of a dtype of STORAGES, in the member data/<key>."""
+    """The storage of tensors: a number of values of a dtype of STORAGES, in the member data/<key>."""
 
     dtype: str
     key: str
@@ -40,7 +40,7 @@ class Storage(NamedTuple):
 
 
 class Tensor(NamedTuple):
-    """A view of a storage; offset and stride count its numbers."""
+    """A view of a storage; offset and stride are in numbers, not bytes."""
 
     storage: Storage
     offset: int
@@ -49,14 +49,14 @@ class Tensor(NamedTuple):
 
 
 class Array:
-    """An array of NumPy's, or one number: value is there once its state is."""
+    """A NumPy array or number; its value is None until its state is set."""
 
     def __init__(self, value: npt.NDArray[Any] | None = None) -> None:
         self.value = value
 
 
 class Dtype:
-    """A number's, whose byte order its state tells."""
+    """A NumPy dtype; its state sets the byte order."""
 
     def __init__(self, code: str) -> None:
         self.code, self.order = code, "<"
@@ -67,37 +67,37 @@ class Dtype:
 
 
 class Config(dict[Any, Any]):
-    """A dict that is built: an OrderedDict, or mmcv's. Its state is itself once more, or nothing that matters."""
+    """An OrderedDict, or a config dict of mmcv. Its state is ignored: it repeats the items or is irrelevant."""
 
 
 class Global(NamedTuple):
-    """A module and a name in it, which nobody looks up."""
+    """A module and a name in it, which are never looked up."""
 
     name: str
 
 
 class Fault(Exception):
-    """What is wrong with an opcode, and what is allowed."""
+    """An invalid opcode: what was found, and what is allowed."""
 
     def __init__(self, found: str, allowed: str) -> None:
         self.found, self.allowed = found, allowed
 
 
 def fill(target: dict[Any, Any], pairs: list[Any]) -> None:
-    """Sets items, whose keys are text or whole numbers."""
+    """Set items of a dict; their keys must be text or integers."""
     for pair in pairs:
         if not isinstance(pair, list | tuple) or len(pair) != 2 or type(pair[0]) not in (str, int):
-            raise Fault("has items that are no pairs", "pairs whose first is text or a whole number")
+            raise Fault("has items that are not pairs", "pairs of a key (text or a whole number) and a value")
         target[pair[0]] = pair[1]
 
 
 # -- builders --------------------------------------------------------------------------------------------------
 def _wrong(what: str) -> NoReturn:
-    raise Fault(f"gives {what} other arguments", f"those of {what} as torch and NumPy write them")
+    raise Fault(f"has unexpected arguments for {what}", "the arguments that torch and NumPy write")
 
 
 def _dict(arguments: tuple[Any, ...]) -> Config:
-    """Of nothing, of a list of pairs, or of pairs."""
+    """Build a dict from no arguments, a list of pairs, or pairs."""
     made = Config()
     pairs = list(arguments[0]) if len(arguments) == 1 and type(arguments[0]) is list else list(arguments)
     fill(made, pairs)
@@ -105,7 +105,7 @@ def _dict(arguments: tuple[Any, ...]) -> Config:
 
 
 def _tensor(arguments: tuple[Any, ...]) -> Tensor:
-    """(storage, offset, size, stride, and what is no matter here)."""
+    """Build a tensor from (storage, offset, size, stride, ...); further arguments are ignored."""
     match arguments:
         case (Storage() as storage, int(offset), tuple() as size, tuple() as stride, *_) if len(size) <= MAX_DIMENSIONS:
             numbers = [offset, *size, *stride[:MAX_DIMENSIONS]]
@@ -127,7 +127,7 @@ def _dtype(arguments: tuple[Any, ...]) -> Dtype:
 
 
 def order_in(state: Any) -> str:
-    """The byte order that a dtype's state tells."""
+    """Return the byte order in a dtype's state."""
     match state:
         case (int(), ("<" | ">" | "|" | "=") as order, *_):
             return "<" if order in "|=" else str(order)
@@ -135,7 +135,7 @@ def order_in(state: Any) -> str:
 
 
 def _encoded(arguments: tuple[Any, ...]) -> bytes:
-    """Bytes, which protocol 2 has as text."""
+    """Build bytes, which protocol 2 stores as text."""
     match arguments:
         case (str(text), "latin1"):
             try:
@@ -153,7 +153,7 @@ def _scalar(arguments: tuple[Any, ...]) -> Array:
 
 
 def filled(state: Any) -> npt.NDArray[Any]:
-    """An array of its state: (version, shape, dtype, whether x is fastest, bytes)."""
+    """Build an array from its state: (version, shape, dtype, Fortran order, bytes)."""
     match state:
         case (int(), tuple() as shape, Dtype() as kind, bool(fortran), bytes(data)) if len(shape) <= MAX_DIMENSIONS:
             size = kind.dtype.itemsize

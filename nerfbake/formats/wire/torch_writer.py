@@ -1,7 +1,8 @@
-"""torch's files without torch: a writer of the opcodes that torch 1.13 writes, in the zip archive that torch_zip draws.
+"""Write files that torch.load() can read, without torch.
 
-Numbers, text, dicts, lists and tuples are what they are; arrays are written as tensors, each with a storage of its own;
-what is to be a global, a NumPy array or anything else is given in opcodes, as Raw. The same values give the same bytes.
+The writer uses the opcodes of torch 1.13 and the zip archive described in torch.py. Numbers, text, dicts, lists and
+tuples are written as such. Arrays are written as tensors, each with its own storage. Pass globals, NumPy arrays and
+other objects as opcodes, in a Raw. The same values give the same bytes.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ _NAMES = {dtype: name for name, dtype in STORAGES.items()}
 
 
 class Raw(NamedTuple):
-    """Opcodes that leave one value."""
+    """Opcodes that push one value."""
 
     code: bytes
 
 
-class View(NamedTuple):
-    """A tensor that is a view of a storage: offset, size and stride in numbers; numel: what the pickle says of it."""
+class TensorView(NamedTuple):
+    """A tensor that is a view of a storage. offset, size and stride are in numbers, not bytes.
+
+    numel: the number of elements that the pickle declares; None: the number of values.
+    """
 
     values: Any
     offset: int
@@ -44,7 +48,7 @@ def glob(module: str, name: str) -> bytes:
 
 
 def numpy_array(array: Any) -> Raw:
-    """As NumPy pickles itself in protocol 2: _reconstruct, then the state with bytes as latin-1 text."""
+    """Return the opcodes of NumPy's pickle in protocol 2: _reconstruct, then the state with bytes as latin-1 text."""
     array = np.asarray(array)
     kind = glob("numpy", "dtype") + text(array.dtype.str[1:]) + b"\x89\x88\x87R"
     kind += b"(K\x03" + text("<") + b"NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"
@@ -57,7 +61,7 @@ def numpy_array(array: Any) -> Raw:
 
 
 def ordered(items: dict[str, Any]) -> dict[str, Any]:
-    """Marks a dict that is written as an OrderedDict."""
+    """Mark a dict to be written as an OrderedDict."""
     return _Ordered(items)
 
 
@@ -75,8 +79,10 @@ def _number(value: int) -> bytes:
 
 
 class Writer:
-    """Values to opcodes; storages by key, in the order in which they are met. location: the device that tensors are
-    said to have been on; one that a reader has not is a hindrance to torch.load()."""
+    """Convert values to opcodes, and collect their storages in the order of their keys.
+
+    location: the device that the file names for its tensors. torch.load() fails if the reader has no such device.
+    """
 
     def __init__(self, location: str = "cpu") -> None:
         self.storages: list[bytes] = []
@@ -93,16 +99,16 @@ class Writer:
             return b"G" + struct.pack(">d", value)
         if isinstance(value, str):
             return text(value)
-        if isinstance(value, tuple) and not isinstance(value, View):
+        if isinstance(value, tuple) and not isinstance(value, TensorView):
             return b"(" + b"".join(map(self.code, value)) + b"t"
         if isinstance(value, list):
             return b"](" + b"".join(map(self.code, value)) + b"e"
         if isinstance(value, dict):
             begin = glob("collections", "OrderedDict") + b")R" if isinstance(value, _Ordered) else b"}"
             return begin + b"(" + b"".join(self.code(part) for item in value.items() for part in item) + b"u"
-        return self._tensor(value if isinstance(value, View) else _whole(np.asarray(value)))
+        return self._tensor(value if isinstance(value, TensorView) else _whole(np.asarray(value)))
 
-    def _tensor(self, view: View) -> bytes:
+    def _tensor(self, view: TensorView) -> bytes:
         values = np.asarray(view.values)
         kind = glob("torch", _NAMES[values.dtype.str[1:]])
         key = text(str(len(self.storages)))
@@ -114,15 +120,15 @@ class Writer:
         return glob("torch._utils", "_rebuild_tensor_v2") + b"(" + storage + rest + b"\x89" + hooks + b"tR"
 
 
-def _whole(array: Any) -> View:
+def _whole(array: Any) -> TensorView:
     stride = tuple(step // array.itemsize for step in np.zeros(array.shape, array.dtype).strides)
-    return View(array.reshape(-1), 0, array.shape, stride)
+    return TensorView(array.reshape(-1), 0, array.shape, stride)
 
 
 def archive(
     pickle: bytes, storages: list[bytes], *, prefix: str = "archive", more: dict[str, bytes] | None = None
 ) -> bytes:
-    """All members stored, as torch has them."""
+    """Return a zip archive with all members stored, as torch writes it."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as made:
         members = {"data.pkl": pickle} | {f"data/{key}": data for key, data in enumerate(storages)}
@@ -132,7 +138,7 @@ def archive(
 
 
 def torch_file(value: Any, *, location: str = "cpu", **options: Any) -> bytes:
-    """A file that torch.load() makes this value of; options are archive()'s."""
+    """Return a file from which torch.load() restores this value; options: those of archive()."""
     writer = Writer(location)
     pickle = b"\x80\x02" + writer.code(value) + b"."
     return archive(pickle, writer.storages, **options)

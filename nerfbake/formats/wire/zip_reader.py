@@ -1,7 +1,18 @@
-"""Zip archives, read as if a stranger had sent them: a member's bytes, as the central directory has them.
+"""Read the members of untrusted zip archives, and list the arrays of an .npz.
 
-A member takes the memory that the directory declares, asked for before it is inflated; CRCs are checked; stored members
-are views of the file.
+ZipReader follows the central directory. It checks the declared size of a member against the memory limit before it
+inflates the member, and checks CRCs. Stored members are views of the file.
+
+npz_keys() lists the names in the directory, which distinguish the formats with the extension .npz:
+
+    ... | central directory: PK 01 02, 46 bytes | name | extra | comment, for each member
+        | [PK 06 06, 56 bytes, with the directory's size and offset in 64 bits | PK 06 07, 20 bytes]
+        | PK 05 06, 22 bytes | comment
+
+Members are in any order and the directory is at the end, so the first bytes of a file do not identify its format.
+npz_keys() reads at most MAX_MEMBERS names and MAX_DIRECTORY bytes, whatever the archive declares. If an archive is cut
+off, it returns the name in the first member's local header, so that the right format reports the error.
+Source: PKWARE's APPNOTE.TXT, 4.3.12, 4.3.14 to 4.3.16.
 """
 
 from __future__ import annotations
@@ -15,22 +26,21 @@ import deflate
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire.npz_names import MAX_DIRECTORY, MAX_MEMBERS, ZIP_MAGIC
 
-MAX_INFLATION = 1032  # deflate's own bound: 258 bytes for a quarter of a byte
+MAX_INFLATION = 1032  # limit of deflate: 258 bytes for a quarter of a byte
 
 
 class ZipReader:
-    """The members of an archive by their names. what: what the archive should be, for errors."""
+    """The members of an archive by name. what: the expected file, for error messages."""
 
     def __init__(self, view: memoryview, what: str) -> None:
         self._view = view
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # duplicate names are ours to refuse
+                warnings.simplefilter("ignore")  # duplicate names are rejected below
                 members = zipfile.ZipFile(_ViewFile(view)).infolist()
         except (zipfile.BadZipFile, NotImplementedError, ValueError, EOFError, OSError, struct.error) as error:
-            raise InvalidFile(f"is no whole zip archive ({error}); allowed: {what}") from None
+            raise InvalidFile(f"is not a complete zip archive ({error}); allowed: {what}") from None
         if len(members) > MAX_MEMBERS:
             raise InvalidFile(Problem("zip directory", f"lists {len(members):,} members", f"{MAX_MEMBERS} at most"))
         self.members = {info.filename: info for info in members}
@@ -38,8 +48,10 @@ class ZipReader:
             raise InvalidFile(Problem("zip directory", "lists a name twice", "each name once"))
 
     def unpacked(self, name: str, key: str, *, damaged: bool = False) -> memoryview:
-        """A member's bytes, of which none is missing or wrong. key: what errors call it. damaged: it may have another
-        CRC than the directory says."""
+        """Return all bytes of a member. Raises InvalidFile if they are cut off or damaged, MemoryLimit.
+
+        key: the name in error messages. damaged: accept a CRC that differs from the directory's.
+        """
         info = self.members[name]
         raw = self._packed(key, info)
         if info.compress_type == zipfile.ZIP_DEFLATED:
@@ -48,7 +60,7 @@ class ZipReader:
                 raw = memoryview(deflate.deflate_decompress(raw, info.file_size))
             except deflate.DeflateError:
                 allowed = f"a whole deflate stream of {info.file_size:,} bytes"
-                raise InvalidFile(Problem(key, "goes on past its declared end, or is damaged", allowed)) from None
+                raise InvalidFile(Problem(key, "continues past its declared end, or is damaged", allowed)) from None
             if len(raw) < info.file_size:
                 raise InvalidFile(Problem(key, f"ends after {len(raw):,} bytes", f"{info.file_size:,}"))
         if not damaged and (crc := deflate.crc32(raw)) != info.CRC:
@@ -56,11 +68,11 @@ class ZipReader:
         return raw
 
     def is_whole(self, name: str, raw: memoryview) -> bool:
-        """Whether these bytes of a member have the CRC that the directory says."""
+        """True if these bytes of a member have the CRC in the directory."""
         return int(deflate.crc32(raw)) == self.members[name].CRC
 
     def _packed(self, key: str, info: zipfile.ZipInfo) -> memoryview:
-        """The member's bytes in the file, as the directory and its local header agree on them."""
+        """Return the member's bytes in the file, after a check of the directory against the local header."""
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or info.flag_bits & 1:
             raise InvalidFile(
                 Problem(key, f"uses zip method {info.compress_type}", "stored or deflated, not encrypted")
@@ -82,9 +94,10 @@ class ZipReader:
 
 
 class _ViewFile(io.RawIOBase):
-    """A memoryview as the seekable file that zipfile wants, without a copy of it.
+    """A memoryview as a seekable file for zipfile, without a copy.
 
-    zipfile reads the directory whole, and makes ten bytes of each of its bytes before anybody can count its members.
+    zipfile reads the whole directory and uses ten bytes for each of its bytes before the members can be counted. So
+    read() limits the size of the directory.
     """
 
     def __init__(self, view: memoryview) -> None:
@@ -107,3 +120,71 @@ class _ViewFile(io.RawIOBase):
         piece = bytes(self._view[self._at : end])
         self._at += len(piece)
         return piece
+
+
+ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
+
+
+MAX_MEMBERS = 1000
+
+
+MAX_DIRECTORY = 1 << 20  # bytes: a thousand entries as NumPy and svox write them take a tenth
+
+
+_MAX_TEXT = 0xFFFF  # bytes: limit of a name and of the archive's comment
+
+
+def npz_keys(view: memoryview) -> frozenset[str]:
+    """Return the names of an archive's arrays, without .npy; empty if the file is not an archive."""
+    if bytes(view[:4]) not in ZIP_MAGIC:
+        return frozenset()
+    return _listed(_directory(view)) or _first(bytes(view[: _HEADER_SIZE + _MAX_TEXT]))
+
+
+def _listed(entries: bytes) -> frozenset[str]:
+    """The names in a central directory."""
+    keys: set[str] = set()
+    at = 0
+    for _ in range(MAX_MEMBERS):
+        if entries[at : at + 4] != _ENTRY or len(entries) - at < _ENTRY_SIZE:
+            break
+        name_size, *others = struct.unpack_from("<3H", entries, at + 28)
+        name = at + _ENTRY_SIZE
+        keys.add(_key(entries[name : name + name_size]))
+        at = name + name_size + sum(others)
+    return frozenset(keys)
+
+
+def _first(head: bytes) -> frozenset[str]:
+    """The name of the member at the start of an archive, if any."""
+    if head[:4] != ZIP_MAGIC[0] or len(head) < _HEADER_SIZE:
+        return frozenset()
+    (name_size,) = struct.unpack_from("<H", head, 26)
+    return frozenset([_key(head[_HEADER_SIZE : _HEADER_SIZE + name_size])])
+
+
+def _key(name: bytes) -> str:
+    return name.decode(errors="replace").removesuffix(".npy")
+
+
+def _directory(view: memoryview) -> bytes:
+    """The central directory, found in the same way as zipfile finds it; empty if there is none."""
+    first = max(0, len(view) - _END_SIZE - _MAX_TEXT)
+    tail = bytes(view[first:])
+    at = tail.rfind(_END)
+    if at < 0 or len(tail) - at < _END_SIZE:
+        return b""
+    size = struct.unpack_from("<I", tail, at + 12)[0]
+    end = first + at
+    before = bytes(view[max(0, end - _LOCATOR64_SIZE - _END64_SIZE) : end])
+    wide = before[-_LOCATOR64_SIZE:][:4] == _LOCATOR64 and before[:4] == _END64
+    if wide and len(before) == _LOCATOR64_SIZE + _END64_SIZE:
+        size = struct.unpack_from("<Q", before, 40)[0]
+        end -= len(before)
+    return bytes(view[end - size : end][:MAX_DIRECTORY]) if size <= end else b""
+
+
+_ENTRY, _END, _END64, _LOCATOR64 = b"PK\x01\x02", b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"
+
+
+_HEADER_SIZE, _ENTRY_SIZE, _END_SIZE, _END64_SIZE, _LOCATOR64_SIZE = 30, 46, 22, 56, 20

@@ -1,4 +1,4 @@
-"""Zstandard around any format (.zst): the same octree gives the same bytes, and nothing inflates beyond a limit."""
+"""Compress and decompress Zstandard files (.zst) of any format, with reproducible bytes and a memory limit."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 
 LEVEL = 3
-MAX_WINDOW = 1 << 27  # what zstd's own command line allows
+MAX_WINDOW = 1 << 27  # limit of the zstd command line
 _CHUNK = 1 << 20
-_PIECE = 1 << 20  # bytes that are unpacked before the next are asked for
-_BLOCK = 1 << 17  # the most that a block may become
+_PIECE = 1 << 20  # bytes that are decompressed before the next memory check
+_BLOCK = 1 << 17  # bytes: the largest content of a block
 _HEAD = 18  # bytes of the longest frame header
-_REPEATED, _COMPRESSED = 1, 2  # kinds of blocks: one byte over and over, packed
+_REPEATED, _COMPRESSED = 1, 2  # kinds of blocks: one repeated byte; compressed
 _MOST_BLOCKS = 1_000_000  # 128 GB of content; finding them takes a second
-_SKIPPED = range(0x184D2A50, 0x184D2A60)  # magic numbers of frames that hold no content
+_SKIPPED = range(0x184D2A50, 0x184D2A60)  # magic numbers of skippable frames, which have no content
 
 
 def compress(pieces: Iterable[bytes | memoryview]) -> Iterator[bytes]:
-    """One frame with a checksum, on one thread: more threads would cut it elsewhere."""
+    """Compress to one frame with a checksum, on one thread: more threads would split it differently."""
     compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True).compressobj()
     for piece in pieces:
         for start in range(0, len(piece), _CHUNK):
@@ -33,7 +33,7 @@ def compress(pieces: Iterable[bytes | memoryview]) -> Iterator[bytes]:
 
 
 def decompress(view: memoryview) -> memoryview:
-    """All frames, one after the other. Raises InvalidFile, MemoryLimit before more is held than is allowed."""
+    """Decompress all frames. Raises InvalidFile; raises MemoryLimit before the content exceeds the memory limit."""
     frames = list(_frames(view))
     memory.require("the decompressed file", sum(frame.size for frame in frames))
     out = bytearray()
@@ -43,7 +43,7 @@ def decompress(view: memoryview) -> memoryview:
         memory.require("zstd's window", window)
         content = context.decompressobj()
         for first, end in pairwise(frame.cuts):
-            # A growing buffer has an eighth to spare.
+            # A growing buffer over-allocates by an eighth.
             memory.require("the decompressed file", window + _PIECE + len(out) // 8)
             try:
                 piece = content.decompress(view[first:end])
@@ -57,15 +57,15 @@ def decompress(view: memoryview) -> memoryview:
 
 
 class _Frame(NamedTuple):
-    """What a frame says of itself, in bytes, and where to cut it so that no part becomes more than _PIECE."""
+    """The sizes that a frame declares in bytes, and where to split it so that no part decompresses beyond _PIECE."""
 
     window: int
-    size: int  # of its content; 0 where it does not say
+    size: int  # of its content; 0 if it does not declare it
     cuts: list[int]  # offsets, from its first byte to its end
 
 
 def _frames(view: memoryview) -> Iterator[_Frame]:
-    """The frames, found by their blocks' sizes alone: a bomb is refused before anything of it is unpacked."""
+    """Find the frames by the sizes of their blocks alone: a zip bomb is rejected before any decompression."""
     at = blocks = 0
     while at < len(view):
         head = view[at : at + _HEAD]

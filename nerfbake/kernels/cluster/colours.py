@@ -1,6 +1,6 @@
-"""8-bit colours as numbers whose order keeps neighbours together.
+"""Morton codes of 8-bit colours: numbers whose order keeps neighbouring colours together.
 
-A code is the colour's 24 bits interleaved, the highest first: r7 g7 b7 r6 g6 b6 ... r0 g0 b0 (Morton order), so that
+A code is the colour's 24 bits interleaved, the highest first: r7 g7 b7 r6 g6 b6 ... r0 g0 b0, so that
 code >> 3 (8 - b) numbers the cells of a grid of 2^b cells along each axis, and sorting by code sorts by such cells.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.lookup import dilate
 
 CODES = 1 << 24
 _SPREAD = dilate(np.arange(256)).astype(np.uint32)
@@ -32,5 +32,5 @@ def colours_of(codes: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint8]:
 
 
 def runs(values: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-    """(runs + 1,) where each run of equal values of a sorted array starts, and its length at the end."""
+    """(runs + 1,) where each run of equal values of a sorted array starts, then the length of the array."""
     return np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1], [True]]))

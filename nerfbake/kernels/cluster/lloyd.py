@@ -1,9 +1,9 @@
-"""Weighted k-means in rounds that are exact and yet look at few centres: the points come sorted into cells.
+"""Weighted k-means with exact rounds that examine only few centres for each point: the points are sorted into cells.
 
-A centre can be the nearest of a point only if it is within nearest + 2 radii of the cell's mean, where nearest is the
-mean's own distance to its closest centre (the triangle inequality, twice). With cells of 5-bit colour and 2048 centres
-that leaves 34 of them on average. Sums are kept in a fixed number of parts, added in order, so that no number of
-threads changes them.
+A centre can be the nearest to a point only if its distance to the mean of the point's cell is at most nearest + 2
+radii, where nearest is the distance from the mean to its closest centre (the triangle inequality, twice). With cells of
+5-bit colour and 2048 centres, 34 centres remain on average. Sums are kept in a fixed number of parts and added in
+order, so the number of threads does not change them.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
 
 PARTS = 16
-TRIALS = 4  # draws among which each new seed is the best: 3 % less inertia than one draw
+TRIALS = 4  # draws, of which the best becomes a new seed: 3 % less inertia than one draw
 
 
 class PointCells(NamedTuple):
     """Runs of points that lie close together."""
 
-    start: Ints  # (c + 1,) cell c holds points start[c] to start[c + 1]
+    start: Ints  # (c + 1,) cell c contains points start[c] to start[c + 1]
     mean: Singles  # (c, p)
     radius: Singles  # (c,) largest distance of a point to the mean
 
 
 class Groups(NamedTuple):
-    """The weighted mean of the points of each cell, and their weight."""
+    """The weighted mean of the points of each cell, and their total weight."""
 
     mean: Singles
     weight: npt.NDArray[np.float64]
 
 
 def bound_cells(points: Singles, start: Ints) -> PointCells:
-    """(m, p) points and where each of their cells starts, the end last."""
+    """Bound cells of (m, p) points; start: where each cell starts, the end last."""
     mean = group(points, np.ones(len(points)), start).mean
     radius = np.empty(len(mean), np.float32)
     _radii(points, start, mean, radius)
@@ -45,28 +45,28 @@ def bound_cells(points: Singles, start: Ints) -> PointCells:
 
 
 def group(points: Singles, weight: npt.NDArray[np.float64], start: Ints) -> Groups:
-    """The cells' weighted means (c, p) and weights (c,)."""
+    """The weighted means (c, p) and total weights (c,) of the cells."""
     total = np.zeros((len(start) - 1, points.shape[1] + 1))
     _cell_sums(points, weight, start, total)
     return Groups((total[:, :-1] / total[:, -1:]).astype(np.float32), total[:, -1])
 
 
 def seed(points: Singles, weight: npt.NDArray[np.float64], K: int, random: np.random.Generator) -> Singles:
-    """(K, p) of the points, far apart: greedy k-means++ (Arthur and Vassilvitskii, 2007), weighted."""
+    """Choose K of the points, far apart, as (K, p): greedy k-means++ (Arthur and Vassilvitskii, 2007), weighted."""
     chosen = np.empty(K, np.int64)
     _seed(np.ascontiguousarray(points.T), weight, random.random((K, TRIALS)), chosen)
     return points[chosen]
 
 
 def nearest_centres(points: Singles, cells: PointCells, centres: Singles) -> tuple[npt.NDArray[np.int32], Singles]:
-    """(m,) the nearest centre of each point, the first of equals, and its squared distance."""
+    """(m,) the nearest centre of each point, the first of equally near ones, and its squared distance."""
     label, distance = np.empty(len(points), np.int32), np.empty(len(points), np.float32)
     _nearest_centres(points, *cells, np.ascontiguousarray(centres.T), label, distance)
     return label, distance
 
 
 def move(points: Singles, weight: npt.NDArray[np.float64], label: npt.NDArray[np.int32], centres: Singles) -> Singles:
-    """(K, p) the weighted mean of each centre's points; a centre without any stays."""
+    """(K, p) the weighted mean of each centre's points; a centre without points stays."""
     parts = np.zeros((PARTS, len(centres), points.shape[1] + 1))
     _label_sums(points, weight, label, parts)
     total = parts.sum(axis=0)
@@ -77,7 +77,7 @@ def move(points: Singles, weight: npt.NDArray[np.float64], label: npt.NDArray[np
 
 
 def nearest_members(label: npt.NDArray[np.int32], distance: Singles, K: int) -> Ints:
-    """(K,) the point closest to each centre among its own, the first of equals; -1 for a centre without any."""
+    """(K,) the point closest to each centre among its own, the first of equally near ones; -1 without points."""
     member = np.full(K, -1, np.int64)
     _nearest_members(label, distance, member)
     return member
@@ -107,8 +107,10 @@ def _cell_sums(points: Singles, weight: npt.NDArray[np.float64], start: Ints, to
 
 @compiled(merged=True)
 def squares(point: Singles, others: Singles, out: Singles) -> None:
-    """(n,) squared distances of a point (p,) to others (p, n): a vector register holds several others, and each sum
-    runs from the first dimension to the last, whatever the register's width.
+    """(n,) squared distances of a point (p,) to others (p, n).
+
+    A vector register contains several others, and each sum runs from the first dimension to the last, for any width of
+    the register.
     """
     p, n = others.shape
     for k in range(n):
@@ -126,10 +128,10 @@ def squares(point: Singles, others: Singles, out: Singles) -> None:
 
 @compiled(parallel=True)
 def _seed(across: Singles, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.float64], chosen: Ints) -> None:
-    """across (p, m): the points' dimensions one after the other."""
+    """across (p, m): the points, dimension by dimension."""
     m = across.shape[1]
     K, trials = draws.shape
-    nearest = np.ones(m, np.float32)  # the first draw goes by weight alone
+    nearest = np.ones(m, np.float32)  # the first draw depends on the weights only
     attempt = np.empty((trials, m), np.float32)
     inertia = np.empty(trials)
     drawn = np.empty(trials, np.int64)
@@ -142,7 +144,7 @@ def _seed(across: Singles, weight: npt.NDArray[np.float64], draws: npt.NDArray[n
             if k > 0:
                 for i in range(m):
                     own[i] = own[i] if own[i] < nearest[i] else nearest[i]
-            # Four sums at a time, always the same four.
+            # Four partial sums, always over the same terms.
             a, b, c, d = 0.0, 0.0, 0.0, 0.0
             for i in range(0, m - m % 4, 4):
                 a, b = a + own[i] * weight[i], b + own[i + 1] * weight[i + 1]
@@ -165,7 +167,7 @@ def _nearest_centres(
     label: npt.NDArray[np.int32],
     distance: Singles,
 ) -> None:
-    """across (p, K): the centres' dimensions one after the other."""
+    """across (p, K): the centres, dimension by dimension."""
     p, K = across.shape
     for c in prange(len(mean)):
         to_mean = np.empty(K, np.float32)

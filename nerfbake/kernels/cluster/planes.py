@@ -1,4 +1,4 @@
-"""Lloyd's rounds for clusters that are not points but planes: each follows its members' features.
+"""Lloyd's algorithm for clusters that are planes over their members' features.
 
 y = x P_k,  x = (1, f)         P_k (4, p): the weighted least-squares fit to the members of cluster k
 """
@@ -12,13 +12,13 @@ from numba import prange
 from nerfbake.kernels.arrays import Floats, Singles, f32
 from nerfbake.kernels.cluster.lloyd import PARTS, PointCells, squares
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.maths.equations import solve_each
+from nerfbake.kernels.maths.linear import solve_each
 
 _FAR = 1e9
 
 
 def nearest_clusters(cells: PointCells, centres: Singles, count: int) -> npt.NDArray[np.int32]:
-    """(c, count) the clusters whose centres are closest to each cell's mean, in order; of equals the first."""
+    """(c, count) the clusters whose centres are closest to each cell's mean, in order; of equal ones the first."""
     found = np.empty((len(cells.mean), min(count, len(centres))), np.int32)
     _nearest_clusters(cells.mean, np.ascontiguousarray(centres.T), found)
     return found
@@ -27,9 +27,9 @@ def nearest_clusters(cells: PointCells, centres: Singles, count: int) -> npt.NDA
 def fit(
     points: Singles, features: Singles, weight: Floats, label: npt.NDArray[np.int32], K: int, flatness: float
 ) -> Singles:
-    """(K, 4, p) the planes of K clusters; flatness pulls their slopes to 0, per unit of weight.
+    """Fit the planes (K, 4, p) of K clusters. flatness pulls their slopes to 0, per unit of weight.
 
-    A cluster without members gets a plane so far away that it stays without.
+    A cluster without members gets a plane so far away that it remains without members.
     """
     p = points.shape[1]
     moments = np.zeros((PARTS, K, 4, 4 + p))
@@ -45,7 +45,7 @@ def fit(
 def nearest_planes(
     points: Singles, features: Singles, cells: PointCells, candidates: npt.NDArray[np.int32], planes: Singles
 ) -> npt.NDArray[np.int32]:
-    """(m,) which plane comes closest to each point, among its cell's candidates; the first of equals."""
+    """(m,) the plane closest to each point, among the candidates of its cell; the first of equally close ones."""
     label = np.empty(len(points), np.int32)
     _nearest_planes(points, features, cells.start, candidates, planes, label)
     return label
@@ -70,7 +70,7 @@ def _moments(points: Singles, features: Singles, weight: Floats, label: npt.NDAr
 
 @compiled(parallel=True)
 def _nearest_clusters(mean: Singles, across: Singles, found: npt.NDArray[np.int32]) -> None:
-    """across (p, K): the centres' dimensions one after the other."""
+    """across (p, K): the centres, dimension by dimension."""
     K, count = across.shape[1], found.shape[1]
     for c in prange(len(mean)):
         away = np.empty(K, np.float32)
@@ -98,7 +98,7 @@ def _nearest_planes(
 ) -> None:
     p, count = points.shape[1], candidates.shape[1]
     for c in prange(len(candidates)):
-        # The candidates' planes, dimension by dimension: a vector register holds several of them.
+        # The candidates' planes, dimension by dimension: a vector register contains several of them.
         near, away = np.empty((p, 4, count), np.float32), np.empty(count, np.float32)
         for q in range(count):
             for a in range(4):

@@ -1,1 +1,1 @@
-"""Numbers as bits."""
+"""Coding of numbers as bits."""

@@ -1,18 +1,19 @@
-"""Coefficients, coded row by row and channel by channel: is it zero, its sign, its size.
+"""Coding of coefficients, row by row and channel by channel: a zero flag, the sign, and the size.
 
-What is known of channel k of a row when it is its turn: its neighbours' values n0 .. n3 (those of the row's four
-references, 0 without one; within +-255, as is every value that others are judged by), and of the channels before it
+The context of channel k of a row is computed from the values n0 .. n3 of its neighbours (the row's four references; 0
+without a reference; clamped to +-255, like every value that enters a context), and from the channels before it:
 
     recent   2 |v1| + |v2| + |v3|, those of the three before it, 40 each at most
     run      the sum of all before it, 20 each at most
     dot_i    the sum of value * n_i       energy  the sum of all n_i^2
 
-If a neighbour has gone the same way so far, or the opposite way, it is likely to go on so:
+If a neighbour has varied in the same direction so far, or in the opposite direction, it is likely to continue:
 
     guess    the sum of dot_i * n_i       match   the bucket of 8 |guess| / (energy + 1)
 
-Channels of colour from the tenth on come in groups of six, which are skipped where all of them are zero. Streams split
-the channels, so that several cores may decode: each knows all that is in the streams before it.
+Channels of colour from the tenth on are coded in groups of six. A group is skipped if all its channels are zero.
+Streams split the channels, so several cores can decode: each stream uses the values of all streams before it as
+context.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.coding.pairs import AXES, REFERENCES, Pairs
+from nerfbake.kernels.coding.pairs import AXES, REFERENCES, CoefficientPairs
 from nerfbake.kernels.coding.range_coder import (
     DECODES,
     EVEN,
@@ -36,33 +37,36 @@ from nerfbake.kernels.coding.range_coder import (
     decoder,
     encoder,
     finish,
-    learnt,
     mix_bit,
     mixer,
+    updated_model,
 )
 from nerfbake.kernels.coding.range_coder import Models as Bits
-from nerfbake.kernels.coding.tables import MATCH_BUCKETS, MATCHES, SIZES
-from nerfbake.kernels.coding.tables import SIZE_BUCKETS as BUCKETS
+from nerfbake.kernels.coding.tables import MATCH_BUCKETS, MATCHES, SIZE_BUCKETS, SIZES
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.parallel import in_relay
+from nerfbake.kernels.parallel import run_in_turn
 
 Values = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.int64]
 
-CLIP, LONG, SHORT = 255, 20, 40  # how large a value may count
+CLIP, LONG, SHORT = 255, 20, 40  # limits of the values that enter a context
 FIRST_GROUP, GROUP = 9, 6  # channels
-SINGLE = 8  # sizes up to this have a decision each; above, each decision doubles the interval
-STEPS = 16  # decisions of a size that have models of their own; further ones share the last's
+SINGLE = 8  # sizes up to this have one decision each; above, each decision doubles the interval
+STEPS = 16  # decisions of a size with separate models; further ones share the last models
 MOST_STEPS = SINGLE + 29  # sizes are below 2^30
-_SHARES = np.array([0, 12, 6, 4, 3])  # 12 / how many references there are
+_SHARES = np.array([0, 12, 6, 4, 3])  # 12 / the number of references
 _SIGNS = 81  # of four neighbours
 _MATCHES = 2 * MATCH_BUCKETS  # with its sign
 _CHUNK = 1 << 13  # rows
-SOUND, TOO_LARGE, TOO_SHORT = range(3)  # what may be wrong with what is decoded
+SOUND, TOO_LARGE, TOO_SHORT = range(3)  # status of decoded values
 
 
 class Models(NamedTuple):
-    """groups, zeros, signs, sizes: for each kind of decision; bits: of the first bit behind a size's interval."""
+    """Models of all decisions.
+
+    groups, zeros, signs, sizes: a mixer for each kind of decision. bits: models of the first bit within a size's
+    interval.
+    """
 
     groups: Mixer
     zeros: Mixer
@@ -71,8 +75,11 @@ class Models(NamedTuple):
     bits: Bits
 
 
-def encode_values(values: Values, pairs: Pairs, ends: Sequence[int]) -> list[Bytes]:
-    """A stream for each run of channels; ends: where each of them ends, rising, the last is all. Row 0 is left out."""
+def encode_values(values: Values, pairs: CoefficientPairs, ends: Sequence[int]) -> list[Bytes]:
+    """Return one stream for each run of channels. Row 0 is not coded.
+
+    ends: where each run of channels ends, ascending; the last is the number of channels.
+    """
     values = np.require(values, requirements=["C", "W"])
     streams, rooms = [np.zeros(0, np.uint8)] * len(ends), [values.size // 4 + 4096] * len(ends)
     while missing := [i for i, room in enumerate(rooms) if room]:
@@ -85,14 +92,19 @@ def encode_values(values: Values, pairs: Pairs, ends: Sequence[int]) -> list[Byt
     return streams
 
 
-def decode_values(streams: Sequence[Bytes], values: Values, pairs: Pairs, ends: Sequence[int]) -> tuple[int, list[int]]:
-    """Fills rows 1 .. of values; what is wrong with them, and how many bytes each stream took."""
+def decode_values(
+    streams: Sequence[Bytes], values: Values, pairs: CoefficientPairs, ends: Sequence[int]
+) -> tuple[int, list[int]]:
+    """Fill rows 1 .. of values.
+
+    Returns the status (SOUND, TOO_LARGE or TOO_SHORT) and the number of bytes read from each stream.
+    """
     coders = {i: decoder(stream) for i, stream in enumerate(streams)}
     found = _code_all(values, pairs, ends, coders)
     return found, [consumed(coder) for coder in coders.values()]
 
 
-def _code_all(values: Values, pairs: Pairs, ends: Sequence[int], coders: dict[int, Coder]) -> int:
+def _code_all(values: Values, pairs: CoefficientPairs, ends: Sequence[int], coders: dict[int, Coder]) -> int:
     starts, wrong = [0, *ends[:-1]], [SOUND] * len(ends)
     models = {i: _models_of(values.shape[1]) for i in coders}
     near = {i: np.zeros((REFERENCES, values.shape[1]), np.int64) for i in coders}
@@ -104,17 +116,17 @@ def _code_all(values: Values, pairs: Pairs, ends: Sequence[int], coders: dict[in
             wrong[i] = _code(values, pairs, starts[i], ends[i], rows.start, rows.stop, coders[i], models[i], near[i])
 
     order = sorted(coders)
-    in_relay(work, len(order), len(values), _CHUNK)
+    run_in_turn(work, len(order), len(values), _CHUNK)
     return max(wrong)
 
 
 def _models_of(C: int) -> Models:
-    groups, sizes = C // GROUP + 1, BUCKETS**2
+    groups, sizes = C // GROUP + 1, SIZE_BUCKETS**2
     return Models(
-        mixer(max(groups, BUCKETS) * sizes, groups),
-        mixer(max(C, BUCKETS) * sizes, C),
+        mixer(max(groups, SIZE_BUCKETS) * sizes, groups),
+        mixer(max(C, SIZE_BUCKETS) * sizes, C),
         mixer(max(C * 9 * _MATCHES, C * _SIGNS, _MATCHES * _SIGNS), C),
-        mixer(max(C * _MATCHES * BUCKETS, BUCKETS * sizes) * STEPS, C * STEPS),
+        mixer(max(C * _MATCHES * SIZE_BUCKETS, SIZE_BUCKETS * sizes) * STEPS, C * STEPS),
         np.full((C, MOST_STEPS + 1), EVEN, np.int32),
     )
 
@@ -127,14 +139,14 @@ def _bucket(value: int) -> Any:
 
 @compiled(merged=True)
 def _sign(value: int) -> int:
-    """0, 1, 2 for below, at and above zero."""
+    """0, 1, 2 for a value below, at and above zero."""
     return 1 + (value > 0) - (value < 0)
 
 
 @compiled()
 def _code(
     values: Values,
-    pairs: Pairs,
+    pairs: CoefficientPairs,
     first: int,
     last: int,
     begin: int,
@@ -143,7 +155,10 @@ def _code(
     models: Models,
     near: Numbers,
 ) -> int:
-    """Codes or decodes channels first .. last - 1 of some rows; near (4, C) is room for the neighbours' values."""
+    """Encode or decode channels first .. last - 1 of rows begin .. end - 1.
+
+    near (4, C): a buffer for the values of the neighbours. Returns SOUND, TOO_LARGE or TOO_SHORT.
+    """
     C, columns = values.shape[1], len(models.bits)
     for row in range(begin, end):
         count = _look_around(values, pairs, row, last, near)
@@ -188,8 +203,8 @@ def _code(
 
 
 @compiled(merged=True)
-def _look_around(values: Values, pairs: Pairs, row: int, last: int, near: Numbers) -> int:
-    """Collects the neighbours' values; how many references there are."""
+def _look_around(values: Values, pairs: CoefficientPairs, row: int, last: int, near: Numbers) -> int:
+    """Collect the values of the neighbours. Returns the number of references."""
     count = 0
     for i in range(REFERENCES):
         reference = pairs.references[row, i]
@@ -205,7 +220,10 @@ def _look_around(values: Values, pairs: Pairs, row: int, last: int, near: Number
 
 @compiled(merged=True)
 def _group(values: Values, row: int, near: Numbers, begin: int, end: int) -> tuple[int, int]:
-    """Whether a row has something in a group of channels, when encoding, and what its neighbours have there."""
+    """Return whether the row has a nonzero value in a group of channels, and the sum of its neighbours' sizes there.
+
+    The first is meaningful only when encoding. Sizes count 3 each at most.
+    """
     some, found = 0, 0
     for k in range(begin, end):
         some |= values[row, k] != 0
@@ -220,10 +238,10 @@ Contexts = tuple[int, int, int, int]
 @compiled(merged=True)
 def _group_contexts(group: int, recent: int, total: int, around: int, slot: int) -> Contexts:
     return (
-        (group * BUCKETS + recent) * BUCKETS + total,
-        (group * BUCKETS + around) * BUCKETS + total,
-        (around * BUCKETS + recent) * BUCKETS + total,
-        (group * BUCKETS + around) * 8 + slot,
+        (group * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total,
+        (group * SIZE_BUCKETS + around) * SIZE_BUCKETS + total,
+        (around * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total,
+        (group * SIZE_BUCKETS + around) * 8 + slot,
     )
 
 
@@ -231,16 +249,16 @@ def _group_contexts(group: int, recent: int, total: int, around: int, slot: int)
 def _zero_contexts(k: int, recent: int, total: int, around: int, match: int, n: Contexts) -> Contexts:
     """n: the neighbours' values."""
     return (
-        (k * BUCKETS + recent) * BUCKETS + total,
-        (k * BUCKETS + _bucket(2 * (abs(n[0]) + abs(n[1]) + abs(n[2])))) * BUCKETS + _bucket(2 * abs(n[3])),
-        (around * BUCKETS + recent) * BUCKETS + total,
-        (k * MATCH_BUCKETS + match) * BUCKETS + around,
+        (k * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total,
+        (k * SIZE_BUCKETS + _bucket(2 * (abs(n[0]) + abs(n[1]) + abs(n[2])))) * SIZE_BUCKETS + _bucket(2 * abs(n[3])),
+        (around * SIZE_BUCKETS + recent) * SIZE_BUCKETS + total,
+        (k * MATCH_BUCKETS + match) * SIZE_BUCKETS + around,
     )
 
 
 @compiled(merged=True)
 def _sign_contexts(k: int, v1: int, v2: int, n: Contexts, way: int, axis: int, columns: int) -> Contexts:
-    """way: match, below 0 where the guess is; columns: of the first table."""
+    """way: match, negative if the guess is; columns: number of columns of the first table."""
     signs = ((_sign(n[0]) * 3 + _sign(n[1])) * 3 + _sign(n[2])) * 3 + _sign(n[3])
     return (
         signs * columns + k,
@@ -252,12 +270,15 @@ def _sign_contexts(k: int, v1: int, v2: int, n: Contexts, way: int, axis: int, c
 
 @compiled(merged=True)
 def _size_context(k: int, fits: int, around: int) -> int:
-    return (k * _MATCHES + MATCH_BUCKETS + fits) * BUCKETS + around
+    return (k * _MATCHES + MATCH_BUCKETS + fits) * SIZE_BUCKETS + around
 
 
 @compiled(merged=True)
 def _code_size(size: int, k: int, a: int, b: int, c: int, d: int, coder: Coder, models: Models) -> int:
-    """Codes or decodes a size above 0: is it more than 1, 2, ..., 8, 10, 14, 22, ...? Then its place among as many."""
+    """Encode or decode a size above 0.
+
+    First the decisions whether it is more than 1, 2, ..., 8, 10, 14, 22, ...; then its place in the interval.
+    """
     step = 1
     while step <= MOST_STEPS:
         kind = min(step, STEPS) - 1
@@ -284,7 +305,7 @@ def _code_size(size: int, k: int, a: int, b: int, c: int, d: int, coder: Coder, 
         if found == 1:
             model = models.bits[k, step]
             bit = code_bit(coder, min(max(model >> 14, 64), 65536 - 64), bit)
-            models.bits[k, step] = learnt(model, bit)
+            models.bits[k, step] = updated_model(model, bit)
         else:
             bit = code_bit(coder, 1 << 15, bit)
         found = 2 * found + bit

@@ -1,13 +1,13 @@
-"""What each pair of the Haar transform is compared with: pairs that are coded before it and are likely to be like it.
+"""References of each pair of the Haar transform: pairs that are coded before it and likely have similar coefficients.
 
-A node's children merge along z, then y, then x, so that it has up to seven pairs:
+The children of a node merge along z, then y, then x, so a node has up to seven pairs:
 
     slot 0          along z   its lower and its upper half
     slots 1, 2      along y   in its lower and in its upper half
     slots 3 to 6    along x   3 + y + 2z
 
-A pair is there if both of its halves have children. Rows of coefficients: 0 is the sum of all; then, level by level,
-the pairs of slot 0 of all nodes in order, then those of slots 1 and 2 node by node, then those of slots 3 to 6.
+A pair exists if both of its halves have children. Row 0 of the coefficients is the sum of all. The pairs follow level
+by level: first slot 0 of all nodes in order, then slots 1 and 2 node by node, then slots 3 to 6.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.coding.nodes import NONE, Masks, Nodes, child, nodes_of
+from nerfbake.kernels.coding.topology import NONE, MaskNodes, Masks, child, nodes_of
 from nerfbake.kernels.jit import compiled
 
 Rows = npt.NDArray[np.int32]
@@ -25,30 +25,30 @@ REFERENCES = 4
 AXES = np.array([2, 1, 1, 0, 0, 0, 0])  # of each slot
 
 
-class Pairs(NamedTuple):
-    """Of the m rows of coefficients:
+class CoefficientPairs(NamedTuple):
+    """Slots and references of the m rows of coefficients:
 
     slot        (m,) uint8 the pair's slot in its node
-    references  (m, 4) int32 rows; 0 where there is none, as the sum is nobody's reference
+    references  (m, 4) int32 rows; 0 for none, because the sum is never a reference
                 0, 1, 2  the pair of the same axis that touches this one at -x, -y, -z
-                3        the pair of the same axis that this one lies in, of the nearest node above that has one
+                3        the pair of the same axis that contains this one, of the nearest node above that has one
     """
 
     slot: npt.NDArray[np.uint8]
     references: Rows
 
 
-def pairs_of(masks: Masks, m: int) -> Pairs:
-    """The pairs behind sound masks of m leaves."""
-    pairs = Pairs(np.zeros(m, np.uint8), np.zeros((m, REFERENCES), np.int32))
-    c, own = len(masks), masks.copy()  # numba tells read-only arrays apart
+def pairs_of(masks: Masks, m: int) -> CoefficientPairs:
+    """The pairs of valid masks with m leaves."""
+    pairs = CoefficientPairs(np.zeros(m, np.uint8), np.zeros((m, REFERENCES), np.int32))
+    c, own = len(masks), masks.copy()  # numba compiles read-only arrays separately
     _find(own, nodes_of(own), np.zeros((c, 7), np.int32), np.zeros((c, 3), np.int32), pairs)
     return pairs
 
 
 @compiled()
-def _find(masks: Masks, nodes: Nodes, rows: Rows, above: Rows, pairs: Pairs) -> None:
-    """rows (c, 7) of each slot, 0 for none; above (c, 3) the pair of each axis that a node lies in."""
+def _find(masks: Masks, nodes: MaskNodes, rows: Rows, above: Rows, pairs: CoefficientPairs) -> None:
+    """rows (c, 7): the row of each slot, 0 for none; above (c, 3): the pair of each axis that contains the node."""
     begin, row = 0, 1
     while begin < len(masks):
         end = begin
@@ -89,7 +89,7 @@ def _refer(beside: Rows, node: int, slot: int, rows: Rows, above: Rows, referenc
     own = references[rows[node, slot]]
     axis, first = AXES[slot], (0, 1, 3)[2 - AXES[slot]]
     for side in range(3):
-        # Inside of the node there are pairs beside each other along the axes above the pair's own.
+        # Pairs inside the same node are adjacent along the axes above the pair's axis.
         bit = 1 << side - axis - 1 if side > axis else 0
         inside = bit and slot - first & bit
         near = node if inside else beside[side]

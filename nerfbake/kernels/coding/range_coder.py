@@ -1,21 +1,21 @@
-"""A binary range coder whose probabilities are mixed from several adaptive models. Whole numbers alone.
+"""A binary range coder with probabilities mixed from several adaptive models, in integer arithmetic only.
 
-Decisions are bits, each with a probability p that it is 1, in 1/65536. The coder keeps an interval of 32 bits:
+Decisions are bits, each with a probability p of being 1, in 1/65536. The coder keeps an interval of 32 bits:
 
     range   2^24 .. 2^32 - 1     bound = range * p >> 16
     1       takes the lower part: range = bound
     0       takes the upper part: low += bound, range -= bound
     while range < 2^24           a byte is shifted out of low (into code, when decoding), range <<= 8
 
-A model is a probability in 1/2^22 and a count n of outcomes in one number, p << 8 | n; it moves by 1 / (n + 1.5) of its
-error, n at most 250. A decision has a few models, found by what is known of it. Their probabilities are mixed in the
-logistic domain by weights in 1/65536, which learn as well:
+A model is one number, p << 8 | n: a probability in 1/2^22 and a count n of outcomes. Each outcome moves it by
+1 / (n + 1.5) of its error, n at most 250. A decision uses several models, selected by its contexts. Their probabilities
+are mixed in the logistic domain with weights in 1/65536, which adapt as well:
 
     x = sum of weight * stretch(p) >> 16, within +-2047      p = squash(x)
     error = (65535 or 0) - p                                 weight += stretch(p) * error * 3 + 2^15 >> 16
 
-One function codes and decodes, so that both see the same numbers. Sources: G. N. N. Martin, "Range encoding", 1979;
-M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
+The same function encodes and decodes, so both compute the same numbers. Sources: G. N. N. Martin, "Range encoding",
+1979; M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
 """
 
 from __future__ import annotations
@@ -32,48 +32,51 @@ Bytes = npt.NDArray[np.uint8]
 Numbers = npt.NDArray[np.int64]
 Models = npt.NDArray[np.int32]
 
-DECODES, LOW, RANGE, PLACE = range(4)  # of a coder's state; LOW is the code when decoding
-EVEN = 1 << 29  # a model that knows nothing: p = 1/2, n = 0
-START = 4  # bytes that a decoder has read before the first decision
-AHEAD = 3  # bytes that it is ahead of the encoder's last
-KINDS = 4  # models of a decision
-WEIGHT = 19661  # of each to begin with: 0.3
-RATE = 3  # of the weights
+DECODES, LOW, RANGE, PLACE = range(4)  # indices of a coder's state; LOW is the code when decoding
+EVEN = 1 << 29  # the initial model: p = 1/2, n = 0
+START = 4  # bytes that a decoder reads before the first decision
+AHEAD = 3  # bytes that a decoder is ahead of the encoder's last byte
+KINDS = 4  # models for each decision
+WEIGHT = 19661  # initial weight of each model: 0.3
+RATE = 3  # learning rate of the weights
 
 
 class Coder(NamedTuple):
-    """state (4,) and the bytes: those to decode, or room for those that are written."""
+    """state (4,), and data: the bytes to decode, or a buffer for the encoded bytes."""
 
     state: Numbers
     data: Bytes
 
 
 class Mixer(NamedTuple):
-    """models (4, values) of each kind of context those of all its values; weights (sets, 4)."""
+    """models (4, values): for each kind of context the models of all its values; weights (sets, 4)."""
 
     models: Models
     weights: Numbers
 
 
 def encoder(room: int) -> Coder:
-    """A coder that writes at most so many bytes, finish() included."""
+    """A coder that writes at most this number of bytes, including those of finish()."""
     return Coder(np.array([0, 0, (1 << 32) - 1, 0]), np.zeros(room + 1, np.uint8))
 
 
 def decoder(data: Bytes) -> Coder:
-    """A coder that reads these bytes, and zeros behind them."""
+    """A coder that reads these bytes, followed by zeros."""
     code = int.from_bytes(bytes(data[:START]).ljust(START, b"\0"), "big")
-    return Coder(np.array([1, code, (1 << 32) - 1, START]), data.copy())  # numba tells read-only arrays apart
+    return Coder(np.array([1, code, (1 << 32) - 1, START]), data.copy())  # numba compiles read-only arrays separately
 
 
 def mixer(values: int, sets: int) -> Mixer:
-    """Models for four kinds of contexts with so many values, and sets of weights for so many kinds of decisions."""
+    """Models for four kinds of contexts with this number of values each, and this number of weight sets."""
     return Mixer(np.full((KINDS, values), EVEN, np.int32), np.full((sets, KINDS), WEIGHT))
 
 
 @compiled(merged=True)
 def code_bit(coder: Coder, p: int, bit: int) -> Any:
-    """Codes this bit, or decodes one: whichever the coder does. p is of a 1, in 1/65536, neither 0 nor 65536."""
+    """Encode this bit, or decode and return one, depending on the coder.
+
+    p: probability of a 1 in 1/65536, neither 0 nor 65536.
+    """
     low, width = coder.state[LOW], coder.state[RANGE]
     bound = width * p >> 16
     if coder.state[DECODES]:
@@ -105,7 +108,7 @@ def code_bit(coder: Coder, p: int, bit: int) -> Any:
 
 @compiled(merged=True)
 def _carry(coder: Coder) -> None:
-    """Adds 1 to what has been written."""
+    """Add 1 to the bytes written so far."""
     place = min(coder.state[PLACE], len(coder.data)) - 1
     while coder.data[place] == 255:
         coder.data[place] = 0
@@ -115,7 +118,7 @@ def _carry(coder: Coder) -> None:
 
 @compiled(merged=True)
 def mix_bit(coder: Coder, mixer: Mixer, own: int, a: int, b: int, c: int, d: int, bit: int) -> Any:
-    """Codes or decodes a bit with model a of the first kind, b of the second, c and d, and its own set of weights."""
+    """Encode or decode a bit with model a of the first kind, b of the second, c and d, and weight set `own`."""
     m0, m1, m2, m3 = mixer.models[0, a], mixer.models[1, b], mixer.models[2, c], mixer.models[3, d]
     w0, w1, w2, w3 = mixer.weights[own, 0], mixer.weights[own, 1], mixer.weights[own, 2], mixer.weights[own, 3]
     x0, x1 = int(STRETCH[m0 >> 18]), int(STRETCH[m1 >> 18])
@@ -128,13 +131,13 @@ def mix_bit(coder: Coder, mixer: Mixer, own: int, a: int, b: int, c: int, d: int
     mixer.weights[own, 1] = w1 + (x1 * error + (1 << 15) >> 16)
     mixer.weights[own, 2] = w2 + (x2 * error + (1 << 15) >> 16)
     mixer.weights[own, 3] = w3 + (x3 * error + (1 << 15) >> 16)
-    mixer.models[0, a], mixer.models[1, b] = learnt(m0, bit), learnt(m1, bit)
-    mixer.models[2, c], mixer.models[3, d] = learnt(m2, bit), learnt(m3, bit)
+    mixer.models[0, a], mixer.models[1, b] = updated_model(m0, bit), updated_model(m1, bit)
+    mixer.models[2, c], mixer.models[3, d] = updated_model(m2, bit), updated_model(m3, bit)
     return bit
 
 
 @compiled(merged=True)
-def learnt(model: int, bit: int) -> Any:
+def updated_model(model: int, bit: int) -> Any:
     """The model after an outcome."""
     p, n = model >> 8, model & 255
     p += (bit * ((1 << 22) - 1) - p) * RATES[n] >> 16
@@ -143,7 +146,7 @@ def learnt(model: int, bit: int) -> Any:
 
 @compiled()
 def finish(coder: Coder) -> Any:
-    """Ends what is encoded; how many bytes it takes, which may be more than there was room for."""
+    """Finish encoding. Returns the number of bytes, which may exceed the size of the buffer."""
     state, data = coder
     state[LOW] += 0xFFFFFF
     if state[LOW] >> 32:
@@ -155,5 +158,5 @@ def finish(coder: Coder) -> Any:
 
 
 def consumed(coder: Coder) -> int:
-    """How many bytes the encoder wrote of what has been decoded; more than there are where they end too early."""
+    """Number of bytes that the encoder wrote for the decoded bits; more than the data has if it is truncated."""
     return int(coder.state[PLACE]) - AHEAD

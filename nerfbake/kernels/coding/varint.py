@@ -1,6 +1,6 @@
-"""Protocol Buffers' varints, many at a time.
+"""Encode and decode many varints of Protocol Buffers at once.
 
-A varint holds 7 bits a byte, low bits first; the top bit says that more follow:
+A varint has 7 bits per byte, low bits first; the top bit is set if more bytes follow:
 
     300 = 0b10_0101100   ->   1_0101100  0_0000010
 
@@ -29,13 +29,13 @@ def varint_sizes(values: npt.NDArray[np.int32]) -> int:
 
 
 def encode_varints(values: npt.NDArray[np.int32]) -> bytes:
-    """These numbers as varints."""
+    """Encode these numbers as varints."""
     if not values.size:
         return b""
     low, high = int(values.min()), int(values.max())
     if low >= 0 and high < 128:
         return values.astype(np.uint8).tobytes()
-    # Most numbers of a table are 0, which is a byte of 0: the others are put in between.
+    # Most numbers of a table are 0, which is encoded as a zero byte: only the others are written.
     at = np.flatnonzero(values != 0)
     some = values[at].astype(np.int64).view(np.uint64)
     width = MAX_VARINT if low < 0 else -(-high.bit_length() // 7)
@@ -52,9 +52,9 @@ def encode_varints(values: npt.NDArray[np.int32]) -> bytes:
 
 
 def decode_varints(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
-    """The numbers behind a run of varints, cut to 32 bits as protobuf cuts an int32.
+    """Decode a run of varints, truncated to 32 bits as protobuf truncates an int32.
 
-    Takes 4 bytes a number and a few megabytes. Raises InvalidFile for a number that never ends.
+    Takes 4 bytes per number and a few megabytes. Raises InvalidFile for a varint that does not end.
     """
     parts = [data[start : start + _CHUNK] for start in range(0, len(data), _CHUNK)]
     out = np.empty(sum(int(np.count_nonzero(part < 0x80)) for part in parts), np.int32)
@@ -65,11 +65,11 @@ def decode_varints(data: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
         sizes = np.diff(ends, prepend=-1)
         if not len(ends) or sizes.max() > MAX_VARINT:
             raise InvalidFile(
-                Problem(f"a varint behind byte {begin:,}", "does not end", f"{MAX_VARINT} bytes a number")
+                Problem(f"a varint after byte {begin:,}", "does not end", f"{MAX_VARINT} bytes per number")
             )
         values = _numbers(part, ends - sizes + 1, sizes)
         out[filled : filled + len(values)] = values
-        # A number that the chunk's end cuts in two is read with the next chunk.
+        # A number that is split by the end of the chunk is decoded with the next chunk.
         begin, filled = begin + int(ends[-1]) + 1, filled + len(values)
     return out
 

@@ -1,1 +1,1 @@
-"""A sparse field that is fitted to pictures: its bricks, the rays through them, and the steps that it takes."""
+"""Kernels that fit a sparse field to pictures: bricks, rays through them, and optimisation steps."""

@@ -1,8 +1,10 @@
-"""The field while it is fitted: bricks of 8^3 cells with their values, and what one view's tasks make of them.
+"""The field during a fit: bricks of 8^3 cells, the grid of bricks, and the buffers of the tasks of one view.
 
-Cells are numbered within their brick, so that a brick's table is 1 KB, and a task that sees a brick can keep all that
-it learns about it in one run of its own rows. A brick's values stand together, one coefficient of all its cells after
-the other, so that a processor takes many cells at a time.
+Cells are numbered within their brick. The table of a brick takes 1 KB, and a task that hits a brick can store all its
+sums for the brick in one run of rows. The values of a brick are contiguous, one coefficient of all its cells after the
+other, so a CPU processes many cells at a time.
+
+The grid of bricks contains the number of each brick. Where there is none, it contains the distance to the nearest one.
 """
 
 from __future__ import annotations
@@ -13,27 +15,55 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
+from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.jit import compiled
 
-Whole = Any  # a whole number, of any type
-SIZE = 512  # cells of a brick
-# A slot is cell << 1 | wide; or nothing, in one cell or in all eight of a wide one.
+Top = npt.NDArray[np.int32]
+
+
+def top_grid(held: Bits) -> Top:
+    """Number the occupied places of a grid (r, r, r) bool in raster order; return (r, r, r) int32.
+
+    An empty place contains -d, where d is the Chebyshev distance to the nearest brick, so a ray may skip d - 1 further
+    bricks in every direction. Without any brick, d is r everywhere.
+    """
+    r = len(held)
+    top = np.full(held.shape, -r, np.int32)
+    near = held.copy()
+    for away in range(1, r):
+        wider = dilated(near)
+        top[wider & ~near] = -away
+        if wider.all() or not wider.any():
+            break
+        near = wider
+    top[held] = np.arange(np.count_nonzero(held), dtype=np.int32)
+    return top
+
+
+Whole = Any  # an integer of any type
+SIZE = 512  # places in a brick
+# A slot is cell << 1 | wide; a wide cell fills a block of 2^3 places. EMPTY marks one empty place, EMPTY_WIDE each
+# place of an empty block.
 EMPTY, EMPTY_WIDE = -2, -1
-# A row of what a task makes of a cell: 16 numbers, a line of the cache.
-SIGMA = 3  # behind red, green, blue: density per world unit
+# A task's row for a cell has 16 numbers: one cache line.
+SIGMA = 3  # after red, green, blue: density per world unit
 COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE, MOST, BLAME = 4, 7, 8, 9, 10, 11
 ROW = 16
 UNMET, LOST = -1, -2
 
 
-class Bricks(NamedTuple):
-    """top (r, r, r): kernels.fit.topgrid. slots (b, 512) int16, x-major. first (b + 1,): the number of each brick's
-    first cell. places (n,) int16: place << 1 | wide of each cell in its brick.
+class BrickGrid(NamedTuple):
+    """The bricks of a field and their values.
 
-    values ((3 B + 1) n,): of each brick in turn the coefficients, all cells' first, all cells' second, ...; then the
-    densities, per own width. low, size (3,): the lattice's corner and its cells in the world; width: what "own width"
-    is of a cell that is not wide.
+    top        (r, r, r)        numbers of the bricks, see top_grid()
+    slots      (b, 512) int16   the slot of each place in a brick, x-major
+    first      (b + 1,)         the number of each brick's first cell
+    places     (n,) int16       place << 1 | wide of each cell in its brick
+    values     ((3 B + 1) n,)   of each brick in turn: the coefficients (all cells' first, all cells' second, ...),
+                                then the densities, per width of the cell
+    low, size  (3,)             corner of the lattice and size of a cell, in the world
+    width                       the width of a cell that is not wide, in world units
     """
 
     top: npt.NDArray[np.int32]
@@ -46,9 +76,13 @@ class Bricks(NamedTuple):
     width: float
 
 
-class Batch(NamedTuple):
-    """What tasks make of one view: rows (tasks, capacity, 16) of the cells in the bricks that each has met, whose first
-    row in it is base (tasks, b): UNMET, or LOST where the rows were too few. used (tasks,): rows asked for.
+class TaskBuffers(NamedTuple):
+    """The results of the tasks for one view.
+
+    base  (tasks, b)              the row of each brick's first cell in each task; UNMET, or LOST if there was no
+                                  space left
+    used  (tasks,)                rows that each task requested
+    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit
     """
 
     base: npt.NDArray[np.int32]
@@ -56,18 +90,18 @@ class Batch(NamedTuple):
     rows: Singles
 
 
-def new_batch(tasks: int, bricks: int, capacity: int) -> Batch:
-    """Its rows start where a line of the cache does."""
+def new_batch(tasks: int, bricks: int, capacity: int) -> TaskBuffers:
+    """Allocate the buffers. Their rows are aligned to cache lines."""
     flat = np.empty(tasks * capacity * ROW + ROW, np.float32)
     skip = -(flat.ctypes.data // 4) % ROW
     rows = flat[skip : skip + tasks * capacity * ROW].reshape(tasks, capacity, ROW)
-    return Batch(np.empty((tasks, bricks), np.int32), np.zeros(tasks, np.int64), rows)
+    return TaskBuffers(np.empty((tasks, bricks), np.int32), np.zeros(tasks, np.int64), rows)
 
 
-# Loops in parallel only call what does the work: with more in them, numba was seen to mix up the turns' variables.
+# Parallel loops only call a function: with more code in the loop, numba was seen to mix up variables of its iterations.
 @compiled(parallel=True)
 def values_by_cell(values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
-    """A brick's values as a row (n, 3 B + 1) for each cell."""
+    """Convert the values of bricks into one row (n, 3 B + 1) for each cell."""
     for brick in prange(len(first) - 1):
         _by_cell(values, np.int64(first[brick]), np.int64(first[brick + 1]), out)
 
@@ -82,7 +116,7 @@ def _by_cell(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
 
 @compiled(parallel=True)
 def values_by_brick(values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
-    """A row (n, 3 B + 1) for each cell as bricks' values, the way back."""
+    """Convert one row (n, 3 B + 1) for each cell into the values of bricks: the inverse of values_by_cell()."""
     for brick in prange(len(first) - 1):
         _by_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), out)
 
@@ -96,14 +130,14 @@ def _by_brick(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
 
 
 @compiled(parallel=True)
-def inherit(rows: npt.NDArray[np.int32], old: Bricks, new: Bricks) -> None:
-    """Fills in the new bricks' values: cell i is what cell `rows[i]` of the old ones was, as dense in the world."""
+def copy_parents(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
+    """Fill the values of the new bricks: cell i copies old cell `rows[i]` and keeps its density in the world."""
     for brick in prange(len(new.slots)):
         _inherit(rows, old, new, brick)
 
 
 @compiled()
-def _inherit(rows: npt.NDArray[np.int32], old: Bricks, new: Bricks, brick: int) -> None:
+def _inherit(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid, brick: int) -> None:
     D, first = len(new.values) // len(rows), np.int64(new.first[brick])
     count, start = np.int64(new.first[brick + 1]) - first, D * first
     for cell in range(count):

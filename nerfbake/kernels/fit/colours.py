@@ -1,4 +1,7 @@
-"""What a task needs to know of a brick that it meets: the colours of its cells as they look from the camera."""
+"""The pixels that a fit uses, and the colours of a brick's cells as seen from the camera.
+
+Pixels are ordered so that consecutive ones share most of the cells that their rays hit.
+"""
 
 from __future__ import annotations
 
@@ -6,28 +9,115 @@ from math import pi, sqrt
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from numba import prange
 
-from nerfbake.kernels.arrays import Floats, Singles
-from nerfbake.kernels.fit.bricks import LOST, ROW, SIGMA, SIZE, Batch, Bricks, Whole
+from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
+from nerfbake.kernels.fit.bricks import LOST, ROW, SIGMA, SIZE, BrickGrid, TaskBuffers, Whole
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.sh import fill_basis
+from nerfbake.kernels.octree.lookup import dilate
 
-compiled_fill_basis: Any = compiled()(fill_basis)
-_K0, _K1, _K2, _K20 = 0.5 / sqrt(pi), sqrt(3 / (4 * pi)), sqrt(15 / (4 * pi)), sqrt(5 / (16 * pi))
-_X, _Y, _Z, _SUM, _BASIS = 0, 1, 2, 3, 4  # rows of the room to work in
+TILE = 8
+_PLAIN = 3 / 255  # a colour that differs less from the background counts as background
+
+
+def tile_order(width: int, height: int) -> Ints:
+    """(tiles,) row << 16 | column of each tile of 8 x 8 pixels, along a Morton curve."""
+    rows, columns = (np.arange((edge + TILE - 1) // TILE) for edge in (height, width))
+    row, column = (each.reshape(-1) for each in np.meshgrid(rows, columns, indexing="ij"))
+    order = np.argsort(dilate(row) << 1 | dilate(column), kind="stable")
+    return (row << 16 | column)[order]
+
+
+@compiled(parallel=True)
+def downscale(picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles) -> None:
+    """Fill `out` (H, W, 4) float32: means of the colours of scale^2 pixels over the background, 0..1, and of alpha.
+
+    If alpha carries no information (masked is False), a pixel counts as opaque where it differs from the background.
+    """
+    for y in prange(out.shape[0]):
+        _shrink_row(picture, background, masked, scale, y, out)
 
 
 @compiled()
-def new_room(B: int) -> Singles:
-    """(4 + B, 512): room for directions, a sum, and the basis of a brick's cells."""
+def _shrink_row(
+    picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, y: int, out: Singles
+) -> None:
+    ground0, ground1, ground2 = background[0], background[1], background[2]
+    for x in range(out.shape[1]):
+        red, green, blue, held = 0.0, 0.0, 0.0, 0.0
+        for j in range(scale):
+            for i in range(scale):
+                row, column = y * scale + j, x * scale + i
+                alpha = picture[row, column, 3] / 255
+                c0, c1, c2 = picture[row, column, 0] / 255, picture[row, column, 1] / 255, picture[row, column, 2] / 255
+                red += c0 * alpha + ground0 * (1 - alpha)
+                green += c1 * alpha + ground1 * (1 - alpha)
+                blue += c2 * alpha + ground2 * (1 - alpha)
+                differs = max(abs(c0 - ground0), abs(c1 - ground1), abs(c2 - ground2))
+                held += alpha if masked else 1.0 if differs > _PLAIN else 0.0
+        out[y, x, 0], out[y, x, 1] = red / (scale * scale), green / (scale * scale)
+        out[y, x, 2], out[y, x, 3] = blue / (scale * scale), held / (scale * scale)
+
+
+@compiled()
+def number_pixels(held: Bits, tiles: Ints, pixels: npt.NDArray[np.int32]) -> int:
+    """Write the numbers of the pixels that are set in `held` (H, W), tile by tile; return their count."""
+    height, width, count = held.shape[0], held.shape[1], 0
+    for tile in tiles:
+        top, left = (tile >> 16) * TILE, (tile & 0xFFFF) * TILE
+        for y in range(top, min(top + TILE, height)):
+            for x in range(left, min(left + TILE, width)):
+                if held[y, x]:
+                    pixels[count] = y * width + x
+                    count += 1
+    return count
+
+
+@compiled()
+def pinhole_directions(
+    pixels: npt.NDArray[np.int32], width: int, optics: Floats, turn: Floats, samples: int, out: Singles
+) -> None:
+    """Fill `out` (pixels samples^2, 3) with unit directions at fixed places in each pixel.
+
+    optics: fx, fy, cx, cy; turn (3, 3): the axes of the camera in the world, as columns.
+    """
+    ray = 0
+    for pixel in pixels:
+        for j in range(samples):
+            y = -(pixel // width + (j + 0.5) / samples - optics[3]) / optics[1]
+            for i in range(samples):
+                x = (pixel % width + (i + 0.5) / samples - optics[2]) / optics[0]
+                part = 1 / np.sqrt(x * x + y * y + 1)
+                for axis in range(3):
+                    out[ray, axis] = (x * turn[axis, 0] + y * turn[axis, 1] - turn[axis, 2]) * part
+                ray += 1
+
+
+def gather_pixels(image: Singles, pixels: npt.NDArray[Any]) -> Singles:
+    """(m, 4) values of the pixels."""
+    return np.asarray(image.reshape(-1, 4)[pixels], np.float32)
+
+
+compiled_fill_basis: Any = compiled()(fill_basis)
+_K0, _K1, _K2, _K20 = 0.5 / sqrt(pi), sqrt(3 / (4 * pi)), sqrt(15 / (4 * pi)), sqrt(5 / (16 * pi))
+_X, _Y, _Z, _SUM, _BASIS = 0, 1, 2, 3, 4  # rows of the buffer
+
+
+@compiled()
+def new_colour_buffer(B: int) -> Singles:
+    """Allocate a buffer (4 + B, 512) for the directions, a sum, and the basis of a brick's cells."""
     return np.empty((_BASIS + B, SIZE), np.float32)
 
 
 @compiled()
-def enter(bricks: Bricks, batch: Batch, task: Whole, brick: Whole, at: Any, eye: Floats, room: Singles) -> Whole:
-    """Fills the rows of a brick's cells and gives the first one's number; LOST where there is no room left.
+def fill_brick_rows(
+    bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, at: Any, eye: Floats, room: Singles
+) -> Whole:
+    """Fill the rows of a brick's cells. Return the number of the first row, or LOST if the capacity is exceeded.
 
-    at (3,) int: the brick in the top grid; eye (3,) in the world.
+    at (3,) int: the brick in the top grid; eye (3,) in the world; room: a buffer of new_colour_buffer().
     """
     first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
     base = batch.used[task]
@@ -40,7 +130,9 @@ def enter(bricks: Bricks, batch: Batch, task: Whole, brick: Whole, at: Any, eye:
     x = np.float32(low[0] + 8 * at[0] * size[0] - eye[0])
     y = np.float32(low[1] + 8 * at[1] * size[1] - eye[1])
     z = np.float32(low[2] + 8 * at[2] * size[2] - eye[2])
-    look(bricks.places, first, count, x, y, z, np.float32(size[0]), np.float32(size[1]), np.float32(size[2]), room)
+    evaluate_basis(
+        bricks.places, first, count, x, y, z, np.float32(size[0]), np.float32(size[1]), np.float32(size[2]), room
+    )
     start = (3 * B + 1) * first
     for channel in range(3):
         _colour(bricks.values, start + channel * B * count, count, B, room, batch.rows, task, base, channel)
@@ -48,13 +140,14 @@ def enter(bricks: Bricks, batch: Batch, task: Whole, brick: Whole, at: Any, eye:
     return np.int64(base)
 
 
-# Indices below are unsigned: a signed one may be negative, which costs a comparison and the vector instructions.
+# Indices below are unsigned: numba checks signed ones for being negative, which also prevents vectorisation.
 @compiled()
-def look(
+def evaluate_basis(
     places: Any, first: Whole, count: Whole, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, room: Singles
 ) -> None:
-    """The basis in the directions to the centres of a brick's cells; x, y, z: to the brick's corner; dx, dy, dz: the
-    size of a cell, all float32.
+    """Evaluate the basis in the directions to the centres of a brick's cells.
+
+    x, y, z: the vector from the camera to the corner of the brick; dx, dy, dz: the size of a cell; all float32.
     """
     start, half = np.uint64(first), np.float32(0.5)
     for cell in range(np.uint64(count)):
@@ -75,7 +168,7 @@ def look(
 
 @compiled()
 def _low_basis(room: Singles, count: Whole, B: int) -> None:
-    """kernels.march.sh.fill_basis() up to the second band, in one go: six times as fast."""
+    """kernels.march.sh.fill_basis() up to the second band, for all cells at once: six times as fast."""
     for cell in range(np.uint64(count)):
         room[4, cell] = np.float32(_K0)
     if B > 1:
@@ -105,7 +198,7 @@ def _colour(
     base: Whole,
     channel: int,
 ) -> None:
-    """One channel of a brick's cells as they look."""
+    """Compute one channel of the colours of a brick's cells."""
     start, cells, into = np.uint64(first), np.uint64(count), np.uint64(base)
     for cell in range(cells):
         room[_SUM, cell] = np.float32(0)
@@ -131,7 +224,7 @@ def _fill(
     task: Whole,
     base: Whole,
 ) -> None:
-    """Densities, and zeros where sums will be."""
+    """Write densities, and zeros for the sums."""
     part, half = np.float32(1 / width), np.float32(0.5 / width)
     value, place, into = np.uint64(start), np.uint64(first), np.uint64(base)
     for cell in range(np.uint64(count)):

@@ -1,4 +1,4 @@
-"""What silhouettes leave of a solid: cells that are in front of the background in some view cannot hold anything."""
+"""The visual hull of silhouettes: cells that are in front of the background in any view are empty."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.traversal import within
+from nerfbake.kernels.march.traversal import containing_cell
 
 Marks = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.uint16]
 _HELD, _CLEAR = 1, 2
-TASKS = 4  # that share a view's rays
+TASKS = 4  # tasks that share the rays of a view
 
 
 @compiled(parallel=True)
 def mark_clear(
     low: Floats, size: Floats, eye: Floats, directions: Singles, held: Bits, met: Marks, clear: Counts, inside: Counts
 ) -> None:
-    """Adds one to `inside` (R, R, R) for the cells that a view sees, and to `clear` for those of them that only its
-    background's rays cross.
+    """Add 1 to `inside` for each cell that a view sees, and 1 to `clear` for each that only background rays cross.
 
-    low, size, eye (3,): the lattice's corner, its cells, and the camera in the world. directions (m, 3) and held (m,):
-    which rays are the object's. met (TASKS, R, R, R): room to work in.
+    inside, clear (R, R, R). low, size, eye (3,): the corner of the lattice, the size of a cell, and the camera, in the
+    world. directions (m, 3) and held (m,): the rays, and whether each hits the object. met (TASKS, R, R, R): a buffer.
     """
     place = (eye - low) / size
     for task in prange(TASKS):
@@ -37,7 +36,7 @@ def mark_clear(
 
 @compiled()
 def _mark_part(task: int, place: Floats, size: Floats, directions: Singles, held: Bits, met: Marks) -> None:
-    """A task's rays, in its own room."""
+    """March the rays of one task and mark cells in the task's part of the buffer."""
     own, rays = met[task], len(directions)
     own[:] = 0
     for ray in range(rays * task // TASKS, rays * (task + 1) // TASKS):
@@ -47,7 +46,7 @@ def _mark_part(task: int, place: Floats, size: Floats, directions: Singles, held
 
 @compiled()
 def _count_slab(x: int, met: Marks, clear: Counts, inside: Counts) -> None:
-    """What the tasks' marks of a slab say together."""
+    """Combine the marks of all tasks in one slab of cells."""
     for y in range(clear.shape[1]):
         for z in range(clear.shape[2]):
             marks = np.uint8(0)
@@ -59,7 +58,7 @@ def _count_slab(x: int, met: Marks, clear: Counts, inside: Counts) -> None:
 
 @compiled()
 def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark: Any, met: Marks) -> None:
-    """Marks the cells along a ray."""
+    """Mark the cells along a ray."""
     R = met.shape[0]
     i0 = 1 / d0 if d0 != 0 else np.inf
     i1 = 1 / d1 if d1 != 0 else np.inf
@@ -69,7 +68,11 @@ def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark
     start, end = part_between(o2, i2, R, start, end)
     if start >= end:
         return
-    x, y, z = within(o0 + start * d0, 0, R - 1), within(o1 + start * d1, 0, R - 1), within(o2 + start * d2, 0, R - 1)
+    x, y, z = (
+        containing_cell(o0 + start * d0, 0, R - 1),
+        containing_cell(o1 + start * d1, 0, R - 1),
+        containing_cell(o2 + start * d2, 0, R - 1),
+    )
     while 0 <= x < R and 0 <= y < R and 0 <= z < R:
         met[x, y, z] |= mark
         exit0 = (x + (d0 > 0) - o0) * i0 if d0 != 0 else np.inf
@@ -85,7 +88,7 @@ def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark
 
 @compiled(merged=True)
 def part_between(origin: float, inverse: float, edge: float, start: float, end: float) -> Any:
-    """The part of a ray from start to end that is between 0 and an edge; inverse: one over its direction."""
+    """Clip a ray from start to end to 0 .. edge along one axis; inverse: one over its direction."""
     if inverse == np.inf or inverse == -np.inf:
         return start, end if 0 <= origin < edge else -1.0
     near, far = -origin * inverse, (edge - origin) * inverse

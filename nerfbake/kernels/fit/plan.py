@@ -1,9 +1,9 @@
-"""From one set of cells to the next: what is kept, and what is divided, brick by brick.
+"""Plans for the next set of cells: which cells to keep and which to split, brick by brick.
 
-A plan is a grid of bricks and for each of them 512 codes, x-major, that say what its cells will be made of:
+A plan is a grid of bricks, and for each brick 512 codes, x-major, that name the source of each cell:
 
-    -1                nothing
-    row << 1 | wide   the values of this row; wide: in one of 2^3 places that are one cell
+    -1                no cell
+    row << 1 | wide   the values of this row; wide: one of the 2^3 places of a wide cell
 """
 
 from __future__ import annotations
@@ -15,26 +15,23 @@ import numpy.typing as npt
 from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Ints
-from nerfbake.kernels.fit.bricks import EMPTY, EMPTY_WIDE, SIZE
-from nerfbake.kernels.fit.topgrid import Top, top_grid
+from nerfbake.kernels.fit.bricks import EMPTY, EMPTY_WIDE, SIZE, Top, top_grid
 from nerfbake.kernels.jit import compiled
 
 Codes = npt.NDArray[np.int32]
 NONE = -1
-# Loops in parallel only call what does the work: with more in them, numba was seen to mix up the turns' variables.
+# Parallel loops only call a function: with more code in the loop, numba was seen to mix up variables of its iterations.
 
 
-class Plan(NamedTuple):
-    """top (r, r, r) numbers the bricks, as kernels.fit.topgrid does; codes (b, 512)."""
+class BrickPlan(NamedTuple):
+    """top (r, r, r): the numbers of the bricks, see kernels.fit.bricks.top_grid(); codes (b, 512)."""
 
     top: Top
     codes: Codes
 
 
-class Settled(NamedTuple):
-    """The bricks of a plan that hold something: their tables for kernels.fit.bricks, and the row that each cell is
-    made of.
-    """
+class FinalBricks(NamedTuple):
+    """The non-empty bricks of a plan: their tables for kernels.fit.bricks, and the source row of each cell."""
 
     top: Top
     slots: npt.NDArray[np.int16]
@@ -43,41 +40,45 @@ class Settled(NamedTuple):
     row: npt.NDArray[np.int32]
 
 
-def plan_of_solid(solid: Bits) -> Plan:
-    """(R, R, R) bool; all cells are made of row 0."""
+def plan_of_solid(solid: Bits) -> BrickPlan:
+    """Return the plan of the set cells of a grid (R, R, R) bool; all of them copy row 0."""
     r = len(solid) // 8
     bricks = solid.reshape(r, 8, r, 8, r, 8).transpose(0, 2, 4, 1, 3, 5).reshape(-1, SIZE)
     held = bricks.any(axis=1)
     codes = np.where(bricks[held], np.int32(0), np.int32(NONE))
-    return Plan(top_grid(held.reshape(r, r, r)), codes)
+    return BrickPlan(top_grid(held.reshape(r, r, r)), codes)
 
 
-def plan_of_kept(top: Top, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits) -> Plan:
-    """The cells that `keep` (n,) chooses, as they are."""
+def plan_of_kept(top: Top, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits) -> BrickPlan:
+    """Return the plan of the cells that `keep` (n,) selects, unchanged."""
     codes = np.empty(slots.shape, np.int32)
     _kept(slots, first, keep, codes)
-    return Plan(top, codes)
+    return BrickPlan(top, codes)
 
 
-def doubled(plan: Plan, split: Bits) -> Plan:
-    """On a lattice twice as fine: rows that `split` (n,) chooses as eight cells, others as wide ones; none was wide."""
+def double_plan(plan: BrickPlan, split: Bits) -> BrickPlan:
+    """Return the plan on a lattice twice as fine.
+
+    Rows that `split` (n,) selects become eight cells, the others wide cells. The given plan must not contain wide
+    cells.
+    """
     held = np.repeat(np.repeat(np.repeat(plan.top >= 0, 2, 0), 2, 1), 2, 2)
     top = top_grid(held)
     places = np.argwhere(held)
     codes = np.empty((len(places), SIZE), np.int32)
     _doubled(plan, places, split, codes)
-    return Plan(top, codes)
+    return BrickPlan(top, codes)
 
 
-def divided(plan: Plan, split: Bits) -> Plan:
-    """On the same lattice: of the wide cells, those that `split` (n,) chooses as eight cells."""
+def divide_plan(plan: BrickPlan, split: Bits) -> BrickPlan:
+    """Return the plan on the same lattice, with the wide cells that `split` (n,) selects as eight cells."""
     codes = plan.codes
     chosen = (codes >= 0) & (codes & 1 == 1) & split[np.maximum(codes, 0) >> 1]
-    return Plan(plan.top, codes - chosen)
+    return BrickPlan(plan.top, codes - chosen)
 
 
-def settle(plan: Plan) -> Settled:
-    """Numbers the cells, and leaves bricks without any out."""
+def number_cells(plan: BrickPlan) -> FinalBricks:
+    """Number the cells, and remove bricks without cells."""
     held = (plan.codes >= 0).any(axis=1)
     solid = plan.top >= 0
     solid[solid] = held
@@ -87,7 +88,7 @@ def settle(plan: Plan) -> Settled:
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
     made, places = np.empty(int(first[-1]), np.int32), np.empty(int(first[-1]), np.int16)
     _collect(codes, slots, first, made, places)
-    return Settled(top, slots, first, places, made >> 1)
+    return FinalBricks(top, slots, first, places, made >> 1)
 
 
 @compiled(parallel=True)
@@ -105,13 +106,13 @@ def _kept_in(brick: int, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int
 
 
 @compiled(parallel=True)
-def _doubled(plan: Plan, places: Ints, split: Bits, codes: Codes) -> None:
+def _doubled(plan: BrickPlan, places: Ints, split: Bits, codes: Codes) -> None:
     for brick in prange(len(places)):
         _doubled_in(brick, plan, places, split, codes)
 
 
 @compiled()
-def _doubled_in(brick: int, plan: Plan, places: Ints, split: Bits, codes: Codes) -> None:
+def _doubled_in(brick: int, plan: BrickPlan, places: Ints, split: Bits, codes: Codes) -> None:
     x, y, z = places[brick, 0], places[brick, 1], places[brick, 2]
     old = plan.top[x >> 1, y >> 1, z >> 1]
     for place in range(SIZE):

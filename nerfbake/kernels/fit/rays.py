@@ -1,4 +1,4 @@
-"""One view's rays through the bricks, and back: what each cell should do to look more like the picture."""
+"""March the rays of one view through the bricks, and accumulate for each cell the change that its pixels require."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from nerfbake.kernels.fit.bricks import (
     SIGMA,
     UNMET,
     WEIGHT,
-    Batch,
-    Bricks,
+    BrickGrid,
+    TaskBuffers,
     Whole,
 )
-from nerfbake.kernels.fit.colours import enter, new_room
+from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.traversal import within
+from nerfbake.kernels.march.traversal import containing_cell
 from nerfbake.kernels.maths.elementary import exp
 from nerfbake.kernels.parallel import on_every_core
 
-OPAQUE = 0.01  # of the light: a ray ends where less gets through
-_PER = 64  # steps of the table of exponentials to one unit
+OPAQUE = 0.01  # transmittance below which a ray stops
+_PER = 64  # table entries for one unit of optical depth
 _FALL = exp(-np.arange(40 * _PER) / _PER)
 
 
-class View(NamedTuple):
-    """What the field is to look like.
+class FitView(NamedTuple):
+    """The target of one view.
 
-    eye (3,) and directions (pixels rays, 3) float32, unit, in the world; rays of a pixel stand together. targets
-    (pixels, 4): colour over the background, and alpha. background (3,). alpha_weight, point_weight: of alpha, and of
-    every cell's own colour, beside that of a pixel's.
+    eye (3,) and directions (pixels rays, 3) float32, unit vectors, in the world; the rays of a pixel are consecutive.
+    targets (pixels, 4): colour over the background, and alpha. background (3,). alpha_weight and point_weight: weights
+    of alpha, and of the colour of each single cell, relative to that of a pixel's colour.
     """
 
     eye: Floats
@@ -49,10 +49,12 @@ class View(NamedTuple):
     point_weight: float
 
 
-class Own(NamedTuple):
-    """What a task has to itself: of the cells that a pixel's rays have met the rows, the ray's length in each, and what
-    gets through behind; seen (4,), the sum of the rays' colours and alphas, then what the pixel lacks; room, as
-    colours.enter() has it; place (3,) of the eye, in cells.
+class TaskState(NamedTuple):
+    """The buffers of one task.
+
+    row, length, through: for each cell that the rays of a pixel hit, its row, the length of the ray in it, and the
+    transmittance behind it. seen (4,): the sum of the rays' colours and alphas, later the residual of the pixel. room:
+    a buffer of colours.new_room(). place (3,): the camera, in cells.
     """
 
     row: npt.NDArray[np.int32]
@@ -63,30 +65,32 @@ class Own(NamedTuple):
     place: Floats
 
 
-def march_view(bricks: Bricks, batch: Batch, view: View, errors: Floats) -> None:
-    """Fills the batch with what the pixels ask of the cells.
+def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: Floats) -> None:
+    """Fill the batch with the changes that the pixels require of the cells.
 
-    errors (tasks,): the sum of squares of what colours are off.
+    errors (tasks,): the sum of the squared residuals of the colours.
     """
     on_every_core(lambda first, step: _march_parts(bricks, batch, view, errors, first, step))
 
 
-# What rays take is in tuples and read from there: of an array that is an argument, or part of another, each call counts
-# references, and threads wait for each other at every count. The tasks' loop is no kernel of its own: all that it calls
-# would be compiled twice.
+# Arrays are passed in tuples and read from there: for an array that is an argument, or a view of another array, each
+# call counts references, and threads wait for each other at every count. The loop over tasks is not a separate kernel:
+# then everything that it calls would be compiled twice.
 @compiled()
-def _march_parts(bricks: Bricks, batch: Batch, view: View, errors: Floats, first: int, step: int) -> None:
-    """The pixels and the rows of the batch of every step-th task, which are spread over the picture, so that all cores
-    have as much to do."""
+def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: Floats, first: int, step: int) -> None:
+    """Process the pixels and the batch rows of every step-th task.
+
+    These tasks are spread over the picture, so all cores have equal work.
+    """
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
     most = 4 * 8 * bricks.top.shape[0] * rays
-    own = Own(
+    own = TaskState(
         np.empty(most, np.int32),
         np.empty(most, np.float32),
         np.empty(most, np.float32),
         np.zeros(4),
-        new_room((len(bricks.values) // bricks.first[-1] - 1) // 3),
+        new_colour_buffer((len(bricks.values) // bricks.first[-1] - 1) // 3),
         (view.eye - bricks.low) / bricks.size,
     )
     ends = np.zeros(rays + 1, np.int64)
@@ -97,18 +101,20 @@ def _march_parts(bricks: Bricks, batch: Batch, view: View, errors: Floats, first
         for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
             own.seen[:] = 0
             for ray in range(rays):
-                ends[ray + 1] = _forth(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
+                ends[ray + 1] = _march_ray(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
             for k in range(4):
                 own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
             error += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
             for ray in range(rays):
-                _back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
+                _accumulate_back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
         errors[task] = error
 
 
 @compiled(merged=True)
-def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray: Whole, count: Whole) -> Whole:
-    """Adds a ray's colour and alpha to `seen` and its hits to the others; gives their number."""
+def _march_ray(
+    bricks: BrickGrid, batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, ray: Whole, count: Whole
+) -> Whole:
+    """March a ray: add its colour and alpha to `seen`, append its hits, and return the number of all hits so far."""
     o0, o1, o2 = own.place[0], own.place[1], own.place[2]
     d0, d1, d2 = (
         view.directions[ray, 0] / bricks.size[0],
@@ -122,10 +128,14 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
     t, end = part_between(o0, i0, edge, 0.0, np.inf)
     t, end = part_between(o1, i1, edge, t, end)
     t, end = part_between(o2, i2, edge, t, end)
-    x, y, z = within(o0 + t * d0, 0, edge - 1), within(o1 + t * d1, 0, edge - 1), within(o2 + t * d2, 0, edge - 1)
+    x, y, z = (
+        containing_cell(o0 + t * d0, 0, edge - 1),
+        containing_cell(o1 + t * d1, 0, edge - 1),
+        containing_cell(o2 + t * d2, 0, edge - 1),
+    )
     through, red, green, blue = 1.0, 0.0, 0.0, 0.0
     up0, up1, up2 = d0 > 0, d1 > 0, d2 > 0
-    exact = 3  # the axis along which the last bit of the place is right, behind a wide cell; or all of them
+    exact = 3  # after a wide cell, the only axis along which the last bit of the place is valid; 3: all axes
     while t < end:
         b0, b1, b2 = x >> 3, y >> 3, z >> 3
         brick = np.int64(bricks.top[b0, b1, b2])
@@ -133,9 +143,9 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
         if brick >= 0:
             base = np.int64(batch.base[task, brick])
             if base == UNMET:
-                base = enter(bricks, batch, task, brick, (b0, b1, b2), view.eye, own.room)
+                base = fill_brick_rows(bricks, batch, task, brick, (b0, b1, b2), view.eye, own.room)
         if base < 0:
-            # Empty bricks as far as they are known to reach, in all directions.
+            # Skip the empty bricks up to the known distance, in all directions.
             exact = 3
             away: Whole = max(-brick, 1)
             l0, l1, l2, width = (b0 - away + 1) << 3, (b1 - away + 1) << 3, (b2 - away + 1) << 3, (2 * away - 1) << 3
@@ -145,25 +155,34 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
             if exit0 <= exit1 and exit0 <= exit2:
                 t = max(t, exit0)
                 x = l0 + width if up0 else l0 - 1
-                y, z = within(o1 + t * d1, l1, l1 + width - 1), within(o2 + t * d2, l2, l2 + width - 1)
+                y, z = (
+                    containing_cell(o1 + t * d1, l1, l1 + width - 1),
+                    containing_cell(o2 + t * d2, l2, l2 + width - 1),
+                )
             elif exit1 <= exit2:
                 t = max(t, exit1)
                 y = l1 + width if up1 else l1 - 1
-                x, z = within(o0 + t * d0, l0, l0 + width - 1), within(o2 + t * d2, l2, l2 + width - 1)
+                x, z = (
+                    containing_cell(o0 + t * d0, l0, l0 + width - 1),
+                    containing_cell(o2 + t * d2, l2, l2 + width - 1),
+                )
             else:
                 t = max(t, exit2)
                 z = l2 + width if up2 else l2 - 1
-                x, y = within(o0 + t * d0, l0, l0 + width - 1), within(o1 + t * d1, l1, l1 + width - 1)
+                x, y = (
+                    containing_cell(o0 + t * d0, l0, l0 + width - 1),
+                    containing_cell(o1 + t * d1, l1, l1 + width - 1),
+                )
         else:
             while True:
                 slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
                 if exact < 3 and slot & 1 == 0:
                     if exact != 0:
-                        x = within(o0 + t * d0, x & ~1, x | 1)
+                        x = containing_cell(o0 + t * d0, x & ~1, x | 1)
                     if exact != 1:
-                        y = within(o1 + t * d1, y & ~1, y | 1)
+                        y = containing_cell(o1 + t * d1, y & ~1, y | 1)
                     if exact != 2:
-                        z = within(o2 + t * d2, z & ~1, z | 1)
+                        z = containing_cell(o2 + t * d2, z & ~1, z | 1)
                     exact = 3
                     slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
                 wide: Whole = slot & 1
@@ -181,7 +200,7 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
                     kept = _FALL[step] * (1 - rest * (1 - rest * (0.5 - rest * (1 / 6))))
                     behind = through * kept
                     if behind < OPAQUE:
-                        behind = 0.0  # the last cell takes all that is left
+                        behind = 0.0  # the last cell absorbs all remaining light
                     weight = through - behind
                     red += weight * batch.rows[task, row, 0]
                     green += weight * batch.rows[task, row, 1]
@@ -213,8 +232,10 @@ def _forth(bricks: Bricks, batch: Batch, task: Whole, view: View, own: Own, ray:
 
 
 @compiled(merged=True)
-def _back(batch: Batch, task: Whole, view: View, own: Own, pixel: Whole, first: Whole, last: Whole) -> None:
-    """Replays a ray's hits from the last to the first; seen: what its pixel lacks, of colours and of alpha."""
+def _accumulate_back(
+    batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, pixel: Whole, first: Whole, last: Whole
+) -> None:
+    """Replay the hits of a ray from the last to the first. `seen`: the residual of its pixel, in colour and alpha."""
     left = np.float64(own.through[last - 1]) if last > first else 1.0
     s0, s1, s2 = left * view.background[0], left * view.background[1], left * view.background[2]
     r0, r1, r2, ra = own.seen[0], own.seen[1], own.seen[2], view.alpha_weight * own.seen[3] * left

@@ -1,4 +1,4 @@
-"""What the tasks ask of the cells, added up in order, and the step that each cell takes."""
+"""Sum the changes that the tasks accumulated for the cells, in a fixed order, and apply a step to each cell."""
 
 from __future__ import annotations
 
@@ -15,25 +15,28 @@ from nerfbake.kernels.fit.bricks import (
     MOST,
     SIZE,
     WEIGHT,
-    Batch,
-    Bricks,
+    BrickGrid,
+    TaskBuffers,
     Whole,
 )
-from nerfbake.kernels.fit.colours import look, new_room
+from nerfbake.kernels.fit.colours import evaluate_basis, new_colour_buffer
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import on_every_core
 
 DECAY = 0.9  # of the moving means
-FADE = 0.95  # of the largest weight, at every view that meets the cell
-MOST_DENSITY = 12.0  # per own width
+FADE = 0.95  # of the largest weight, at every view that hits the cell
+MOST_DENSITY = 12.0  # per width of the cell
 _CURVATURE_FLOOR, _WEIGHT_FLOOR = 1e-3, 1e-2
-_SLOPE_FLOOR = 0.15  # of the sigmoid, whose slope is a quarter at most
-_SUMS = 8  # numbers of a row that are added up, from COLOUR_SUM on
-_BLOCK = 512  # places of bricks that one core does before it takes the next
+_SLOPE_FLOOR = 0.15  # of the sigmoid, whose slope is at most a quarter
+_SUMS = 8  # numbers of a row that are summed, from COLOUR_SUM on
+_BLOCK = 512  # places of bricks that a core processes before it takes the next block
 
 
-class Steps(NamedTuple):
-    """rates of density and colour; of each coefficient its part in a step and its ridge, (B,) each; rays a pixel."""
+class LearningRates(NamedTuple):
+    """The rates of one step.
+
+    density, colour: their rates. parts, ridge (B,): each coefficient's share of a step, and its ridge. rays: per pixel.
+    """
 
     density: float
     colour: float
@@ -42,29 +45,31 @@ class Steps(NamedTuple):
     rays: float
 
 
-def take_steps(bricks: Bricks, batch: Batch, eye: Floats, means: Singles, seen: Singles, steps: Steps) -> None:
-    """Moves the values of all cells that the batch has met. Source of the steps: docs/fitting.md, "How it is fitted".
+def take_steps(
+    bricks: BrickGrid, batch: TaskBuffers, eye: Floats, means: Singles, seen: Singles, steps: LearningRates
+) -> None:
+    """Step the values of all cells that the batch has hit. Source of the steps: docs/fitting.md, "How it is fitted".
 
-    means (n, 2): moving means of curvature and of weight, 0 for cells that were never met. seen (n, 2): the largest
-    weight that a ray gave the cell, and the sum of weight times what its pixels are off; both go on.
+    means (n, 2): moving means of curvature and of weight, 0 for cells that were never hit. seen (n, 2): the largest
+    weight that a ray gave the cell, and the sum of weight times the residual of its pixels. Both are updated.
     """
     on_every_core(lambda first, step: _step_blocks(bricks, batch, eye, means, seen, steps, first, step))
 
 
 @compiled()
 def _step_blocks(
-    bricks: Bricks,
-    batch: Batch,
+    bricks: BrickGrid,
+    batch: TaskBuffers,
     eye: Floats,
     means: Singles,
     seen: Singles,
-    steps: Steps,
+    steps: LearningRates,
     first: int,
     step: int,
 ) -> None:
-    """The bricks at every step-th block of places of the top grid."""
+    """Step the bricks in every step-th block of places of the top grid."""
     r, B = bricks.top.shape[0], len(steps.ridge)
-    sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_room(B)
+    sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_colour_buffer(B)
     for block in range(first, (r * r * r + _BLOCK - 1) // _BLOCK, step):
         for place in range(block * _BLOCK, min((block + 1) * _BLOCK, r * r * r)):
             at = place // (r * r), place // r % r, place % r
@@ -72,19 +77,21 @@ def _step_blocks(
             if brick < 0:
                 continue
             begin, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
-            if not _add(batch, brick, count, sums):
+            if not _sum_tasks(batch, brick, count, sums):
                 continue
             start = (3 * B + 1) * begin
             _move_density(
                 bricks.values, start + 3 * B * count, bricks.places, bricks.width, begin, count, sums, means, steps
             )
-            _see(sums, seen, begin, count, np.float32(1 / steps.rays))
+            _update_seen(sums, seen, begin, count, np.float32(1 / steps.rays))
             x = np.float32(bricks.low[0] + 8 * at[0] * bricks.size[0] - eye[0])
             y = np.float32(bricks.low[1] + 8 * at[1] * bricks.size[1] - eye[1])
             z = np.float32(bricks.low[2] + 8 * at[2] * bricks.size[2] - eye[2])
             dx, dy, dz = np.float32(bricks.size[0]), np.float32(bricks.size[1]), np.float32(bricks.size[2])
-            look(bricks.places, begin, count, x, y, z, dx, dy, dz, room)
-            _weigh(begin, count, sums, means, np.float32(1 / steps.rays), np.float32(steps.colour), room, steps.parts)
+            evaluate_basis(bricks.places, begin, count, x, y, z, dx, dy, dz, room)
+            _scale_sums(
+                begin, count, sums, means, np.float32(1 / steps.rays), np.float32(steps.colour), room, steps.parts
+            )
             for channel in range(3):
                 _move_colour(
                     bricks.values,
@@ -100,8 +107,11 @@ def _step_blocks(
 
 
 @compiled()
-def _add(batch: Batch, brick: Whole, count: Whole, sums: Singles) -> bool:
-    """The tasks' sums of a brick's cells, in the order of the tasks, and the colours behind them; False for none."""
+def _sum_tasks(batch: TaskBuffers, brick: Whole, count: Whole, sums: Singles) -> bool:
+    """Sum the rows of a brick's cells over the tasks, in the order of the tasks; append the colours of the cells.
+
+    Returns False if no task has hit the brick.
+    """
     met = False
     for task in range(batch.base.shape[0]):
         base = np.int64(batch.base[task, brick])
@@ -112,7 +122,7 @@ def _add(batch: Batch, brick: Whole, count: Whole, sums: Singles) -> bool:
     return met
 
 
-# Indices below are unsigned: a signed one may be negative, which costs a comparison and the vector instructions.
+# Indices below are unsigned: numba checks signed ones for being negative, which also prevents vectorisation.
 @compiled()
 def _add_rows(rows: Singles, task: Whole, base: Whole, count: Whole, met: bool, sums: Singles) -> None:
     start = np.uint64(base)
@@ -141,7 +151,7 @@ def _move_density(
     count: Whole,
     sums: Singles,
     means: Singles,
-    steps: Steps,
+    steps: LearningRates,
 ) -> None:
     one, decay, fresh = np.float32(1), np.float32(DECAY), np.float32(1 - DECAY)
     floor, rate, most = np.float32(_CURVATURE_FLOOR), np.float32(steps.density), np.float32(MOST_DENSITY)
@@ -159,7 +169,7 @@ def _move_density(
 
 
 @compiled()
-def _see(sums: Singles, seen: Singles, first: Whole, count: Whole, rays: Any) -> None:
+def _update_seen(sums: Singles, seen: Singles, first: Whole, count: Whole, rays: Any) -> None:
     row = np.uint64(first)
     for cell in range(np.uint64(count)):
         if sums[CURVATURE - COLOUR_SUM, cell] > 0:
@@ -168,10 +178,13 @@ def _see(sums: Singles, seen: Singles, first: Whole, count: Whole, rays: Any) ->
 
 
 @compiled()
-def _weigh(
+def _scale_sums(
     first: Whole, count: Whole, sums: Singles, means: Singles, rays: Any, rate: Any, room: Singles, parts: Singles
 ) -> None:
-    """Into the room's first rows: the share of the mean weight that a cell has, and what its sums become steps by."""
+    """Prepare the steps of the colours.
+
+    room[0]: each cell's weight relative to its mean weight; room[1]: the factor that turns its sums into steps.
+    """
     row, one, decay, fresh = np.uint64(first), np.float32(1), np.float32(DECAY), np.float32(1 - DECAY)
     for cell in range(np.uint64(count)):
         room[1, cell] = np.float32(0)

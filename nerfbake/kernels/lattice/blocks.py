@@ -1,8 +1,10 @@
-"""Nodes that stand in blocks, with three planes whose values are added to theirs: what is between them.
+"""Lattices whose nodes are stored in blocks, plus three planes: interpolation of both, and weighted means of rows.
 
-A block is so many cells wide along each edge and has all nodes of these cells for itself, those on its faces, too: its
-values need no other block's. A plane lies across two axes: plane 0 across y and z, 1 across x and z, 2 across x and y.
-Places are shares of the lattice's box, as in kernels.lattice.nodes. Source: MERF (Reiser et al., 2023).
+A block has `edge` cells along each axis and stores all nodes of these cells, including those on its faces, so
+interpolation needs no other block. A plane spans two axes: plane 0 y and z, plane 1 x and z, plane 2 x and y. The
+values of the planes are added to those of the nodes. Positions are fractions of the lattice's box, as in
+kernels.lattice.nodes.
+Source: MERF (Reiser et al., 2023).
 """
 
 from __future__ import annotations
@@ -16,15 +18,41 @@ from numba import prange
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.jit import compiled
 
-_FAR = 1e6  # steps that are passed over at once, at most
-_ROUNDING = 1e-3  # of a step: the last bits of a place may be those of another block
-_AT_ONCE = 1 << 10  # places that one core does before it takes the next
+
+def weighted_means(values: Singles, weights: Floats, group: int) -> Singles:
+    """(k, C) weighted means over groups of consecutive rows: values (k group, C), weights (k group,).
+
+    Sums run from a group's first row to its last. A group whose weights are all 0 has the mean 0.
+    """
+    out = np.empty((len(values) // group, values.shape[1]), np.float32)
+    _means(values, weights, group, out)
+    return out
+
+
+@compiled(parallel=True)
+def _means(values: Singles, weights: Floats, group: int, out: Singles) -> None:
+    for k in prange(len(out)):
+        whole = 0.0
+        for row in range(k * group, (k + 1) * group):
+            whole += weights[row]
+        for column in range(out.shape[1]):
+            total = 0.0
+            for row in range(k * group, (k + 1) * group):
+                total += weights[row] * values[row, column]
+            out[k, column] = total / whole if whole > 0 else 0.0
+
+
+_FAR = 1e6  # largest number of steps that are skipped at once
+_ROUNDING = 1e-3  # of a step: rounding may move a position into another block
+_AT_ONCE = 1 << 10  # positions that a core processes before it takes the next part
 
 
 class BlockNodes(NamedTuple):
-    """links (X, Y, Z): the row of a block's first node, behind which its others follow, x-major; below 0 the block is
-    empty, and nothing is there. A place u is in block number int(u block_times + block_plus) along each axis, `edge`
-    cells wide. In nodes of the planes it is at u plane_times + plane_plus.
+    """The blocks of a lattice, and its transforms from positions.
+
+    links (X, Y, Z): the row of a block's first node, followed by its other nodes, x-major; below 0 the block is empty.
+    A position u is in block number int(u block_times + block_plus) along each axis, `edge` cells wide. In nodes of the
+    planes it is at u plane_times + plane_plus.
     """
 
     links: npt.NDArray[np.int32]
@@ -40,7 +68,10 @@ NO_PLANES = np.zeros((3, 0, 0), np.float32)
 
 
 def sums_at(blocks: BlockNodes, table: Singles, planes: Singles, places: Floats) -> Singles:
-    """(m, C) at places (m, 3): values (n, C) of the nodes and (3, P, P, C) of the planes; zeros in empty blocks."""
+    """(m, C) sums of the values of nodes and planes, interpolated at positions (m, 3); zeros in empty blocks.
+
+    table (n, C): values of the nodes; planes (3, P, P, C): values of the planes.
+    """
     out = np.zeros((len(places), table.shape[1]), np.float32)
     _sums(blocks, table, planes, places, out)
     return out
@@ -48,9 +79,9 @@ def sums_at(blocks: BlockNodes, table: Singles, planes: Singles, places: Floats)
 
 @compiled(merged=True)
 def _place_in(blocks: Any, u: float, v: float, w: float) -> tuple[int, float, float, float]:
-    """The row of the block's first node, below 0 for an empty one; where it is in the block, 0 to `edge` nodes.
+    """The row of the block's first node, below 0 for an empty block; and the position in the block, 0 to `edge` nodes.
 
-    blocks: BlockNodes, or kernels.lattice.nodes' Nodes, which has the same fields.
+    blocks: BlockNodes, or DensityNodes of kernels.lattice.nodes, which has the same fields.
     """
     X, Y, Z = blocks.links.shape
     a = u * blocks.block_times[0] + blocks.block_plus[0]
@@ -62,14 +93,17 @@ def _place_in(blocks: Any, u: float, v: float, w: float) -> tuple[int, float, fl
 
 @compiled(merged=True)
 def _cell(at: float, cells: int) -> tuple[int, float]:
-    """The cell of a place, and where it is in it: 0 to 1."""
+    """The cell that contains a position, and the position in the cell, 0 to 1."""
     low = min(max(int(at), 0), cells - 1)
     return low, min(max(at - low, 0.0), 1.0)
 
 
 @compiled(merged=True)
 def raw_at(nodes: Any, u: float, v: float, w: float) -> tuple[bool, float]:
-    """Whether there is a block at a place, and the sum of the density (n,) and the planes (3, P, P) of Nodes there."""
+    """Whether there is a block at a position, and the sum of the density (n,) and the planes (3, P, P) there.
+
+    nodes: DensityNodes of kernels.lattice.nodes.
+    """
     row, x, y, z = _place_in(nodes, u, v, w)
     if row < 0:
         return False, 0.0
@@ -99,7 +133,7 @@ def raw_at(nodes: Any, u: float, v: float, w: float) -> tuple[bool, float]:
 
 @compiled(merged=True)
 def empty_steps(nodes: Any, u: float, v: float, w: float, du: float, dv: float, dw: float) -> int:
-    """How many steps (du, dv, dw) from a place on there is surely nothing, as its block is empty; 1 where it is not."""
+    """Number of steps (du, dv, dw) from a position that stay in the same empty block; 1 if the block is not empty."""
     left = 0.0
     if _place_in(nodes, u, v, w)[0] < 0:
         along_x = _steps_in(u * nodes.block_times[0] + nodes.block_plus[0], du * nodes.block_times[0])
@@ -111,7 +145,7 @@ def empty_steps(nodes: Any, u: float, v: float, w: float, du: float, dv: float, 
 
 @compiled(merged=True)
 def _steps_in(at: float, step: float) -> float:
-    """From `at` to the end of its block, whose number is int(at)."""
+    """Number of steps from `at` to the end of its block, whose number is int(at)."""
     inside = at - int(at)
     return min((1 - inside) / step if step > 0 else inside / -step if step < 0 else _FAR, _FAR)
 

@@ -1,8 +1,8 @@
-"""Colours that are sums of spherical harmonics cut at 0: seen in a direction, and turned into a sigmoid's sums.
+"""Colours as sums of spherical harmonics clamped at 0: their evaluation, and their conversion to sums behind a sigmoid.
 
-The sigmoid's coefficients are those that are nearest, by least squares over a set of directions, to the logit of the
-colour: one product with a matrix that is the same for all. Lanes are colours, so that every loop over them is one of
-the processor's vectors and every sum has one order.
+The coefficients behind the sigmoid are the least-squares fit, over a set of directions, to the logit of the colour: one
+product with a matrix that is the same for all colours. Lanes are colours, so every loop over lanes is vectorised and
+every sum has one order.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.maths.equations import solve_each
-from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.maths.linear import product, solve_each
 
-LEAST = 1 / 510  # half of the least colour in 8 bits: nearer to 0 and 1 a logit would go for what nobody sees
+LEAST = 1 / 510  # half of the smallest colour in 8 bits: logits nearer to 0 and 1 make no visible difference
 _LANES = 64
 _LN2 = f32(0.6931471805599453)
 _ROOT_HALF = np.int32(0x3F3504F3)  # the bits of sqrt(1/2)
@@ -24,21 +23,24 @@ _MANTISSA = np.int32(23)
 
 
 def inverse_of(basis: Floats) -> Singles:
-    """(B, n): what makes coefficients of values in n directions by least squares; basis (n, B), of full rank."""
+    """(B, n) matrix from values in n directions to least-squares coefficients; basis (n, B), of full rank."""
     across = np.ascontiguousarray(basis.T)
     return np.asarray(solve_each(product(across, basis)[None], across[None])[0], np.float32)
 
 
-def shown(features: Singles, basis: Singles, ray: Ints) -> Singles:
+def evaluate_colours(features: Singles, basis: Singles, ray: Ints) -> Singles:
     """(k, 3) colours of features (k, 3 B), each in the direction of its ray: basis (m, B), ray (k,)."""
     out = np.empty((len(features), 3), np.float32)
     _show(features, basis, ray, out)
     return out
 
 
-def refitted(features: Singles, basis: Singles, inverse: Singles) -> Singles:
-    """(m, 3 B') coefficients of the sigmoid for features (m, 3 B): basis (n, B) in the directions that count, inverse
-    (B', n) of the other basis in the same ones."""
+def refit_coefficients(features: Singles, basis: Singles, inverse: Singles) -> Singles:
+    """(m, 3 B') coefficients behind a sigmoid for features (m, 3 B).
+
+    basis (n, B): the basis of the features in the directions of the fit; inverse (B', n): inverse_of() the other basis
+    in the same directions.
+    """
     pairs = np.ascontiguousarray(features).reshape(-1, basis.shape[1])
     out = np.empty((len(pairs), len(inverse)), np.float32)
     _refit(pairs, basis, inverse, out)
@@ -89,8 +91,10 @@ def _refit(pairs: Singles, basis: Singles, inverse: Singles, out: Singles) -> No
 
 @compiled(inline=True)
 def log_lanes(x: Singles, powers: npt.NDArray[np.int32]) -> None:
-    """The natural logarithm in place, of positive, normal numbers: x = 2^k m, m from sqrt(1/2) to sqrt(2), and ln m =
-    2 artanh((m - 1) / (m + 1))."""
+    """The natural logarithm of positive, normal numbers, in place.
+
+    x = 2^k m, m from sqrt(1/2) to sqrt(2), and ln m = 2 artanh((m - 1) / (m + 1)).
+    """
     bits = x.view(np.int32)
     for lane in range(len(x)):
         k = (bits[lane] - _ROOT_HALF) >> _MANTISSA

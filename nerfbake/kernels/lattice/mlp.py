@@ -1,7 +1,7 @@
-"""An MLP of features and directions: its logits, seen in a direction each, or turned into sums of spherical harmonics.
+"""An MLP of features and directions: its logits in given directions, or projected onto spherical harmonics.
 
-The first layer is linear before its relu, so it splits: its share of a direction is worked out once for all features.
-Lanes are features: every loop over them is one of the processor's vectors, and every sum has one order.
+The first layer is linear before its ReLU, so it splits: its share of a direction is computed once for all features.
+Lanes are features: every loop over lanes is vectorised, and every sum has one order.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ from numba import prange
 from nerfbake.kernels.arrays import Floats, Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import sine_cosine
-from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.maths.linear import product
 
 LANES = 64  # features at a time
 
 
 class Layers(NamedTuple):
-    """by_feature (H, F); by_direction (n, H), biases included; middle (l, H, H), middle_bias (l, H), last (3, H),
-    last_bias (3,). H is a multiple of 4."""
+    """The weights of the layers, for n directions.
+
+    by_feature (H, F); by_direction (n, H), biases included; middle (l, H, H), middle_bias (l, H), last (3, H),
+    last_bias (3,). H is a multiple of 4.
+    """
 
     by_feature: Singles
     by_direction: Singles
@@ -41,11 +44,11 @@ def layers_for(
     last: Singles,
     last_bias: Singles,
 ) -> Layers:
-    """The layers for a set of directions (n, 3); weights as scene.lattice_field has them."""
-    inputs, extra = encoded(directions, frequencies), -len(first) % 4
+    """The layers for a set of directions (n, 3); weights as in scene.lattice_field."""
+    inputs, extra = positional_encoding(directions, frequencies), -len(first) % 4
     F = first.shape[1] - inputs.shape[1]
     by_direction = product(inputs, np.ascontiguousarray(first[:, F:].T)) + first_bias
-    unit, units = (0, extra), (0, 0)  # units of weight zero, which are always 0
+    unit, units = (0, extra), (0, 0)  # units of weight zero, whose output is always 0
     return Layers(
         np.pad(first[:, :F], (unit, units)),
         np.pad(np.asarray(by_direction, np.float32), (units, unit)),
@@ -56,22 +59,24 @@ def layers_for(
     )
 
 
-def encoded(x: Floats, frequencies: tuple[float, ...]) -> Floats:
-    """(n, w + 2 w k) of directions or features (n, w): x, the sines of the first of them times each frequency, of the
-    second, ..., and the cosines."""
+def positional_encoding(x: Floats, frequencies: tuple[float, ...]) -> Floats:
+    """(n, w + 2 w k) positional encoding of directions or features (n, w).
+
+    x, then the sines of the first of them times each frequency, of the second, ..., then the cosines in the same order.
+    """
     angles = (x[:, :, None] * np.array(frequencies)).reshape(len(x), x.shape[1] * len(frequencies))
     sine, cosine = sine_cosine(angles)
     return np.concatenate([x, sine, cosine], axis=1)
 
 
 def logits_along(features: Singles, layers: Layers, ray: Ints) -> Singles:
-    """(k, 3) of features (k, F), each in the direction with its number (k,)."""
+    """(k, 3) logits of features (k, F), each in the direction with the number ray (k,)."""
     out = np.empty((len(features), 3), np.float32)
     _along(features, layers, ray, out)
     return out
 
 
-def projected(features: Singles, layers: Layers, inverse: Singles) -> Singles:
+def project_logits(features: Singles, layers: Layers, inverse: Singles) -> Singles:
     """(m, 3 B): inverse (B, n) @ the logits of features (m, F) in all n directions, channel by channel."""
     out = np.empty((len(features), 3 * len(inverse)), np.float32)
     _project(features, layers, inverse, out)
@@ -80,7 +85,7 @@ def projected(features: Singles, layers: Layers, inverse: Singles) -> Singles:
 
 @compiled()
 def dense(weights: Singles, x: Singles, y: Singles) -> None:
-    """y (o, lanes) += weights (o, i) @ x (i, lanes), four inputs a pass."""
+    """y (o, lanes) += weights (o, i) @ x (i, lanes), four inputs per pass."""
     inputs = weights.shape[1]
     for o in range(len(weights)):
         total = y[o]
@@ -96,15 +101,15 @@ def dense(weights: Singles, x: Singles, y: Singles) -> None:
 
 
 @compiled()
-def _behind(layers: Layers, hidden: Singles, other: Singles, logits: Singles) -> None:
-    """The logits (3, lanes) behind the first layer's sums, hidden (H, lanes), which are overwritten."""
-    cut(hidden)
+def _finish_layers(layers: Layers, hidden: Singles, other: Singles, logits: Singles) -> None:
+    """Compute the logits (3, lanes) from the sums of the first layer, hidden (H, lanes), which are overwritten."""
+    relu(hidden)
     for layer in range(len(layers.middle)):
         bias = layers.middle_bias[layer]
         for o in range(len(other)):
             other[o] = bias[o]
         dense(layers.middle[layer], hidden, other)
-        cut(other)
+        relu(other)
         hidden[:] = other
     for channel in range(3):
         logits[channel] = layers.last_bias[channel]
@@ -112,7 +117,8 @@ def _behind(layers: Layers, hidden: Singles, other: Singles, logits: Singles) ->
 
 
 @compiled()
-def cut(x: Singles) -> None:
+def relu(x: Singles) -> None:
+    """ReLU, in place."""
     for o in range(len(x)):
         row = x[o]
         for lane in range(LANES):
@@ -134,7 +140,7 @@ def _along(features: Singles, layers: Layers, ray: Ints, out: Singles) -> None:
             for o in range(H):
                 hidden[o, lane] = layers.by_direction[own, o]
         dense(layers.by_feature, x, hidden)
-        _behind(layers, hidden, other, logits)
+        _finish_layers(layers, hidden, other, logits)
         for lane in range(end - begin):
             for channel in range(3):
                 out[begin + lane, channel] = logits[channel, lane]
@@ -159,7 +165,7 @@ def _project(features: Singles, layers: Layers, inverse: Singles, out: Singles) 
                 shift, row, target = own[o], base[o], hidden[o]
                 for lane in range(LANES):
                     target[lane] = row[lane] + shift
-            _behind(layers, hidden, other, logits)
+            _finish_layers(layers, hidden, other, logits)
             for channel in range(3):
                 values = logits[channel]
                 for b in range(B):

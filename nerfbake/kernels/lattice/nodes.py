@@ -1,8 +1,8 @@
-"""Between the nodes of a lattice: trilinear values, and the densities that are made of them.
+"""Interpolation between the nodes of a lattice: trilinear values, and the densities computed from them.
 
-Places are shares of the lattice's box, 0 to 1 along each axis. Of the N nodes of an axis number i stands at
-(i + 1/2)/N, or at i/(N - 1) where the first and the last stand on the box; before the first one and behind the last one
-values go on as they are there. A link below 0 reads as zeros.
+Positions are fractions of the lattice's box, 0 to 1 along each axis. Of the N nodes of an axis, node i is at
+(i + 1/2)/N, or at i/(N - 1) if the first and the last node are on the faces of the box. Before the first node and after
+the last one, values are constant. A link below 0 reads as zeros.
 """
 
 from __future__ import annotations
@@ -20,16 +20,18 @@ from nerfbake.kernels.maths.elementary import exp_parts
 
 RELU, SOFTPLUS, OPACITY, EXPONENTIAL = 0, 1, 2, 3
 _LN2 = 0.6931471805599453
-_LEAST_LEFT = 1 / 510  # half of the least share that 8 bits tell
+_LEAST_LEFT = 1 / 510  # half of the smallest share in 8 bits
 _exp_parts: Any = compiled()(exp_parts)
 
 
-class Nodes(NamedTuple):
-    """What a density is made of: links (X, Y, Z) to density (n,), of which kind, shift and scale make one per world
-    unit, as scene.lattice_field has them; what is below `least` is none. mask (X', Y', Z'): number int(u times + plus)
-    along each axis says whether there is anything at a place u; beyond the mask is nothing. corners: 1 where nodes
-    stand on the box, else 0. edge: not 0 where links lead to blocks, as the fields behind it are
-    kernels.lattice.blocks'; planes (3, P, P): what is added to their density.
+class DensityNodes(NamedTuple):
+    """The inputs of a density.
+
+    links (X, Y, Z): rows of density (n,). kind, shift and scale convert a value to density per world unit, as in
+    scene.lattice_field; a density that does not exceed `least` counts as 0. mask (X', Y', Z'): number
+    int(u times + plus) along each axis is set if there may be density at a position u; outside the mask there is none.
+    corners: 1 if nodes are on the faces of the box, else 0. edge: not 0 if links point to blocks; the fields after it
+    are then those of kernels.lattice.blocks. planes (3, P, P): values that are added to the density of the blocks.
     """
 
     links: npt.NDArray[np.int32]
@@ -51,59 +53,59 @@ class Nodes(NamedTuple):
 
 
 def nearest_in(mask: Bits) -> tuple[Floats, Floats]:
-    """times and plus of Nodes for a mask whose first and last nodes stand on the box: the nearest one counts."""
+    """times and plus of DensityNodes for a mask whose first and last nodes are on the faces: the nearest one counts."""
     return np.array(mask.shape, np.float64) - 1, np.full(3, 0.5)
 
 
 def cells_in(mask: Bits, box: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """The same for a mask of as many cells of a box of its own (2, 3), beside the lattice's box."""
+    """times and plus of DensityNodes for a mask of cells that divide another box, `own` (2, 3), than the lattice's."""
     edges = (own[1] - own[0]) / np.array(mask.shape)
     return (box[1] - box[0]) / edges, (box[0] - own[0]) / edges
 
 
-def densities(nodes: Nodes, places: Floats) -> Singles:
-    """(m,) densities per world unit at places (m, 3) in the box."""
+def densities(nodes: DensityNodes, places: Floats) -> Singles:
+    """(m,) densities per world unit at positions (m, 3) in the box."""
     out = np.empty(len(places), np.float32)
     _densities(nodes, places, out)
     return out
 
 
-def blended(links: npt.NDArray[np.int32], table: Singles, at: Floats) -> Singles:
-    """(m, C) of a table (n, C) that links lead to, at (m, 3) in nodes, the first of an axis being 0."""
+def interpolate_rows(links: npt.NDArray[np.int32], table: Singles, at: Floats) -> Singles:
+    """(m, C) interpolated rows of a table (n, C), through links, at (m, 3) in nodes; the first node of an axis is 0."""
     out = np.empty((len(at), table.shape[1]), np.float32)
     _blended(links, table, at, out)
     return out
 
 
 def in_nodes(places: Floats, shape: tuple[int, int, int], corners: bool) -> Floats:
-    """(m, 3) in nodes for places in the box of a lattice of this shape."""
+    """(m, 3) positions in nodes, from positions in the box of a lattice of this shape."""
     edges = np.array(shape, np.float64)
     at: Floats = places * (edges - 1) if corners else places * edges - 0.5
     return np.clip(at, 0, edges - 1)
 
 
 @compiled(parallel=True)
-def _densities(nodes: Nodes, places: Floats, out: Singles) -> None:
+def _densities(nodes: DensityNodes, places: Floats, out: Singles) -> None:
     for i in prange(len(places)):
         out[i] = density_at(nodes, places[i, 0], places[i, 1], places[i, 2])
 
 
 @compiled(merged=True)
-def density_at(nodes: Nodes, u: float, v: float, w: float) -> float:
-    """Per world unit at a place in the box; 0 where the mask or `least` says so.
+def density_at(nodes: DensityNodes, u: float, v: float, w: float) -> float:
+    """Density per world unit at a position in the box; 0 where the mask is not set, or up to `least`.
 
-    The tuple is named in the first two lines alone: behind each branch numba counts who refers to its arrays, which
-    took half of a sample's 90 ns.
+    Only the first two lines name the tuple: after each branch numba counts references to its arrays, which took half of
+    the 90 ns of a sample.
     """
     kind, shift, scale, least = nodes.kind, nodes.shift, nodes.scale, nodes.least
-    held, total = _raw(nodes, u, v, w) if _counts(nodes, u, v, w) else (False, 0.0)
+    held, total = _raw(nodes, u, v, w) if _in_mask(nodes, u, v, w) else (False, 0.0)
     found = scale * _activated(kind, total + shift) if held else 0.0
     return found if found > least else 0.0
 
 
 @compiled(merged=True)
-def _counts(nodes: Nodes, u: float, v: float, w: float) -> bool:
-    """Whether the mask says that there may be something at a place."""
+def _in_mask(nodes: DensityNodes, u: float, v: float, w: float) -> bool:
+    """Whether the mask is set at a position."""
     A, B, C = nodes.mask.shape
     a = u * nodes.times[0] + nodes.plus[0]
     b = v * nodes.times[1] + nodes.plus[1]
@@ -114,8 +116,8 @@ def _counts(nodes: Nodes, u: float, v: float, w: float) -> bool:
 
 
 @compiled(merged=True)
-def _raw(nodes: Nodes, u: float, v: float, w: float) -> tuple[bool, float]:
-    """Whether there is any value around a place, and what is between them."""
+def _raw(nodes: DensityNodes, u: float, v: float, w: float) -> tuple[bool, float]:
+    """Whether there is any value around a position, and the interpolated value."""
     return raw_at(nodes, u, v, w) if nodes.edge > 0 else _linked(nodes, u, v, w)
 
 
@@ -132,8 +134,8 @@ def _activated(kind: int, raw: float) -> float:
 
 
 @compiled(merged=True)
-def _linked(nodes: Nodes, u: float, v: float, w: float) -> tuple[bool, float]:
-    """Whether any node around a place has a value, and what is between them."""
+def _linked(nodes: DensityNodes, u: float, v: float, w: float) -> tuple[bool, float]:
+    """Whether any node around a position has a value, and the interpolated value."""
     X, Y, Z = nodes.links.shape
     corners = nodes.corners
     x, fx = _below(u * (X - 1) if corners else u * X - 0.5, X)
@@ -170,7 +172,7 @@ def _blended(links: npt.NDArray[np.int32], table: Singles, at: Floats, out: Sing
 
 @compiled()
 def _below(at: float, count: int) -> tuple[int, float]:
-    """The node below a place, and how far it is from there to the next one: 0 to 1."""
+    """The node below a position, and the distance from there in nodes, 0 to 1."""
     at = min(max(at, 0.0), count - 1.0)
     low = int(at)
     return low, at - low
@@ -178,7 +180,10 @@ def _below(at: float, count: int) -> tuple[int, float]:
 
 @compiled()
 def softplus_of(x: float) -> float:
-    """ln(1 + e^x): of e = e^-|x| the series of 2 artanh(e / (2 + e)), exact in its last digits where e is small."""
+    """ln(1 + e^x).
+
+    With e = e^-|x|, uses the series of 2 artanh(e / (2 + e)), accurate to the last digits where e is small.
+    """
     whole, rest = _exp_parts(-abs(x))
     small = whole + whole * rest
     s = small / (2 + small)
@@ -191,7 +196,10 @@ def softplus_of(x: float) -> float:
 
 @compiled()
 def thickness_of(opacity: float) -> float:
-    """-ln(1 - x), of an opacity of at most 1 - 1/510: what is left is brought near 1, and there 2 artanh's series."""
+    """-ln(1 - x) for an opacity x, clamped to 1 - 1/510.
+
+    1 - x is doubled until it is near 1, where the series of 2 artanh is used.
+    """
     left, doubled = max(1 - max(opacity, 0.0), _LEAST_LEFT), 0.0
     while left < 0.7071067811865476:
         left, doubled = left * 2, doubled + 1

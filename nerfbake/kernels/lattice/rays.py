@@ -1,4 +1,4 @@
-"""Samples along rays through a lattice, a step after the other, as the programs that train such fields take them."""
+"""Samples along rays through a lattice at equal steps, as the programs that train such fields take them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numba import prange
 from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.lattice.blocks import empty_steps
-from nerfbake.kernels.lattice.nodes import Nodes, density_at
+from nerfbake.kernels.lattice.nodes import DensityNodes, density_at
 from nerfbake.kernels.march.traversal import compiled_exp_parts
 
-_BLOCK = 64  # rays that one core does before it takes the next
+_BLOCK = 64  # rays that a core processes before it takes the next block
 
 
 class Samples(NamedTuple):
-    """What m rays meet: those of ray i are first[i] to first[i + 1], in order.
+    """The samples of m rays: those of ray i are first[i] to first[i + 1], in order.
 
-    places (k, 3) in the box, weights (k,) how much of the ray's light each of them is; lost (m, 2): what each ray has
-    lost in all, and that times its distance.
+    places (k, 3) in the box; weights (k,): the share of the ray's light that each absorbs. lost (m, 2): the light that
+    each ray loses in total, and the sum of these weights times distance.
     """
 
     first: Ints
@@ -29,9 +29,12 @@ class Samples(NamedTuple):
     lost: Floats
 
 
-def samples_of(nodes: Nodes, origin: Floats, directions: Floats, step: float, cut: float) -> Samples:
-    """origin (3,) and directions (m, 3) in shares of the box, a direction being one world unit long; step in world
-    units. A ray ends where it lets less than `cut` through."""
+def samples_of(nodes: DensityNodes, origin: Floats, directions: Floats, step: float, cut: float) -> Samples:
+    """Sample the rays.
+
+    origin (3,) and directions (m, 3) in fractions of the box; a direction is one world unit long. step in world units.
+    A ray stops when its transmittance falls below `cut`.
+    """
     m = len(directions)
     counts, spans, lost = np.zeros(m + 1, np.int64), np.zeros((m, 2), np.int64), np.zeros((m, 2))
     places, weights = np.zeros((0, 3)), np.zeros(0, np.float32)
@@ -42,15 +45,15 @@ def samples_of(nodes: Nodes, origin: Floats, directions: Floats, step: float, cu
     return Samples(first, places, weights, lost)
 
 
-def gathered(samples: Samples, colours: Singles) -> Singles:
-    """(m, 3) the colours (k, 3) of each ray's samples, by their weights."""
+def composite_colours(samples: Samples, colours: Singles) -> Singles:
+    """(m, 3) weighted sums of the colours (k, 3) of each ray's samples."""
     out = np.empty((len(samples.lost), 3), np.float32)
     _gather(samples.first, samples.weights, colours, out)
     return out
 
 
-def summed(samples: Samples, values: Singles) -> Singles:
-    """(m, C) the same of any values (k, C)."""
+def composite_values(samples: Samples, values: Singles) -> Singles:
+    """(m, C) weighted sums of any values (k, C) of each ray's samples."""
     out = np.zeros((len(samples.lost), values.shape[1]), np.float32)
     _sum(samples.first, samples.weights, values, out)
     return out
@@ -58,7 +61,7 @@ def summed(samples: Samples, values: Singles) -> Singles:
 
 @compiled(parallel=True)
 def _march(
-    nodes: Nodes,
+    nodes: DensityNodes,
     origin: Floats,
     directions: Floats,
     step: float,
@@ -70,8 +73,11 @@ def _march(
     weights: Singles,
     lost: Floats,
 ) -> None:
-    """keep False: counts each ray's samples into first[ray + 1], and tells in spans (m, 2) between which steps they
-    are; True: looks there alone, and writes them from first[ray] on."""
+    """One of two passes over the samples.
+
+    keep False: count each ray's samples in first[ray + 1], and write the range of steps that contains them to spans (m,
+    2). keep True: visit only these steps, and write the samples from first[ray] on.
+    """
     m = len(directions)
     for block in prange((m + _BLOCK - 1) // _BLOCK):
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, m)):
@@ -115,7 +121,7 @@ def _march(
 
 @compiled()
 def _span(origin: Floats, directions: Floats, ray: int) -> tuple[float, float]:
-    """Where a ray enters the box and leaves it, in world units; never before its origin."""
+    """Where a ray enters and leaves the box, in world units; never before its origin."""
     start, end = 0.0, np.inf
     for axis in range(3):
         d, o = directions[ray, axis], origin[axis]

@@ -1,13 +1,12 @@
-"""An MLP fitted to colours that are sums of spherical harmonics behind a sigmoid: Adam, on random pairs of a row and a
-direction.
+"""Train an MLP on colours from spherical harmonics behind a sigmoid: Adam, on random pairs of a row and a direction.
 
     h1 = relu(W0 x + b0)    h2 = relu(W1 h1 + b1)    logits = W2 h2 + b2    x: a row's features, then a direction's code
 
-What is made small is (sigmoid(logits) - sigmoid(truth))^2 + a thousandth of (logits - truth)^2, the truth's logits kept
-from -10 to 10: the second term says where to go where the sigmoid is flat.
+The loss is (sigmoid(logits) - sigmoid(truth))^2 + a thousandth of (logits - truth)^2, with the true logits clamped to
+-10 .. 10. The second term provides a gradient where the sigmoid is flat.
 
-A batch is a fixed number of groups. Each sums up the slopes of its own pairs, 64 at a time as kernels.lattice.mlp has
-them, and the groups' sums are added in their order: the same bits for any number of threads.
+A batch is a fixed number of groups. Each group sums the gradients of its pairs, 64 at a time as in kernels.lattice.mlp,
+and the sums of the groups are added in order: the same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -20,18 +19,20 @@ from numba import prange
 from nerfbake import progress
 from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.lattice.mlp import LANES, cut, dense
+from nerfbake.kernels.lattice.mlp import LANES, dense, relu
 from nerfbake.kernels.march.traversal import sigmoid_of
 
-BATCH = 2048  # pairs a round
+BATCH = 2048  # pairs per round
 _GROUPS = 8
-_RATE, _MEAN, _SQUARE, _LEAST = 4e-3, 0.9, 0.99, 1e-10  # Adam's; the rate falls to 0 in a straight line
+_RATE, _MEAN, _SQUARE, _LEAST = 4e-3, 0.9, 0.99, 1e-10  # of Adam; the rate falls linearly to 0
 _BY_LOGIT, _FARTHEST = f32(1e-3), f32(10)
 
 
-class Pairs(NamedTuple):
-    """What an MLP is fitted to: features (n, F) and coefficients (n, 3 B) of rows; code (m, E) and basis (m, B) of
-    directions, all float32."""
+class TrainingRows(NamedTuple):
+    """Training data, all float32.
+
+    features (n, F) and coefficients (n, 3 B) of rows; code (m, E) and basis (m, B) of directions.
+    """
 
     features: Singles
     coefficients: Singles
@@ -40,7 +41,7 @@ class Pairs(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Of two hidden layers of H units, a multiple of 64: first (H, F + E), middle (H, H), last (3, H) and biases."""
+    """Two hidden layers of H units, a multiple of 64: first (H, F + E), middle (H, H), last (3, H) and biases."""
 
     first: Singles
     middle: Singles
@@ -50,8 +51,8 @@ class Weights(NamedTuple):
     last_bias: Singles
 
 
-def fitted(pairs: Pairs, units: int, *, rounds: int, seed: int) -> Weights:
-    """The weights after so many batches from a random start; any row and any direction is as likely as any other."""
+def train(pairs: TrainingRows, units: int, *, rounds: int, seed: int) -> Weights:
+    """Return the weights after this number of batches from a random start. Rows and directions are drawn uniformly."""
     random = np.random.default_rng(seed)
     weights = _start(random, pairs.features.shape[1] + pairs.code.shape[1], units)
     flat = [np.zeros_like(each) for each in weights]
@@ -71,14 +72,14 @@ def fitted(pairs: Pairs, units: int, *, rounds: int, seed: int) -> Weights:
 
 
 def _start(random: np.random.Generator, inputs: int, units: int) -> Weights:
-    """Evenly random weights, of the spread that relu needs; no bias."""
+    """Uniformly random weights with the spread that ReLU requires; biases are 0."""
     shapes = (units, inputs), (units, units), (3, units)
     drawn = (((random.random(shape) * 2 - 1) * np.sqrt(6 / shape[1])).astype(np.float32) for shape in shapes)
     return Weights(*drawn, *(np.zeros(shape[0], np.float32) for shape in shapes))
 
 
-def _slopes(pairs: Pairs, weights: Weights, row: Ints, way: Ints) -> list[Singles]:
-    """Of the mean error of a batch by each of the weights, in their shapes."""
+def _slopes(pairs: TrainingRows, weights: Weights, row: Ints, way: Ints) -> list[Singles]:
+    """Gradients of the mean loss of a batch with respect to each of the weights, in their shapes."""
     H, inputs = weights.first.shape
     tiles = (inputs + LANES - 1) // LANES
     by_first = np.zeros((_GROUPS, tiles, H, LANES), np.float32)
@@ -86,7 +87,7 @@ def _slopes(pairs: Pairs, weights: Weights, row: Ints, way: Ints) -> list[Single
     by_last = np.zeros((_GROUPS, H // LANES, 3, LANES), np.float32)
     by_bias = np.zeros((_GROUPS, 2 * H + 3), np.float32)
     middle_across, last_across = np.ascontiguousarray(weights.middle.T), np.ascontiguousarray(weights.last.T)
-    _descend(pairs, weights, middle_across, last_across, row, way, by_first, by_middle, by_last, by_bias)
+    _backpropagate(pairs, weights, middle_across, last_across, row, way, by_first, by_middle, by_last, by_bias)
     bias = _added(by_bias)
     found = [_joined(_added(each)) for each in (by_first, by_middle, by_last)]
     found[0] = found[0][:, :inputs]
@@ -101,13 +102,13 @@ def _added(groups: Singles) -> Singles:
 
 
 def _joined(tiles: Singles) -> Singles:
-    """(o, 64 t) of tiles (t, o, 64)."""
+    """(o, 64 t) from tiles (t, o, 64)."""
     return tiles.transpose(1, 0, 2).reshape(tiles.shape[1], -1)
 
 
 @compiled(parallel=True)
-def _descend(
-    pairs: Pairs,
+def _backpropagate(
+    pairs: TrainingRows,
     weights: Weights,
     middle_across: Singles,
     last_across: Singles,
@@ -130,19 +131,19 @@ def _descend(
             own, ways = row[begin : begin + LANES], way[begin : begin + LANES]
             _gather(pairs, own, ways, x)
             _layer(weights.first, weights.first_bias, x, one)
-            cut(one)
+            relu(one)
             _layer(weights.middle, weights.middle_bias, one, two)
-            cut(two)
+            relu(two)
             _layer(weights.last, weights.last_bias, two, out)
             _slope_of_logits(pairs, own, ways, out, f32(1 / len(row)))
             _add_products(out, two, across, by_last[group])
             behind[:] = f32(0)
             dense(last_across, out, behind)
-            _where(two, behind)
+            _mask_relu(two, behind)
             _add_products(behind, one, across, by_middle[group])
             before[:] = f32(0)
             dense(middle_across, behind, before)
-            _where(one, before)
+            _mask_relu(one, before)
             _add_products(before, x, x_across, by_first[group])
             _sum_lanes(before, by_bias[group, :H])
             _sum_lanes(behind, by_bias[group, H : 2 * H])
@@ -150,8 +151,8 @@ def _descend(
 
 
 @compiled()
-def _gather(pairs: Pairs, row: Ints, way: Ints, x: Singles) -> None:
-    """Features and codes as lanes (inputs, 64)."""
+def _gather(pairs: TrainingRows, row: Ints, way: Ints, x: Singles) -> None:
+    """Gather features and codes as lanes (inputs, 64)."""
     F = pairs.features.shape[1]
     for lane in range(LANES):
         for i in range(F):
@@ -168,8 +169,8 @@ def _layer(weights: Singles, bias: Singles, x: Singles, y: Singles) -> None:
 
 
 @compiled()
-def _slope_of_logits(pairs: Pairs, row: Ints, way: Ints, logits: Singles, share: np.float32) -> None:
-    """Logits (3, 64) become the slopes of their share of the error."""
+def _slope_of_logits(pairs: TrainingRows, row: Ints, way: Ints, logits: Singles, share: np.float32) -> None:
+    """Replace logits (3, 64) by the gradients of their share of the loss."""
     B = pairs.basis.shape[1]
     for channel in range(3):
         for lane in range(LANES):
@@ -184,9 +185,9 @@ def _slope_of_logits(pairs: Pairs, row: Ints, way: Ints, logits: Singles, share:
 
 @compiled()
 def _add_products(slopes: Singles, shown: Singles, across: Singles, total: Singles) -> None:
-    """total (t, o, 64) += slopes (o, 64) times shown (i, 64) of the same lanes: of a layer's units by its inputs.
+    """Add the gradients of a layer's weights: total (t, o, 64) += slopes (o, 64) times shown (i, 64) of the same lanes.
 
-    across (t, 64, 64) is room for the inputs, a row for each lane; what it held beyond them stays there.
+    across (t, 64, 64) is a buffer for the inputs, one row per lane. Entries beyond the inputs keep their old contents.
     """
     for i in range(len(shown)):
         tile, column = i // LANES, i % LANES
@@ -197,8 +198,8 @@ def _add_products(slopes: Singles, shown: Singles, across: Singles, total: Singl
 
 
 @compiled()
-def _where(shown: Singles, slopes: Singles) -> None:
-    """Behind a relu: no slope where it cut."""
+def _mask_relu(shown: Singles, slopes: Singles) -> None:
+    """Backward pass of a ReLU: the gradient is 0 where the ReLU clamped."""
     for o in range(len(shown)):
         for lane in range(LANES):
             if shown[o, lane] <= f32(0):

@@ -1,1 +1,1 @@
-"""Rays through cells."""
+"""Ray marching through trees of cells."""

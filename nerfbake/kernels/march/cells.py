@@ -1,14 +1,15 @@
-"""A tree of cubes in one table, whatever it was made from: octree, N3Tree or VDB; and the way down to a point.
+"""A tree of cells in one table, built from an octree, an N3Tree or a VDB, and the descent to a point.
 
-A node of level l has 2^bits[l] cells an edge; its cells stand in a row of the table, x-major:
+A node of level l has 2^bits[l] cells along an edge. Its cells are contiguous in the table, x-major:
 
     slots[first[l] + (node << 3 bits[l]) + (cx << 2 bits[l] | cy << bits[l] | cz)]
                                      >= 0  number of the child, a node of level l + 1
                                        -1  empty space
                                     <= -2  a leaf, whose values are row -2 - slot
 
-Positions are in cells of the last level, from the root's lowest corner. Where cells come in twos, the bits of a whole
-position are the way down; any other N has its digits spread into bits first, and cells that do not exist are empty.
+Positions are in cells of the last level, from the lowest corner of the root. If nodes have a power of two of cells
+along an edge, the bits of an integer position are the path down. For any other N, the base-N digits of the position are
+spread into bits first, and cells that do not exist are empty.
 """
 
 from __future__ import annotations
@@ -22,15 +23,18 @@ from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.jit import compiled
 
 EMPTY = -1
-_TOP_SHARE = 16  # the grid that stands for the first levels has at most one cell for so many slots
+_TOP_SHARE = 16  # the grid of the first levels has at most one cell for so many slots
 _LEVEL_BITS = 6
 
 
 class Cells(NamedTuple):
-    """shift[l]: bits of a position below level l's cells; width[l]: their edge; edge: the root's; radix: N, or 0.
+    """The table of a tree, and a grid of its first levels.
 
-    top: where the way down has led within the first levels, for each of 2^top_bits cells an edge, x-major; top_below
-    bits of a position are below them. An entry is a slot and, in its last bits, the level where it was found.
+    shift[l]: bits of a position below the cells of level l; width[l]: their edge; edge: that of the root; radix: N, or
+    0.
+
+    top: the result of the descent through the first levels, for 2^top_bits cells along an edge, x-major; a position has
+    top_below bits below these cells. An entry is a slot and, in its last bits, the level at which it was found.
     """
 
     slots: npt.NDArray[np.int32]
@@ -46,8 +50,10 @@ class Cells(NamedTuple):
 
 
 def cells_of(slots: npt.NDArray[np.int32], bits: list[int], *, first: list[int] | None = None, radix: int = 0) -> Cells:
-    """first: where each level's nodes start in the table; without it, nodes are numbered through. radix: an N that is
-    no power of two.
+    """Build the tree.
+
+    first: where the nodes of each level start in the table; without it, nodes are numbered across all levels. radix: an
+    N that is not a power of two.
     """
     below = np.cumsum(np.array(bits[::-1], np.int64))[::-1] - np.array(bits)
     width = np.int64(radix or 2) ** (np.arange(len(bits))[::-1] if radix else below)
@@ -62,7 +68,7 @@ def cells_of(slots: npt.NDArray[np.int32], bits: list[int], *, first: list[int] 
 
 
 def with_rows(cells: Cells, slot: npt.NDArray[np.int32]) -> Cells:
-    """The same tree where the leaf of row i has slot[i]: EMPTY, or another row."""
+    """Return the same tree with slot[i] in place of the leaf with row i: EMPTY, or the slot of another row."""
     slots = cells.slots.copy()
     leaves = np.flatnonzero(slots < EMPTY)
     slots[leaves] = slot[-2 - slots[leaves]]
@@ -70,8 +76,8 @@ def with_rows(cells: Cells, slot: npt.NDArray[np.int32]) -> Cells:
 
 
 def _top(slots: npt.NDArray[np.int32], first: Ints, bits: list[int]) -> Ints:
-    """Each cell's slot and level after so many levels, x-major."""
-    found = np.zeros((1, 1, 1), np.int64)  # node 0 alone
+    """The slot and the level of each cell after these levels, x-major."""
+    found = np.zeros((1, 1, 1), np.int64)  # only node 0
     for level, (start, width) in enumerate(zip(first, bits, strict=False)):
         for axis in range(3):
             found = found.repeat(1 << width, axis)
@@ -84,7 +90,7 @@ def _top(slots: npt.NDArray[np.int32], first: Ints, bits: list[int]) -> Ints:
 
 
 def rows_at(cells: Cells, points: npt.NDArray[np.float64]) -> Ints:
-    """(m,) the row of the leaf around each point, -1 for empty space and outside; points (m, 3)."""
+    """(m,) the row of the leaf that contains each point (m, 3); -1 in empty space and outside."""
     found = np.full(len(points), EMPTY, np.int64)
     at = np.flatnonzero(((points >= 0) & (points < cells.edge)).all(axis=1))
     x, y, z = (_spread(cells, points[at, axis].astype(np.int64)) for axis in range(3))
@@ -110,9 +116,9 @@ def _spread(cells: Cells, position: Ints) -> Ints:
 
 
 # -- compiled --------------------------------------------------------------------------------------------------
-@compiled(inline=True)  # else every call counts references to the arrays: 200 cycles
+@compiled(inline=True)  # otherwise every call counts references to the arrays: 200 cycles
 def descend(cells: Cells, x: int, y: int, z: int) -> Any:
-    """The slot that holds this cell of the last level, and the level of that slot."""
+    """Return the slot that contains this cell of the last level, and the level of that slot."""
     if cells.radix:
         x, y, z = _encoded(cells, x), _encoded(cells, y), _encoded(cells, z)
     below, bits = cells.top_below, cells.top_bits
@@ -129,7 +135,7 @@ def descend(cells: Cells, x: int, y: int, z: int) -> Any:
 
 @compiled(inline=True)
 def lowest(cells: Cells, level: int, x: int) -> float:
-    """Where the cell of this level around x starts."""
+    """Return where the cell of this level that contains x starts."""
     if cells.radix:
         return float(x - x % np.int64(cells.width[level]))
     return float(x >> cells.shift[level] << cells.shift[level])

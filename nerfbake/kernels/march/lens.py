@@ -1,11 +1,12 @@
-"""Lens distortion by polynomials, forwards and back, on the plane one unit before the camera.
+"""Polynomial lens distortion and its inverse, on the plane one unit in front of the camera.
 
     s = x^2 + y^2                              scale = (1 + n1 s + n2 s^2 + ...) / (1 + d1 s + d2 s^2 + ...)
     x' = x scale + 2 p1 x y + p2 (s + 2 x^2)
-    y' = y scale + p1 (s + 2 y^2) + 2 p2 x y   y points down, as OpenCV has it
+    y' = y scale + p1 (s + 2 y^2) + 2 p2 x y   y points down, as in OpenCV
 
-Source: Brown, "Close-range camera calibration" (1971), as OpenCV's documentation of calib3d writes it. A fisheye lens
-(Kannala and Brandt, 2006) is the same in another plane: there (x, y) is as long as the angle from the optical axis.
+Source: Brown, "Close-range camera calibration" (1971), in the form of OpenCV's documentation of calib3d. A fisheye lens
+(Kannala and Brandt, 2006) uses the same formulas in another plane: there the length of (x, y) is the angle from the
+optical axis.
 """
 
 from __future__ import annotations
@@ -19,22 +20,23 @@ from nerfbake.kernels.arrays import Floats
 
 Coefficients = Sequence[float]
 
-EXACT = 1e-12  # how near a point that was found has to come to the one that was asked for
-_STEPS = 20  # of Newton; four are usual
-_ENTRIES = 4096  # of the table that the search starts from
-_CHUNK = 1 << 14  # points at a time: what is in work stays in a core's cache
+EXACT = 1e-12  # largest distance between a given point and the image of the point that was found
+_STEPS = 20  # of Newton's method; four are usual
+_ENTRIES = 4096  # of the table with start values
+_CHUNK = 1 << 14  # points at a time: temporaries stay in a core's cache
 
 
 def undistort(
     points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float], *, most: float = np.inf
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """The points (m, 2) that a lens puts here, and (m,) bool whether each was found.
+    """Return the points (m, 2) that the lens maps to the given ones, and (m,) bool whether each was found.
 
-    Found is what comes within EXACT, nearer than `most` to the middle, and inside the fold: where a polynomial turns
-    back, it shows nothing that a lens would. Newton's method, from a table of the radial part.
+    A point is found if it maps to within EXACT of the given point, its radius is less than `most`, and it is inside the
+    fold: beyond the radius where a polynomial turns back, it describes no lens. Newton's method, from a table of the
+    radial part.
     """
     found, fine = np.empty_like(points), np.zeros(len(points), bool)
-    with np.errstate(all="ignore"):  # what overflows is not found
+    with np.errstate(all="ignore"):  # points that overflow are not found
         start, end = _table(np.sqrt((points**2).sum(axis=1).max(initial=0)), numerator, denominator, most)
         for first in range(0, len(points), _CHUNK):
             some = slice(first, first + _CHUNK)
@@ -43,7 +45,7 @@ def undistort(
 
 
 def _table(farthest: float, n: Coefficients, d: Coefficients, most: float) -> tuple[tuple[Floats, Floats], float]:
-    """Radii behind the lens with those before it, rising up to the farthest or to the fold; and where they end."""
+    """Distorted radii and the radii before distortion, rising up to the farthest or to the fold; and where they end."""
     reach = farthest
     while True:
         reach = min(2 * reach, most)
@@ -69,7 +71,7 @@ def _solve(
         scale, slope = _scale(s, n, d)
         a, b = _moved(x, y, s, scale, p)
         a, b = a - u, b - v
-        # The derivatives of (a, b) by x and y; the matrix is symmetric.
+        # The derivatives of (a, b) with respect to x and y; the matrix is symmetric.
         across = 2 * slope * x * y + 2 * p[0] * x + 2 * p[1] * y
         xx = scale + 2 * slope * x * x + 2 * p[0] * y + 6 * p[1] * x
         yy = scale + 2 * slope * y * y + 6 * p[0] * y + 2 * p[1] * x
@@ -83,7 +85,7 @@ def _solve(
 
 
 def _scale(s: Floats, numerator: Coefficients, denominator: Coefficients) -> tuple[Floats, Floats]:
-    """The radial part, and its derivative by s."""
+    """The radial part, and its derivative with respect to s."""
     n, dn = _polynomial(s, numerator)
     if not any(denominator):
         return n, dn

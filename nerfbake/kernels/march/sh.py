@@ -1,4 +1,4 @@
-"""Real spherical harmonics, in the order and with the signs that PlenOctrees use.
+"""Real spherical harmonics, in the order and with the signs of PlenOctrees.
 
 Order: f0^0, f1^-1, f1^0, f1^1, f2^-2, ... Y1 is (-y, z, -x): the Condon-Shortley phase is kept, as in svox.
 Source: docs/conventions.md, "Spherical harmonics".
@@ -21,7 +21,7 @@ def sh_basis(directions: npt.NDArray[np.float64], B: int, dtype: npt.DTypeLike =
 
 
 def fill_basis(x: Any, y: Any, z: Any, B: int, out: npt.NDArray[Any]) -> None:
-    """The same into out (B, m), of arrays (m,); or, compiled, of numbers into (B,)."""
+    """Write sh_basis() into out: (B, m) for arrays x, y, z (m,); in compiled code (B,) for numbers."""
     xx, yy, zz = x * x, y * y, z * z
     out[0] = 0.5 / sqrt(pi)
     if B > 1:

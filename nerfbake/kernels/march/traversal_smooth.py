@@ -1,8 +1,8 @@
-"""Rays through a tree of cells that are samples of something smooth: values between their centres are interpolated.
+"""Ray marching through a tree of cells that sample a smooth field, with interpolation between their centres.
 
-Density is trilinear, an empty cell's being 0. Coefficients are trilinear too, weighted by density: what is empty has no
-colour that could show. The ray goes through the cubes between eight centres; along it, density is a cubic there, whose
-integral two Gauss points give exactly. Empty regions are crossed a cell of the tree at a time.
+Density is trilinear; an empty cell has density 0. Coefficients are trilinear too, weighted by density: empty space has
+no visible colour. The ray crosses the cubes between eight centres. Along the ray, density is a cubic within each cube,
+and two Gauss points integrate a cubic exactly. Empty regions are crossed one cell of the tree at a time.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend
 from nerfbake.kernels.march.traversal import (
     _BLOCK,
-    beyond,
     compiled_exp_parts,
+    containing_cell,
+    next_cell,
     shuffled,
     sigmoid_of,
     span,
     sums,
-    within,
 )
 
-GAUSS = 0.5 - 0.5 / sqrt(3)  # of a stretch: the first of its two Gauss points; the other is as far from the end
+GAUSS = 0.5 - 0.5 / sqrt(3)  # of an interval: its first Gauss point; the second is as far from the end
 
 
 @compiled(parallel=True)
@@ -43,7 +43,10 @@ def march_smooth(
     cut: float,
     out: Singles,
 ) -> None:
-    """As traversal.march, but that positions count from the first cell's centre; the box goes from centre to centre."""
+    """Like traversal.march(), for interpolated cells.
+
+    Positions count from the centre of the first cell, and the box extends from centre to centre.
+    """
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
     blocks = (len(directions) + _BLOCK - 1) // _BLOCK
@@ -55,9 +58,13 @@ def march_smooth(
             o0, o1, o2 = origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2
             through, red, green, blue, far = 1.0, 0.0, 0.0, 0.0, 0.0
             t, end, world, fresh = 0.0, end - start, 1 / scale, 8
-            x, y, z = within(o0, low0, high0), within(o1, low1, high1), within(o2, low2, high2)
+            x, y, z = (
+                containing_cell(o0, low0, high0),
+                containing_cell(o1, low1, high1),
+                containing_cell(o2, low2, high2),
+            )
             while t < end:
-                # The cube from x to x + 1, or all cubes between the centres of an empty cell's own.
+                # The cube from x to x + 1 or, in an empty cell of the tree, all cubes between the centres inside it.
                 l0, l1, l2, width = x, y, z, 1
                 slot, level = _slot(cells, x, y, z)
                 if slot == EMPTY:
@@ -88,11 +95,11 @@ def march_smooth(
                     if through < cut:
                         break
                 t = ahead
-                x, y, z, axis = beyond(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+                x, y, z, axis = next_cell(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
                 if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
                     break
                 if width == 1:
-                    # The corners that the next cube does not share with this one, as bits of their numbers.
+                    # The corners that the next cube does not share with this one, as a bit of their numbers.
                     upward = d0 > 0 if axis == 0 else d1 > 0 if axis == 1 else d2 > 0
                     fresh = 4 >> axis if upward else -(4 >> axis)
             out[ray, 0], out[ray, 1], out[ray, 2], out[ray, 3], out[ray, 4] = red, green, blue, 1 - through, far
@@ -118,17 +125,17 @@ def _fetch(
     fresh: int,
     corners: Floats,
 ) -> None:
-    """Density, and density times the sums of coefficients, at the corners 4 dx + 2 dy + dz of a cube.
+    """Fill the corners 4 dx + 2 dy + dz of a cube: density, and density times the sums of the coefficients.
 
-    fresh: 8, all of them; 4, 2 or 1, those on the far side of x, y or z, as the cube before lay below this one; and
-    with a minus sign, as it lay above.
+    fresh: 8 reads all corners. 4, 2 or 1 reads those on the far side along x, y or z, because the previous cube was
+    below this one. A negative number reads those on the near side, because it was above.
     """
     axis = abs(fresh) & 7
     for corner in range(8):
-        # Shared corners move over before they are overwritten: upward from below, downward from above.
+        # Copy shared corners before they are overwritten: upward after a step up, downward after a step down.
         number = corner if fresh > 0 else 7 - corner
         if axis and (number & axis == 0) == (fresh > 0):
-            for k in range(4):  # a loop: slices would be copied first, in case they overlap
+            for k in range(4):  # a loop: numba would copy slices first, in case they overlap
                 corners[number, k] = corners[number ^ axis, k]
             continue
         slot, _ = _slot(cells, x + (number >> 2), y + (number >> 1 & 1), z + (number & 1))
@@ -142,7 +149,7 @@ def _fetch(
 
 @compiled(merged=True)
 def _between(corners: Floats, f0: float, f1: float, f2: float) -> Any:
-    """The corners' four values at a place in their cube, 0 to 1 along each axis."""
+    """Interpolate the four values of the corners at a position in their cube, 0 to 1 along each axis."""
     sigma, r, g, b = 0.0, 0.0, 0.0, 0.0
     for corner in range(8):
         weight = (f0 if corner & 4 else 1 - f0) * (f1 if corner & 2 else 1 - f1) * (f2 if corner & 1 else 1 - f2)

@@ -1,1 +1,1 @@
-"""Numbers: the same on every processor."""
+"""Mathematical functions with the same result on every processor."""

@@ -1,4 +1,7 @@
-"""Three by three matrices, with the same last bit on every CPU: a BLAS adds up as it likes, and these are short."""
+"""Short products of (3,) vectors and (3, 3) or (3, 4) matrices in NumPy alone, the same on every CPU.
+
+This module does not import numba, so that commands that read and check files start fast.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,22 @@ import numpy.typing as npt
 from nerfbake.kernels.arrays import Floats
 
 
-def turned(vectors: npt.NDArray[Any], matrix: Floats) -> Floats:
-    """(..., 3) matrix @ each vector, matrix (3, 3): x of the first column, then y, then z of the others."""
+def rotate(vectors: npt.NDArray[Any], matrix: Floats) -> Floats:
+    """matrix @ vector for (..., 3) vectors and a (3, 3) matrix.
+
+    The terms are added in order: x times the first column, y times the second, z times the third.
+    """
     x, y, z = (vectors[..., axis, None] * matrix[:, axis] for axis in range(3))
     return np.asarray(x + y + z, np.float64)
 
 
-def placed(points: npt.NDArray[Any], matrix: Floats) -> Floats:
-    """(..., 3) points through a matrix (3, 4) or (4, 4), whose last column is where the origin goes."""
-    return turned(points, matrix[:3, :3]) + matrix[:3, 3]
+def transform_points(points: npt.NDArray[Any], matrix: Floats) -> Floats:
+    """Transform (..., 3) points by a (3, 4) or (4, 4) matrix, whose last column is the translation."""
+    return rotate(points, matrix[:3, :3]) + matrix[:3, 3]
 
 
-def combined(first: Floats, second: Floats) -> Floats:
-    """first @ second, of small matrices."""
+def compose(first: Floats, second: Floats) -> Floats:
+    """first @ second, for small matrices."""
     return np.asarray((first[:, :, None] * second).sum(axis=1), np.float64)
 
 
@@ -32,9 +38,9 @@ def determinant(matrix: Floats) -> float:
 
 
 def inverse(matrix: Floats) -> Floats:
-    """Of a matrix that has one, else what is not finite; of a diagonal one exactly its entries' reciprocals.
+    """The inverse of a (3, 3) matrix, by Gauss-Jordan elimination with pivots.
 
-    Gauss and Jordan's elimination, with pivots.
+    A singular matrix gives values that are not finite. For a diagonal matrix the entries are exactly the reciprocals.
     """
     rows = np.column_stack([matrix, np.eye(3)])
     for i in range(3):

@@ -1,19 +1,24 @@
-"""The region-adaptive Haar transform over the leaves of an octree: pairs merge, a bit of the Morton code at a time.
+"""The region-adaptive Haar transform over the leaves of an octree, and its inverse for blocks of neighbouring leaves.
 
-Points (leaves, in Morton order) that differ in the lowest bit alone are a pair; then those in the next bit, and so on
-up to the root, three binary levels for each level of the octree. What has no partner waits. A larger leaf has zeros for
-its lower bits and no neighbour in its cube, so that it enters at its own level without any rule of its own.
+Points (leaves, in Morton order) that differ only in the lowest bit of their Morton code form a pair; then those that
+differ in the next bit, and so on up to the root: three binary levels for each level of the octree. A point without a
+partner waits. A larger leaf has zeros in its lower bits and no neighbour in its cube, so it enters at its own level
+without a special rule.
 
     sum        = p low + q high      p = sqrt(l / (l + h)), q = sqrt(h / (l + h))
-    difference = p high - q low      l, h: how many leaves are in the lower and the upper half
+    difference = p high - q low      l, h: number of leaves in the lower and the upper half
 
     low  = p sum - q difference      high = q sum + p difference
 
 The sum goes on to the next level and the difference is a coefficient: the transform is orthonormal. Every term is
-rounded to float64 in the order that is written here, and forward() rounds what it writes to the type of its points, so
-that all CPUs make the same numbers.
-Source: de Queiroz and Chou, "Compression of 3D point clouds using a region-adaptive hierarchical transform", 2016,
-with the weight 1 for every leaf.
+rounded to float64 in the order written here, and forward() rounds its output to the type of its points, so all CPUs
+compute the same numbers.
+Source: de Queiroz and Chou, "Compression of 3D point clouds using a region-adaptive hierarchical transform", 2016, with
+the weight 1 for every leaf.
+
+The values inside a cube of the octree depend only on the pairs in the cube, once its sum is known. So restore() first
+inverts the few pairs above the cubes, and then each cube separately, in little memory, on any core, with the same bits
+as inverse().
 """
 
 from __future__ import annotations
@@ -25,6 +30,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.octree.pyramid import INNER, Level
+from nerfbake.kernels.parallel import on_every_core
 
 Ints = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int32]
@@ -36,7 +42,7 @@ class Merges(NamedTuple):
     """The m - 1 pairs of m points, from the coarsest binary level to the finest, in Morton order within a level.
 
     low, high              (m - 1,) int32 the first point of the lower and of the upper half
-    low_count, high_count  (m - 1,) int32 how many points each half has
+    low_count, high_count  (m - 1,) int32 number of points in each half
     ends                   (levels,) int64 where the pairs of each binary level end, the coarsest first
     """
 
@@ -48,14 +54,14 @@ class Merges(NamedTuple):
 
     @property
     def rows(self) -> Counts:
-        """(m,) the point in whose place each row of coefficients comes out: the mean first, then the pairs in order."""
+        """(m,) the point in whose place each row of coefficients is stored: the mean first, then the pairs in order."""
         return np.concatenate([np.zeros(1, np.int32), self.high])
 
 
 def levels_of(masks: npt.NDArray[np.uint8], levels: int) -> list[Level]:
-    """The octree's levels, its leaves numbered breadth-first.
+    """Return the levels of the octree, with its leaves numbered breadth-first.
 
-    masks: of every node above the last level the children that it has, breadth-first; they must be sound.
+    masks: the child mask of every node above the last level, breadth-first; they must be valid.
     """
     found, first, leaves = [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.zeros(1, np.int32))], 0, 0
     for depth in range(levels + 1):
@@ -72,7 +78,10 @@ def levels_of(masks: npt.NDArray[np.uint8], levels: int) -> list[Level]:
 
 
 def leaf_codes(levels: list[Level], height: int) -> tuple[Ints, Ints]:
-    """(m,) rising Morton codes of the leaves' lowest voxels, and (m,) the number of each; height: the last level's."""
+    """(m,) rising Morton codes of the leaves' lowest voxels, and (m,) the number of each leaf.
+
+    height: the depth of the level of single voxels.
+    """
     nodes, codes, leaves = np.zeros(1, np.int64), [], []
     for depth, level in enumerate(levels):
         if depth:
@@ -86,7 +95,7 @@ def leaf_codes(levels: list[Level], height: int) -> tuple[Ints, Ints]:
 
 
 def merges_of(codes: Ints, height: int) -> Merges:
-    """The pairs of points with these rising Morton codes, under a root 2^height voxels wide."""
+    """The pairs of points with these rising Morton codes, under a root of 2^height voxels along an edge."""
     m, bits = len(codes), 3 * height
     level, low = np.zeros(m, np.int64), np.zeros(m, np.int32)
     high_count = np.zeros(m, np.int32)
@@ -100,12 +109,18 @@ def merges_of(codes: Ints, height: int) -> Merges:
 
 
 def forward(points: Points, merges: Merges) -> None:
-    """(m, C) values of points become coefficients, in place: each pair's difference stands where its upper half did."""
+    """Transform (m, C) values of points into coefficients, in place.
+
+    The difference of a pair replaces the first point of its upper half.
+    """
     _forward(points, merges.low, merges.high, merges.low_count, merges.high_count)
 
 
 def inverse(rows: npt.NDArray[Any], steps: Floats, merges: Merges) -> Floats:
-    """(m, C) the values of points; rows: coefficients in the order of `merges.rows`, in steps of their channel."""
+    """(m, C) the values of the points.
+
+    rows: coefficients in the order of `merges.rows`, in multiples of the step of their channel.
+    """
     points = np.empty(rows.shape)
     points[0] = rows[0] * steps
     _inverse(rows, steps, points, merges.low, merges.high, merges.low_count, merges.high_count)
@@ -115,11 +130,13 @@ def inverse(rows: npt.NDArray[Any], steps: Floats, merges: Merges) -> Floats:
 # -- compiled --------------------------------------------------------------------------------------------------
 @compiled()
 def _pair_up(codes: Ints, level: Ints, low: Counts, high_count: Counts) -> None:
-    """Of every point but the first: the highest bit in which it differs from the one before. There the half that it
-    begins meets the half that `low` begins; high_count is how many points are in its own.
+    """Find the merges of rising codes. Every point but the first starts a half, which is merged with the half at `low`.
+
+    level: the highest bit in which the point differs from the previous one, where the halves merge. high_count: the
+    number of points in the half that the point starts.
     """
     m = len(codes)
-    stack = np.zeros(m + 1, np.int64)  # the points whose halves are still open, the first at the bottom
+    stack = np.zeros(m + 1, np.int64)  # start points of the halves that are still open, the first at the bottom
     depth = 1
     for i in range(1, m):
         differ, bit = codes[i] ^ codes[i - 1], -1
@@ -168,3 +185,91 @@ def _inverse(
             total, difference = points[a, c], rows[pair + 1, c] * steps[c]
             points[a, c] = p * total - q * difference
             points[b, c] = q * total + p * difference
+
+
+_BITS = 12  # binary levels of a block: up to 4096 leaves
+
+
+class HaarBlocks(NamedTuple):
+    """Blocks of points that are restored independently.
+
+    heads (b + 1,): the first point of each block, then m. pairs (m - b,): the pairs in blocks, by block and from coarse
+    to fine in each; first (b + 1,): where the pairs of each block begin.
+    """
+
+    heads: Ints
+    pairs: Counts
+    first: Ints
+
+
+def blocks_of(merges: Merges) -> HaarBlocks:
+    """The cubes that the last 12 binary levels divide."""
+    levels, m = len(merges.ends), len(merges.low) + 1
+    coarse = int(merges.ends[levels - _BITS - 1]) if levels > _BITS else 0
+    heads = np.sort(np.append(merges.high[:coarse], 0)).astype(np.int64)
+    block = np.searchsorted(heads, merges.low[coarse:], side="right") - 1
+    pairs = coarse + np.argsort(block, kind="stable")
+    first = np.append(0, np.cumsum(np.bincount(block, minlength=len(heads))))
+    return HaarBlocks(np.append(heads, m), pairs.astype(np.int32), first)
+
+
+def restore(
+    rows: npt.NDArray[Any], steps: Floats, merges: Merges, mixing: Floats, leaf: Ints
+) -> tuple[npt.NDArray[np.float32], Floats]:
+    """(m, C) float32 coefficients by leaf number, with 0 in the last column, and (m,) the values of the last channel.
+
+    rows, steps, merges: see inverse(). A coefficient is the sum, over the channels except the last and from the first
+    on, of the channel times mixing (C - 1, C - 1), whose rows are the channels. leaf (m,): the leaf number of each
+    point.
+    """
+    blocks = blocks_of(merges)
+    b = len(blocks.heads) - 1
+    low, high = (np.searchsorted(blocks.heads, each[: b - 1]).astype(np.int32) for each in (merges.low, merges.high))
+    sums = inverse(rows[:b], steps, merges._replace(low=low, high=high))
+    values, last = np.zeros(rows.shape, np.float32), np.empty(len(rows))
+    on_every_core(
+        lambda first, step: _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last, first, step)
+    )
+    return values, last
+
+
+@compiled()
+def _restore(
+    rows: npt.NDArray[Any],
+    steps: Floats,
+    merges: Merges,
+    blocks: HaarBlocks,
+    sums: Floats,
+    mixing: Floats,
+    leaf: Ints,
+    values: npt.NDArray[np.float32],
+    last: Floats,
+    first: int,
+    step: int,
+) -> None:
+    """Restore every step-th block."""
+    C = len(steps)
+    own = np.empty(C - 1)
+    low, high, low_count, high_count = merges.low, merges.high, merges.low_count, merges.high_count
+    for block in range(first, len(sums), step):
+        begin = blocks.heads[block]
+        points = np.empty((blocks.heads[block + 1] - begin, C))
+        points[0] = sums[block]
+        for i in range(blocks.first[block], blocks.first[block + 1]):
+            pair = blocks.pairs[i]
+            p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
+            q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
+            a, b = low[pair] - begin, high[pair] - begin
+            for c in range(C):
+                total, difference = points[a, c], rows[pair + 1, c] * steps[c]
+                points[a, c] = p * total - q * difference
+                points[b, c] = q * total + p * difference
+        for point in range(len(points)):
+            row = leaf[begin + point]
+            own[:] = 0
+            for s in range(C - 1):
+                for c in range(C - 1):
+                    own[c] += points[point, s] * mixing[s, c]
+            for c in range(C - 1):
+                values[row, c] = own[c]
+            last[row] = points[point, C - 1]

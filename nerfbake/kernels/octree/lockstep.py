@@ -1,7 +1,7 @@
-"""An octree over a voxel grid and an N^3 tree over the same cube, descended together.
+"""Descend an octree over a voxel grid and an N^3 tree over the same cube together.
 
-Everything is compared in whole numbers: coordinate x of a voxel grid of W voxels stands at x / W of the cube, cell i
-of a level of K cells starts at i / K, and x / W < i / K is x K < i W. So no grid size, aligned or not, ever rounds.
+All comparisons use integers: coordinate x of a grid of W voxels is at x / W of the cube, cell i of a level of K cells
+starts at i / K, and x / W < i / K is x K < i W. So there is no rounding for any grid size, aligned or not.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.octree.pyramid import INNER, Level
 
-# Octant o = x + 2y + 4z: the steps of each axis.
+# Octant o = x + 2y + 4z: the steps along each axis.
 _STEPS = tuple(np.arange(8) >> axis & 1 for axis in range(3))
-_MAX_NUMBER = 2**31 - 1  # of a leaf: 32 bits keep the levels half as large
-_CHUNK = 1 << 13  # cubes split at a time: temporaries stay in the cache, and memory bounded
+_MAX_NUMBER = 2**31 - 1  # of a leaf: with 32 bits, levels take half the memory of 64
+_CHUNK = 1 << 13  # cubes split at a time: temporaries stay in the cache, and memory stays bounded
 
 
-class Source(NamedTuple):
-    """The tree to read from, ready for descents; C = N^3 cells a node, flat cells are row * C + cell."""
+class SourceTree(NamedTuple):
+    """The tree to read from, prepared for descents. C = N^3 cells per node; a flat cell is row * C + cell."""
 
     N: int
     cells: Ints  # (levels,) cells along an axis at each depth: N, N^2, ...
-    link: npt.NDArray[np.int32]  # (n C,) row of the child that holds something, 0 = leaf or nothing there
-    density: npt.NDArray[np.float32]  # (n C,) density of leaves, 0 in empty ones and where there is a child
+    link: npt.NDArray[np.int32]  # (n C,) row of the child that is not empty; 0 = leaf or empty
+    density: npt.NDArray[np.float32]  # (n C,) density of leaves; 0 if empty or if there is a child
 
 
 class OctreeCubes(NamedTuple):
-    """Octree nodes of one level: where they are, and the deepest source node that contains each."""
+    """Octree nodes of one level: their positions, and the deepest source node that contains each."""
 
     x: Ints
     y: Ints
@@ -45,16 +45,17 @@ class OctreeCubes(NamedTuple):
 
 
 def octants_of(parents: OctreeCubes) -> OctreeCubes:
-    """The eight octants of every cube, parent after parent."""
+    """The eight octants of every cube, parent by parent."""
     place = (((q[:, None] << 1) + step).reshape(-1) for q, step in zip(parents[:3], _STEPS, strict=True))
     x, y, z = place
     return OctreeCubes(x, y, z, np.repeat(parents.row, 8), np.repeat(parents.depth, 8))
 
 
 def spans(cubes: OctreeCubes, shift: int, size: tuple[int, int, int], *, centres: bool) -> list[tuple[Ints, Ints]]:
-    """Per axis the part of the grid that each cube of 2^shift voxels covers, from a to b, in units of 1 / 2W.
+    """For each axis, the interval a .. b of the grid that each cube of 2^shift voxels covers, in units of 1 / 2W.
 
-    With `centres` from its first to its last voxel centre, else from edge to edge. Cut at the grid's end.
+    With `centres`, from its first to its last voxel centre; otherwise from edge to edge. Clipped to the end of the
+    grid.
     """
     found = []
     for q, edge in zip(cubes[:3], size, strict=True):
@@ -65,12 +66,12 @@ def spans(cubes: OctreeCubes, shift: int, size: tuple[int, int, int], *, centres
 
 
 def descend_source(
-    source: Source, cubes: OctreeCubes, shift: int, size: tuple[int, int, int], *, centres: bool
+    source: SourceTree, cubes: OctreeCubes, shift: int, size: tuple[int, int, int], *, centres: bool
 ) -> tuple[Ints, OctreeCubes]:
-    """Follows the source tree down as long as one of its cells contains the whole cube.
+    """Follow the source tree down as long as one of its cells contains the whole cube.
 
-    -> (m,) the flat leaf cell that contains it (density 0: nothing there), or INNER, and the cubes with the deepest
-    source node that contains each. A cube is judged by its span: see spans().
+    Returns (m,) the flat leaf cell that contains each cube (density 0: empty) or INNER, and the cubes with the deepest
+    source node that contains each. The extent of a cube is that of spans().
     """
     N, cells_per_node = source.N, source.N**3
     span = spans(cubes, shift, size, centres=centres)
@@ -95,24 +96,26 @@ def descend_source(
     return leaf, cubes._replace(row=row, depth=depth)
 
 
-class Room(NamedTuple):
-    """The bytes that the octree's nodes will take."""
+class NodeBudget(NamedTuple):
+    """The bytes that the nodes of the octree need."""
 
-    node: int  # each of them
-    inner: int  # more for each that is not within one leaf of the source, whose mean is kept
+    node: int  # for each node
+    inner: int  # in addition for each node that is not within one leaf of the source: its mean is stored
 
     def require(self, nodes: int, inner: int, size: tuple[int, int, int]) -> None:
-        """Raises MemoryLimit where so many do not fit."""
+        """Raise MemoryLimit if these nodes do not fit."""
         memory.require(f"an octree of {'x'.join(map(str, size))} voxels", nodes * self.node + inner * self.inner)
 
 
-def refine(source: Source, size: tuple[int, int, int], *, centres: bool, room: Room) -> tuple[list[Level], OctreeCubes]:
-    """Splits the grid's cube, from the root down, wherever it is neither empty nor within one leaf.
+def refine(
+    source: SourceTree, size: tuple[int, int, int], *, centres: bool, room: NodeBudget
+) -> tuple[list[Level], OctreeCubes]:
+    """Split the cube of the grid, from the root down, wherever it is neither empty nor within one leaf.
 
-    -> the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole node of it; and
-    the voxels made of several parts, of which the k-th has the number n C + n + k; all of these may be empty, which
-    only a voxel's parts can tell. With `centres` a voxel covers what its centre hits. Raises MemoryLimit as soon as
-    the nodes take too much.
+    Returns the levels, whose leaves are flat cells of the source, or n C + row for a voxel that is a whole source node;
+    and the voxels made of several parts, the k-th of which has the number n C + n + k. All parts of such a voxel may be
+    empty; this is visible only in the parts. With `centres`, a voxel covers what its centre hits. Raises MemoryLimit as
+    soon as the nodes need too much memory.
     """
     if _halves_alike(source, size, centres=centres):
         return _follow(source, size, room), OctreeCubes(*(np.zeros(0, np.int64) for _ in range(5)))
@@ -120,7 +123,7 @@ def refine(source: Source, size: tuple[int, int, int], *, centres: bool, room: R
     root = OctreeCubes(*(np.zeros(1, np.int64) for _ in range(5)))
     level, inner = _keep(source, root, root.row, np.zeros(1, np.uint8), shift, size, centres=centres)
     if not len(level.leaf):
-        # Nothing anywhere: the root stays, an inner node without children.
+        # Everything is empty: the root stays, as an inner node without children.
         return [Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32))], inner
     levels, nodes, split = [level], 1, 1
     while len(inner.row) and shift:
@@ -137,7 +140,7 @@ def refine(source: Source, size: tuple[int, int, int], *, centres: bool, room: R
         level = Level(*(np.concatenate(arrays) for arrays in zip(*(piece for piece, _ in found), strict=True)))
         inner = OctreeCubes(*(np.concatenate(arrays) for arrays in zip(*(piece for _, piece in found), strict=True)))
         levels.append(level)
-    # Whatever is still not within one leaf is a single voxel: a whole node of the source, or parts of several.
+    # A cube that is still not within one leaf is a single voxel: a whole node of the source, or parts of several.
     exact = np.ones(len(inner.row), bool)
     K = np.concatenate([[1], source.cells])[inner.depth]
     for (a, b), edge in zip(spans(inner, 0, size, centres=centres), size, strict=True):
@@ -148,16 +151,16 @@ def refine(source: Source, size: tuple[int, int, int], *, centres: bool, room: R
     return levels, inner.take(~exact)
 
 
-def _halves_alike(source: Source, size: tuple[int, int, int], *, centres: bool) -> bool:
-    """The octree's cubes are the tree's own cells, all the way down to voxels."""
+def _halves_alike(source: SourceTree, size: tuple[int, int, int], *, centres: bool) -> bool:
+    """Return whether the cubes of the octree are the cells of the source tree, all the way down to voxels."""
     aligned = source.N == 2 and len(set(size)) == 1 and size[0] & (size[0] - 1) == 0
-    return aligned and (not centres or size[0] >= source.cells[-1])  # a larger voxel's centre is in one of its cells
+    return aligned and (not centres or size[0] >= source.cells[-1])  # a larger voxel's centre is inside one cell
 
 
-def _follow(source: Source, size: tuple[int, int, int], room: Room) -> list[Level]:
-    """What refine() finds where _halves_alike(), in a fifth of its time: the source's own nodes, level by level."""
+def _follow(source: SourceTree, size: tuple[int, int, int], room: NodeBudget) -> list[Level]:
+    """The result of refine() if _halves_alike(), in a fifth of the time: copy the source's nodes level by level."""
     octant = np.arange(8)
-    cell_of_octant = (octant & 1) << 2 | octant & 2 | octant >> 2  # x + 2y + 4z of an octree is 4x + 2y + z of a node
+    cell_of_octant = (octant & 1) << 2 | octant & 2 | octant >> 2  # octant x + 2y + 4z is cell 4x + 2y + z of a node
     level, row = Level(np.zeros(1, np.int32), np.zeros(1, np.uint8), np.full(1, INNER, np.int32)), np.zeros(1, np.int32)
     levels, nodes, split = [level], 1, 1
     while len(levels) < size[0].bit_length() and len(row):
@@ -175,15 +178,17 @@ def _follow(source: Source, size: tuple[int, int, int], room: Room) -> list[Leve
     return levels
 
 
-def _number(level: Level, number: Ints, source: Source) -> None:
-    """Numbers the voxels that are not within one leaf."""
+def _number(level: Level, number: Ints, source: SourceTree) -> None:
+    """Number the voxels that are not within one leaf."""
     if max(source.link.size, number.max(initial=0)) > _MAX_NUMBER:
-        raise InvalidScene(Problem("the tree", f"has {source.link.size:,} cells", f"{_MAX_NUMBER:,} with their voxels"))
+        raise InvalidScene(
+            Problem("the tree", f"has {source.link.size:,} cells", f"at most {_MAX_NUMBER:,} cells and voxels")
+        )
     level.leaf[level.leaf == INNER] = number
 
 
 def _keep(
-    source: Source,
+    source: SourceTree,
     cubes: OctreeCubes,
     parent: Ints,
     octant: npt.NDArray[np.uint8],
@@ -192,7 +197,7 @@ def _keep(
     *,
     centres: bool,
 ) -> tuple[Level, OctreeCubes]:
-    """Of these cubes those in the grid that hold something; and of them again those to be split."""
+    """Return the cubes in the grid that are not empty, and those of them that must be split."""
     within = np.ones(len(parent), bool)
     for q, edge in zip(cubes[:3], size, strict=True):
         within &= q << shift < edge
@@ -200,7 +205,7 @@ def _keep(
         cubes, parent, octant = cubes.take(within), parent[within], octant[within]
     leaf, cubes = descend_source(source, cubes, shift, size, centres=centres)
     held = (leaf == INNER) | (source.density[leaf] > 0)
-    # A leaf may not reach beyond the grid: its values would fill space that is none of its own.
+    # A leaf must not extend beyond the grid: its values would fill space outside of it.
     for q, edge in zip(cubes[:3], size, strict=True):
         leaf[(q + 1) << shift > edge] = INNER
     level = Level(parent[held].astype(np.int32), octant[held], leaf[held].astype(np.int32))

@@ -1,4 +1,4 @@
-"""Walks over the node table of a tree that nobody has vouched for, level by level, without recursion."""
+"""Walk the node table of an unvalidated tree, level by level, without recursion."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from nerfbake.errors import Problem
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.soundness import place, plural
 
-# Bytes that a walk takes for each node, for each cell of a level, and for each of those that points somewhere.
+# Bytes that a walk takes for each node, for each cell of a level, and for each of these cells with a pointer.
 _PER_NODE, _PER_CELL, _PER_POINTER = 25, 5, 80
 
 
 class Walk(NamedTuple):
-    """What the walk found: per level the rows in breadth-first order and the cell that points to each."""
+    """The result of a walk: for each level the rows in breadth-first order, and the cell that points to each."""
 
     levels: list[Ints]
     cells: list[Ints]  # flat index row * C + cell of the parent's cell; -1 for the root
@@ -33,12 +33,12 @@ def walk(
     max_levels: int,
     later: bool,
 ) -> Walk:
-    """The nodes that the root reaches, with every pointer that cannot be right reported and not followed.
+    """Walk the nodes that the root reaches. Every invalid pointer is reported and not followed.
 
-    targets(rows) gives which of the (m, C) cells of these rows point to a child, in order, and to which row each. A
-    node is entered once, the root never again, so cycles and shared children end the walk's descent there: time and
-    memory are O(n C) whatever the table holds. With `later` a child must stand behind its parent, as svox writes it.
-    `shape` is the shape of one node's cells, for messages; at most max_levels levels are walked.
+    targets(rows) returns which of the (m, C) cells of these rows point to a child, in order, and to which row each
+    points. A node is entered once, the root never again, so the walk does not descend along cycles and shared children:
+    time and memory are O(n C) for any table. With `later`, a child must come after its parent, as svox writes it.
+    `shape` is the shape of the cells of one node, for messages. At most max_levels levels are walked.
     """
     cells_per_node = int(np.prod(shape))
     seen = np.zeros(n, bool)
@@ -56,7 +56,7 @@ def walk(
             wrong |= target <= cell // cells_per_node
         problems.add("points to node {}", cell[wrong], target[wrong])
         cell, target = cell[~wrong], target[~wrong]
-        # Of several cells that claim a node the first one written last, that is the first in order, keeps it.
+        # If several cells point to a node, the first in order keeps it: it is written last.
         claims = np.arange(len(target))
         first_claim[target[::-1]] = claims[::-1]
         shared = seen[target] | (first_claim[target] != claims)
@@ -73,7 +73,7 @@ def walk(
 
 
 class _Problems:
-    """Collects wrong pointers, one Problem for each kind of wrong and level."""
+    """Collects invalid pointers: one Problem for each kind and level."""
 
     def __init__(self, name: str, shape: tuple[int, ...], n: int, later: bool) -> None:
         self.name, self.shape, self.n, self.later = name, shape, n, later
@@ -85,7 +85,9 @@ class _Problems:
         row = int(cell[0]) // int(np.prod(self.shape))
         low = row + 1 if self.later else 1
         nodes = (
-            f"a node of {low} to {self.n - 1} of its own" if low < self.n else f"the tree has {plural(self.n, 'node')}"
+            f"a node of {low} to {self.n - 1} that no other cell points to"
+            if low < self.n
+            else f"the tree has {plural(self.n, 'node')}"
         )
         self.found.append(Problem(self._place(cell), text.format(target[0]), f"0 (no child), {nodes}", len(cell)))
 

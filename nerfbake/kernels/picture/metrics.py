@@ -1,28 +1,50 @@
-"""How far two pictures are apart."""
+"""Metrics of the difference between two pictures, and the sRGB transfer function.
+
+The sRGB curve converts between encoded colours and linear light. Source: IEC 61966-2-1.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats
-from nerfbake.kernels.maths.elementary import exp, log
+from nerfbake.kernels.maths.elementary import exp, log, power
 
-IDENTICAL = 100.0  # dB: what equal pictures count as, since a mean over views must stay a number
+
+def from_linear(light: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Linear 0..1 -> sRGB 0..1; values outside are clipped."""
+    light = np.clip(light, 0, 1)
+    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * power(np.maximum(light, 0.0031308), 1 / 2.4) - 0.055)
+    return np.clip(curve, 0, 1).astype(np.float32)
+
+
+def to_linear(colour: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """sRGB 0..1 -> linear 0..1."""
+    return np.where(
+        colour <= 0.04045, colour / 12.92, power((np.asarray(colour, np.float64) + 0.055) / 1.055, 2.4)
+    ).astype(np.float32)
+
+
+IDENTICAL = 100.0  # dB for equal pictures: finite, so that a mean over views stays a number
 _LN_10 = 2.302585092994046
 _WINDOW, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
 def psnr(a: Floats, b: Floats) -> float:
-    """Peak signal-to-noise ratio of (H, W, 3) in 0..1, in dB; IDENTICAL at most."""
+    """Peak signal-to-noise ratio of (H, W, 3) in 0..1, in dB; at most IDENTICAL."""
     error = float(np.square(a - b).mean())
     return min(-10 / _LN_10 * float(log(error)), IDENTICAL) if error > 0 else IDENTICAL
 
 
 def ssim(a: Floats, b: Floats) -> float:
-    """Structural similarity of (H, W, 3) in 0..1: the mean over channels and over all places where an 11 x 11 Gaussian
-    window (sigma 1.5) fits; 1 for equal pictures. Source: Wang et al., 2004. Pictures smaller than the window get one
-    as large as they are.
+    """Structural similarity of (H, W, 3) in 0..1; 1 for equal pictures. Source: Wang et al., 2004.
+
+    The mean over channels and over all positions where an 11 x 11 Gaussian window (sigma 1.5) fits. The window for
+    smaller pictures is as large as the picture.
     """
     size = min(_WINDOW, *a.shape[:2])
     x = np.arange(size) - (size - 1) / 2

@@ -1,9 +1,9 @@
-"""Triangles seen along rays from one point: which one each pixel's ray meets first, where on it, how far away.
+"""Triangles seen along rays from one point: the nearest triangle of each pixel, its weights, and its distance.
 
-With corners v0, v1, v2 relative to the camera and a ray d, the weights are d . (v1 x v2), d . (v2 x v0), d . (v0 x v1):
-all of one sign where the line of the ray meets the triangle, and then, divided by their sum, its barycentrics. That
-holds for corners behind the camera too, so nothing is clipped. Two triangles get the same numbers with opposite signs
-for the edge that they share, so that no ray passes between them.
+With corners v0, v1, v2 relative to the camera and a ray d, the weights are d . (v1 x v2), d . (v2 x v0), d . (v0 x v1).
+They all have the same sign where the line of the ray hits the triangle; divided by their sum, they are the barycentric
+coordinates. This holds for corners behind the camera too, so nothing is clipped. Two triangles get the same numbers
+with opposite signs for a shared edge, so no ray passes between them.
 Source: Olano and Greer, "Triangle scan conversion using 2D homogeneous coordinates" (1997).
 """
 
@@ -18,34 +18,37 @@ from numba import prange
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.maths.affine import inverse, turned
+from nerfbake.kernels.maths.affine import inverse, rotate
 
 NONE = -1
-_ROWS = 16  # of a band: threads share out the bands, and no two write to the same pixel
-_MARGIN = 1e-3  # of a pixel around a triangle's box, for rounding
-_CLOSE = 1e-9  # to a side, of the corners' distance: rounding may have put it on the other one
+_ROWS = 16  # in a band: each band is processed by one thread, so no two threads write to the same pixel
+_MARGIN = 1e-3  # of a pixel, around the box of a triangle, for rounding
+_CLOSE = 1e-9  # relative to the corners: rounding may move a point this close to a side to the other side
 
 
 class GBuffer(NamedTuple):
-    """triangle NONE, weights 0 and distance inf where a ray meets nothing."""
+    """triangle is NONE, weights are 0 and distance is inf where a ray hits nothing."""
 
     triangle: npt.NDArray[np.int32]  # (H, W)
-    weights: npt.NDArray[np.float32]  # (H, W, 3) of its corners; their sum is 1
+    weights: npt.NDArray[np.float32]  # (H, W, 3) weights of its corners; their sum is 1
     distance: Floats  # (H, W) along the ray
 
 
 def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, rays: Floats) -> GBuffer:
-    """The nearest of t triangles for each pixel, whichever side they show; of equally near ones the first.
+    """The nearest of t triangles for each pixel, on either side of the triangle; the first of equally near ones.
 
-    positions (v, 3), faces (t, 3); pose (4, 4) camera to world, OpenGL axes; rays (H, W, 3) the world directions
-    through the pixels' centres, in whose lengths distances are counted: whatever lens bends them, so long as all look
-    ahead and none is far from where its neighbours look. Raises InvalidScene where some do not look ahead.
+    positions (v, 3), faces (t, 3). pose (4, 4): camera to world, OpenGL axes. rays (H, W, 3): the world directions
+    through the pixel centres; distances are in units of their lengths. The rays may come from any lens, if all of them
+    point forwards and none is far from the directions of its neighbours. Raises InvalidScene if a ray does not point
+    forwards.
     """
     H, W, _ = rays.shape
     turn = inverse(pose[:3, :3])
-    points, looks = turned(positions - pose[:3, 3], turn), turned(rays, turn)
+    points, looks = rotate(positions - pose[:3, 3], turn), rotate(rays, turn)
     if not (looks[..., 2] < 0).all():
-        raise InvalidScene(Problem("the camera", "looks 90 degrees or more to a side", "less, where there are meshes"))
+        raise InvalidScene(
+            Problem("the camera", "looks 90 degrees or more to a side", "less than 90 degrees for scenes with meshes")
+        )
     columns = _rising(looks[..., 0] / -looks[..., 2])
     rows = _rising(looks[..., 1].T / looks[..., 2].T)
     found = GBuffer(np.full((H, W), NONE, np.int32), np.zeros((H, W, 3), np.float32), np.full((H, W), np.inf))
@@ -56,8 +59,10 @@ def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], p
 
 
 def _rising(at: Floats) -> Floats:
-    """(2, W): how far right, on the plane before the camera, any column up to each one reaches, and how far left any
-    from each one on: (H, W) of pixels' centres. Both rise, so that a search finds which columns may see a place.
+    """(2, W): the largest coordinate of any column up to each one, and the smallest of any column from each one on.
+
+    at (H, W): coordinates of the pixel centres along the columns, on the plane in front of the camera. Both rows rise,
+    so a search finds the columns that may see a position.
     """
     most, least = at.max(axis=0), at.min(axis=0)
     margin = _MARGIN * (most.max() - least.min()) / len(most) + _CLOSE * np.abs(at).max()
@@ -69,7 +74,7 @@ def _rising(at: Floats) -> Floats:
 def _bound(
     points: Floats, faces: npt.NDArray[np.uint32], columns: Floats, rows: Floats, boxes: npt.NDArray[np.int32]
 ) -> None:
-    """(t, 4) the pixels where each triangle may be seen: left, top, right, bottom, the last two exclusive."""
+    """Fill (t, 4) the pixels that may see each triangle: left, top, right, bottom, the last two exclusive."""
     for f in prange(len(faces)):
         left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
         for corner in range(3):
@@ -78,7 +83,7 @@ def _bound(
                 x, y = -p[0] / p[2], p[1] / p[2]
                 left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
             if (p[2] < 0) != (q[2] < 0):
-                # The edge leaves through the camera's plane, which is seen infinitely far out on that side.
+                # The edge crosses the plane of the camera: its image extends to infinity on that side.
                 s = p[2] / (p[2] - q[2])
                 x, y = p[0] + s * (q[0] - p[0]), p[1] + s * (q[1] - p[1])
                 close = _CLOSE * (abs(p[0]) + abs(q[0]) + abs(p[1]) + abs(q[1]))
@@ -91,7 +96,7 @@ def _bound(
 
 @compiled()
 def _below(table: Floats, row: int, value: float, strictly: bool) -> int:
-    """How many of a rising row are below a value, or not above it."""
+    """Number of entries of a rising row that are below a value (strictly) or not above it."""
     first, count = 0, table.shape[1]
     while count > 0:
         half = count >> 1
@@ -136,7 +141,7 @@ def _fill(
                     if total == 0:
                         continue  # seen edge-on
                     u, v, w = u / total, v / total, w / total
-                    # A mean of the corners, so that rounding never puts it before or behind all of them.
+                    # A weighted mean of the corners, so rounding never moves it in front of or behind all of them.
                     far = (u * a[2] + v * b[2] + w * c[2]) / d2
                     if 0 < far < distance[y, x]:
                         distance[y, x], triangle[y, x] = far, f

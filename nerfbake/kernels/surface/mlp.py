@@ -1,10 +1,10 @@
 """nerf2mesh's specular MLP for many colours in many directions: sigmoid(relu([d, f] W0) W1), no biases.
 
-The first layer is linear before its relu, so it splits: d W0[:3] is computed once a direction, f W0[3:] once a colour,
-and what is left for each pair is one addition a hidden unit. The fast version runs over the directions of a colour in
-vector registers, four hidden units a pass, with an exponential of its own: 143 million pairs (1.43 million colours,
-100 directions, 32 hidden units) take 0.47 s on 2 cores of an AMD EPYC with AVX-512, 2.8 s written the plain way.
-Nothing may be reordered, fused or estimated, as fastmath would: so the last bit is the same on every CPU.
+The first layer is linear before its ReLU, so it splits: d W0[:3] is computed once per direction, f W0[3:] once per
+colour, and each pair requires only one addition per hidden unit. The fast version processes the directions of a colour
+in vector registers, four hidden units per pass, with a separate exponential: 143 million pairs (1.43 million colours,
+100 directions, 32 hidden units) take 0.47 s on 2 cores of an AMD EPYC with AVX-512, and 2.8 s in plain code. Nothing
+may be reordered, fused or approximated, as with fastmath, so the last bit is the same on every CPU.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from nerfbake import progress
 from nerfbake.kernels.arrays import Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import exp_parts
-from nerfbake.kernels.maths.products import product
+from nerfbake.kernels.maths.linear import product
 
-_ROWS = 1 << 16  # colours at a time, so that it can be said how many are done
+_ROWS = 1 << 16  # colours at a time, for reports of progress
 _LOG2_E = f32(1.4426950408889634)
-# (2^r - 1) / r for r in [-1/2, 1/2], interpolated at Chebyshev points: 2^r to 1.4e-7, and 2^0 is 1, so that where all
-# hidden units are off a colour is exactly 1/2.
+# (2^r - 1) / r for r in [-1/2, 1/2], interpolated at Chebyshev points: 2^r is accurate to 1.4e-7, and 2^0 is 1, so a
+# colour is exactly 1/2 where all hidden units are off.
 _C1, _C2, _C3 = f32(0.6931472), f32(0.2402235), f32(0.05550381)
 _C4, _C5 = f32(0.009666368), f32(0.0013381302)
 _BIAS, _MANTISSA = np.int32(127), np.int32(23)
 
 
-class Split(NamedTuple):
+class SplitMlp(NamedTuple):
     """The MLP for a set of n directions: h hidden units, padded with units of weight zero to a multiple of 4."""
 
     by_direction: Singles  # (h, n)
@@ -38,18 +38,21 @@ class Split(NamedTuple):
     w1: Singles  # (3, h)
 
 
-def split_layers(directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> Split:
-    """(n, 3) unit directions, w0 (6, h) with rows 0 to 2 for the direction, w1 (h, 3). Weights must be finite."""
-    padding = -w0.shape[1] % 4  # whole passes of four
+def split_layers(directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> SplitMlp:
+    """Split the MLP for (n, 3) unit directions.
+
+    w0 (6, h), with rows 0 to 2 for the direction; w1 (h, 3). Weights must be finite.
+    """
+    padding = -w0.shape[1] % 4  # to whole passes of four units
     w0, w1 = np.pad(w0, ((0, 0), (0, padding))), np.pad(w1, ((0, padding), (0, 0)))
     by_direction = np.ascontiguousarray(product(directions, w0[:3]).T, np.float32)
-    return Split(by_direction, np.ascontiguousarray(w0[3:]), np.ascontiguousarray(w1.T))
+    return SplitMlp(by_direction, np.ascontiguousarray(w0[3:]), np.ascontiguousarray(w1.T))
 
 
 def evaluate(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> Singles:
-    """The specular colours in 0..1: (m, 3) features in 0..1, (n, 3) unit directions -> (m, 3, n), channel by channel.
+    """Specular colours in 0..1: (m, 3) features in 0..1, (n, 3) unit directions -> (m, 3, n), channel by channel.
 
-    Within 1e-6 of exact arithmetic for weights of the size that training gives.
+    Within 1e-6 of exact arithmetic for weights of the size that training produces.
     """
     out = np.empty((len(features), 3 * len(directions)), np.float32)
     _evaluate(features.astype(np.float32), *split_layers(directions, w0, w1), out)
@@ -57,17 +60,17 @@ def evaluate(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singl
 
 
 def evaluate_each(features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles) -> Singles:
-    """(m, 3) the specular colours in 0..1 of m features, each in its own one of m unit directions, (m, 3) both."""
+    """(m, 3) specular colours in 0..1 of m features, each in one of m unit directions; both are (m, 3)."""
     inputs = np.concatenate([directions, features], axis=1).astype(np.float32)
     out = np.empty((len(inputs), 3), np.float32)
     _evaluate_each(inputs, np.ascontiguousarray(w0.T), w1, out)
     return out
 
 
-def project(features: npt.NDArray[Any], mlp: Split, basis: Singles, shift: Singles) -> Singles:
-    """(m, p) outputs @ basis - shift, with outputs (m, 3n) as evaluate() gives them, but never stored.
+def project(features: npt.NDArray[Any], mlp: SplitMlp, basis: Singles, shift: Singles) -> Singles:
+    """(m, p) outputs @ basis - shift, with outputs (m, 3n) as evaluate() returns them, but never stored.
 
-    features (m, 3), basis (3n, p), shift (p,). Sums are in an order that no number of threads changes.
+    features (m, 3), basis (3n, p), shift (p,). The order of the sums does not depend on the number of threads.
     """
     out = np.empty((len(features), len(shift)), np.float32)
     for first in progress.each(range(0, len(features), _ROWS)):
@@ -76,18 +79,18 @@ def project(features: npt.NDArray[Any], mlp: Split, basis: Singles, shift: Singl
     return out
 
 
-class Shown(NamedTuple):
-    """What an atlas shows: row i is the sum over t of weight[i, t] table[tiles[i, t]], in 0..1."""
+class AtlasWeights(NamedTuple):
+    """The colours that an atlas shows: row i is the sum over t of weight[i, t] table[tiles[i, t]], in 0..1."""
 
     table: Singles  # (T, 3n)
     tiles: npt.NDArray[np.int32]  # (m, t)
     weight: Singles  # (m, t)
 
 
-def differences(features: npt.NDArray[Any], mlp: Split, shown: Shown) -> npt.NDArray[np.float64]:
-    """(m, 4) how far shown colours are from the MLP's, in 0..255, summed over channels and directions.
+def differences(features: npt.NDArray[Any], mlp: SplitMlp, shown: AtlasWeights) -> npt.NDArray[np.float64]:
+    """(m, 4) differences between the shown colours and the MLP's, in 0..255, summed over channels and directions.
 
-    |difference| and its square, of whole numbers (rounded), then of the numbers as they are.
+    |difference| and its square, first of the values rounded to integers, then of the values themselves.
     """
     out = np.empty((len(features), 4))
     _differences(features.astype(np.float32), *mlp, *shown, out)
@@ -95,9 +98,12 @@ def differences(features: npt.NDArray[Any], mlp: Split, shown: Shown) -> npt.NDA
 
 
 def exact_differences(
-    features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles, shown: Shown
+    features: npt.NDArray[Any], directions: npt.NDArray[Any], w0: Singles, w1: Singles, shown: AtlasWeights
 ) -> npt.NDArray[np.float64]:
-    """The same with the MLP in float64 and whole numbers cut, not rounded: figures that hang on the last bit."""
+    """Like differences(), with the MLP in float64, and values truncated to integers instead of rounded.
+
+    For figures that depend on the last bit.
+    """
     by_direction = np.ascontiguousarray(product(directions, w0[:3]).T)
     by_feature = product(features, w0[3:])
     out = np.empty((len(features), 4))
@@ -107,7 +113,7 @@ def exact_differences(
 
 @compiled(merged=True)
 def _show(feature: Singles, by_direction: Singles, by_feature: Singles, w1: Singles, out: Singles) -> None:
-    """One colour in every direction: (3n,)."""
+    """(3n,) one colour in every direction."""
     n, zero = by_direction.shape[1], f32(0)
     r, g, b = feature[0], feature[1], feature[2]
     total = out.reshape(3, n)
@@ -130,7 +136,10 @@ def _show(feature: Singles, by_direction: Singles, by_feature: Singles, w1: Sing
 
 @compiled(merged=True)
 def _sigmoid(x: Singles) -> None:
-    """1 / (1 + e^-x) in place. e^-x = 2^k 2^r, k whole: 2^k is k + 127 in a float's exponent bits, 2^r a polynomial."""
+    """1 / (1 + e^-x) in place.
+
+    e^-x = 2^k 2^r with an integer k: 2^k is k + 127 in a float's exponent bits, 2^r a polynomial.
+    """
     bits = np.empty(x.size, np.int32)
     power = bits.view(np.float32)
     for j in range(x.size):
@@ -218,7 +227,7 @@ def _apart(
         whole += abs(steps)
         whole_square += steps * steps
         shown[j] = true - seen
-    # Four sums at a time, always the same four.
+    # Four partial sums, always over the same terms.
     e0, e1, e2, e3 = f32(0), f32(0), f32(0), f32(0)
     s0, s1, s2, s3 = f32(0), f32(0), f32(0), f32(0)
     for j in range(0, n - n % 4, 4):

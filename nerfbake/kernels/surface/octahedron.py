@@ -6,8 +6,8 @@
     uv / 2 + 1/2 in [0, 1]
 
 A map is R x R texels, map[row, column] with u along columns and v down the rows; texel (i, j) is the colour at its
-centre, u = (i + 1/2) / R, v = (j + 1/2) / R. Source: docs/formats/atlas.md,
-"Octahedral maps".
+centre, u = (i + 1/2) / R, v = (j + 1/2) / R.
+Source: docs/formats/atlas.md, "Octahedral maps".
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ def _sign(values: Floats) -> Floats:
 
 
 def texel_directions(R: int) -> Floats:
-    """(R * R, 3) unit directions of the texels' centres, row by row."""
+    """(R * R, 3) unit directions of the texel centres, row by row."""
     centre = (np.arange(R) + 0.5) / R
     v, u = np.meshgrid(centre, centre, indexing="ij")
     return directions_of(np.stack([u, v], axis=-1).reshape(-1, 2))
 
 
 def with_gutter(maps: npt.NDArray[Any], border: int) -> npt.NDArray[Any]:
-    """(K, R, R, ...) maps -> (K, R + 2 border, R + 2 border, ...): framed by their own texels across the fold.
+    """Frame maps with their own texels from across the fold: (K, R, R, ...) -> (K, R + 2 border, R + 2 border, ...).
 
-    Leaving the square over an edge comes back over the same edge, mirrored about its middle; a bilinear lookup
-    at the edge then sees what lies beyond it on the sphere, and never the neighbour in the atlas.
+    A path that leaves the square over an edge returns over the same edge, mirrored about its middle. A bilinear lookup
+    at the edge then reads the texels beyond it on the sphere, and never the neighbour in the atlas.
     """
     R = maps.shape[1]
     steps = np.arange(-border, R + border)
@@ -73,11 +73,11 @@ def with_gutter(maps: npt.NDArray[Any], border: int) -> npt.NDArray[Any]:
 def read_maps(
     maps: npt.NDArray[Any], directions: npt.NDArray[Any], how: TexelLookup, tiles: Any = slice(None)
 ) -> npt.NDArray[np.float32]:
-    """What (K, R, R, C) maps show in (n, 3) directions -> (K, n, C) float32.
+    """Look up (K, R, R, C) maps in (n, 3) directions -> (K, n, C) float32.
 
-    bilinear: between texel centres, across the fold at the edges. nearest: the texel that holds the point, floor(uv R).
-    thesis: texel int(uv (R - 1)), as the published metric looks it up. tiles: in place of all maps those that go with
-    the directions, whole numbers (...) for directions (..., 3) -> (..., C).
+    bilinear: between texel centres, across the fold at the edges. nearest: the texel that contains the point,
+    floor(uv R). thesis: texel int(uv (R - 1)), as in the published metric. tiles: instead of all maps, the number (...)
+    of one map for each direction (..., 3) -> (..., C).
     """
     R = maps.shape[1]
     uv = uv_of(directions)
@@ -93,7 +93,7 @@ def tiles_per_row(K: int) -> int:
 
 
 def pack(maps: npt.NDArray[np.uint8], border: int) -> npt.NDArray[np.uint8]:
-    """(K, R, R, 3) maps -> the atlas, an image of ceil(sqrt K) framed maps a row; unused places are black."""
+    """Pack (K, R, R, 3) maps into the atlas, an image of ceil(sqrt K) framed maps per row; unused places are black."""
     K = len(maps)
     per_row = tiles_per_row(K)
     rows = ceil(K / per_row)

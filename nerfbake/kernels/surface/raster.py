@@ -1,4 +1,4 @@
-"""Triangles in texture space -> the texels that they show."""
+"""Find the texels that triangles in texture space show."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import numpy.typing as npt
 
 from nerfbake.kernels.jit import compiled
 
-REACH = 1.0  # texels around a triangle that a bilinear lookup inside it can see
+REACH = 1.0  # texels around a triangle that a bilinear lookup inside it can read
 
 
-def cover(uvs: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], H: int, W: int) -> npt.NDArray[np.bool_]:
+def covered_texels(
+    uvs: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], H: int, W: int
+) -> npt.NDArray[np.bool_]:
     """(H, W) bool: texels whose centre is in a triangle or within a texel of it; uvs (v, 2) in 0..1, v down."""
     covered = np.zeros((H, W), np.bool_)
-    # In texels, so that a texel's centre has whole coordinates.
+    # In texels, so that texel centres have integer coordinates.
     _cover(uvs.astype(np.float64) * (W, H) - 0.5, faces, covered)
     return covered
 

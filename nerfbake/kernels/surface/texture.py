@@ -1,4 +1,7 @@
-"""Lookups in textures: texel (i, j) is the value at its centre, ((i + 1/2) / W, (j + 1/2) / H), v down; both repeat."""
+"""Texture lookups.
+
+Texel (i, j) is the value at its centre, ((i + 1/2) / W, (j + 1/2) / H), v down. Textures repeat along both axes.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ from nerfbake.kernels.arrays import Ints
 
 
 def blend(fetch: Callable[[Ints, Ints], npt.NDArray[Any]], place: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Between the four texels around a place (..., 2), x and y in texel centres; fetch(y, x) gives texels (..., C)."""
+    """Interpolate between the four texels around a position (..., 2), x and y in texel centres.
+
+    fetch(y, x) returns texels (..., C).
+    """
     low = np.floor(place).astype(np.int64)
     fraction = (place - low).astype(np.float32)
     x, y, fx, fy = low[..., 0], low[..., 1], fraction[..., :1], fraction[..., 1:]
@@ -22,14 +28,14 @@ def blend(fetch: Callable[[Ints, Ints], npt.NDArray[Any]], place: npt.NDArray[np
 
 
 def bilinear(texture: npt.NDArray[np.uint8], uvs: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """(m, C) in 0..1: a texture (H, W, C) at (m, 2) coordinates, between texel centres."""
+    """(m, C) in 0..1: a texture (H, W, C) at (m, 2) coordinates, interpolated between texel centres."""
     H, W = texture.shape[:2]
-    uvs = uvs - np.floor(uvs)  # before they are large numbers of texels
+    uvs = uvs - np.floor(uvs)  # before they are scaled to large numbers of texels
     return blend(lambda y, x: texture[y % H, x % W], uvs * (W, H) - 0.5) / np.float32(255)
 
 
 def nearest_texel(texture: npt.NDArray[Any], uvs: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """(m, ...): the texel of (H, W, ...) that holds each of (m, 2) coordinates."""
+    """(m, ...): the texel of (H, W, ...) that contains each of (m, 2) coordinates."""
     H, W = texture.shape[:2]
     x, y = ((uvs - np.floor(uvs)) * (W, H)).astype(np.int64).T
     return np.asarray(texture[y % H, x % W])

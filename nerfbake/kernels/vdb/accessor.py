@@ -1,13 +1,13 @@
-"""Reads of a VDB tree at points: masks and popcounts down to a leaf, and the leaf kept for the next read.
+"""Reads of a VDB tree at points: masks and popcounts lead down to a leaf, and the leaf is kept for the next read.
 
-Every mask word stands beside the number of children before it, over all nodes' words, so that the child in a slot is
-number rank + popcount(word below the slot's bit): a tree needs no pointers, and a step reads one line of the cache.
-The kept leaf is what the VDB papers call an accessor; neighbouring points mostly find theirs in it. Each table ends
-with a node without children, which is where all that is not there leads: the way down has no branches.
+Every mask word is stored beside the number of children before it, over all words of all nodes, so the child in a slot
+has the number rank + popcount(word below the slot's bit): a tree needs no pointers, and a step reads one cache line.
+The VDB papers call the kept leaf an accessor; neighbouring points are mostly in the same leaf. Each table ends with a
+node without children, which stands for everything that does not exist, so the descent has no branches.
 
-Trilinear reads go through blocks of points in steps (leaves, then rows, then values), so that a point does not wait for
-the memory of the one before it: half the time of one point after the other on a million random points. Numbers of nodes
-are uint64: numba tests every signed index for being negative.
+Trilinear reads process blocks of points in steps (leaves, then rows, then values), so a point does not wait for the
+memory of the previous one: half the time of one point after the other on a million random points. Node numbers are
+uint64, because numba tests every signed index for being negative.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Ints, Points, Singles, Words
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.vdb.bitmask import exclusive_sum, slots_of
-from nerfbake.kernels.vdb.slots import FAR
+from nerfbake.kernels.vdb.bitmask import FAR, exclusive_sum, slots_of
 
-_BLOCK = 64  # points whose leaves are found before the first is read: their places stay in the first-level cache
+_BLOCK = 64  # points whose leaves are found before the first is read: their positions stay in the first-level cache
 _FAR = float(FAR)
 NO_LEAF = 1 << 40
 U = np.uint64
@@ -30,8 +29,10 @@ F = np.float32
 
 
 class Tables(NamedTuple):
-    """A tree as it is read: the tiles' numbers (u, 3) int64; all mask words of upper nodes (512 each), of lower nodes
-    (64) and of leaves (8), each with the number of its first child, (w, 2) uint64. Each ends with an empty node.
+    """A tree prepared for reading.
+
+    tiles (u, 3) int64: the numbers of the tiles; upper, lower, leaf: all mask words of upper nodes (512 each), of lower
+    nodes (64) and of leaves (8), each with the number of its first child, (w, 2) uint64. Each ends with an empty node.
     Leaves count voxels from 1: row 0 of a table of values is the background.
     """
 
@@ -53,8 +54,9 @@ def _ranked(masks: Words, first: int) -> Words:
 
 
 def dense_leaves(leaf_mask: Words, table: Singles) -> Singles:
-    """((l + 1) 512, C) the rows of all voxels of all leaves and of one that is empty; table (m + 1, C), row 0 the
-    background.
+    """((l + 1) 512, C) rows of all voxels of all leaves, and of one empty leaf.
+
+    table (m + 1, C): row 0 is the background.
     """
     leaves = np.empty((len(leaf_mask) + 1, 512, table.shape[1]), F)
     leaves[:] = table[0]
@@ -64,9 +66,9 @@ def dense_leaves(leaf_mask: Words, table: Singles) -> Singles:
 
 @compiled()
 def nearest(tables: Tables, dense: bool, table: Singles, points: Points, out: Singles) -> None:
-    """out (n, C): what stands at points (n, 3) in voxels, whose centres are whole numbers.
+    """Fill out (n, C) with the values at points (n, 3) in voxels, whose centres are integers.
 
-    table (m + 1, C): the active voxels' rows behind the background's; or, dense, what dense_leaves makes of it.
+    table (m + 1, C): the background's row, then the active voxels' rows; if dense, the result of dense_leaves().
     """
     leaf, c0, c1, c2 = U(0), NO_LEAF, NO_LEAF, NO_LEAF
     for i in range(len(points)):
@@ -82,7 +84,7 @@ def nearest(tables: Tables, dense: bool, table: Singles, points: Points, out: Si
 
 @compiled()
 def trilinear(tables: Tables, dense: bool, table: Singles, points: Points, out: Singles) -> None:
-    """The same, of the eight voxels around each point, weighted as usual."""
+    """Like nearest(), but interpolated trilinearly between the eight voxels around each point."""
     rows, parts, flat = np.empty((_BLOCK, 8), U), np.empty((_BLOCK, 3), F), table.reshape(-1)
     crossing, places = np.empty(_BLOCK, U), np.empty((_BLOCK, 3), np.int64)
     for start in range(0, len(points), _BLOCK):
@@ -92,11 +94,11 @@ def trilinear(tables: Tables, dense: bool, table: Singles, points: Points, out: 
             for i in range(count):
                 for k in range(8):
                     rows[i, k] = child_of(tables.leaf, rows[i, k], U(0))
-        if out.shape[1] == 1:  # a loop of one turn for each point would cost as much as all the rest
+        if out.shape[1] == 1:  # a loop with one iteration per point would cost as much as everything else
             for i in range(count):
                 a, b, c, d = flat[rows[i, 0]], flat[rows[i, 1]], flat[rows[i, 2]], flat[rows[i, 3]]
                 e, f, g, h = flat[rows[i, 4]], flat[rows[i, 5]], flat[rows[i, 6]], flat[rows[i, 7]]
-                out[start + i, 0] = mixed(a, b, c, d, e, f, g, h, parts[i, 0], parts[i, 1], parts[i, 2])
+                out[start + i, 0] = interpolate(a, b, c, d, e, f, g, h, parts[i, 0], parts[i, 1], parts[i, 2])
         else:
             for i in range(count):
                 r0, r1, r2, r3 = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
@@ -105,15 +107,16 @@ def trilinear(tables: Tables, dense: bool, table: Singles, points: Points, out: 
                 for k in range(out.shape[1]):
                     a, b, c, d = table[r0, k], table[r1, k], table[r2, k], table[r3, k]
                     e, f, g, h = table[r4, k], table[r5, k], table[r6, k], table[r7, k]
-                    out[start + i, k] = mixed(a, b, c, d, e, f, g, h, f0, f1, f2)
+                    out[start + i, k] = interpolate(a, b, c, d, e, f, g, h, f0, f1, f2)
 
 
 @compiled()
 def _voxels_around(
     tables: Tables, points: Points, voxels: Words, parts: Singles, crossing: Words, places: Ints
 ) -> None:
-    """For each point the numbers of the eight voxels around it (n, 8), z fastest, and how far it is beyond the first
-    (n, 3). crossing and places are room to work in.
+    """Fill (n, 8) the numbers of the voxels around each point, z fastest, and (n, 3) its offset from the first of them.
+
+    crossing and places are buffers.
     """
     leaf, c0, c1, c2 = U(0), NO_LEAF, NO_LEAF, NO_LEAF
     crossings = U(0)
@@ -126,7 +129,7 @@ def _voxels_around(
         voxel = voxel_of(leaf, x, y, z)
         for k in range(8):
             voxels[i, k] = voxel + U((k >> 2) << 6 | (k >> 1 & 1) << 3 | k & 1)
-        # One in three lies between leaves: a list of them, because no processor can foretell such a branch.
+        # One point in three is between leaves. They are collected in a list, because CPUs cannot predict such a branch.
         crossing[crossings] = U(i)
         places[crossings, 0], places[crossings, 1], places[crossings, 2] = x, y, z
         crossings += U((x & 7 == 7) | (y & 7 == 7) | (z & 7 == 7))
@@ -141,14 +144,14 @@ def _voxels_around(
 
 @compiled()
 def _bounded(p: float) -> float:
-    """Nearer than FAR, NaN too: two instructions, where a branch for such points took a sixth of all time."""
+    """Clamp to +-FAR, NaN too: two instructions; a branch for such points took a sixth of the total time."""
     p = p if p > -_FAR else -_FAR
     return p if p < _FAR else _FAR
 
 
 @compiled()
-def mixed(a: F, b: F, c: F, d: F, e: F, f: F, g: F, h: F, f0: F, f1: F, f2: F) -> F:
-    """Of eight voxels, z fastest."""
+def interpolate(a: F, b: F, c: F, d: F, e: F, f: F, g: F, h: F, f0: F, f1: F, f2: F) -> F:
+    """Interpolate between eight voxels, z fastest."""
     g0, g1, g2 = F(1) - f0, F(1) - f1, F(1) - f2
     low = (a * g2 + b * f2) * g1 + (c * g2 + d * f2) * f1
     high = (e * g2 + f * f2) * g1 + (g * g2 + h * f2) * f1
@@ -157,7 +160,7 @@ def mixed(a: F, b: F, c: F, d: F, e: F, f: F, g: F, h: F, f0: F, f1: F, f2: F) -
 
 @compiled()
 def leaf_at(tables: Tables, x: int, y: int, z: int) -> np.uint64:
-    """The number of the leaf that would hold this voxel, or of the empty one."""
+    """The number of the leaf that contains this voxel, or of the empty leaf."""
     tile = len(tables.tiles)
     for t in range(len(tables.tiles)):
         if tables.tiles[t, 0] == x >> 12 and tables.tiles[t, 1] == y >> 12 and tables.tiles[t, 2] == z >> 12:
@@ -171,15 +174,15 @@ def leaf_at(tables: Tables, x: int, y: int, z: int) -> np.uint64:
 
 @compiled()
 def voxel_of(leaf: np.uint64, x: int, y: int, z: int) -> np.uint64:
-    """A voxel's number among all of all leaves."""
+    """The number of a voxel among all voxels of all leaves."""
     return leaf << U(9) | U((x & 7) << 6 | (y & 7) << 3 | z & 7)
 
 
 @compiled()
 def child_of(words: Words, slot: np.uint64, nothing: np.uint64) -> np.uint64:
-    """The number of the child in a slot of all nodes, or `nothing` where its bit is not set."""
+    """The number of the child in a slot, counted over all nodes, or `nothing` if its bit is not set."""
     word, rank, bit = words[slot >> U(6), 0], words[slot >> U(6), 1], slot & U(63)
-    # Bits counted in pairs, fours, eights, and all eights added up by a product; compilers know it as popcnt.
+    # Count bits in pairs, fours and eights, and add the eights by a product; compilers turn this into popcnt.
     bits = word & ((U(1) << bit) - U(1))
     bits = bits - (bits >> U(1) & U(0x5555555555555555))
     bits = (bits & U(0x3333333333333333)) + (bits >> U(2) & U(0x3333333333333333))

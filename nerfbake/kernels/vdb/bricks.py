@@ -1,11 +1,11 @@
 """An octree's leaves as bricks of 8 x 8 x 8 voxels: which voxels are filled, and by which leaf.
 
 Bricks are nodes of the octree, or parts of larger leaves. In breadth-first order the nodes below a run of bricks are a
-run of each level, and a voxel's slot in its brick follows from the octants on the way down:
+run of each level, and the slot of a voxel in its brick follows from the octants on the way down:
 
-    octant  z y x, a bit each     slot  x x x y y y z z z: children set the bits of 4, their children of 2, then of 1
+    octant  z y x, one bit each     slot  x x x y y y z z z: children set the bits of 4, their children of 2, then of 1
 
-So nothing is sorted here, and whoever needs voxels sorted has to sort bricks only.
+So nothing is sorted here. If you need sorted voxels, sort only the bricks.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from nerfbake.kernels.parallel import over_chunks
 _CHUNK = 512  # bricks at a time: their slots stay in the second-level cache
 _NOBODY = -1
 _ROWS = 1 << 15  # nodes at a time
-_FEW = 1 << 22  # bricks that 32 bits can number, with 9 bits of slots
+_FEW = 1 << 22  # number of bricks up to which a brick and 9 bits of slot fit into 32 bits
 NodeNumbers = npt.NDArray[np.int32]
 
 
 class Bricks(NamedTuple):
-    """low (p, 3) lowest voxel; mask (p, 8) filled voxels, slot x << 6 | y << 3 | z; node (m,) the leaf that fills
-    each, brick after brick, slots rising."""
+    """Bricks of 8^3 voxels.
+
+    low (p, 3): the lowest voxel; mask (p, 8): the filled voxels, slot x << 6 | y << 3 | z; node (m,): the leaf that
+    fills each voxel, brick by brick, slots rising.
+    """
 
     low: Ints
     mask: Words
@@ -35,7 +38,7 @@ class Bricks(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Filled leaves of one level: their numbers, where they start (brick << 9 | slot, rising), their edge."""
+    """Filled leaves of one level: their numbers, their start (brick << 9 | slot, rising), their edge."""
 
     node: NodeNumbers
     cell: npt.NDArray[Any]  # int32 or int64
@@ -48,9 +51,10 @@ def bricks_of(
     filled: npt.NDArray[np.bool_],
     size: tuple[int, int, int],
 ) -> Bricks:
-    """The bricks of a sound octree in breadth-first order, with nothing outside its W x H x D voxels.
+    """The bricks of a valid octree in breadth-first order, clipped to its W x H x D voxels.
 
-    children (c, 8), level_sizes nodes of each level, filled (n,) the leaves that count. Some bricks may be empty.
+    children (c, 8); level_sizes: number of nodes of each level; filled (n,): the leaves that count. Some bricks may be
+    empty.
     """
     low, solid, parts = _tree(children, level_sizes, filled, np.array(size))
     first_solid = len(low) - len(solid)
@@ -75,14 +79,14 @@ def bricks_of(
         nodes[begin // _CHUNK] = node[held]
 
     over_chunks(work, len(low), _CHUNK)
-    parts.clear()  # of a large octree they take as much as what was made of them
+    parts.clear()  # for a large octree they take as much memory as the result
     return Bricks(low, mask, np.concatenate(nodes))
 
 
 def _tree(
     children: npt.NDArray[np.int32], level_sizes: list[int], filled: npt.NDArray[np.bool_], size: Ints
 ) -> tuple[Ints, NodeNumbers, list[_Part]]:
-    """(p, 3) bricks, those at the end (s,) filled by one larger leaf each, and the leaves of the others."""
+    """Return (p, 3) bricks, (s,) the larger leaves that fill the last s bricks, and the leaves of the other bricks."""
     edge = 1 << max(int(side) - 1 for side in size).bit_length()
     corner, cell = np.zeros((1, 3), np.int64), np.zeros(1, np.int32)
     low, solid, parts = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)], []
@@ -108,7 +112,7 @@ def _below(
 ) -> tuple[Ints, npt.NDArray[Any]]:
     """The corners, or the cells, of the next level from those of the level with these child slots.
 
-    A part at a time: a large octree's last level alone is most of what an allowance may hold.
+    One part at a time: the last level of a large octree alone takes most of the memory limit.
     """
     large = edge >= 8
     made = np.empty((nodes, 3), np.int64) if large else np.empty(nodes, cell.dtype)
@@ -124,14 +128,14 @@ def _below(
             made[some] = cell[parent] + step[octant]
         done += len(slots)
     if large:
-        # Numbers of bricks and slots together, in 32 bits wherever they fit.
+        # Brick number and slot in one integer, with 32 bits if they fit.
         numbers: npt.NDArray[Any] = np.arange(nodes, dtype=np.int32 if nodes < _FEW else np.int64)
         return made, numbers << 9
     return corner, made
 
 
 def _numbers(own: npt.NDArray[np.bool_], start: int) -> NodeNumbers:
-    """Where True stands, counted from `start`; a part at a time."""
+    """The numbers of the True entries, counted from `start`; one part at a time."""
     numbers, done = np.empty(int(np.count_nonzero(own)), np.int32), 0
     for begin in range(0, len(own), _ROWS):
         found = np.flatnonzero(own[begin : begin + _ROWS])
@@ -141,7 +145,7 @@ def _numbers(own: npt.NDArray[np.bool_], start: int) -> NodeNumbers:
 
 
 def _pieces(corner: Ints, edge: int, size: Ints) -> tuple[Ints, Ints]:
-    """(s, 3) the bricks of cubes that are larger, as far as they reach into the grid, and (s,) the cube of each."""
+    """(s, 3) the bricks of larger cubes, as far as they are inside the grid, and (s,) the cube of each."""
     if not len(corner):
         return corner, np.zeros(0, np.int64)
     reach = np.minimum(edge, (size - corner).max(axis=0))
@@ -152,12 +156,12 @@ def _pieces(corner: Ints, edge: int, size: Ints) -> tuple[Ints, Ints]:
 
 
 def _cube(edge: int) -> Ints:
-    """(edge^3,) slots of a brick's lowest cube of this edge."""
+    """(edge^3,) slots of the lowest cube of this edge in a brick."""
     x, y, z = np.indices((edge, edge, edge)).reshape(3, -1)
     return x << 6 | y << 3 | z
 
 
 def _inside(ends: Ints) -> npt.NDArray[np.bool_]:
-    """(q, 512) the slots before the grid's end, seen from each of (q, 3) bricks."""
+    """(q, 512) whether slots are inside the grid; ends (q, 3): from each brick to the end of the grid."""
     x, y, z = (np.arange(8) < ends[:, axis, None] for axis in range(3))
     return (x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]).reshape(-1, 512)

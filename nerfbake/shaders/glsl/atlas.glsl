@@ -1,12 +1,13 @@
-// The specular colour of a baked atlas, GLSL ES 3.00 (WebGL 2) and GLSL 3.30: paste this above main().
-// tests/shaders/test_atlas.py runs the same steps in NumPy and compares them with the program's own lookups, texel by texel.
+// The specular colour of a baked atlas. GLSL ES 3.00 (WebGL 2) and GLSL 3.30. Paste this file above main().
+// tests/shaders/test_atlas.py runs the same steps in NumPy and compares them with nerfbake's own lookups, texel by
+// texel.
 //
 //   atlas      atlas_{c}.png, LINEAR, CLAMP_TO_EDGE, no mips, RGB8 (not sRGB)
 //   labels     labels_{c}.png, NEAREST, no mips, RGB8
 //   features   features_{c}.png, NEAREST, no mips, RGB8; affine and grid only
-//   uv         the mesh's texture coordinates, v down as in glTF: upload the PNGs without flipping them
-//   direction  unit, from the camera to the surface point, in the mesh's own coordinates, y up
-//   colour = clamp(diffuse + specular, 0, 1), all of them the numbers that a screen shows
+//   uv         texture coordinates of the mesh, v down as in glTF: upload the PNGs without flipping them
+//   direction  unit vector from the camera to the surface point, in the mesh's own coordinates, y up
+//   colour = clamp(diffuse + specular, 0, 1); all three are display values (sRGB), not linear light
 #ifndef NERFBAKE_ATLAS_GLSL
 #define NERFBAKE_ATLAS_GLSL
 precision highp float;
@@ -56,7 +57,7 @@ vec3 specularGrid(sampler2D atlas, sampler2D features, Atlas a, vec2 uv, vec3 di
     vec3 p = texture(features, uv).rgb * (a.n - 1.0);
     vec3 low = min(floor(p), a.n - 2.0);
     vec3 f = p - low;
-    // The axes by decreasing fraction: of equal ones the first goes first.
+    // Sort the axes by decreasing fraction; of equal ones, the first comes first.
     vec3 before = vec3(f.g > f.r, f.r >= f.g, f.r >= f.b) + vec3(f.b > f.r, f.b > f.g, f.g >= f.b);
     vec3 stride = vec3(a.n * a.n, a.n, 1.0);
     vec3 first = vec3(equal(before, vec3(0.0))), second = vec3(equal(before, vec3(1.0)));

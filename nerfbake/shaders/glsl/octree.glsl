@@ -1,11 +1,12 @@
-// The sparse voxel octree of a .svo.* file: the way down to a voxel, and its values, nearest or trilinear.
-// The struct is that of TR-24-01 (docs/sources.md), listing 2; its two buffers stand beside it.
+// The sparse voxel octree of a .svo.* file: find the leaf of a voxel, and read its values, nearest or trilinear.
+// The struct is listing 2 of TR-24-01 (docs/sources.md), except that its two buffers are globals.
 //
-//   nodeChildren  8 int32 a node, the numbers of its children, 0 or -1 where there is none; child x + 2 y + 4 z, where
-//                 1 is the upper half. For EVERY node: of a file in the compact layout with zeros behind its own
-//   nodeData      dataDim float32 a node: all coefficients of red, of green, of blue, then the density, 1/world unit
+//   nodeChildren  8 int32 per node: the numbers of its children, 0 or -1 for no child. Child x + 2 y + 4 z; 1 is the
+//                 upper half. EVERY node needs 8 entries: pad the array of a file in the compact layout with zeros
+//   nodeData      dataDim float32 per node: all coefficients of red, of green, of blue, then the density in 1/world
+//                 unit
 //
-// Points are in voxels: voxel (0, 0, 0) reaches from 0 to 1 along each axis. world.glsl leads there.
+// Points are in voxels: voxel (0, 0, 0) extends from 0 to 1 along each axis. world.glsl converts points to voxels.
 #ifndef NERFBAKE_OCTREE_GLSL
 #define NERFBAKE_OCTREE_GLSL
 #include "common.glsl"
@@ -17,8 +18,8 @@ struct SparseVoxelOctree {
     int width;     // voxels along x
     int height;    // along y
     int depth;     // along z
-    int dataDim;   // numbers a node
-    int maxLevel;  // levels below the root: the smallest for which 2^maxLevel is no less than width, height and depth
+    int dataDim;   // values per node
+    int maxLevel;  // levels below the root: the smallest number with 2^maxLevel >= width, height and depth
 };
 
 bool isLeaf(int node) {
@@ -28,7 +29,7 @@ bool isLeaf(int node) {
     return true;
 }
 
-// The node whose values a voxel has; -1: space is empty there, or outside.
+// The leaf that contains a voxel; -1 in empty space and outside the grid.
 int octreeRow(SparseVoxelOctree octree, ivec3 voxel) {
     ivec3 size = ivec3(octree.width, octree.height, octree.depth);
     if (any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, size))) return -1;
@@ -42,17 +43,17 @@ int octreeRow(SparseVoxelOctree octree, ivec3 voxel) {
     return child > 0 || isLeaf(node) ? node : -1;
 }
 
-// Number k of a node's values; 0 for node -1.
+// Value k of a node; 0 for node -1.
 float octreeValue(SparseVoxelOctree octree, int row, int k) {
     return row < 0 ? 0.0 : fetchFloat(nodeData, row * octree.dataDim + k);
 }
 
-// The node of the voxel that holds a point, or -1.
+// The leaf that contains a point, or -1.
 int octreeNearest(SparseVoxelOctree octree, vec3 point) {
     return octreeRow(octree, ivec3(floor(bounded(point))));
 }
 
-// The nodes of the eight voxels whose centres are around a point.
+// The leaves of the eight voxels whose centres surround a point, and their weights.
 Corners octreeCorners(SparseVoxelOctree octree, vec3 point) {
     vec3 shifted = bounded(point - 0.5), low = floor(shifted);
     Corners corners;
@@ -63,7 +64,7 @@ Corners octreeCorners(SparseVoxelOctree octree, vec3 point) {
     return corners;
 }
 
-// Number k of the values at a point between them.
+// Value k at the point, interpolated between its corners.
 float octreeTrilinear(SparseVoxelOctree octree, Corners corners, int k) {
     float sum = 0.0;
     for (int i = 0; i < 8; i++) sum += corners.weight[i] * octreeValue(octree, corners.row[i], k);

@@ -1,14 +1,14 @@
-// A VDB tree of a .vdb.npz: masks and ranks lead from a voxel to its row of a table, nearest or trilinear.
-// Names are those of the file, without `tree_{t}_` and `grid_{g}_`.
+// A VDB tree of a .vdb.npz: find the table row of a voxel through masks and ranks, nearest or trilinear.
+// Names are those of the file, without the prefixes `tree_{t}_` and `grid_{g}_`.
 //
-//   rootOrigin  3 int32 an upper node: root_origin
-//   upper       a pair of uint32 for each of an upper node's 1024 words: upper_mask and upper_rank beside each other
-//   lower       the same of a lower node's 128 words
-//   leaf        the same of a leaf's 16 words
-//   table       `channels` float32 a row; row 0 is the background
+//   rootOrigin  3 int32 per upper node: root_origin
+//   upper       a pair of uint32 for each of the 1024 words of an upper node: upper_mask and upper_rank, interleaved
+//   lower       the same for the 128 words of a lower node
+//   leaf        the same for the 16 words of a leaf
+//   table       `channels` float32 per row; row 0 is the background
 //
-// Points are in voxels whose CENTRES are whole numbers, as NanoVDB's are. Tiles, which no grid of nerfbake's own has,
-// are not read.
+// Points are in voxels whose CENTRES are at integers, as in NanoVDB. Tiles are not read; grids that nerfbake makes have
+// none.
 #ifndef NERFBAKE_VDB_INDEX_GLSL
 #define NERFBAKE_VDB_INDEX_GLSL
 #include "common.glsl"
@@ -21,16 +21,17 @@ uniform sampler2D table;
 
 struct VdbIndex {
     int uppers;    // upper nodes
-    int channels;  // numbers a row
+    int channels;  // values per row
 };
 
-// What a slot leads to: -1 where its bit is not set, else the word's rank and how many bits are below.
+// The child (in a leaf: the table row) of a slot: the word's rank plus the number of set bits below the slot's bit; -1
+// if that bit is not set.
 int childOf(uvec2 word, int slot) {
     uint bit = 1u << uint(slot & 31);
     return (word.x & bit) == 0u ? -1 : int(word.y) + count(word.x & (bit - 1u));
 }
 
-// The row of a voxel; 0 where it is not active.
+// The row of a voxel; 0 if the voxel is not active.
 int vdbRow(VdbIndex index, ivec3 voxel) {
     ivec3 tile = voxel & ~4095;
     int node = -1;
@@ -53,18 +54,18 @@ int vdbRow(VdbIndex index, ivec3 voxel) {
     return max(childOf(fetchUint2(leaf, 16 * node + (slot >> 5)), slot), 0);
 }
 
-// Number k of a row.
+// Value k of a row.
 float vdbValue(VdbIndex index, int row, int k) {
     return fetchFloat(table, row * index.channels + k);
 }
 
-// The row of the voxel that holds a point.
+// The row of the voxel that contains a point.
 int vdbNearest(VdbIndex index, vec3 point) {
     vec3 p = bounded(point), low = floor(p);
     return vdbRow(index, ivec3(low) + ivec3(greaterThanEqual(p - low, vec3(0.5))));
 }
 
-// The rows of the eight voxels whose centres are around a point.
+// The rows of the eight voxels whose centres surround a point, and their weights.
 Corners vdbCorners(VdbIndex index, vec3 point) {
     vec3 p = bounded(point), low = floor(p);
     Corners corners;
@@ -75,7 +76,7 @@ Corners vdbCorners(VdbIndex index, vec3 point) {
     return corners;
 }
 
-// Number k of the values at a point between them.
+// Value k at the point, interpolated between its corners.
 float vdbTrilinear(VdbIndex index, Corners corners, int k) {
     float sum = 0.0;
     for (int i = 0; i < 8; i++) sum += corners.weight[i] * vdbValue(index, corners.row[i], k);

@@ -1,11 +1,11 @@
-// The specular colour of a baked atlas, HLSL, shader model 5.
+// The specular colour of a baked atlas. HLSL, shader model 5.
 //
-//   atlas      atlas_{c}.png, no mips, RGB8 (not sRGB), with `smoothly`: a linear filter, clamped
-//   labels     labels_{c}.png, no mips, RGB8, with `nearest`: a point filter
-//   features   features_{c}.png, no mips, RGB8, with `nearest`; affine and grid only
-//   uv         the mesh's texture coordinates, v down as in glTF: upload the PNGs without flipping them
-//   direction  unit, from the camera to the surface point, in the mesh's own coordinates, y up
-//   colour = clamp(diffuse + specular, 0, 1), all of them the numbers that a screen shows
+//   atlas      atlas_{c}.png, no mips, RGB8 (not sRGB), sampler `smoothly`: linear filter, clamped
+//   labels     labels_{c}.png, no mips, RGB8, sampler `nearest`: point filter
+//   features   features_{c}.png, no mips, RGB8, sampler `nearest`; affine and grid only
+//   uv         texture coordinates of the mesh, v down as in glTF: upload the PNGs without flipping them
+//   direction  unit vector from the camera to the surface point, in the mesh's own coordinates, y up
+//   colour = clamp(diffuse + specular, 0, 1); all three are display values (sRGB), not linear light
 #ifndef NERFBAKE_ATLAS_HLSL
 #define NERFBAKE_ATLAS_HLSL
 Texture2D<float4> atlas;
@@ -62,7 +62,7 @@ float3 specularGrid(Atlas a, float2 uv, float3 direction) {
     float3 p = features.SampleLevel(nearest, uv, 0.0).rgb * (a.n - 1.0);
     float3 low = min(floor(p), a.n - 2.0);
     float3 f = p - low;
-    // The axes by decreasing fraction: of equal ones the first goes first.
+    // Sort the axes by decreasing fraction; of equal ones, the first comes first.
     float3 before = float3(f.g > f.r, f.r >= f.g, f.r >= f.b) + float3(f.b > f.r, f.b > f.g, f.g >= f.b);
     float3 stride = float3(a.n * a.n, a.n, 1.0);
     float3 first = float3(before == 0.0), second = float3(before == 1.0);

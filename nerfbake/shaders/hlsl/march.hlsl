@@ -1,12 +1,12 @@
-// A ray through a PageField, which the pages of `nerfbake view` show: its colour, its depth, and what light is left.
-// Density and colour are constant in a voxel: sums along the ray are exact.
+// March a ray through a PageField, the field in the pages of `nerfbake view`: colour, transmittance and depth.
+// Density and colour are constant within a voxel, so sums along the ray are exact.
 //
-//   top     an int32 for each cell of 8^3 voxels, z fastest: below 0 empty, and so is every cell nearer than minus this
-//           number of cells; from 0 the number of a leaf; from 2^30 a row for all of the cell, plus 2^30
+//   top     an int32 per cell of 8^3 voxels, z fastest. Negative: the cell is empty, and so is every cell closer than
+//           -top cells along all three axes. From 0: the number of a leaf. From 2^30: the whole cell has row top - 2^30
 //   blocks  four uint32 for each of the eight 4^3 blocks of a leaf: lower and upper half of its mask, the row of its
-//           first voxel, and how many bits the lower half has; 255 there: the whole block has that row
-//   texels  four float32 each, texelsPerRow in a row: red, green, blue of the first coefficient and the
-//           density; then red, green, blue of the second, of the third, ..., without a gap
+//           first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row
+//   texels  four float32 each, texelsPerRow per row: red, green, blue of the first coefficient and the density; then
+//           red, green, blue of the second, of the third, ..., without gaps
 #ifndef NERFBAKE_MARCH_HLSL
 #define NERFBAKE_MARCH_HLSL
 #include "common.hlsl"
@@ -17,14 +17,14 @@ StructuredBuffer<uint4> blocks;
 StructuredBuffer<float4> texels;
 
 struct Field {
-    int3 cells;         // of `top`, along x, y, z
-    float3 low;         // the box around all that is not empty, in voxels
+    int3 cells;         // size of `top` along x, y, z
+    float3 low;         // the box around everything that is not empty, in voxels
     float3 high;
-    int texelsPerRow;   // 1 + 3 ceil((size of the basis - 1) / 4)
-    float densityUnit;  // densities are multiples of this, in 1/world unit; divide it by the scale of a scaled object
+    int texelsPerRow;   // 1 + 3 ceil((basis functions - 1) / 4)
+    float densityUnit;  // densities are multiples of this, in 1/world unit; divide it by the scale of the object
 };
 
-// Voxels that are alike: a row, or -1 where they are empty, and the lowest corner and the edge of their cube.
+// A cube of voxels with the same contents: their row (-1: empty), and the cube's lowest corner and edge.
 struct Cube {
     int row;
     int3 corner;
@@ -32,9 +32,9 @@ struct Cube {
 };
 
 struct Marched {
-    float3 colour;        // what the field adds to a picture, times its opacity
-    float transmittance;  // the share of what is behind that is added to it
-    float depth;          // E[d]: where the ray is expected to end, from its origin, in world units; 0 where nothing is
+    float3 colour;        // premultiplied by the field's opacity
+    float transmittance;  // the share of the light from behind the field that remains
+    float depth;          // E[d]: expected distance from the origin to the ray's end, in world units; 0 for no hit
 };
 
 Cube cubeOf(int row, int3 corner, int edge) {
@@ -58,7 +58,7 @@ Cube cubeAt(Field field, int3 voxel) {
     return cubeOf(int(block.z) + (upper ? int(block.w) : 0) + count(mask & (bit - 1u)), voxel, 1);
 }
 
-// The colour of a row in the direction that the harmonics are of.
+// The colour of a row in the direction of `basis`. first: red, green and blue of the row's first coefficient.
 float3 colourOf(Field field, int row, float3 first, Harmonics basis) {
     float3 sum = basis.f[0] * first;
     for (int i = 1; i < field.texelsPerRow; i += 3) {
@@ -70,18 +70,18 @@ float3 colourOf(Field field, int row, float3 first, Harmonics basis) {
     return sigmoid(sum);
 }
 
-// origin: in voxels. along: how many voxels a step of one world unit is (stepInVoxels() of a unit vector). basis: the
-// harmonics in that direction. stop: no light from farther away, in world units: of a Z-buffer, say. cut: the ray ends
-// where less light is left.
+// origin: in voxels. along: the direction in voxels per world unit, stepInVoxels() of a unit vector. basis: harmonics()
+// in that direction. stop: distance at which the ray ends, in world units, for example from a depth buffer. cut: the
+// ray also ends when its transmittance is below this value.
 Marched march(Field field, float3 origin, float3 along, Harmonics basis, float stop, float cut) {
     Marched found = {float3(0.0, 0.0, 0.0), 1.0, 0.0};
-    // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
+    // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
     float3 d = lerp(along, 1e-12, float3(abs(along) < 1e-12));
     float3 one = (field.low - origin) / d, other = (field.high - origin) / d;
     float3 near = min(one, other), away = max(one, other);
     float start = max(max(near.x, near.y), max(near.z, 0.0));
     float end = min(min(away.x, away.y), min(away.z, stop)) - start;
-    // Distances count from where the ray enters the box: they stay small, and exact.
+    // Distances count from the point where the ray enters the box, so they stay small and exact.
     float3 entry = origin + start * d, upward = float3(d > 0.0);
     int3 low = int3(floor(field.low)), high = int3(ceil(field.high)) - 1;
     int3 voxel = clamp(int3(floor(entry)), low, high);
@@ -100,7 +100,7 @@ Marched march(Field field, float3 origin, float3 along, Harmonics basis, float s
             found.transmittance *= kept;
         }
         t = next;
-        // The voxel behind is found by number and not by a small step: rounding can neither hold a ray up nor skip one.
+        // The next voxel is computed by index. A small step instead could stall the ray or skip a voxel by rounding.
         int axis = exits.x <= exits.y && exits.x <= exits.z ? 0 : exits.y <= exits.z ? 1 : 2;
         voxel = clamp(int3(floor(entry + t * d)), max(cube.corner, low), min(cube.corner + cube.edge - 1, high));
         voxel[axis] = d[axis] > 0.0 ? cube.corner[axis] + cube.edge : cube.corner[axis] - 1;
@@ -110,8 +110,8 @@ Marched march(Field field, float3 origin, float3 along, Harmonics basis, float s
     return found;
 }
 
-// What is drawn of it in a cutout queue: an opaque colour where less light than `cut` is left, else nothing, alpha 0.
-// The same `cut` can end the ray.
+// The colour for a cutout queue: opaque if the transmittance is below `cut`, else nothing (alpha 0). You can pass the
+// same `cut` to march().
 float4 cutout(Marched found, float cut) {
     if (found.transmittance >= cut) return 0.0;
     return float4(found.colour / (1.0 - found.transmittance), 1.0);

@@ -1,17 +1,18 @@
-// Coefficients in eight bits each, for the memory of a phone; densities keep their sixteen. round_to_bytes() of
-// nerfbake/stages/page_field_to_field.py rounds the same way.
+// Round coefficients to eight bits each, for the memory of a phone; densities keep 16 bits. round_to_bytes() in
+// nerfbake/stages/scene_to_field.py rounds in the same way.
 
-// Where the k-th coefficient of a colour stands in a row.
+// The channel of a row that contains the k-th coefficient of a colour.
 function channelOf(k, colour) {
   return k ? 4 + 3 * (k - 1) + colour : colour;
 }
 
-// Rows of halves -> {bytes, densities (halves), lows (three a function), widths}: a coefficient is low + width byte / 255.
+// Rows of halves -> {bytes, densities (halves), lows (three per function), widths}: a coefficient is low + width byte /
+// 255.
 function* inBytes(texels, T) {
   const channels = 4 * T, rows = texels.length / channels, functions = 1 + (4 * (T - 1)) / 3;
   const bytes = new Uint8Array(texels.length), densities = new Uint16Array(rows);
   const lows = new Float64Array(3 * functions), widths = new Float64Array(functions).fill(1);
-  // Row by row, as they stand in memory: of each channel the least and the largest, then the low and the width.
+  // First the minimum and the maximum of each channel, row by row as in memory; then the lows and the widths.
   const low = new Float64Array(channels).fill(Infinity), high = new Float64Array(channels).fill(-Infinity);
   for (let row = 0, at = 0; row < rows; row++) {
     for (let channel = 0; channel < channels; channel++, at++) {

@@ -1,14 +1,14 @@
-// A camera that goes around a pivot; its axes are a transforms.json's: x to the right, y up, looking down -z.
+// A camera that orbits a pivot. Its axes are those of a transforms.json: x right, y up, looking along -z.
 
-const NEAREST_POLE = 0.02; // radians that are left between the line of sight and the vertical
+const NEAREST_POLE = 0.02; // smallest angle between the line of sight and the vertical, in radians
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const plus = (a, b, times = 1) => a.map((value, i) => value + times * b[i]);
 const unit = (a) => a.map((value) => value / Math.hypot(...a));
 
 class Camera {
-  // view: {pose (4 x 4), focal: of half the shorter edge, distance: of the pivot}; up: what the vertical is; radius: the
-  // scene's.
+  // view: {pose (4 x 4), focal: relative to half the shorter edge, distance: of the pivot}; up: the vertical; radius:
+  // of the scene.
   constructor(view, up, radius) {
     this.up = up;
     this.radius = radius;
@@ -31,18 +31,19 @@ class Camera {
     return [0, 1, 2].map((row) => [right[row], up[row], back[row], at[row]]).concat([[0, 0, 0, 1]]);
   }
 
-  // Around the vertical, then towards the pole; radians.
+  // Orbit around the vertical by `across`, then towards the pole by `along`, in radians.
   orbit(across, along) {
     const pivot = this.pivot, height = Math.asin(Math.max(-1, Math.min(1, dot(this.rotation[2], this.up))));
     const most = Math.PI / 2 - NEAREST_POLE, pitch = Math.max(-most - height, Math.min(most - height, along));
     this.rotation = this.rotation.map((axis) => turned(axis, this.up, across));
-    // A camera that lies on its side keeps its roll: its pitch is around its own vertical's horizontal.
+    // Pitch around the horizontal axis that is perpendicular to the line of sight, so that a rolled camera keeps its
+    // roll.
     const level = cross(this.up, this.rotation[2]), around = Math.hypot(...level) > 1e-9 ? unit(level) : this.rotation[0];
     this.rotation = this.rotation.map((axis) => unit(turned(axis, around, -pitch)));
     this.position = plus(pivot, this.rotation[2], this.distance);
   }
 
-  // By pixels of a picture whose shorter edge has so many.
+  // Pan by x and y pixels of a picture whose shorter edge has `edge` pixels.
   pan(x, y, edge) {
     const reach = (2 * this.distance) / (this.focal * edge);
     this.position = plus(plus(this.position, this.rotation[0], -x * reach), this.rotation[1], y * reach);
@@ -54,12 +55,13 @@ class Camera {
     this.position = plus(pivot, this.rotation[2], this.distance);
   }
 
-  // Looks at another point from the same direction and distance.
+  // Look at another point from the same direction and distance.
   centre(pivot) {
     this.position = plus(pivot, this.rotation[2], this.distance);
   }
 
-  // As the address of the page holds it: position, right, up, distance, focal; and the way back, false for what it is not.
+  // The view in the page's address: position, right, up, distance, focal. The setter ignores text that is not a valid
+  // view.
   get hash() {
     const numbers = [...this.position, ...this.rotation[0], ...this.rotation[1], this.distance, this.focal];
     return "#view=" + numbers.map((value) => Number(value.toPrecision(9))).join(",");
@@ -75,7 +77,8 @@ class Camera {
     [this.distance, this.focal] = numbers.slice(9);
   }
 
-  // A capture of one frame, with a focal length of half the shorter edge.
+  // The content of a transforms.json with this view as its only frame. lens: focal length, relative to half the shorter
+  // edge.
   capture(width, height, lens) {
     const focal = (lens * Math.min(width, height)) / 2;
     return {
@@ -85,7 +88,7 @@ class Camera {
   }
 }
 
-// A vector around an axis of length 1.
+// Rotate a vector around a unit axis.
 function turned(a, axis, angle) {
   const sine = Math.sin(angle), cosine = Math.cos(angle), along = dot(axis, a) * (1 - cosine), side = cross(axis, a);
   return a.map((value, i) => value * cosine + side[i] * sine + axis[i] * along);

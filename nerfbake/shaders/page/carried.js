@@ -1,9 +1,9 @@
-// What the page carries, unpacked as often as it is asked for: none of it is kept but the packed bytes.
+// The data of the page. Each request unpacks them again: only the packed bytes stay in memory.
 
-const SLICE = 100; // ms of work between two breaths, each of which costs about five
+const SLICE = 100; // ms of work between two pauses; a pause costs about 5 ms
 
 class Carried {
-  // tell: takes how much is done, 0 to 1, and lets the page breathe.
+  // tell: a function that shows the progress, 0 to 1, and lets the browser handle events.
   constructor(facts, text, tell) {
     this.facts = facts;
     this.text = text;
@@ -11,7 +11,7 @@ class Carried {
     this.packed = null;
   }
 
-  // The bytes of the field, and those of triangles behind them.
+  // The packed bytes of the field, and of the triangles that follow it.
   async bytes() {
     if (!this.packed) {
       this.packed = await this.run(bytesOf(this.text), 0, 0.1);
@@ -21,7 +21,7 @@ class Carried {
     return { field: this.packed.subarray(0, at), triangles: this.packed.subarray(at) };
   }
 
-  // Triangles as a Picture takes them; null: there are none.
+  // The triangles for a Picture; null if there are none.
   async triangles() {
     const { triangles } = this.facts;
     if (!triangles) return null;
@@ -29,7 +29,7 @@ class Carried {
     return this.run(trianglesOf(raw, triangles), 0.6, 1);
   }
 
-  // The grid, the blocks and the halves.
+  // The grid, the blocks and the texels (halves).
   async arrays() {
     const packed = (await this.bytes()).field;
     if (this.facts.kind === "svoq") return this.run(arraysOfSvoq(packed, this.facts), 0.1, 0.9);
@@ -37,7 +37,8 @@ class Carried {
     return this.run(arraysOf(raw, this.facts), 0.5, 0.9);
   }
 
-  // The same at a level of detail, where 2^steps voxels are one: as a Picture takes it; null: there is no field.
+  // The arrays for a Picture at a level of detail, where 2^steps voxels along an edge become one; null if there is no
+  // field.
   async level(steps) {
     if (this.facts.kind === "surface") return null;
     let arrays = await this.arrays(), facts = this.facts;
@@ -49,7 +50,7 @@ class Carried {
     return { ...arrays, facts };
   }
 
-  // Works a little at a time, so that the page stays alive.
+  // Run a generator in slices, so that the page stays responsive.
   async run(work, from, to) {
     for (let since = performance.now(); ; ) {
       const { value, done } = work.next();

@@ -1,4 +1,4 @@
-// What a page with triangles offers to choose from, beside what every page has.
+// The choices that a page with triangles offers in addition to those of every page.
 
 const LABELS = {
   kmeans: "Atlas k-means", affine: "Atlas affine", grid: "Atlas grid",
@@ -6,10 +6,10 @@ const LABELS = {
   stop: "Stop", ztest: "Depth test", cutout: "Cutout",
 };
 
-// What is chosen at first, as Picture.look() takes it; the page's controls change it from then on.
+// The initial choices, in the form that Picture.look() takes. The page's controls change them later.
 function choicesOf(viewer) {
   const { modes, triangles } = viewer.facts, choices = {};
-  // How a field is looked up and cut means nothing to triangles alone.
+  // A page of triangles alone has no lookup, level of detail, cut or crop box.
   for (const name of modes ? ["lookup", "detail", "cut"] : []) element(name).parentElement.hidden = true;
   for (const name of modes ? ["clip", "whole"] : []) element(name).hidden = true;
   for (const option of [...element("mode").options]) if (modes && !modes.includes(option.value)) option.remove();
@@ -22,7 +22,7 @@ function choicesOf(viewer) {
   return choices;
 }
 
-// Makes a button a switch, which is off at first.
+// Make a button a switch that is off at first.
 function switched(viewer, name) {
   const button = element(name);
   button.hidden = false;
@@ -30,7 +30,7 @@ function switched(viewer, name) {
   return false;
 }
 
-// Fills a select, and gives the first of its values.
+// Fill a select element, and return the first of its values.
 function offered(viewer, name, values) {
   const select = element(name);
   for (const value of values) select.add(new Option(LABELS[value], value));
@@ -39,7 +39,7 @@ function offered(viewer, name, values) {
   return values[0];
 }
 
-// Lets the control of a choice show it, whoever chose.
+// Show a choice in its control, also if a script made it.
 function markChoice(name, value) {
   if (typeof value === "boolean") element(name).ariaPressed = String(value);
   else element(name).value = value;

@@ -1,4 +1,4 @@
-// Pointers, keys and buttons: what they ask a Viewer for.
+// Translate the input of pointers, keys and buttons to calls of a Viewer.
 
 const KEYS = {
   ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
@@ -58,7 +58,8 @@ class Controls {
     element("full").hidden = !document.documentElement.requestFullscreen;
   }
 
-  // One pointer turns, or pans with another button or Shift; of two the middle pans and the distance zooms.
+  // One pointer rotates, or pans with another button or Shift. Two pointers pan by their middle and zoom by their
+  // distance.
   drag(event, pointers) {
     const { viewer } = this;
     const before = pointers.get(event.pointerId), x = event.clientX - before.x, y = event.clientY - before.y;

@@ -1,52 +1,53 @@
 #version 300 es
-// A ray for each pixel through a PageField (nerfbake/scene/page_field.py draws it): what it carries, and how a voxel is
-// looked up. march.glsl and smooth.glsl go along the ray, shown.glsl says what is shown of it.
+// March a ray per pixel through a PageField (nerfbake/scene/page.py describes its arrays). This part has the inputs,
+// the basis functions and the lookup of a voxel. march.glsl and smooth.glsl march the ray, shown.glsl computes the
+// picture.
 //
-// The page puts these before the first line of code:
-//   GROUPS   groups of four basis functions behind the first one: 0, 1, 2, 4 or 6
-//   BASE     the first basis function: 1 for RGBA
-//   TEXELS   texels of a row of colours, 1 + 3 GROUPS
-//   MESHES   1: there are triangles, which mesh.glsl has drawn; 0: there are none
-//   SMOOTH   1: trilinear lookup, smooth.glsl's march(); 0: that of march.glsl
+// The page inserts these definitions before the first line of code:
+//   GROUPS   groups of four basis functions after the first one: 0, 1, 2, 4 or 6
+//   BASE     the first basis function; 1 for RGBA
+//   TEXELS   texels in a row of colours, 1 + 3 GROUPS
+//   MESHES   1: the page has triangles, drawn by mesh.glsl; 0: it has none
+//   SMOOTH   1: trilinear lookup, march() of smooth.glsl; 0: nearest lookup, march() of march.glsl
 //   NORMALS  1: mode is SLOPE
-//   BYTES    1: coefficients are bytes, the density stands in a texture of its own; 0: all is float16
+//   BYTES    1: coefficients are bytes, and densities have a texture of their own; 0: all values are float16
 precision highp float;
 precision highp int;
 precision highp isampler3D;
 precision highp usampler2D;
 precision highp sampler2D;
 
-uniform isampler3D top;     // below 0 empty, a leaf's number, or from WHOLE on a row for all of the cell
-uniform usampler2D blocks;  // eight 4^3 blocks a leaf: mask low, mask high, first row, count of low
+uniform isampler3D top;     // negative: empty; from 0: a leaf; from WHOLE: row of the whole cell, plus WHOLE
+uniform usampler2D blocks;  // eight 4^3 blocks per leaf: lower and upper mask, first row, bits of the lower mask
 uniform sampler2D texels;   // red, green, blue of the first coefficient and the density; then the other coefficients
 uniform sampler2D densities;
-uniform vec3 lows[4 * GROUPS + 1];     // of each basis function: a coefficient is lows + widths * what the texel says
+uniform vec3 lows[4 * GROUPS + 1];     // for each basis function: a coefficient is lows + widths * texel
 uniform float widths[4 * GROUPS + 1];
 uniform int blockBits;      // a line of `blocks` has 2^blockBits texels
-uniform int rowsAcross;     // rows in a line of `texels`
+uniform int rowsAcross;     // rows per line of `texels`
 uniform float densityUnit;
 
-uniform vec3 eye;           // where the camera is, in voxels
-uniform mat3 toVoxels;      // camera to voxels, and to the axes of the spherical harmonics
+uniform vec3 eye;           // position of the camera, in voxels
+uniform mat3 toVoxels;      // from the camera to voxels, and to the axes of the spherical harmonics
 uniform mat3 toAxes;
-uniform mat3 worldToVoxels; // its transpose turns gradients
+uniform mat3 worldToVoxels; // its transpose converts gradients to the world
 uniform vec3 boxLow;
 uniform vec3 boxHigh;
 uniform vec2 size;          // of the picture, in pixels
 uniform float focal;        // in pixels
-uniform float cut;          // a ray ends where less than this share of light is left
+uniform float cut;          // a ray ends when its transmittance is below this
 uniform vec3 background;
-uniform int rays;           // along an edge of a pixel
-uniform int mode;           // what is shown: one of those below
+uniform int rays;           // rays along an edge of a pixel
+uniform int mode;           // what to show: one of the modes below
 uniform vec2 range;         // of depth, in world units
-uniform vec2 aim;           // PICK: the pixel
+uniform vec2 aim;           // PICK: the pixel to measure
 
 #if MESHES
-uniform sampler2D meshColour;      // of each ray's triangle
-uniform highp usampler2D meshFar;  // how far away it is, as a float's bits; infinite: there is none
-uniform ivec2 corner;              // the pixel that their first texel belongs to
-uniform bool ztest;                // a ray's field lies in front of the triangle as a whole, or is hidden
-uniform vec3 light;                // towards it, as the camera sees it; zero: there are no shadows
+uniform sampler2D meshColour;      // colour of each ray's triangle
+uniform highp usampler2D meshFar;  // distance of that triangle, as the bits of a float; infinite: no triangle
+uniform ivec2 corner;              // the pixel of the first texel of both
+uniform bool ztest;                // true: a ray's triangle hides the whole field, or none of it
+uniform vec3 light;                // direction to the light, in camera axes; zero: no shadows
 #else
 const bool ztest = false;
 #endif
@@ -56,18 +57,18 @@ out vec4 colour;
 const int WHOLE = 1 << 30;
 const uint ALL = 255u;
 const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4, SLOPE = 5;
-const int LIMIT = 1 << 14;  // steps
-const float SHADE = 0.4;    // of a mesh's colour, where no light from above comes through the field
-float stop = 1e30;          // where a ray ends, in world units from its origin
-vec3 origin;                // where a ray starts, in voxels
-bool dark = false;          // nobody asks for its colour
+const int LIMIT = 1 << 14;  // maximum number of steps
+const float SHADE = 0.4;    // share of a mesh's colour that remains where the field blocks all light from above
+float stop = 1e30;          // maximum distance from the origin, in world units
+vec3 origin;                // start of the ray, in voxels
+bool dark = false;          // true: the ray's colour is not needed
 
-struct Found { vec3 colour; float alpha; float far; int steps; };  // the normal, where colours are not asked for
+struct Found { vec3 colour; float alpha; float far; int steps; };  // colour: the normal if mode is SLOPE
 
-vec4 basis[GROUPS + 1];     // of the ray's direction, times `widths`
-vec3 base;                  // what a colour is before its coefficients are added
+vec4 basis[GROUPS + 1];     // basis functions in the ray's direction, times `widths`
+vec3 base;                  // sum of a colour before its coefficients are added
 
-// The basis functions behind the first one, four at a time: nerfbake/kernels/march/sh.py.
+// The basis functions after the first one, four at a time, as in nerfbake/kernels/march/sh.py.
 void fillBasis(vec3 p) {
 #if GROUPS > 0
   float x = p.x, y = p.y, z = p.z, xx = x * x, yy = y * y, zz = z * z;
@@ -96,8 +97,7 @@ void fillBasis(vec3 p) {
 #endif
 }
 
-// One after the other, with numbers that are known here: where software draws, a loop that counts them costs more than
-// what it does.
+// Unrolled, with constant indices: with software rendering, counting in a loop costs more than the body of the loop.
 #if GROUPS == 0
 #define EACH_GROUP(DO)
 #elif GROUPS == 1
@@ -110,13 +110,13 @@ void fillBasis(vec3 p) {
 #define EACH_GROUP(DO) DO(0) DO(1) DO(2) DO(3) DO(4) DO(5)
 #endif
 
-// Four basis functions for a ray's direction, times the widths of their coefficients; their lows go into `base`.
+// Four basis functions in a ray's direction, times the widths of their coefficients. Adds their lows to `base`.
 vec4 weighed(vec4 four, int i) {
   if (mode != FIRST) base += four.x * lows[i + 1] + four.y * lows[i + 2] + four.z * lows[i + 3] + four.w * lows[i + 4];
   return four * vec4(widths[i + 1], widths[i + 2], widths[i + 3], widths[i + 4]);
 }
 
-// The basis for a ray's direction in the field's own axes.
+// Compute the basis for a ray's direction, given in the field's own axes.
 void face(vec3 along) {
   fillBasis(along);
   base = BASE * lows[0];
@@ -124,7 +124,7 @@ void face(vec3 along) {
   EACH_GROUP(WEIGH)
 }
 
-// How many bits are set; GLSL ES 3.00 has no bitCount.
+// The number of bits that are set. GLSL ES 3.00 has no bitCount.
 uint count(uint bits) {
   bits -= bits >> 1 & 0x55555555u;
   bits = (bits & 0x33333333u) + (bits >> 2 & 0x33333333u);
@@ -136,7 +136,7 @@ ivec2 placeOf(int row) {
   return ivec2((row - line * rowsAcross) * TEXELS, line);
 }
 
-// Of a row the first coefficient's red, green and blue, and the density per world unit.
+// Red, green and blue of a row's first coefficient, and its density per world unit.
 vec4 headOf(ivec2 place) {
   vec4 head = texelFetch(texels, place, 0);
 #if BYTES
@@ -146,14 +146,14 @@ vec4 headOf(ivec2 place) {
   return head;
 }
 
-// What four coefficients of each colour, whose texels start here, add to a row's colour.
+// The part of a row's colour from four coefficients of each colour; place: the first of their texels.
 vec3 partOf(vec4 k, ivec2 place) {
   vec4 a = texelFetch(texels, place, 0), b = texelFetch(texels, place + ivec2(1, 0), 0);
   vec4 c = texelFetch(texels, place + ivec2(2, 0), 0);
   return k.x * a.rgb + k.y * vec3(a.a, b.rg) + k.z * vec3(b.ba, c.r) + k.w * c.gba;
 }
 
-// What a row's colour in the ray's direction is the sigmoid of; first: its headOf().
+// The sum whose sigmoid is a row's colour in the ray's direction; first: the row's headOf().
 vec3 sumOf(vec3 first, ivec2 place) {
   vec3 sum = base + BASE * widths[0] * first;
 #define ADD(i) sum += partOf(basis[i], place + ivec2(3 * i + 1, 0));
@@ -165,7 +165,7 @@ vec3 sigmoid(vec3 sum) {
   return 1.0 / (1.0 + exp(-sum));
 }
 
-// The row at a voxel, or -1; the cube around it that is like it: its lowest corner and its edge.
+// The row at a voxel, or -1; and a cube around the voxel with the same contents: its lowest corner and its edge.
 int look(ivec3 voxel, out ivec3 corner, out int edge) {
   ivec3 cell = voxel >> 3;
   int here = texelFetch(top, cell, 0).r;
@@ -204,7 +204,7 @@ bool outside(ivec3 voxel) {
   return any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, textureSize(top, 0) * 8));
 }
 
-// The row at any voxel, or -1.
+// The row at any voxel; -1 in empty space and outside the grid.
 int rowAt(ivec3 voxel) {
   ivec3 corner;
   int edge;

@@ -1,9 +1,9 @@
-// What the shader reads, from what the page carries: nerfbake/scene/page_field.py draws these arrays, and
+// Convert the data of the page to the arrays that the shader reads. nerfbake/scene/page.py describes these arrays, and
 // nerfbake/stages/field_to_page_field.py makes the same ones.
 
 const CELL = 8, WHOLE = 1 << 30, ALL = 255, FARTHEST = 15;
 
-// Text in base64 -> bytes.
+// Base64 text -> bytes.
 function* bytesOf(text) {
   const STEP = 1 << 20, bytes = new Uint8Array((text.length / 4) * 3 - (text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0));
   for (let at = 0, to = 0; at < text.length; at += STEP) {
@@ -14,7 +14,7 @@ function* bytesOf(text) {
   return bytes;
 }
 
-// A zlib stream -> bytes, of which there are so many; told: how much is done.
+// A zlib stream -> `size` bytes; told: a function that takes the progress, 0 to 1.
 async function inflated(packed, size, told) {
   const bytes = new Uint8Array(size), reader = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate")).getReader();
   for (let at = 0; ; ) {
@@ -27,7 +27,7 @@ async function inflated(packed, size, told) {
   }
 }
 
-// The arrays as the page carries them: the grid, the blocks, and the halves of the texels in planes of bytes.
+// Read the arrays in the layout of the page: the grid, the blocks, and the halves of the texels in planes of bytes.
 function* arraysOf(bytes, facts) {
   const cells = facts.shape[0] * facts.shape[1] * facts.shape[2], rows = facts.rows, channels = 4 * facts.texels;
   const top = new Int32Array(bytes.slice(0, 4 * cells).buffer);
@@ -40,7 +40,7 @@ function* arraysOf(bytes, facts) {
   return { top, blocks, texels };
 }
 
-// A list of leaves, five numbers each: node, or row, then x, y, z of the lowest corner, and the edge.
+// A list of leaves, five numbers each: node or row, then x, y, z of the lowest corner, and the edge.
 class Leaves {
   constructor() {
     this.count = 0;
@@ -66,11 +66,11 @@ class Leaves {
   }
 }
 
-// The same of an octree, from its bytes as a .svoq.
+// The same arrays for an octree, from the bytes of its .svoq.
 function* arraysOfSvoq(bytes, facts) {
   const octree = yield* scaled(readSvoq(bytes), 0, 0.8), { start, edge } = facts, C = octree.C;
   const density = (v) => Math.fround(octree.densityScale * Math.expm1(Math.max(v, 0)));
-  // Those that can be seen.
+  // Collect the leaves that are visible.
   let leaves = new Leaves();
   const visit = (node, x, y, z, width, held, at) => {
     if (density(held[at]) > 0) leaves.add(node, x - start[0], y - start[1], z - start[2], width);
@@ -93,11 +93,12 @@ function* arraysOfSvoq(bytes, facts) {
   return { top, blocks, texels };
 }
 
-// A leaf's row of halves: the first coefficient of red, green, blue and the density, then all others.
+// Fill the row of a leaf, in halves: red, green, blue of the first coefficient and the density, then all other
+// coefficients.
 function fillRow(own, octree, held, at, sigma) {
   const { B, C, mixing } = octree, wide = C - 1;
   for (let k = 0; k < B; k++) {
-    // Three sums that do not wait for each other.
+    // Three independent sums, so that none waits for another.
     let red = 0, green = 0, blue = 0;
     for (let i = 0, r = k * wide, g = (B + k) * wide, b = (2 * B + k) * wide; i < wide; i++) {
       const value = held[at + i];
@@ -114,7 +115,7 @@ function fillRow(own, octree, held, at, sigma) {
 
 const _float = new Float32Array(1), _bits = new Uint32Array(_float.buffer);
 
-// A number as the nearest float16's bits, of float32's nearest; the largest one for what is larger.
+// Round a number to float32, then to float16, and return the bits. Numbers out of range give the largest float16.
 function halfOf(value) {
   _float[0] = value;
   const sign = (_bits[0] >>> 16) & 0x8000, size = _bits[0] & 0x7fffffff;
@@ -126,13 +127,13 @@ function halfOf(value) {
   return sign | ((size + 0xfff + ((size >>> 13) & 1) - 0x38000000) >>> 13);
 }
 
-// A float16's bits as the number; as a float32's they are too small by 2^112.
+// The number with these float16 bits. Shifted to the places of a float32's bits, it is too small by a factor of 2^112.
 function numberOf(half) {
   _bits[0] = (half & 0x7fff) << 13;
   return (half & 0x8000 ? -1 : 1) * 2 ** 112 * _float[0];
 }
 
-// -- the grid and the blocks of leaves (node, x, y, z, edge), and how many rows there are --------------------------
+// -- the grid and the blocks for leaves (node, x, y, z, edge), and the number of rows ------------------------------
 function structureOf(leaves, facts) {
   const [, Y, Z] = facts.shape, end = facts.box[1], top = new Int32Array(facts.shape[0] * Y * Z).fill(-1);
   const cellOf = (x, y, z) => ((x >> 3) * Y + (y >> 3)) * Z + (z >> 3);
@@ -160,7 +161,7 @@ function structureOf(leaves, facts) {
     blocks[at + 3] = bitsIn(blocks[at]);
     rows += blocks[at + 3] + bitsIn(blocks[at + 1]);
   }
-  // Whole leaves in the order of their nodes, which is that of the octree's own rows.
+  // Number whole leaves in the order of their nodes, which is the order of the octree's rows.
   for (const i of whole.sort((a, b) => leaves[a] - leaves[b])) {
     const [, x, y, z, width] = leaves.subarray(i, i + 5);
     if (width === 4) blocks.set([0xffffffff, 0xffffffff, rows, ALL], 4 * blockAt(top[cellOf(x, y, z)], x, y, z));
@@ -190,7 +191,7 @@ function fillCells(top, [X, Y, Z], corner, width, value) {
   }
 }
 
-// The row at a voxel that has one.
+// The row at a voxel that is not empty.
 function rowAt(top, blocks, [, Y, Z], x, y, z) {
   const here = top[((x >> 3) * Y + (y >> 3)) * Z + (z >> 3)];
   if (here >= WHOLE) return here - WHOLE;
@@ -199,7 +200,8 @@ function rowAt(top, blocks, [, Y, Z], x, y, z) {
   return first + (upper ? blocks[at + 3] : 0) + bitsIn(blocks[at + upper] & ((1 << bitAt(x, y, z)) - 1));
 }
 
-// Of each empty cell how far the next one is that is not, along the axis along which it is farthest.
+// Store in each empty cell the distance to the nearest cell that is not empty: the largest of its distances along the
+// axes.
 function fillDistances(top, [X, Y, Z]) {
   let reached = Uint8Array.from(top, (value) => (value >= 0 ? 1 : 0));
   for (let distance = 1; distance <= FARTHEST; distance++) {

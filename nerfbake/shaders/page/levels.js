@@ -1,7 +1,7 @@
-// Coarser levels of detail, by the means that nerfbake/kernels/octree/means.py draws: densities by volume, coefficients
-// by volume and opacity, with one length for all opacities, that of the finest voxel.
+// Coarser levels of detail, with the means of nerfbake/kernels/octree/pyramid.py: densities are weighted by volume,
+// coefficients by volume and opacity. All opacities use one length, the edge of the finest voxel.
 
-// Goes through all leaves of a field's arrays: tell(x, y, z, edge, row), with cells and blocks that are one row whole.
+// Call tell(x, y, z, edge, row) for all leaves of a field's arrays, including whole cells and blocks with a single row.
 function* eachRow({ top, blocks }, [X, Y, Z], tell) {
   for (let x = 0, i = 0; x < X; x++) {
     for (let y = 0; y < Y; y++) {
@@ -28,7 +28,7 @@ function eachRowOfLeaf(blocks, leaf, x, y, z, tell) {
   }
 }
 
-// What the page says of the same field where 2^steps voxels along each edge are one.
+// The facts of the same field with 2^steps voxels along each edge merged into one.
 function coarserFacts(facts, steps) {
   const s = 2 ** steps, { place, box } = facts;
   const start = facts.start.map((low, axis) => CELL * Math.floor(Math.floor((low + box[0][axis]) / s) / CELL));
@@ -40,7 +40,7 @@ function coarserFacts(facts, steps) {
   };
 }
 
-// The arrays of that field; wide: what coarserFacts() made of facts.
+// The arrays of that field; wide: the facts that coarserFacts() returned.
 function* coarser(arrays, facts, wide, steps) {
   const s = 2 ** steps, shift = wide.start.map((low, axis) => facts.start[axis] - s * low), channels = 4 * facts.texels;
   let leaves = new Leaves();
@@ -67,13 +67,13 @@ function* coarser(arrays, facts, wide, steps) {
   for (let row = 0; row < rows; row++) {
     const at = row * channels;
     for (let k = 0; k < channels; k++) texels[at + k] = halfOf(k === 3 ? sums[at + k] : sums[at + k] / weights[row]);
-    if (!texels[at + 3]) texels[at + 3] = 1; // what is thin is still there
+    if (!texels[at + 3]) texels[at + 3] = 1; // the smallest density: thin voxels stay visible
     if (row % 65536 === 65535) yield 0.9 + (0.1 * row) / rows;
   }
   return { top, blocks, texels };
 }
 
-// The edge of a cube of a voxel's volume, in the world.
+// The edge of a cube with the volume of a voxel, in world units.
 function lengthOf(place) {
   return Math.cbrt(1 / place.reduce((volume, row) => volume * Math.hypot(row[0], row[1], row[2]), 1));
 }

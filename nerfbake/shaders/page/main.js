@@ -1,6 +1,6 @@
-// Opens the page, or says why it cannot be.
+// Start the viewer, or explain why the page cannot be shown.
 
-// What the page says of itself; null where it ends too early.
+// The facts of the page; null if the page is cut off before their end.
 function readFacts() {
   try {
     return JSON.parse(element("facts").textContent);
@@ -18,7 +18,7 @@ document.addEventListener("DOMContentLoaded", () => {
   }
   const viewer = new Viewer(facts, element("shader").textContent, data);
   for (const name of ["shader", "facts", "data"]) element(name).remove();
-  /** @type {any} */ (window).nerfbake = viewer; // for scripts, and for whoever is curious
+  /** @type {any} */ (window).nerfbake = viewer; // for scripts and the browser's console
   viewer.start();
 });
 element("status").textContent = "Opening";

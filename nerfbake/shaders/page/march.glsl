@@ -1,24 +1,24 @@
-// From voxel to voxel, across what is empty in steps as large as the grid allows. Density and colour are constant in a
-// voxel, so that sums along the ray are exact: what `nerfbake render` calculates in float64, in float32.
+// March from voxel to voxel; steps through empty space are as large as the grid allows. Density and colour are constant
+// within a voxel, so sums along the ray are exact. `nerfbake render` computes the same in float64; this is float32.
 
-// A ray's way through the box. Places and distances are in voxels.
+// The part of a ray inside the box. Positions and distances are in voxels.
 struct Way {
-  vec3 d, inverse;  // its direction, of length 1, and 1 / d
-  vec3 upward;      // 1 where d is above 0, or else 0
-  vec3 from;        // where it enters; distances on the way count from here: they stay small, and exact
-  float start;      // from its origin to there
-  float end;        // from there to where it leaves the box, or is stopped
-  float unit;       // a voxel along it, in world units
-  vec3 low, high;   // the lowest and the highest cube that it can come to
+  vec3 d, inverse;  // unit direction of the ray, and 1 / d
+  vec3 upward;      // 1 where d is positive, else 0
+  vec3 from;        // where the ray enters the box; distances count from here, so they stay small and exact
+  float start;      // distance from the ray's origin to `from`
+  float end;        // distance from `from` to where the ray leaves the box or stops
+  float unit;       // length of one voxel along the ray, in world units
+  vec3 low, high;   // the lowest and the highest cube that the ray can reach
 };
 
-// The way of a ray towards `along`, as the camera sees it; shift: of the cubes' lower corners, from whole numbers. false:
-// it misses the box.
+// Compute the way of a ray. along: its direction in camera axes; shift: offset of the cubes' lower corners from
+// integers. Returns false if the ray misses the box.
 bool enter(vec3 along, float shift, out Way way) {
   vec3 world = normalize(along), d = toVoxels * world;
   float scale = length(d);
   d /= scale;
-  // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
+  // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
   way.d = d = mix(d, vec3(1e-12), lessThan(abs(d), vec3(1e-12)));
   way.inverse = 1.0 / d;
   vec3 one = (boxLow - origin) * way.inverse, other = (boxHigh - origin) * way.inverse;
@@ -35,9 +35,9 @@ bool enter(vec3 along, float shift, out Way way) {
   return true;
 }
 
-// Out of a cube, of which this is the lowest corner, into the one behind it, which is found by number and not by a small
-// step: rounding can neither hold a ray up nor skip one. t: the distance to it; axis: along which it lies behind. false:
-// there is none.
+// Step from a cube, given by its lowest corner, to the next one along the ray. The next cube is computed by index. A
+// small step instead could stall the ray or skip a cube by rounding. t: distance to the next cube; axis: the axis that
+// the step crosses. Returns false if there is no next cube.
 bool leave(Way way, ivec3 corner, int edge, inout float t, inout ivec3 cube, out int axis) {
   vec3 lower = vec3(corner), exits = (lower + way.upward * float(edge) - way.from) * way.inverse;
   t = max(min(exits.x, min(exits.y, exits.z)), t);
@@ -56,7 +56,7 @@ float densityAt(ivec3 voxel) {
   return row < 0 ? 0.0 : headOf(placeOf(row)).a;
 }
 
-// Against the density's gradient over the voxels beside this one, in voxels.
+// A vector opposite to the gradient of the density, in voxels, from the six voxels beside this one.
 vec3 slopeAt(ivec3 voxel) {
   const ivec3 x = ivec3(1, 0, 0), y = ivec3(0, 1, 0), z = ivec3(0, 0, 1);
   return vec3(densityAt(voxel - x) - densityAt(voxel + x), densityAt(voxel - y) - densityAt(voxel + y),
@@ -72,7 +72,7 @@ Found march(vec3 along) {
   int row, edge, axis;
   float t = 0.0, through = 1.0, near;
   for (bool inside = true; inside && through >= cut;) {
-    // All of what is empty first: rays beside each other wait for each other, and what follows is the dearest part.
+    // Cross all empty cubes first: neighbouring rays wait for each other, and the code below the loop costs most.
     do {
       found.steps++;
       voxel = next;

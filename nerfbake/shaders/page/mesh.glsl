@@ -1,30 +1,30 @@
-// The colour of what a ray meets of the triangles, and how far away it is: what `nerfbake render` shows of a mesh, of
-// nerf2mesh's stage 1 (the MLP) and of the atlas baked from it.
+// The colour and the distance of the triangle that a ray meets, as `nerfbake render` draws a mesh, nerf2mesh's stage 1
+// (the MLP) and the atlas baked from it.
 //
-// The page puts before this: the version, the precisions, nerfbake/shaders/glsl/atlas.glsl, and one of these, or none of
-// them, where the diffuse colour is all there is:
+// The page inserts before this file: the version, the precisions, nerfbake/shaders/glsl/atlas.glsl, and one of these
+// definitions, or none of them if there is only the diffuse colour:
 //   KMEANS, AFFINE, GRID    the atlas, by its method
-//   MLP_TEXTURES            the MLP, with a texture fetch for each of its weights, as nerf2mesh's viewer has it
-//   MLP_CONSTANTS           the MLP as a function `mlp`, unrolled, with its weights as constants
+//   MLP_TEXTURES            the MLP with a texture fetch for each weight, as in nerf2mesh's viewer
+//   MLP_CONSTANTS           the MLP as an unrolled function `mlp`, with its weights as constants
 
 in vec3 along;
 in vec2 place;
 in vec3 share;
 
 uniform sampler2D diffuse;
-uniform float lit;  // 1: by a light at the camera; 0: as it is
+uniform float lit;  // 1: lit by a light at the camera; 0: unlit
 uniform Atlas numbers;
 uniform sampler2D atlas;
 uniform sampler2D labels;
 uniform sampler2D atlasFeatures;
 uniform sampler2D mlpFeatures;
-uniform sampler2D weights0;  // (h, 6): of a hidden unit the direction's three, then the feature's
+uniform sampler2D weights0;  // (h, 6): for each hidden unit three for the direction, then three for the feature
 uniform sampler2D weights1;  // (h, 3)
 
 layout(location = 0) out vec4 colour;
-layout(location = 1) out uint far;  // a float's bits: this is the only such texture that every device can draw to
+layout(location = 1) out uint far;  // the bits of a float: not every device can draw to a texture of floats
 
-const float AMBIENT = 0.25;  // of the colour, where a surface is seen edge-on
+const float AMBIENT = 0.25;  // share of the colour that remains where a surface is seen edge-on
 
 #ifdef MLP_TEXTURES
 vec3 mlp(vec3 direction, vec3 feature) {

@@ -1,5 +1,5 @@
 #version 300 es
-// A triangle's corners, seen by a camera that looks along -z.
+// Project the vertices of triangles for a camera that looks along -z.
 precision highp float;
 
 in vec3 position;  // in the world
@@ -7,11 +7,11 @@ in vec2 uv;
 in vec3 tint;
 
 uniform vec3 eye;
-uniform mat3 toCamera;  // the world to right, up, back
-uniform vec2 lens;      // how much of the picture's half a slope of 1 takes, across and up
-uniform vec2 range;     // the nearest and the farthest depth that can be told
+uniform mat3 toCamera;  // from the world to right, up, back
+uniform vec2 lens;      // share of half the picture that a slope of 1 covers, across and up
+uniform vec2 range;     // the nearest and the farthest depth that can be represented
 
-out vec3 along;  // from the camera, in the world
+out vec3 along;  // from the camera to the vertex, in the world
 out vec2 place;
 out vec3 share;
 

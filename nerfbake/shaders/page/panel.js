@@ -1,7 +1,7 @@
-// What is for the curious, in a panel that is closed at first: how the field is looked up, cut and clipped, what stands
-// under the pointer, how long a frame takes; and the picture as a file.
+// The options panel, which is closed at first: lookup, level of detail, cut, crop box, distance under the pointer,
+// frame time, and export of the camera and the picture.
 
-const PATIENCE = 60; // ms without a movement, behind which the pointer's depth is measured
+const PATIENCE = 60; // ms without a movement before the depth under the pointer is measured
 const MOST_HALVINGS = 5;
 
 class Panel {
@@ -28,7 +28,7 @@ class Panel {
     canvas.addEventListener("pointerleave", () => this.tellDepth(null));
   }
 
-  // Low and high end of x, of y, of z.
+  // The low and the high end of x, of y and of z.
   get sliders() {
     return /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("#clip input")]);
   }
@@ -57,7 +57,7 @@ class Panel {
     this.viewer.change();
   }
 
-  // A low end pushes its high end, and the other way round: there is always something left between them.
+  // Each end pushes the other end of its axis, so that the range between them never becomes empty.
   clip(moved) {
     const { sliders } = this, at = sliders.indexOf(moved), other = sliders[at ^ 1], least = 0.02;
     const value = Math.max(at & 1 ? least : 0, Math.min(at & 1 ? 1 : 1 - least, Number(moved.value)));
@@ -76,7 +76,7 @@ class Panel {
     this.viewer.change();
   }
 
-  // -- what is told ------------------------------------------------------------------------------------------------
+  // -- measurements ------------------------------------------------------------------------------------------------
   hover(event) {
     if (this.box.hidden) return;
     const x = event.offsetX, y = event.offsetY;
@@ -91,7 +91,7 @@ class Panel {
     element("depth").textContent = distance === null ? "\u2013" : distance.toPrecision(4);
   }
 
-  // A frame that took so long while the view moved.
+  // Show the time of a frame that was drawn while the view moved.
   pace(took) {
     if (this.box.hidden || !(took > 0)) return;
     const { canvas, scale } = this.viewer, pace = element("pace");
@@ -122,7 +122,7 @@ class Panel {
     else viewer.ask();
   }
 
-  // The picture at rest is complete.
+  // Called when the picture at rest is complete: save it if the user asked for it.
   finished() {
     if (!this.wanted) return;
     this.wanted = false;

@@ -1,13 +1,13 @@
-// The field in a graphics card's textures, and pictures of it.
+// Upload the field to textures of the graphics card, and draw pictures of it.
 
 const MODES = { colour: 0, first: 1, depth: 2, normals: 5, steps: 3, pick: 4 };
-const CUT = 1e-4; // the share of light below which a ray ends, as `nerfbake render` has it
-const CUTOUT = 0.5; // the same of an opaque cutout
+const CUT = 1e-4; // the transmittance below which a ray ends, as in `nerfbake render`
+const CUTOUT = 0.5; // the same for an opaque cutout
 const UNCLIPPED = [[0, 0, 0], [1, 1, 1]];
 
 const CORNERS = "#version 300 es\nvoid main() {\n  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1);\n}";
 
-// A program of two shaders, which the graphics begin to compile; attributes: names, in the order of their places.
+// Start to compile a program of two shaders; attributes: names, in the order of their locations.
 function begun(gl, vertex, fragment, attributes = []) {
   const program = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
@@ -21,7 +21,7 @@ function begun(gl, vertex, fragment, attributes = []) {
   return program;
 }
 
-// Such a program once it can be used: whoever asks waits for the graphics.
+// Wait until such a program is compiled, and return it. Throws the compiler's message if it failed.
 function linked(gl, program) {
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const [first] = gl.getAttachedShaders(program).map((part) => gl.getShaderInfoLog(part)).filter(Boolean);
@@ -41,14 +41,14 @@ class Picture {
     this.shader = shader;
     this.frames = {};
     this.triangles = null;
-    this.shot = null; // what look() said of triangles
+    this.shot = null; // the settings of look() for triangles
     this.textures = [];
     this.programs = {};
     this.constants = {};
     this.begin(facts.lookup === "trilinear", false);
   }
 
-  // The program for a lookup, with or without normals: begun when it is first asked for, as compiling takes a while.
+  // The program for a lookup, with or without normals. Compiling takes a while, so it starts at the first request.
   begin(smoothly, normals) {
     const { gl, facts, shader, programs } = this, name = `${smoothly} ${normals}`;
     if (!programs[name]) {
@@ -77,7 +77,7 @@ class Picture {
     this.triangles = new Triangles(this.gl, this.facts, triangles);
   }
 
-  // Hands a level of detail over, as Carried gives it; its arrays are not needed any more behind this.
+  // Upload a level of detail that Carried.level() returned. Its arrays are not needed afterwards.
   upload({ top, blocks, texels, bytes, densities, lows, widths, facts }) {
     const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE), T = facts.texels, colours = bytes ?? texels;
     const [X, Y, Z] = facts.shape, across = Math.floor(most / T), rows = colours.length / (4 * T);
@@ -87,7 +87,8 @@ class Picture {
       throw new Error("this scene is larger than what this device's graphics can hold");
     }
     this.facts = facts;
-    // The grid's z is fastest, as a texture's x is: shader and page count x, y, z, so that it is turned here.
+    // The grid is z-fastest, and a texture is x-fastest. The shader indexes x, y, z like the page, so transpose the
+    // grid here.
     const turned = new Int32Array(top.length);
     for (let x = 0, i = 0; x < X; x++) {
       for (let y = 0; y < Y; y++) for (let z = 0; z < Z; z++) turned[(z * Y + y) * X + x] = top[i++];
@@ -132,17 +133,18 @@ class Picture {
     gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   }
 
-  // Texels of so many numbers, line by line; the last line may be a part of one.
+  // Upload texels of `channels` numbers each, line by line; the last line may be incomplete.
   fill(width, numbers, channels, format, type) {
     const { gl } = this, count = numbers.length / channels, whole = Math.floor(count / width), rest = count - whole * width;
     if (whole) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, whole, format, type, numbers, 0);
     if (rest) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest, 1, format, type, numbers, channels * width * whole);
   }
 
-  // Says what the next draw() shows. camera: {position, rotation (columns right, up, back), focal: of half the shorter
-  // edge}; mode: a name of MODES; smoothly: trilinear; clip: the part of the box that is shown, 0 to 1; cut: the share of
-  // light below which a ray ends; rays: along a pixel's edge. For triangles: highlights and composite, names of the page's
-  // own; shadow: a light above the scene throws the field's.
+  // Set what the next draw() shows. camera: {position, rotation (columns right, up, back), focal: relative to half the
+  // shorter edge}; mode: a key of MODES; smoothly: trilinear; clip: the part of the box that is shown, 0 to 1; cut: the
+  // transmittance below which a ray ends; rays: along a pixel's edge. For triangles: highlights and composite, names
+  // from the page's facts; shadow: a light above the scene casts the field's shadow. Returns the far end of the depth
+  // range.
   look(camera, width, height, { background, mode = "colour", smoothly = false, clip = UNCLIPPED, cut = CUT, rays = 1, aim = [0, 0], ...more }) {
     const { gl, facts, triangles } = this, { place, axes } = facts, { position, rotation } = camera;
     this.use(smoothly, mode === "normals");
@@ -150,7 +152,7 @@ class Picture {
     if (triangles) rays = triangles.raysOf(width, height, rays);
     this.shot = { camera, size: [width, height], rays, highlights, aim: mode === "pick" ? aim.map(Math.floor) : null };
     const eye = place.map((row) => row[0] * position[0] + row[1] * position[1] + row[2] * position[2] + row[3]);
-    // WebGL's matrices stand column by column, and so do rotations here.
+    // WebGL's matrices are column-major, and so are rotations here.
     const times = (rows) => [0, 1, 2].flatMap((c) => rows.map((row) => row[0] * rotation[c][0] + row[1] * rotation[c][1] + row[2] * rotation[c][2]));
     gl.uniform3fv(this.uniform("eye"), eye);
     gl.uniformMatrix3fv(this.uniform("toVoxels"), false, times(place));
@@ -160,11 +162,11 @@ class Picture {
     gl.uniform3fv(this.uniform("background"), background);
     gl.uniform1i(this.uniform("rays"), rays);
     gl.uniform1i(this.uniform("mode"), MODES[mode]);
-    // A cutout lets nothing count that is behind the place where half of the light is lost.
+    // A cutout ignores everything behind the point where half of the light is lost.
     gl.uniform1f(this.uniform("cut"), composite === "cutout" ? Math.max(cut, CUTOUT) : cut);
     gl.uniform1i(this.uniform("ztest"), composite === "ztest" ? 1 : 0);
     gl.uniform3fv(this.uniform("light"), rotation.map((axis) => (shadow ? dot(axis, facts.up) : 0)));
-    // What is interpolated reaches half a voxel further than the voxels do.
+    // Interpolated values extend half a voxel beyond the voxels.
     const [low, high] = facts.box, reach = smoothly ? 0.5 : 0, at = (part, axis) => low[axis] - reach + part * (high[axis] - low[axis] + 2 * reach);
     gl.uniform3fv(this.uniform("boxLow"), clip[0].map(at));
     gl.uniform3fv(this.uniform("boxHigh"), clip[1].map(at));
@@ -175,7 +177,7 @@ class Picture {
     return farthest;
   }
 
-  // A picture beside the canvas, of look()'s width and height: `coarse`, `fine` or `aside`; made where it is missing.
+  // Bind the framebuffer `coarse`, `fine` or `aside`, with look()'s width and height; creates it if necessary.
   bind(name, width, height) {
     const { gl } = this, old = this.frames[name];
     if (old?.width !== width || old?.height !== height) {
@@ -192,7 +194,7 @@ class Picture {
     gl.viewport(0, 0, width, height);
   }
 
-  // All of a picture, or its lines from .. to - 1, counted from below.
+  // Draw a whole picture, or its lines from .. to - 1, counted from below.
   draw(name, width, height, from = 0, to = height) {
     const { gl } = this;
     const step = this.triangles?.linesOf(width, this.shot.rays) ?? to - from;
@@ -207,7 +209,7 @@ class Picture {
     }
   }
 
-  // What rays meet of triangles, of so many lines, or of the one pixel that is picked.
+  // Draw the triangles that rays meet: for this number of lines, or for the one pixel that is picked.
   drawTriangles(width, low, lines) {
     const { gl, triangles, shot } = this;
     if (!triangles) return;
@@ -219,7 +221,7 @@ class Picture {
     gl.uniform2i(this.uniform("corner"), x, y);
   }
 
-  // A picture, spread over another one, or over the canvas.
+  // Scale a picture to the size of the canvas, and copy it to another picture or to the canvas.
   spread(name, over = null) {
     const { gl, canvas } = this, { frame, width, height } = this.frames[name];
     if (over) this.bind(over, canvas.width, canvas.height);
@@ -228,14 +230,14 @@ class Picture {
     gl.blitFramebuffer(0, 0, width, height, 0, 0, canvas.width, canvas.height, gl.COLOR_BUFFER_BIT, gl.LINEAR);
   }
 
-  // The same as bytes, four a pixel, lines from the top.
+  // Draw a picture, and return its bytes, four per pixel, lines from the top.
   pixels(camera, width, height, options) {
     this.look(camera, width, height, options);
     this.draw("aside", width, height);
     return this.held("aside").bytes;
   }
 
-  // What such a picture holds: {width, height, bytes}.
+  // The contents of a picture: {width, height, bytes}.
   held(name) {
     const { gl } = this, { frame, width, height } = this.frames[name], line = 4 * width, found = new Uint8Array(line * height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
@@ -245,7 +247,8 @@ class Picture {
     return { width, height, bytes };
   }
 
-  // The distance from the camera at a pixel of the canvas, counted from the upper left, in world units; null: nothing.
+  // The distance from the camera at a pixel of the canvas, counted from the upper left, in world units; null if nothing
+  // is there.
   distanceAt(camera, x, y, looks) {
     const { gl, canvas } = this, options = { ...looks, mode: "pick", aim: [x, canvas.height - y] };
     const most = this.look(camera, canvas.width, canvas.height, options), found = new Uint8Array(4);
@@ -254,7 +257,7 @@ class Picture {
     return found[3] < 64 ? null : ((found[0] * 65536 + found[1] * 256 + found[2]) / 16777216) * most;
   }
 
-  // Something that is signalled once all that was drawn is there.
+  // A function that returns true once everything drawn so far is complete.
   fence() {
     const { gl } = this, sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();

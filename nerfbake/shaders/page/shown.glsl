@@ -1,10 +1,10 @@
-// What is shown: colours, or one of the views for the curious, of the field and of triangles beside it.
+// Compute the picture: colours or a diagnostic view, of the field and of triangles beside it.
 
 vec3 heat(float part) {
   return clamp(vec3(3.0 * part, 3.0 * part - 1.0, 3.0 * part - 2.0), 0.0, 1.0);
 }
 
-// What a ray meets through a place of the picture: the field, and the triangle behind it where there is one.
+// March the ray through a point of the picture: what it meets of the field, and of the triangle behind it, if any.
 Found meet(vec2 place) {
   vec3 along = vec3((place - 0.5 * size) / focal, -1.0);
   origin = eye;
@@ -24,7 +24,7 @@ Found meet(vec2 place) {
     lit = mix(1.0, SHADE, march(light).alpha);
     dark = false;
   }
-  // Normals are the field's alone.
+  // Only the field has normals.
   if (mode <= FIRST) found.colour += left * lit * texelFetch(meshColour, texel, 0).rgb;
   found.far += left * far;
   found.alpha = 1.0;
@@ -50,7 +50,7 @@ vec3 shown(vec2 pixel) {
 
 void main() {
   if (mode == PICK) {
-    // The mean distance as 24 bits of the range's end, and how opaque it is.
+    // The mean distance in 24 bits, as a fraction of the range's end, and the opacity.
     Found found = meet(aim);
     float part = clamp(found.far / max(found.alpha, 1e-6) / range.y, 0.0, 0.9999999);
     vec3 digits = floor(fract(part * vec3(1.0, 256.0, 65536.0)) * 256.0);

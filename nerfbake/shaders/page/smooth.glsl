@@ -1,11 +1,11 @@
-// The same between the centres of voxels, where density is interpolated, and coefficients by density: what
-// nerfbake/kernels/march/traversal_smooth.py does. A ray goes through the cubes between eight centres; along it, density
-// is a cubic there, whose integral two Gauss points give exactly.
+// March with interpolation between the centres of voxels, as nerfbake/kernels/march/traversal_smooth.py does: density
+// is trilinear, and coefficients are weighted by density. A ray crosses the cubes between eight centres. Along the ray,
+// density is a cubic within each cube, and two Gauss points integrate it exactly.
 
 #if SMOOTH
-const float GAUSS = 0.21132486540518712;  // of a stretch: the first of its two points, the other is as far from the end
+const float GAUSS = 0.21132486540518712;  // of an interval: its first Gauss point; the second is as far from the end
 
-// Density, and density times what the colour is the sigmoid of (or the normal), at a voxel.
+// At a voxel: density times the sum whose sigmoid is the colour (0 if no colour is needed), then density.
 vec4 cornerAt(ivec3 voxel) {
   int row = rowAt(voxel);
   if (row < 0) return vec4(0.0);
@@ -14,16 +14,16 @@ vec4 cornerAt(ivec3 voxel) {
   return mode <= FIRST && !dark ? vec4(first.a * sumOf(first.rgb, place), first.a) : vec4(vec3(0.0), first.a);
 }
 
-// How far all of the cubes from this one on are empty: 0, or the edge of the cubes and their lowest corner.
+// The edge of a cube of empty cubes that contains this one, and its lowest corner; 0 if there is none.
 int emptyAt(ivec3 cube, out ivec3 corner) {
   int edge = 0;
   if (outside(cube) || look(cube, corner, edge) >= 0 || any(greaterThanEqual(cube - corner, ivec3(edge - 1)))) return 0;
   return edge - 1;
 }
 
-// Against the interpolated density's gradient in a cube.
+// A vector opposite to the gradient of the interpolated density in a cube.
 vec3 slopeOf(vec4 c[8], vec3 f) {
-  vec4 low = vec4(c[0].a, c[1].a, c[2].a, c[3].a), high = vec4(c[4].a, c[5].a, c[6].a, c[7].a);  // of x: y, then z
+  vec4 low = vec4(c[0].a, c[1].a, c[2].a, c[3].a), high = vec4(c[4].a, c[5].a, c[6].a, c[7].a);  // at lower, upper x
   vec4 along = low - high, here = mix(low, high, f.x);
   float x = mix(mix(along.x, along.y, f.z), mix(along.z, along.w, f.z), f.y);
   return vec3(x, mix(here.x - here.z, here.y - here.w, f.z), mix(here.x - here.y, here.z - here.w, f.y));
@@ -32,11 +32,11 @@ vec3 slopeOf(vec4 c[8], vec3 f) {
 Found march(vec3 along) {
   Found found = Found(vec3(0.0), 0.0, 0.0, 0);
   Way way;
-  // Places count from the first voxel's centre.
+  // Positions count from the centre of the first voxel.
   if (!enter(along, 0.5, way)) return found;
   ivec3 next = ivec3(clamp(floor(way.from), way.low, way.high)), cube, lower;
   vec4 corners[8];
-  int width, axis, shared, came = -1;  // the axis along which a cube with corners lies beside this one; -1: none does
+  int width, axis, shared, came = -1;  // the axis along which the cube before this one shares corners; -1: none
   float t = 0.0, through = 1.0, near;
   for (bool inside = true; inside && through >= cut;) {
     do {

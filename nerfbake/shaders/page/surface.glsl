@@ -1,18 +1,18 @@
 #version 300 es
-// A picture of triangles alone: the mean of a pixel's rays, which mesh.glsl has coloured, over the background.
+// A picture of triangles alone: the mean over a pixel's rays, coloured by mesh.glsl, on the background.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
 uniform sampler2D meshColour;
-uniform usampler2D meshFar;  // distances as a float's bits; infinite where there is no triangle
-uniform ivec2 corner;        // the pixel that their first texel belongs to
+uniform usampler2D meshFar;  // distances, as the bits of a float; infinite: no triangle
+uniform ivec2 corner;        // the pixel of the first texel of both
 uniform vec3 background;
-uniform int rays;            // along an edge of a pixel
-uniform int mode;            // what is shown: one of those below
+uniform int rays;            // rays along an edge of a pixel
+uniform int mode;            // what to show: one of the modes below
 uniform vec2 range;          // of depth, in world units
-uniform vec2 aim;            // PICK: the pixel
+uniform vec2 aim;            // PICK: the pixel to measure
 
 out vec4 colour;
 
@@ -20,7 +20,7 @@ const int DEPTH = 2, PICK = 4;
 
 void main() {
   if (mode == PICK) {
-    // The distance as 24 bits of the range's end, and whether there is anything.
+    // The distance in 24 bits, as a fraction of the range's end, and whether there is a triangle.
     float far = uintBitsToFloat(texelFetch(meshFar, ivec2(aim) - corner, 0).r);
     vec3 digits = floor(fract(clamp(far / range.y, 0.0, 0.9999999) * vec3(1.0, 256.0, 65536.0)) * 256.0);
     colour = vec4(digits / 255.0, isinf(far) ? 0.0 : 1.0);

@@ -1,7 +1,7 @@
-// A .svoq, decoded: schemas/svoq.md says what everything here is, nerfbake/kernels/coding is the same in Python.
-// Generators give how much of their work is done, 0 to 1, so that the page can breathe in between.
+// Decode a .svoq. schemas/svoq.md describes the format, and nerfbake/kernels/coding is the same in Python. Generators
+// yield the progress of their work, 0 to 1, so that the page stays responsive.
 
-const EVEN = 1 << 29; // a model that knows nothing: probability in 1/2^22, then 8 bits of how often it was asked
+const EVEN = 1 << 29; // an initial model: probability in units of 1/2^22, then 8 bits of count
 const ROWS_AT_ONCE = 512;
 
 const SQUASH = new Uint16Array(4096);
@@ -10,7 +10,7 @@ const RATES = new Uint16Array(251);
 const SIZES = bucketsOf([1, 2, 3, 5, 7, 10, 15, 23, 36, 60, 120]);
 const MATCHES = bucketsOf([1, 2, 3, 5, 8, 14, 24, 44, 90]);
 const BITS = new Uint8Array(256);
-const SHARES = [0, 12, 6, 4, 3]; // 12 / how many references there are
+const SHARES = [0, 12, 6, 4, 3]; // 12 / number of references
 const AXES = [2, 1, 1, 0, 0, 0, 0]; // of each slot
 const FIRST_SLOT = [3, 1, 0]; // of each axis
 const WIDTHS = [8, 4, 4, 2, 2, 2, 2], LOWS = [0, 0, 4, 0, 2, 4, 6]; // of each slot, in octants
@@ -51,7 +51,7 @@ function signOf(value) {
 class Stream {
   constructor(bytes) {
     this.bytes = bytes;
-    this.state = new Uint32Array([0, 0xffffffff, 4]); // code, range, place
+    this.state = new Uint32Array([0, 0xffffffff, 4]); // code, range, position
     for (let i = 0; i < 4; i++) this.state[0] = this.state[0] * 256 + (i < bytes.length ? bytes[i] : 0);
   }
 
@@ -81,14 +81,14 @@ class Stream {
   }
 }
 
-// error * rate >> 16 has 38 bits: its upper and its lower byte apart, all is in whole numbers of 32.
+// error * rate >> 16 needs 38 bits. With the lower byte of the error separate, 32-bit integers suffice.
 function learnt(model, bit) {
   const n = model & 255, rate = RATES[n], error = (bit ? 4194303 : 0) - (model >> 8);
   const step = (Math.imul(error >> 8, rate) + (Math.imul(error & 255, rate) >> 8)) >> 8;
   return model + (step << 8) + (n < 250 ? 1 : 0);
 }
 
-// Models of four kinds for so many values each, one kind behind the other, and so many sets of weights.
+// Models of four kinds, one kind after the other, with `values` models each; and `sets` sets of weights.
 class Mixer {
   constructor(stream, values, sets) {
     this.stream = stream;
@@ -120,7 +120,7 @@ class Mixer {
 }
 
 // -- topology --------------------------------------------------------------------------------------------------
-// Nodes that have masks: the number of the first child, the level, and who stands at -x, -y, -z, +x, +y, +z (-1: none).
+// Nodes that have masks: number of the first child, level, and neighbours at -x, -y, -z, +x, +y, +z (-1: none).
 function newNodes(c) {
   return {
     masks: new Uint8Array(c),
@@ -191,7 +191,7 @@ function* readNodes(bytes, c) {
     if (!mixer.bit(8, level * 4 + leaves, faces * 4 + leaves, level, leaves)) {
       for (let octant = 0; octant < 8; octant++) {
         if (octant === 7 && !mask) {
-          mask = 128; // it has a child somewhere
+          mask = 128; // a node that is not a leaf has at least one child
           break;
         }
         const outside = touching(nodes, node, octant), before = (1 << octant) | mask, known = BITS[mask];
@@ -207,14 +207,14 @@ function* readNodes(bytes, c) {
   return nodes;
 }
 
-// -- which pairs there are, and what each is compared with -------------------------------------------------------
+// -- pairs and their references -----------------------------------------------------------------------------------
 function bothHalves(mask, slot) {
   if (slot === 0) return (mask & 15) !== 0 && (mask & 240) !== 0;
   if (slot < 3) return ((mask >> (4 * (slot - 1))) & 3) !== 0 && ((mask >> (4 * (slot - 1))) & 12) !== 0;
   return ((mask >> (2 * (slot - 3))) & 3) === 3;
 }
 
-// rows: of each node's seven slots the row of its pair, or 0; slot and references (4) of each row.
+// rows: for each of a node's seven slots the row of its pair, or 0; slots and references (4) of each row.
 function pairsOf(nodes, m) {
   const c = nodes.masks.length, rows = new Int32Array(7 * c), above = new Int32Array(3 * c);
   const slots = new Uint8Array(m), references = new Int32Array(4 * m);
@@ -248,7 +248,7 @@ function pairsOf(nodes, m) {
 function refer(nodes, node, slot, rows, above, references) {
   const axis = AXES[slot], first = FIRST_SLOT[axis], at = 4 * rows[7 * node + slot];
   for (let side = 0; side < 3; side++) {
-    // Inside of the node there are pairs beside each other along the axes above the pair's own.
+    // Pairs inside the same node are adjacent along the axes above the pair's axis.
     const bit = side > axis ? 1 << (side - axis - 1) : 0, inside = bit & (slot - first);
     const near = inside ? node : nodes.beside[6 * node + side];
     if (near >= 0) references[at + side] = rows[7 * near + first + ((slot - first) ^ bit)];

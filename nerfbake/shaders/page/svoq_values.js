@@ -1,11 +1,11 @@
-// The coefficients of a .svoq, and the leaves that they stand for: the second half of schemas/svoq.md.
+// Decode the coefficients of a .svoq, and compute the leaves from them: the second half of schemas/svoq.md.
 
 const GROUP_AT = 9, GROUP_OF = 6; // channels
 const SIZE_BUCKETS = 12, MATCH_BUCKETS = 10;
 
-// Channels first .. last - 1 of all rows but row 0, into values (m, C).
+// A reader of channels first .. last - 1 of all rows except row 0, into values (m, C).
 class Coefficients {
-  // values has a row more, of zeros, which stands for a reference that is not there.
+  // values has one more row, of zeros, for references that do not exist.
   constructor(bytes, values, C, pairs, first, last) {
     this.stream = new Stream(bytes);
     this.values = values;
@@ -19,7 +19,7 @@ class Coefficients {
     this.signs = new Mixer(this.stream, Math.max(C * 9 * matches, C * 81, matches * 81), C);
     this.sizes = new Mixer(this.stream, Math.max(C * matches * SIZE_BUCKETS, SIZE_BUCKETS * sizes) * 16, C * 16);
     this.bits = new Int32Array(38 * C).fill(EVEN);
-    this.beside = new Int32Array(4); // where the four references' values start
+    this.beside = new Int32Array(4); // offsets of the four references' values
     this.firstGroup = GROUP_AT + GROUP_OF * Math.max(Math.ceil((first - GROUP_AT) / GROUP_OF), 0);
   }
 
@@ -59,7 +59,7 @@ class Coefficients {
     }
   }
 
-  // Finds the four references; 12 / how many there are.
+  // Find the references, and return 12 / their number (0 for none).
   lookAround(row) {
     const { values, C, beside, pairs } = this, none = values.length - C;
     let count = 0;
@@ -124,7 +124,7 @@ class Coefficients {
   }
 }
 
-// All of a .svoq that has range-coded streams: {nodes, rows, values (m + 1, C), zeros behind the last leaf, ...}.
+// Read a .svoq with range-coded streams: {nodes, rows, values (m + 1, C), with zeros after the last row, ...}.
 function* readSvoq(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   if (bytes.length < 108 || view.getUint32(0, true) !== 0x514f5653 || bytes[4] !== 1 || bytes[5] !== 0) {
@@ -155,13 +155,13 @@ function* readSvoq(bytes) {
   return { nodes, rows: pairs.rows, values, B, C, colourStep, densityStep, densityScale, mixing };
 }
 
-// Goes through all leaves and tells their values, channels from .. C - 1, before the basis is mixed: the inverse of the
-// Haar transform, with no more memory than a path from the root down takes.
+// Call tell() for all leaves with their values, channels from .. C - 1, before the basis is mixed. This is the inverse
+// Haar transform; it needs only the memory for one path down from the root.
 function* eachLeaf(octree, edge, from, tell) {
   const { nodes, rows, values, C } = octree, { masks } = nodes, c = masks.length, wide = C - from;
   const counts = leafCounts(nodes), steps = new Float64Array(C).fill(octree.colourStep);
   steps[C - 1] = octree.densityStep;
-  // Of each level the node, its corner, the octant that is next, and what its octants hold.
+  // For each level: the node, its corner, the next octant, and the values of its octants.
   const levels = Array.from({ length: 14 }, () => ({ node: 0, x: 0, y: 0, z: 0, next: 0, held: new Float64Array(8 * wide) }));
   const enter = (level, node, x, y, z) => {
     const here = levels[level];
@@ -173,7 +173,7 @@ function* eachLeaf(octree, edge, from, tell) {
     for (let slot = 0; slot < 7; slot++) split(here.held, node, slot);
   };
   const split = (held, node, slot) => {
-    // From here on, in one order: along z, then y, then x; a half without children leaves all to the other.
+    // Pairs split along z, then y, then x. A half without children leaves the values of the pair to the other half.
     const width = WIDTHS[slot], low = LOWS[slot], high = low + width / 2;
     const row = rows[7 * node + slot], lower = low * wide, upper = high * wide;
     if (!row) {
@@ -211,7 +211,7 @@ function* eachLeaf(octree, edge, from, tell) {
   return undefined;
 }
 
-// A function that tells how many leaves there are in octants low .. high - 1 of a node.
+// A function that returns the number of leaves in octants low .. high - 1 of a node.
 function leafCounts(nodes) {
   const c = nodes.masks.length, below = new Int32Array(c);
   const countOf = (child) => (child < 0 ? 0 : child < c ? below[child] : 1);

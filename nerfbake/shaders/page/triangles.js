@@ -1,7 +1,8 @@
-// Triangles: from the bytes that the page carries to buffers and textures, and drawn for the rays of a picture.
-// nerfbake/formats/page/triangles.py says how they are packed.
+// Unpack the triangles of the page to buffers and textures, and draw them for the rays of a picture.
+// nerfbake/formats/page/triangles.py describes how they are packed.
 
-// Columns of four-byte numbers, each number the difference from the one before it, in planes of bytes.
+// Unpack columns of four-byte numbers in planes of bytes; each number is stored as the difference from the one before
+// it.
 function* wordsOf(bytes, rows, columns) {
   const words = new Uint32Array(rows * columns);
   for (let column = 0, at = 0; column < columns; column++, at += 4 * rows) {
@@ -15,7 +16,7 @@ function* wordsOf(bytes, rows, columns) {
   return words;
 }
 
-// Texels of three bytes, a plane for each channel, each byte the difference from the one before it.
+// Unpack texels of three bytes, a plane per channel; each byte is stored as the difference from the one before it.
 function* texelsOf(bytes, count) {
   const texels = new Uint8Array(3 * count);
   for (let channel = 0, at = 0; channel < 3; channel++) {
@@ -25,8 +26,8 @@ function* texelsOf(bytes, count) {
   return texels;
 }
 
-// facts.triangles: parts [{vertices, faces, uvs, colours: whether they are there; textures: {name: [width, height]};
-// atlas: its numbers}], hidden: units of the MLP.
+// Unpack all parts. facts.triangles: parts [{vertices, faces: their numbers; uvs, colours: whether they exist;
+// textures: {name: [width, height]}; atlas: its numbers}], hidden: hidden units of the MLP.
 function* trianglesOf(bytes, { parts, hidden, size }) {
   let at = 0;
   const take = (length) => bytes.subarray(at, (at += length));
@@ -48,10 +49,10 @@ function* trianglesOf(bytes, { parts, hidden, size }) {
   return { parts: found, weights };
 }
 
-// -- the graphics card's side ------------------------------------------------------------------------------------
+// -- on the graphics card ------------------------------------------------------------------------------------------
 const UNITS = { diffuse: 8, atlas: 9, labels: 10, atlasFeatures: 11, mlpFeatures: 12, weights0: 13, weights1: 14 };
-const COLOUR_UNIT = 6, FAR_UNIT = 7; // of what is drawn
-const MOST_RAYS = 1 << 22; // at a time: 12 bytes each
+const COLOUR_UNIT = 6, FAR_UNIT = 7; // texture units of what is drawn
+const MOST_RAYS = 1 << 22; // drawn at a time, 12 bytes each
 const PRECISIONS = ["float", "int", "sampler2D"].map((name) => `precision highp ${name};\n`).join("");
 
 class Triangles {
@@ -60,7 +61,7 @@ class Triangles {
     this.facts = facts;
     this.weights = weights;
     this.programs = {};
-    this.room = null; // what is drawn into
+    this.room = null; // the framebuffer and its textures
     const { triangles } = facts, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     const widest = Math.max(triangles.hidden, 1, ...triangles.parts.flatMap((part) => Object.values(part.textures).flat()));
     if (widest > most) throw new Error(`a texture of ${widest} texels is more than the ${most} that this device's graphics hold`);
@@ -100,7 +101,7 @@ class Triangles {
     return made;
   }
 
-  // Weights, a line for each hidden unit.
+  // Upload weights as a texture with one line per hidden unit.
   table(weights, width) {
     const { gl } = this, made = this.bound(gl.NEAREST, gl.CLAMP_TO_EDGE);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32F, width, weights.length / width);
@@ -117,7 +118,7 @@ class Triangles {
     return made;
   }
 
-  // What colours triangles in one way: a name of facts.triangles.highlights. Made when it is first asked for.
+  // The program for a name of facts.triangles.highlights; compiled at the first request.
   programFor(highlights) {
     if (this.programs[highlights]) return this.programs[highlights];
     const { gl } = this, { shaders } = this.facts.triangles;
@@ -130,21 +131,22 @@ class Triangles {
     return (this.programs[highlights] = { program, uniform });
   }
 
-  // How many lines of a picture are drawn at a time, and the rays along a pixel's edge that fit.
+  // The number of lines of a picture that are drawn at a time.
   linesOf(width, rays) {
     return Math.max(1, Math.min(Math.floor(MOST_RAYS / (width * rays * rays)), Math.floor(this.most / rays)));
   }
 
-  // How far from a scene's centre all of it lies, triangles included.
+  // The distance from the scene's centre within which everything lies, triangles included.
   reachFrom({ centre, radius, triangles }) {
     return Math.max(radius, Math.hypot(...centre.map((value, axis) => value - triangles.centre[axis])) + triangles.reach);
   }
 
+  // The number of rays along a pixel's edge that fit.
   raysOf(width, height, rays) {
     return Math.max(1, Math.min(rays, Math.floor(this.most / Math.max(width, height))));
   }
 
-  // The colours and distances of a part of a picture: x, y, width and height in pixels, counted from below.
+  // Draw the colours and distances of a part of a picture: x, y, width and height in pixels, counted from below.
   draw({ camera, size, rays, highlights }, x, y, width, height) {
     const { gl } = this, { program, uniform } = this.programFor(highlights);
     this.bindRoom(width * rays, height * rays);
@@ -179,7 +181,8 @@ class Triangles {
     gl.bindVertexArray(null);
   }
 
-  // Colours, distances and depths of so many rays; it grows, and never shrinks.
+  // Bind a framebuffer with colours, distances and depths for at least width x height rays. It grows, and never
+  // shrinks.
   bindRoom(width, height) {
     const { gl } = this, old = this.room;
     if (old && old.width >= width && old.height >= height) return gl.bindFramebuffer(gl.FRAMEBUFFER, old.frame);
@@ -203,7 +206,7 @@ class Triangles {
   }
 }
 
-// The MLP as a function of its own, a line for each hidden unit.
+// The MLP as a GLSL function with one line per hidden unit.
 function unrolled({ weights0, weights1 }) {
   const vector = (table, at) => `vec3(${[0, 1, 2].map((i) => table[at + i].toExponential(9))})`;
   const lines = Array.from({ length: weights1.length / 3 }, (_, unit) => {

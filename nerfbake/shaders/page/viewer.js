@@ -1,11 +1,11 @@
-// The page: unpacks what it carries, then draws whenever something has changed, and not otherwise.
+// The page: unpack its data, then draw after each change, and only then.
 
-const FRAME = 40; // ms that a drawing may take while the view moves, and a band of lines at rest
-const STILL = 150; // ms without a change, behind which the picture is refined
+const FRAME = 40; // ms for a frame while the view moves, and for a band of lines at rest
+const STILL = 150; // ms without a change before the picture is refined
 const FINEST = 2; // rays along a pixel's edge at rest
-const COARSEST = 0.2; // of the pixels along an edge
-const BUTTONS = 64; // of the page's pixels; #cover's padding is the same
-const TURN = 40000; // ms around the scene
+const COARSEST = 0.2; // smallest share of the pixels along an edge
+const BUTTONS = 64; // CSS pixels reserved for the buttons; #cover's padding is the same
+const TURN = 40000; // ms for a full turn around the scene
 const BACKGROUNDS = [null, [1, 1, 1], [0, 0, 0]]; // null: the page's own, light or dark
 
 const element = (id) => /** @type {any} */ (document.getElementById(id));
@@ -15,23 +15,23 @@ class Viewer {
     this.facts = facts;
     this.shader = shader;
     this.picture = null;
-    this.state = "unpacking"; // ready, lost, failed
-    this.ticket = 0; // of the last unpacking that was begun
+    this.state = "unpacking"; // then ready, lost or failed
+    this.ticket = 0; // number of the last unpacking that was started
     this.detail = 0; // 2^detail voxels along an edge are shown as one
-    this.frames = 0; // that were drawn
-    this.changed = false; // since the last one
-    this.moved = 0; // when anything changed last
-    this.moving = false; // the camera, since the view was last at rest
-    this.scale = 0.5; // of the pixels along an edge, while the view moves
-    this.lines = 64; // in a band, at rest
-    this.rest = null; // what is still to be refined
+    this.frames = 0; // frames drawn so far
+    this.changed = false; // since the last frame
+    this.moved = 0; // time of the last change
+    this.moving = false; // the camera has moved since the view was last at rest
+    this.scale = 0.5; // share of the pixels along an edge, while the view moves
+    this.lines = 64; // lines in a band, at rest
+    this.rest = null; // what remains to be refined
     this.finished = false; // the picture at rest is complete
-    this.revealed = false; // the canvas is shown: it holds a whole picture of the scene
-    this.last = 0; // when the scene was turned by itself last
+    this.revealed = false; // the canvas is visible: it contains a whole picture of the scene
+    this.last = 0; // time of the last automatic turn
     this.keeping = 0; // the timer that writes the view into the address
-    this.busy = null; // what the graphics have not finished
-    this.asked = 0; // for a frame
-    this.view = 0; // the number of the camera that R leads back to
+    this.busy = null; // the drawing that the graphics card has not finished
+    this.asked = 0; // the frame that was requested
+    this.view = 0; // number of the camera that R resets to
     this.carried = new Carried(facts, data, (part) => this.tell(part));
     this.canvas = element("canvas");
     this.camera = new Camera(facts.views[0], facts.up, facts.radius);
@@ -59,7 +59,7 @@ class Viewer {
     await this.load();
   }
 
-  // Hands the level of detail that is asked for to the graphics; what was there before is shown until then.
+  // Upload the selected level of detail. The previous one stays visible until then.
   async load() {
     const ticket = ++this.ticket, { picture } = this;
     this.say("Unpacking");
@@ -109,7 +109,7 @@ class Viewer {
     return dark ? [0x15 / 255, 0x18 / 255, 0x1c / 255] : [0xf4 / 255, 0xf5 / 255, 0xf7 / 255];
   }
 
-  // What a drawing is to look like.
+  // The options of the next drawing.
   get shown() {
     return { background: this.background, ...this.looks, ...this.choices };
   }
@@ -120,20 +120,20 @@ class Viewer {
     this.change();
   }
 
-  // The camera, seen a little smaller than the canvas is, so that the buttons leave all of the opening view free.
+  // The camera with a view slightly smaller than the canvas, so that the buttons do not cover the opening view.
   get lens() {
     const { camera, canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight;
     const edge = Math.max(height / 2, Math.min(width, height - BUTTONS));
     return { position: camera.position, rotation: camera.rotation, focal: (camera.focal * Math.min(edge, width)) / Math.min(width, height) };
   }
 
-  // Something else is to be seen: draws a coarse picture now, a fine one once nothing changes any more.
+  // Draw a coarse picture now, and a fine one once nothing changes any more.
   change() {
     this.restart();
     this.ask();
   }
 
-  // Bands that were drawn before belong to another picture, so none of them is kept.
+  // Discard the bands that were drawn before: they belong to another picture.
   restart() {
     this.changed = true;
     this.rest = null;
@@ -153,7 +153,7 @@ class Viewer {
     const took = this.busy ? now - this.busy.since : 0, coarse = this.busy?.coarse;
     const factor = FRAME / Math.max(took, 8);
     if (this.busy?.moving) this.panel.pace(took);
-    // A little at a time: the first drawing also waits for the shader, others for whatever else is going on.
+    // Adapt in small steps: the first drawing also waits for the shader, and others wait for other work of the machine.
     if (this.busy && coarse) this.scale = Math.max(COARSEST, Math.min(1, this.scale * Math.max(0.75, Math.min(1.5, Math.sqrt(factor)))));
     if (this.busy && !coarse) this.lines = Math.max(16, Math.min(4096, Math.round(this.lines * Math.max(0.5, Math.min(2, factor)))));
     this.busy = null;
@@ -166,7 +166,7 @@ class Viewer {
     return undefined;
   }
 
-  // The canvas has as many pixels as the screen has there, two for each of the page's at most.
+  // Give the canvas as many pixels as the screen has there, at most two per CSS pixel along an edge.
   fit() {
     const ratio = Math.min(devicePixelRatio, 2), { canvas } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
@@ -185,8 +185,8 @@ class Viewer {
     this.drawn(now, true);
   }
 
-  // The still picture stands on the page's own background until the canvas holds a whole picture, and again while the
-  // graphics are lost: an empty canvas is black.
+  // Show the canvas only while it contains a whole picture. Until then, and while the WebGL context is lost, the still
+  // picture stays visible on the page's own background: an empty canvas would be black.
   reveal(drawn) {
     if (drawn === this.revealed) return;
     this.revealed = drawn;
@@ -194,7 +194,7 @@ class Viewer {
     element("cover").classList.toggle("gone", drawn);
   }
 
-  // A band of lines from the top: all of them with a ray for each pixel, then all with more.
+  // Draw a band of lines, from the top: first all lines with one ray per pixel, then all lines with more.
   drawFine(now) {
     const { canvas, rest } = this, from = Math.max(0, rest.from - this.lines);
     this.picture.look(this.lens, canvas.width, canvas.height, { ...this.shown, rays: rest.rays });
@@ -212,7 +212,7 @@ class Viewer {
     this.busy = { since: now, coarse, moving: coarse && this.moving, done: this.picture.fence() };
   }
 
-  // Nothing has moved for a while.
+  // Called when nothing has moved for a while.
   settle() {
     if (this.finished) return;
     this.moving = false;
@@ -222,7 +222,7 @@ class Viewer {
   }
 
   turn(now) {
-    // Where a turning scene would be a blur, one that stands still is the better picture.
+    // If a turning scene would be blurred, a still picture is better.
     this.turning = this.angle < 2 * Math.PI && this.scale >= 0.3;
     if (!this.turning) return;
     const step = this.last ? (Math.min(now - this.last, 100) * 2 * Math.PI) / TURN : 0;
@@ -233,7 +233,7 @@ class Viewer {
     this.change();
   }
 
-  // -- what people do ----------------------------------------------------------------------------------------------
+  // -- user actions ------------------------------------------------------------------------------------------------
   move(act) {
     this.turning = false;
     act(this.camera);
@@ -244,7 +244,7 @@ class Viewer {
   }
 
   keep(hash) {
-    if (location.protocol !== "about:") history.replaceState(null, "", hash || location.href.split("#")[0]); // a notebook's frame has none
+    if (location.protocol !== "about:") history.replaceState(null, "", hash || location.href.split("#")[0]); // a frame in a notebook has no address
   }
 
   reset() {
@@ -265,7 +265,7 @@ class Viewer {
     this.change();
   }
 
-  // One of the ways that a page with triangles offers: `nerfbake.choose("highlights", "mlp_constants")`.
+  // Select one of the choices of a page with triangles: `nerfbake.choose("highlights", "mlp_constants")`.
   choose(name, value) {
     this.choices[name] = value;
     markChoice(name, value);
@@ -277,12 +277,12 @@ class Viewer {
     this.showBackground();
   }
 
-  // This view alone as a transforms.json, for `nerfbake render --cameras`.
+  // The content of a transforms.json with this view alone, for `nerfbake render --cameras`.
   capture() {
     return this.camera.capture(this.canvas.width, this.canvas.height, this.lens.focal);
   }
 
-  // How far away what stands at a place of the page is, in world units; null: nothing.
+  // The distance from the camera at a point of the page, in world units; null if nothing is there.
   distanceAt(x, y) {
     const ratio = this.canvas.width / this.canvas.clientWidth;
     return this.picture.distanceAt(this.lens, x * ratio, y * ratio, this.shown);

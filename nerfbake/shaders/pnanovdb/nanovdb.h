@@ -1,15 +1,17 @@
-// Grids of a .nvdb, read by NVIDIA's own PNanoVDB.h, in C and in HLSL: nearest and trilinear, of Float, Fp16 and
-// OnIndex grids; of the latter the table, float32 or float16, that nerfbake keeps as their blind data.
+// Read the grids of a .nvdb with NVIDIA's own PNanoVDB.h, in C and in HLSL: nearest and trilinear lookups in Float,
+// Fp16 and OnIndex grids. The values of an OnIndex grid come from the table, float32 or float16, that nerfbake stores
+// as its blind data.
 //
-// It includes PNanoVDB.h, which must be in the include path: Debian's libnanovdb-dev, NVIDIA's Warp and OpenVDB have it.
-// OnIndex grids need version 32.6 or later. A C compiler reads PNanoVDB.h as C, any other compiler as HLSL, unless
-// PNANOVDB_C or PNANOVDB_HLSL is defined before.
+// This file includes PNanoVDB.h, which must be in the include path. Debian's libnanovdb-dev, NVIDIA's Warp and OpenVDB
+// contain it. OnIndex grids need version 32.6 or later. A C compiler reads PNanoVDB.h as C, any other compiler as HLSL,
+// unless you define PNANOVDB_C or PNANOVDB_HLSL first.
 //
-//   buf  the grid's bytes, from its magic on, as uint32: those of a file without codec (`--codec none`) that are behind
-//        its 192 bytes of header and its name with a NUL. HLSL: a StructuredBuffer<uint>
+//   buf  the grid's bytes, from its magic on, as uint32. In a file without codec (`--codec none`) they follow the 192
+//        bytes of header and the grid's name with a NUL. HLSL: a StructuredBuffer<uint>
 //
-// Points are in voxels whose CENTRES are whole numbers. In a shader, define NANOVDB_TYPE as PNANOVDB_GRID_TYPE_FLOAT,
-// _FP16 or _ONINDEX first: where the type is known only when it runs, Mesa's compiler takes minutes and gigabytes.
+// Points are in voxels whose CENTRES are at integers. In a shader, first define NANOVDB_TYPE as
+// PNANOVDB_GRID_TYPE_FLOAT, _FP16 or _ONINDEX: if the type is known only at run time, Mesa's compiler takes minutes and
+// gigabytes.
 #ifndef NERFBAKE_NANOVDB_H
 #define NERFBAKE_NANOVDB_H
 #if !defined(PNANOVDB_C) && !defined(PNANOVDB_HLSL)
@@ -26,11 +28,11 @@ struct nanovdb_grid_t {
     pnanovdb_root_handle_t root;
     pnanovdb_address_t table;    // of OnIndex grids
     pnanovdb_uint32_t halves;    // 1: the table is float16
-    pnanovdb_uint32_t channels;  // numbers a row of the table
+    pnanovdb_uint32_t channels;  // values per row of the table
 };
 PNANOVDB_STRUCT_TYPEDEF(nanovdb_grid_t)
 
-// channels: of an OnIndex grid's table, as `nerfbake info` tells them; else 1.
+// channels: values per row of an OnIndex grid's table, as `nerfbake info` prints them; 1 for other grids.
 PNANOVDB_FORCE_INLINE nanovdb_grid_t nanovdb_open(pnanovdb_buf_t buf, pnanovdb_uint32_t channels) {
     pnanovdb_grid_handle_t handle;
     handle.address = pnanovdb_address_null();
@@ -55,13 +57,13 @@ PNANOVDB_FORCE_INLINE nanovdb_grid_t nanovdb_open(pnanovdb_buf_t buf, pnanovdb_u
 }
 
 #if defined(PNANOVDB_GRID_TYPE_ONINDEX)
-// Entry i of a table.
+// Entry i of the table.
 PNANOVDB_FORCE_INLINE float nanovdb_entry(pnanovdb_buf_t buf, nanovdb_grid_t grid, pnanovdb_uint32_t i) {
     if (grid.halves == 0u) return pnanovdb_read_float(buf, pnanovdb_address_offset_product(grid.table, 4u, i));
 #if defined(PNANOVDB_HLSL)
     return pnanovdb_read_half(buf, pnanovdb_address_offset_product(grid.table, 2u, i));
 #else
-    // In C PNanoVDB gives a half's bits: exponent and mantissa at a float's places, times 2^112.
+    // In C, PNanoVDB returns the bits of a half. Shift them to a float's exponent and mantissa, and multiply by 2^112.
     pnanovdb_uint32_t bits = pnanovdb_read_uint16(buf, pnanovdb_address_offset_product(grid.table, 2u, i));
     float size = pnanovdb_uint32_as_float((bits & 0x7FFFu) << 13u) * pnanovdb_uint32_as_float(0x77800000u);
     return (bits & 0x8000u) != 0u ? -size : size;
@@ -69,7 +71,7 @@ PNANOVDB_FORCE_INLINE float nanovdb_entry(pnanovdb_buf_t buf, nanovdb_grid_t gri
 }
 #endif
 
-// Number k of a voxel's values; 0 for grids of one channel.
+// Value k of a voxel; k is 0 for grids with one channel.
 PNANOVDB_FORCE_INLINE float nanovdb_value(
     pnanovdb_buf_t buf, nanovdb_grid_t grid, pnanovdb_coord_t voxel, pnanovdb_uint32_t k
 ) {
@@ -89,12 +91,12 @@ PNANOVDB_FORCE_INLINE float nanovdb_value(
     return pnanovdb_read_float(buf, place);
 }
 
-// Whole numbers end at 2^31: what is farther away than 1e9 is taken for that.
+// Clamp a coordinate to 1e9, because an int32 ends at 2^31.
 PNANOVDB_FORCE_INLINE float nanovdb_bounded(float v) {
     return v > -1e9f ? (v < 1e9f ? v : 1e9f) : -1e9f;
 }
 
-// Number k of the values of the voxel that holds a point.
+// Value k of the voxel that contains a point.
 PNANOVDB_FORCE_INLINE float nanovdb_nearest(
     pnanovdb_buf_t buf, nanovdb_grid_t grid, float px, float py, float pz, pnanovdb_uint32_t k
 ) {
@@ -107,7 +109,7 @@ PNANOVDB_FORCE_INLINE float nanovdb_nearest(
     return nanovdb_value(buf, grid, voxel, k);
 }
 
-// The same between the eight voxels whose centres are around the point.
+// Value k at a point, interpolated between the eight voxels whose centres surround it.
 PNANOVDB_FORCE_INLINE float nanovdb_trilinear(
     pnanovdb_buf_t buf, nanovdb_grid_t grid, float px, float py, float pz, pnanovdb_uint32_t k
 ) {

@@ -1,11 +1,11 @@
-// The specular colour of a baked atlas, WGSL.
+// The specular colour of a baked atlas. WGSL.
 //
-//   atlas      atlas_{c}.png, no mips, rgba8unorm (not sRGB), with `smoothly`: a linear filter, clamped
-//   labels     labels_{c}.png, no mips, rgba8unorm, with `nearest`: a nearest filter
-//   features   features_{c}.png, no mips, rgba8unorm, with `nearest`; affine and grid only
-//   uv         the mesh's texture coordinates, v down as in glTF: upload the PNGs without flipping them
-//   direction  unit, from the camera to the surface point, in the mesh's own coordinates, y up
-//   colour = clamp(diffuse + specular, 0, 1), all of them the numbers that a screen shows
+//   atlas      atlas_{c}.png, no mips, rgba8unorm (not sRGB), sampler `smoothly`: linear filter, clamped
+//   labels     labels_{c}.png, no mips, rgba8unorm, sampler `nearest`: nearest filter
+//   features   features_{c}.png, no mips, rgba8unorm, sampler `nearest`; affine and grid only
+//   uv         texture coordinates of the mesh, v down as in glTF: upload the PNGs without flipping them
+//   direction  unit vector from the camera to the surface point, in the mesh's own coordinates, y up
+//   colour = clamp(diffuse + specular, 0, 1); all three are display values (sRGB), not linear light
 @group(1) @binding(10) var atlas: texture_2d<f32>;
 @group(1) @binding(11) var labels: texture_2d<f32>;
 @group(1) @binding(12) var features: texture_2d<f32>;
@@ -58,7 +58,7 @@ fn specularGrid(a: Atlas, uv: vec2f, direction: vec3f) -> vec3f {
     let p = textureSampleLevel(features, nearest, uv, 0.0).rgb * (a.n - 1.0);
     let low = min(floor(p), vec3f(a.n - 2.0));
     let f = p - low;
-    // The axes by decreasing fraction: of equal ones the first goes first.
+    // Sort the axes by decreasing fraction; of equal ones, the first comes first.
     let before = vec3f(vec3<bool>(f.g > f.r, f.r >= f.g, f.r >= f.b))
         + vec3f(vec3<bool>(f.b > f.r, f.b > f.g, f.g >= f.b));
     let stride = vec3f(a.n * a.n, a.n, 1.0);

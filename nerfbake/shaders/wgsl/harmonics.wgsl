@@ -1,10 +1,10 @@
-// Spherical harmonics of 1, 4, 9, 16 or 25 functions, in the order and with the signs that PlenOctrees use; no buffers.
+// Spherical harmonics of 1, 4, 9, 16 or 25 functions, in the order and with the signs of PlenOctrees; no buffers.
 // WGSL.
 //
-// Coefficients have names: SH_2_M1 is the place of f2^-1 among a colour's, so that number channel * size + SH_2_M1 of a
-// voxel's values is that coefficient of red (0), green (1) or blue (2), and number 3 * size is the density. A colour is
-// the sigmoid of the sum of coefficients times functions. RGBA has no functions: its colour is the sigmoid of its only
-// coefficient, as if there were one function that is 1.
+// The constants are indices: SH_2_M1 is the index of f2^-1 in the coefficients of a colour. Value channel * size +
+// SH_2_M1 of a voxel is that coefficient of red (0), green (1) or blue (2), and value 3 * size is the density. A colour
+// is the sigmoid of the sum of coefficients times functions. RGBA has no functions: its colour is the sigmoid of its
+// only coefficient, as if there were a single function equal to 1.
 const SH_0_0 = 0;
 const SH_1_M1 = 1;
 const SH_1_0 = 2;
@@ -35,7 +35,7 @@ struct Harmonics {
     f: array<f32, 25>,
 }
 
-// What the first `size` functions are in a direction of length 1, which is in the field's own axes; the others are 0.
+// The first `size` functions in a unit direction, given in the field's own axes; the other entries are 0.
 fn harmonics(direction: vec3f, size: i32) -> Harmonics {
     let x = direction.x;
     let y = direction.y;

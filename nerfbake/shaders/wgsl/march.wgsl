@@ -1,25 +1,26 @@
-// A ray through a PageField, which the pages of `nerfbake view` show: its colour, its depth, and what light is left.
-// Behind common.wgsl and harmonics.wgsl. Density and colour are constant in a voxel: sums along the ray are exact.
+// March a ray through a PageField, the field in the pages of `nerfbake view`: colour, transmittance and depth.
+// Density and colour are constant within a voxel, so sums along the ray are exact. Paste common.wgsl and harmonics.wgsl
+// above this file.
 //
-//   top     an int32 for each cell of 8^3 voxels, z fastest: below 0 empty, and so is every cell nearer than minus this
-//           number of cells; from 0 the number of a leaf; from 2^30 a row for all of the cell, plus 2^30
+//   top     an int32 per cell of 8^3 voxels, z fastest. Negative: the cell is empty, and so is every cell closer than
+//           -top cells along all three axes. From 0: the number of a leaf. From 2^30: the whole cell has row top - 2^30
 //   blocks  four uint32 for each of the eight 4^3 blocks of a leaf: lower and upper half of its mask, the row of its
-//           first voxel, and how many bits the lower half has; 255 there: the whole block has that row
-//   texels  four float32 each, texelsPerRow in a row: red, green, blue of the first coefficient and the
-//           density; then red, green, blue of the second, of the third, ..., without a gap
+//           first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row
+//   texels  four float32 each, texelsPerRow per row: red, green, blue of the first coefficient and the density; then
+//           red, green, blue of the second, of the third, ..., without gaps
 @group(1) @binding(7) var<storage, read> top: array<i32>;
 @group(1) @binding(8) var<storage, read> blocks: array<vec4u>;
 @group(1) @binding(9) var<storage, read> texels: array<vec4f>;
 
 struct Field {
-    cells: vec3i,       // of `top`, along x, y, z
-    low: vec3f,         // the box around all that is not empty, in voxels
+    cells: vec3i,       // size of `top` along x, y, z
+    low: vec3f,         // the box around everything that is not empty, in voxels
     high: vec3f,
-    texelsPerRow: i32,  // 1 + 3 ceil((size of the basis - 1) / 4)
-    densityUnit: f32,   // densities are multiples of this, in 1/world unit; divide it by the scale of a scaled object
+    texelsPerRow: i32,  // 1 + 3 ceil((basis functions - 1) / 4)
+    densityUnit: f32,   // densities are multiples of this, in 1/world unit; divide it by the scale of the object
 }
 
-// Voxels that are alike: a row, or -1 where they are empty, and the lowest corner and the edge of their cube.
+// A cube of voxels with the same contents: their row (-1: empty), and the cube's lowest corner and edge.
 struct Cube {
     row: i32,
     corner: vec3i,
@@ -27,9 +28,9 @@ struct Cube {
 }
 
 struct Marched {
-    colour: vec3f,       // what the field adds to a picture, times its opacity
-    transmittance: f32,  // the share of what is behind that is added to it
-    depth: f32,          // E[d]: where the ray is expected to end, from its origin, in world units; 0 where nothing is
+    colour: vec3f,       // premultiplied by the field's opacity
+    transmittance: f32,  // the share of the light from behind the field that remains
+    depth: f32,          // E[d]: expected distance from the origin to the ray's end, in world units; 0 for no hit
 }
 
 fn cubeAt(field: Field, voxel: vec3i) -> Cube {
@@ -49,7 +50,7 @@ fn cubeAt(field: Field, voxel: vec3i) -> Cube {
     return Cube(i32(block.z) + select(0, i32(block.w), upper) + count(mask & (bit - 1u)), voxel, 1);
 }
 
-// The colour of a row in the direction that the harmonics are of.
+// The colour of a row in the direction of `basis`. first: red, green and blue of the row's first coefficient.
 fn colourOf(field: Field, row: i32, first: vec3f, basis: Harmonics) -> vec3f {
     var h = basis;
     var sum = h.f[0] * first;
@@ -65,12 +66,12 @@ fn colourOf(field: Field, row: i32, first: vec3f, basis: Harmonics) -> vec3f {
     return sigmoid(sum);
 }
 
-// origin: in voxels. along: how many voxels a step of one world unit is (stepInVoxels() of a unit vector). basis: the
-// harmonics in that direction. stop: no light from farther away, in world units: of a Z-buffer, say. cut: the ray ends
-// where less light is left.
+// origin: in voxels. along: the direction in voxels per world unit, stepInVoxels() of a unit vector. basis: harmonics()
+// in that direction. stop: distance at which the ray ends, in world units, for example from a depth buffer. cut: the
+// ray also ends when its transmittance is below this value.
 fn march(field: Field, origin: vec3f, along: vec3f, basis: Harmonics, stop: f32, cut: f32) -> Marched {
     var found = Marched(vec3f(0.0), 1.0, 0.0);
-    // Parallel to an axis: a hair's breadth beside it, so that nothing is divided by 0.
+    // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
     let d = select(along, vec3f(1e-12), abs(along) < vec3f(1e-12));
     let one = (field.low - origin) / d;
     let other = (field.high - origin) / d;
@@ -78,7 +79,7 @@ fn march(field: Field, origin: vec3f, along: vec3f, basis: Harmonics, stop: f32,
     let away = max(one, other);
     let start = max(max(near.x, near.y), max(near.z, 0.0));
     let end = min(min(away.x, away.y), min(away.z, stop)) - start;
-    // Distances count from where the ray enters the box: they stay small, and exact.
+    // Distances count from the point where the ray enters the box, so they stay small and exact.
     let entry = origin + start * d;
     let upward = select(vec3f(0.0), vec3f(1.0), d > vec3f(0.0));
     let low = vec3i(floor(field.low));
@@ -101,7 +102,7 @@ fn march(field: Field, origin: vec3f, along: vec3f, basis: Harmonics, stop: f32,
             found.transmittance *= kept;
         }
         t = next;
-        // The voxel behind is found by number and not by a small step: rounding can neither hold a ray up nor skip one.
+        // The next voxel is computed by index. A small step instead could stall the ray or skip a voxel by rounding.
         let axis = select(select(2, 1, exits.y <= exits.z), 0, exits.x <= exits.y && exits.x <= exits.z);
         voxel = clamp(vec3i(floor(entry + t * d)), max(cube.corner, low), min(cube.corner + cube.edge - 1, high));
         voxel[axis] = select(cube.corner[axis] - 1, cube.corner[axis] + cube.edge, d[axis] > 0.0);
@@ -111,8 +112,8 @@ fn march(field: Field, origin: vec3f, along: vec3f, basis: Harmonics, stop: f32,
     return found;
 }
 
-// What is drawn of it in a cutout queue: an opaque colour where less light than `cut` is left, else nothing, alpha 0.
-// The same `cut` can end the ray.
+// The colour for a cutout queue: opaque if the transmittance is below `cut`, else nothing (alpha 0). You can pass the
+// same `cut` to march().
 fn cutout(found: Marched, cut: f32) -> vec4f {
     if found.transmittance >= cut { return vec4f(0.0); }
     return vec4f(found.colour / (1.0 - found.transmittance), 1.0);

@@ -1,14 +1,15 @@
-// The specular MLP of nerf2mesh's stage 1, which an atlas stands for: to compare them. Behind common.wgsl.
+// The specular MLP of nerf2mesh's stage 1, to compare it with the atlas that replaces it. Paste common.wgsl above this
+// file.
 //
-//   weights0  6 float32 a hidden unit: of the direction's x, y, z, then of the feature's red, green, blue; column i of
-//             net.0.weight of mlp.json
-//   weights1  3 float32 a hidden unit: row i of net.1.weight
+//   weights0  6 float32 per hidden unit: for the direction's x, y, z, then for the feature's red, green, blue; unit i
+//             has column i of net.0.weight in mlp.json
+//   weights1  3 float32 per hidden unit: unit i has row i of net.1.weight
 //
-// Constants in unrolled code are several times as fast as fetches: docs/formats/realtime.md has measured both.
+// Constants in unrolled code are several times as fast as fetches; docs/formats/realtime.md has both measurements.
 @group(1) @binding(15) var<storage, read> weights0: array<f32>;
 @group(1) @binding(16) var<storage, read> weights1: array<f32>;
 
-// direction: unit, from the camera to the surface point, in the mesh's own coordinates; feature: 0 to 1.
+// direction: unit vector from the camera to the surface point, in the mesh's own coordinates. feature: 0 to 1.
 fn specularMlp(units: i32, direction: vec3f, feature: vec3f) -> vec3f {
     var sum = vec3f(0.0);
     for (var unit = 0; unit < units; unit++) {

@@ -1,12 +1,13 @@
-// The sparse voxel octree of a .svo.* file: the way down to a voxel, and its values, nearest or trilinear.
-// Behind common.wgsl. The struct is that of TR-24-01 (docs/sources.md), listing 2, but for its two buffers, which stand
-// beside it.
+// The sparse voxel octree of a .svo.* file: find the leaf of a voxel, and read its values, nearest or trilinear. The
+// struct is listing 2 of TR-24-01 (docs/sources.md), except that its two buffers are globals. Paste common.wgsl above
+// this file.
 //
-//   nodeChildren  8 int32 a node, the numbers of its children, 0 or -1 where there is none; child x + 2 y + 4 z, where
-//                 1 is the upper half. For EVERY node: of a file in the compact layout with zeros behind its own
-//   nodeData      dataDim float32 a node: all coefficients of red, of green, of blue, then the density, 1/world unit
+//   nodeChildren  8 int32 per node: the numbers of its children, 0 or -1 for no child. Child x + 2 y + 4 z; 1 is the
+//                 upper half. EVERY node needs 8 entries: pad the array of a file in the compact layout with zeros
+//   nodeData      dataDim float32 per node: all coefficients of red, of green, of blue, then the density in 1/world
+//                 unit
 //
-// Points are in voxels: voxel (0, 0, 0) reaches from 0 to 1 along each axis. world.wgsl leads there.
+// Points are in voxels: voxel (0, 0, 0) extends from 0 to 1 along each axis. world.wgsl converts points to voxels.
 @group(1) @binding(0) var<storage, read> nodeChildren: array<i32>;
 @group(1) @binding(1) var<storage, read> nodeData: array<f32>;
 
@@ -14,8 +15,8 @@ struct SparseVoxelOctree {
     width: i32,     // voxels along x
     height: i32,    // along y
     depth: i32,     // along z
-    dataDim: i32,   // numbers a node
-    maxLevel: i32,  // levels below the root: the smallest for which 2^maxLevel is no less than width, height and depth
+    dataDim: i32,   // values per node
+    maxLevel: i32,  // levels below the root: the smallest number with 2^maxLevel >= width, height and depth
 }
 
 fn isLeaf(node: i32) -> bool {
@@ -25,7 +26,7 @@ fn isLeaf(node: i32) -> bool {
     return true;
 }
 
-// The node whose values a voxel has; -1: space is empty there, or outside.
+// The leaf that contains a voxel; -1 in empty space and outside the grid.
 fn octreeRow(octree: SparseVoxelOctree, voxel: vec3i) -> i32 {
     let size = vec3i(octree.width, octree.height, octree.depth);
     if any(voxel < vec3i(0)) || any(voxel >= size) { return -1; }
@@ -40,18 +41,18 @@ fn octreeRow(octree: SparseVoxelOctree, voxel: vec3i) -> i32 {
     return select(-1, node, child > 0 || isLeaf(node));
 }
 
-// Number k of a node's values; 0 for node -1.
+// Value k of a node; 0 for node -1.
 fn octreeValue(octree: SparseVoxelOctree, row: i32, k: i32) -> f32 {
     if row < 0 { return 0.0; }
     return nodeData[row * octree.dataDim + k];
 }
 
-// The node of the voxel that holds a point, or -1.
+// The leaf that contains a point, or -1.
 fn octreeNearest(octree: SparseVoxelOctree, point: vec3f) -> i32 {
     return octreeRow(octree, vec3i(floor(bounded(point))));
 }
 
-// The nodes of the eight voxels whose centres are around a point.
+// The leaves of the eight voxels whose centres surround a point, and their weights.
 fn octreeCorners(octree: SparseVoxelOctree, point: vec3f) -> Corners {
     let shifted = bounded(point - 0.5);
     let low = floor(shifted);
@@ -63,7 +64,7 @@ fn octreeCorners(octree: SparseVoxelOctree, point: vec3f) -> Corners {
     return corners;
 }
 
-// Number k of the values at a point between them.
+// Value k at the point, interpolated between its corners.
 fn octreeTrilinear(octree: SparseVoxelOctree, corners: Corners, k: i32) -> f32 {
     var sum = 0.0;
     for (var i = 0; i < 8; i++) { sum += corners.weight[i] * octreeValue(octree, corners.row[i], k); }

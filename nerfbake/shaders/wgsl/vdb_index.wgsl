@@ -1,14 +1,14 @@
-// A VDB tree of a .vdb.npz: masks and ranks lead from a voxel to its row of a table, nearest or trilinear.
-// Behind common.wgsl. Names are those of the file, without `tree_{t}_` and `grid_{g}_`.
+// A VDB tree of a .vdb.npz: find the table row of a voxel through masks and ranks, nearest or trilinear.
+// Names are those of the file, without the prefixes `tree_{t}_` and `grid_{g}_`. Paste common.wgsl above this file.
 //
-//   rootOrigin  3 int32 an upper node: root_origin
-//   upper       a pair of uint32 for each of an upper node's 1024 words: upper_mask and upper_rank beside each other
-//   lower       the same of a lower node's 128 words
-//   leaf        the same of a leaf's 16 words
-//   table       `channels` float32 a row; row 0 is the background
+//   rootOrigin  3 int32 per upper node: root_origin
+//   upper       a pair of uint32 for each of the 1024 words of an upper node: upper_mask and upper_rank, interleaved
+//   lower       the same for the 128 words of a lower node
+//   leaf        the same for the 16 words of a leaf
+//   table       `channels` float32 per row; row 0 is the background
 //
-// Points are in voxels whose CENTRES are whole numbers, as NanoVDB's are. Tiles, which no grid of nerfbake's own has,
-// are not read.
+// Points are in voxels whose CENTRES are at integers, as in NanoVDB. Tiles are not read; grids that nerfbake makes have
+// none.
 @group(1) @binding(2) var<storage, read> rootOrigin: array<i32>;
 @group(1) @binding(3) var<storage, read> upper: array<vec2u>;
 @group(1) @binding(4) var<storage, read> lower: array<vec2u>;
@@ -17,17 +17,18 @@
 
 struct VdbIndex {
     uppers: i32,    // upper nodes
-    channels: i32,  // numbers a row
+    channels: i32,  // values per row
 }
 
-// What a slot leads to: -1 where its bit is not set, else the word's rank and how many bits are below.
+// The child (in a leaf: the table row) of a slot: the word's rank plus the number of set bits below the slot's bit; -1
+// if that bit is not set.
 fn childOf(word: vec2u, slot: i32) -> i32 {
     let bit = 1u << u32(slot & 31);
     if (word.x & bit) == 0u { return -1; }
     return i32(word.y) + count(word.x & (bit - 1u));
 }
 
-// The row of a voxel; 0 where it is not active.
+// The row of a voxel; 0 if the voxel is not active.
 fn vdbRow(index: VdbIndex, voxel: vec3i) -> i32 {
     let tile = voxel & vec3i(~4095);
     var node = -1;
@@ -49,19 +50,19 @@ fn vdbRow(index: VdbIndex, voxel: vec3i) -> i32 {
     return max(childOf(leaf[16 * node + (slot >> 5)], slot), 0);
 }
 
-// Number k of a row.
+// Value k of a row.
 fn vdbValue(index: VdbIndex, row: i32, k: i32) -> f32 {
     return table[row * index.channels + k];
 }
 
-// The row of the voxel that holds a point.
+// The row of the voxel that contains a point.
 fn vdbNearest(index: VdbIndex, point: vec3f) -> i32 {
     let p = bounded(point);
     let low = floor(p);
     return vdbRow(index, vec3i(low) + vec3i(p - low >= vec3f(0.5)));
 }
 
-// The rows of the eight voxels whose centres are around a point.
+// The rows of the eight voxels whose centres surround a point, and their weights.
 fn vdbCorners(index: VdbIndex, point: vec3f) -> Corners {
     let p = bounded(point);
     let low = floor(p);
@@ -73,7 +74,7 @@ fn vdbCorners(index: VdbIndex, point: vec3f) -> Corners {
     return corners;
 }
 
-// Number k of the values at a point between them.
+// Value k at the point, interpolated between its corners.
 fn vdbTrilinear(index: VdbIndex, corners: Corners, k: i32) -> f32 {
     var sum = 0.0;
     for (var i = 0; i < 8; i++) { sum += corners.weight[i] * vdbValue(index, corners.row[i], k); }

@@ -8,8 +8,7 @@ import pytest
 from nerfbake import build_octree, sample_n3tree, save
 from nerfbake.bench.access import comparison, readers
 from nerfbake.bench.access.comparison import chart_access, compare_access, figures
-from nerfbake.bench.access.points import kinds_of_points
-from nerfbake.bench.access.readers import READERS, structure_named
+from nerfbake.bench.access.readers import READERS, kinds_of_points, structure_named
 from nerfbake.bench.measure import Result, Statistics
 from nerfbake.bench.report import markdown
 from nerfbake.cli.main import run
@@ -60,6 +59,7 @@ def test_a_wrong_sum_would_be_seen_and_ratios_are_to_the_faster_nanovdb() -> Non
     assert cells[0][3:7] == [Statistics(10, 10, 10, 1)] * 4
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_report_and_its_chart(octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch) -> None:
     some = tuple(row for row in READERS if row.name in ("VDB", "VDB index", "OpenVDB C++"))
@@ -114,8 +114,12 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             2,
             "a.svo.pb: an octree has its own resolution; allowed: --resolution with",
         ),
-        (["a.svo.pb", "--resolution", "64,0"], 2, "'64,0' are no resolutions; allowed: R,R,..., each 1 to 4096"),
-        (["a.svo.pb", "--plot", "a.pdf"], 2, "the ending of 'a.pdf' names no picture; allowed: .png, .svg"),
+        (
+            ["a.svo.pb", "--resolution", "64,0"],
+            2,
+            "'64,0' is not a list of resolutions; allowed: R,R,..., each 1 to 4096",
+        ),
+        (["a.svo.pb", "--plot", "a.pdf"], 2, "the extension of 'a.pdf' is not that of a chart; allowed: .png, .svg"),
         (["a.svo.pb", "-o", "a.svo.pb"], 4, "a.svo.pb: exists already; allowed: a new file, or --force"),
         (["a.svo.pb", "--rays", "nothing.json"], 1, "nothing.json: No such file"),
         (

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake import build_octree, build_vdb
-from nerfbake.bench.access.files import file_rows
+from nerfbake.bench.access.comparison import file_rows
 from tests.support.scenes import n3tree
 
 

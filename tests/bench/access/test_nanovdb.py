@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake.bench.access import nanovdb
+from nerfbake.bench.access import readers
 from nerfbake.bench.access.comparison import figures
-from nerfbake.bench.access.nanovdb import compile_nanovdb
-from nerfbake.bench.access.readers import Reader, reading
+from nerfbake.bench.access.readers import Reader, compile_nanovdb, reading
 from nerfbake.bench.measure import Result
 from nerfbake.errors import NerfbakeError
 
@@ -15,7 +14,7 @@ NANOVDB = "NanoVDB C++"
 
 
 def test_without_a_compiler_nanovdb_keeps_its_rows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(nanovdb, "which", lambda name: None)
+    monkeypatch.setattr(readers, "which", lambda name: None)
     compile_nanovdb(tmp_path)
     with pytest.raises(NerfbakeError, match=r"no g\+\+ here \(Debian: g\+\+\)") as said:
         reading(NANOVDB, str(tmp_path), 1, [], 0)
@@ -32,7 +31,7 @@ def test_without_headers_or_with_wrong_ones_nanovdb_says_so(monkeypatch: pytest.
     ):
         source = tmp_path / "a.cpp"
         source.write_text(code)
-        monkeypatch.setattr(nanovdb, "SOURCE", source)
+        monkeypatch.setattr(readers, "SOURCE", source)
         compile_nanovdb(tmp_path)
         text = (tmp_path / "nanovdb.missing").read_text()
         assert text.startswith(said)

@@ -5,7 +5,7 @@ import pytest
 
 from nerfbake import build_vdb
 from nerfbake.bench.access.comparison import KINDS
-from nerfbake.bench.access.points import kinds_of_points
+from nerfbake.bench.access.readers import kinds_of_points
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.bench.access.conftest import POINTS
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nerfbake import save
-from nerfbake.bench.formats.coding import decoding, encoding
-from nerfbake.bench.formats.serializations import Serialization, serializations
+from nerfbake.bench.formats.comparison import Serialization, decoding, encoding, serializations
 from tests.support.octrees import small_octree
 
 

@@ -9,11 +9,10 @@ import pytest
 
 from nerfbake import save
 from nerfbake.bench.formats import comparison
-from nerfbake.bench.formats.comparison import compare_formats
-from nerfbake.bench.formats.published import PAPER
+from nerfbake.bench.formats.comparison import PAPER, compare_formats
 from nerfbake.bench.measure import Result, measure
+from nerfbake.cli.console import Console
 from nerfbake.cli.main import run
-from nerfbake.cli.words import Words
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
@@ -22,6 +21,7 @@ from tests.support.outputs import read_output
 from tests.support.scenes import n3tree
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_report_has_a_row_for_everything_and_its_ratios_add_up() -> None:
     report = compare_formats(small_octree(), "small", rounds=2, formats=["svo.pb", "json.dumps"], progress=quiet)
@@ -52,6 +52,7 @@ def test_a_missing_library_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch
     assert report.tables[0].rows[1] == ["pycapnp, Data: not installed: capnp", *[None] * 9]
 
 
+@pytest.mark.long
 def test_the_papers_figures_stand_beside_a_comparable_scene_only() -> None:
     assert PAPER not in compare_formats(small_octree(), "s", rounds=1, formats=["raw"], progress=quiet).tables
     values = np.zeros((1, 20_000_000), np.float32)
@@ -59,6 +60,7 @@ def test_the_papers_figures_stand_beside_a_comparable_scene_only() -> None:
     assert PAPER in compare_formats(large, "large", rounds=1, formats=["raw"], progress=quiet).tables
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_command(tmp_path: Path, shell: Shell) -> None:
     save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))]))
@@ -81,7 +83,7 @@ def test_the_command(tmp_path: Path, shell: Shell) -> None:
     ("arguments", "code", "said"),
     [
         (["a.svo.pb", "--formats", "xml"], 2, "no format is called 'xml'; allowed: raw, svo.npz, "),
-        (["a.svo.pb", "--plot", "a.pdf"], 2, "the ending of 'a.pdf' names no picture; allowed: .png, .svg"),
+        (["a.svo.pb", "--plot", "a.pdf"], 2, "the extension of 'a.pdf' is not that of a chart; allowed: .png, .svg"),
         (["a.svo.pb", "-o", "a.svo.pb"], 4, "a.svo.pb: exists already; allowed: a new file, or --force"),
         (["nothing.svo.pb"], 1, "nothing.svo.pb: No such file"),
     ],
@@ -100,11 +102,11 @@ def test_a_terminal_sees_how_far_it_is(tmp_path: Path, monkeypatch: pytest.Monke
     save(tmp_path / "a.svo.pb", small_octree())
     steps: list[str] = []
 
-    def phase(_: Words, text: str) -> Any:
+    def phase(_: Console, text: str) -> Any:
         steps.append(text)
         return nullcontext()
 
-    monkeypatch.setattr(Words, "phase", phase)
+    monkeypatch.setattr(Console, "phase", phase)
     arguments = ["bench", "formats", str(tmp_path / "a.svo.pb"), "--formats", "raw", "--rounds", "1"]
     assert run([*arguments, "-o", str(tmp_path / "a.md")]) == 0
     assert steps[-2:] == ["raw: warming up", "raw: round 1 of 1"]

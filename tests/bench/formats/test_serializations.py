@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+from nerfbake.bench.formats.comparison import serializations
 from nerfbake.bench.formats.libraries import LIBRARIES
-from nerfbake.bench.formats.serializations import serializations
 from tests.support.octrees import SPELLINGS
 
 

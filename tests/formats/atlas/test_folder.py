@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import nerfbake
-from nerfbake.formats.wire.texture import decode_texture
+from nerfbake.formats.wire.picture import decode_texture
 from nerfbake.io import load_folder, save_folder
 from nerfbake.scene.atlas import METHODS, BakedAtlas, Method
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture

@@ -104,9 +104,9 @@ def test_sizes_that_nobody_tells_are_taken_for_granted_aloud(tmp_path: Path) -> 
         (
             write_nerf_synthetic,
             "test",
-            "no size is told and no picture is there for 3 of its cameras: 800x800 taken, as of the Blender scenes",
+            "no size and no picture for 3 of its cameras; using 800x800, the size of the Blender scenes",
         ),
-        (write_nsvf, "rgb", "no picture in rgb: 14x10 taken, around the centre"),
+        (write_nsvf, "rgb", "no picture in rgb; using 14x10, with the principal point in the centre"),
     ):
         for picture in (write(tmp_path, made) / folder).iterdir():
             picture.unlink()

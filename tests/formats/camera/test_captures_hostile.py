@@ -54,7 +54,7 @@ BINARY: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "one too many": ("images", lambda data: struct.pack("<Q", 4) + data[8:], "ends after"),
     "an unknown model": ("cameras", lambda data: data[:12] + b"\x0b" + data[13:], "model 11; allowed: 0 to 10"),
     "a model below 0": ("cameras", lambda data: data[:12] + b"\xff" * 4 + data[16:], "camera 3 has model -1"),
-    "a name without an end": ("images", lambda data: data[:72] + b"a" * 5000, "has a name without an end at byte 72"),
+    "a name without an end": ("images", lambda data: data[:72] + b"a" * 5000, "has a name without NUL at byte 72"),
     "2^64 points": ("images", lambda data: data[:-8] + b"\xff" * 8, "ends after"),
     "nothing": ("images", lambda data: b"", "ends after 0 bytes"),
 }  # fmt: skip
@@ -129,9 +129,9 @@ def test_lying_captures_are_refused(name: str, tmp_path: Path) -> None:
 def test_a_model_without_its_other_half_is_refused(tmp_path: Path) -> None:
     write_colmap_text(tmp_path, rig(odd=True))
     (tmp_path / "sparse" / "cameras.txt").unlink()
-    with pytest.raises(NerfbakeError, match="the model is not whole; allowed: cameras and images"):
+    with pytest.raises(NerfbakeError, match="the model is incomplete; allowed: cameras and images"):
         load(tmp_path / "sparse" / "images.txt", Cameras)
-    with pytest.raises(NerfbakeError, match=r"does not know; allowed: .* sparse/0/images\.bin"):
+    with pytest.raises(NerfbakeError, match=r"is a folder of unknown kind; allowed: .* sparse/0/images\.bin"):
         load(tmp_path, Cameras)
 
 

@@ -14,8 +14,7 @@ from PIL import Image as Pillow
 from nerfbake import load
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.camera import transforms as cameras_json
-from nerfbake.scene.camera import Cameras
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.camera import Cameras, Lens
 
 EYE = np.eye(4).tolist()
 
@@ -40,7 +39,7 @@ def test_a_capture_by_hand() -> None:
     assert (camera.width, camera.height, camera.name) == (800, 800, "r_7")
     assert_allclose(camera.fx, 400 / np.tan(0.35))
     assert cameras.notes == (
-        "no size is told and no picture is there for 1 of its cameras: 800x800 taken, as of the Blender scenes",
+        "no size and no picture for 1 of its cameras; using 800x800, the size of the Blender scenes",
     )
     cameras = read(capture(w=640, h=480, fl_x=500))
     (camera,) = cameras.cameras
@@ -133,7 +132,7 @@ def test_a_moving_camera_stands_where_it_starts() -> None:
     (camera,) = read(capture(w=4, h=3, frames=[frame])).cameras
     assert_array_equal(camera.pose, np.eye(4))
     read(capture(w=4, h=3, frames=[frame], rolling_shutter=[0, 0, 0, 0]))
-    with pytest.raises(InvalidFile, match=r"frames\[0\].transform_matrix_end is seen through a rolling_shutter"):
+    with pytest.raises(InvalidFile, match=r"frames\[0\].transform_matrix_end is combined with a rolling_shutter"):
         read(capture(w=4, h=3, frames=[frame], rolling_shutter=[0, 0, 0.1, 0]))
 
 
@@ -162,9 +161,7 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
     sizes = [(camera.width, camera.height) for camera in cameras.cameras]
     assert sizes[:4] == [(30, 20), (30, 20), (20, 30), (9, 9)]
     assert sizes[4:] == [(30, 20)] * 8  # what cannot be found or read is as large as the first
-    assert cameras.notes == (
-        "no size is told and no picture is there for 8 of its cameras: 30x20 taken, as of the first",
-    )
+    assert cameras.notes == ("no size and no picture for 8 of its cameras; using 30x20, the size of the first picture",)
 
 
 @pytest.mark.parametrize(
@@ -172,10 +169,10 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
     [
         ([], "holds a list"),
         (capture(frames=[]), "frames are 0; allowed: 1 to 100,000"),
-        (capture(frames={}), "frames are no list"),
+        (capture(frames={}), "frames are not a list"),
         (capture(frames=[{}]), r"frames\[0\].transform_matrix has shape"),
         (capture(frames=[{"transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]), "singular"),
-        (capture(frames=[{"transform_matrix": [[1, 2], [3]]}]), "no table of numbers"),
+        (capture(frames=[{"transform_matrix": [[1, 2], [3]]}]), "not a table of numbers"),
         (capture(frames=[{"transform_matrix": np.full((4, 4), 1e308).tolist()}]), r"transform_matrix.*1e\+15"),
         (capture(frames=[{"transform_matrix": np.eye(3).tolist()}]), "has shape"),
         (capture(frames=[3]), r"frames\[0\] is a number"),
@@ -193,15 +190,15 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
         (capture(w=4, h=3, fl_x=True), "fl_x is True"),
         (capture(w=4, h=3, cx="middle"), "cx is middle"),
         (capture(w=4, h=3, k1=[1]), "k1 is a list"),
-        (capture(w=4, h=3, k4=0.1), "k4 is 0.1; allowed: 0, or a camera_model that says"),
+        (capture(w=4, h=3, k4=0.1), "k4 is 0.1; allowed: 0, or a camera_model that defines"),
         (capture(w=4, h=3, k5=0.1), "k5 is 0.1; allowed: 0, or camera_model FULL_OPENCV"),
         (capture(w=4, h=3, k1=1e9), r"k1 is 1e\+09; allowed: -1e\+06 to 1e\+06"),
-        (capture(w=4, h=3, is_fisheye=True, p1=0.1), "p1, p2 are those of a fisheye lens"),
+        (capture(w=4, h=3, is_fisheye=True, p1=0.1), "p1, p2 are set for a fisheye lens"),
         (capture(w=4, h=3, is_fisheye=True, camera_model="OPENCV"), "is_fisheye is true"),
         (capture(w=4, h=3, is_fisheye="yes"), "is_fisheye is yes"),
         (capture(w=4, h=3, camera_model="EQUIRECTANGULAR"), "camera_model is EQUIRECTANGULAR; allowed: SIMPLE_PINHOLE"),
         (capture(w=4, h=3, camera_model=["OPENCV"]), "camera_model is a list"),
-        (capture(w=4, h=3, distortion_params=[0.1]), "distortion_params is no list of 6"),
+        (capture(w=4, h=3, distortion_params=[0.1]), "distortion_params is not a list of 6"),
         (capture(w=4, h=3, latlong=True), "latlong is True; allowed: perspective"),
         (capture(w=4, h=3, ftheta_p1=0.1), "ftheta_p1 is 0.1"),
         (capture(w=4, h=3, sx1=0.1), "sx1 is 0.1"),

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import LatticeField, load, measure_lattice, octree_of_lattice
+from nerfbake import LatticeField, build_octree_from_lattice, load, measure_lattice
 from nerfbake.formats.field import dvgo as reader
-from nerfbake.formats.wire.torch_writer import View, numpy_array, torch_file
-from nerfbake.kernels.lattice.mlp import encoded
-from nerfbake.kernels.lattice.nodes import blended, in_nodes
+from nerfbake.formats.wire.torch_writer import TensorView, numpy_array, torch_file
+from nerfbake.kernels.lattice.mlp import positional_encoding
+from nerfbake.kernels.lattice.nodes import in_nodes, interpolate_rows
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.scene.lattice_field import MlpColour, RgbColour
 from nerfbake.stages._lattice import MLP_DIRECTIONS, fit_of, seen_along, table_of
 from tests.support.hostile import refused_as_it_is
@@ -54,7 +54,7 @@ def test_densities_follow_its_formula(dialect: str) -> None:
     assert lattice.at_corners
     assert_allclose(lattice.box, np.stack([CENTRE - RADIUS, CENTRE + RADIUS]))
     assert lattice.least == (0 if dialect == "2021" else 1e-4)
-    octree = octree_of_lattice(lattice, basis="SH1")
+    octree = build_octree_from_lattice(lattice, basis="SH1")
     points = world_centres(octree)
     shift = ACT_SHIFT if dialect in ("grid", "planes") else np.log(1 / (1 - 1e-2) - 1)
     density = np.logaddexp(0, affine(points) + shift) / EDGE
@@ -71,7 +71,7 @@ def test_a_linear_mlp_is_four_harmonics_exactly() -> None:
     b = mlp_of(checkpoint, features, np.eye(3)) - a[:, None]
     expected = np.stack([a / 0.28209479, -b[:, 1] / 0.48860251, b[:, 2] / 0.48860251, -b[:, 0] / 0.48860251], axis=2)
     assert_allclose(fit_of(lattice, 4)(features), expected.reshape(70, 12), atol=2e-3)
-    octree = octree_of_lattice(lattice, basis="SH4")
+    octree = build_octree_from_lattice(lattice, basis="SH4")
     assert measure_lattice(lattice, octree) < 0.01
 
 
@@ -93,12 +93,12 @@ def test_before_2022_the_mlp_asks_for_positions(direct: bool) -> None:
     checkpoint = dvgo(mlp="random", dialect="2021", direct=direct)
     lattice = reader.decode(memoryview(dvgo_file(checkpoint)))
     assert lattice.dialect == "DirectVoxGO, 2021"
-    assert lattice.notes[0].startswith("the mask that a coarse lattice makes")
+    assert lattice.notes[0].startswith("the mask from the coarse lattice is ignored")
     shares, directions = np.random.default_rng(1).random((60, 3)), fibonacci(2)
     at = in_nodes(shares, lattice.shape, lattice.at_corners)
-    whole = blended(lattice.links, table_of(lattice), at)
+    whole = interpolate_rows(lattice.links, table_of(lattice), at)
     grid = np.moveaxis(checkpoint["model_state_dict"]["k0"][0], 0, -1).reshape(210, -1)
-    own = blended(lattice.links, np.ascontiguousarray(grid), at)
+    own = interpolate_rows(lattice.links, np.ascontiguousarray(grid), at)
     k0, added = (own, 0) if direct else (own[:, 3:], own[:, None, :3])
     logits = mlp_of(checkpoint, np.concatenate([k0, sines(shares, 5)], axis=1), directions) + added
     seen = seen_along(lattice, directions)(whole, np.ones(60, np.int64))
@@ -128,7 +128,7 @@ def test_coefficients_are_the_least_squares_of_its_logits() -> None:
 
 def test_an_encoding_goes_coordinate_by_coordinate() -> None:
     d = np.array([[0.6, 0.0, 0.8]])
-    code = encoded(d, (1.0, 2.0))[0]
+    code = positional_encoding(d, (1.0, 2.0))[0]
     assert_allclose(code[3:9], np.sin([0.6, 1.2, 0, 0, 0.8, 1.6]), atol=1e-12)
     assert_allclose(code[9:], np.cos([0.6, 1.2, 0, 0, 0.8, 1.6]), atol=1e-12)
 
@@ -176,7 +176,7 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "NDC": (settings(mpi_depth=128), "has mpi_depth: a forward-facing scene (NDC)"),
     "contracted": (settings(scene_center=numpy_array(NAN)), "has scene_center: an unbounded scene"),
     "NDC by its shift": (state(act_shift__grid=GRID), "model_state_dict has act_shift.grid: a forward-facing scene"),
-    "nearest nodes": (settings(nearest=True), "has nearest: values of the nearest node, not between nodes"),
+    "nearest nodes": (settings(nearest=True), "has nearest: values of the nearest node, without interpolation"),
     "opacities": (settings(pre_act_density=True), "has pre_act_density: opacities at the nodes"),
     "activated nodes": (settings(in_act_density=1), "has in_act_density: densities that are activated at the nodes"),
     "no grid": (without("density.grid"), "model_state_dict has no density.grid; allowed: a model"),
@@ -187,16 +187,16 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "whole numbers": (state(density__grid=GRID.astype(np.int32)), "density.grid has dtype int32"),
     "fewer channels": (state(k0__grid=np.zeros((1, 2, *SHAPE), np.float32)), "allowed: (1, 4, X, Y, Z)"),
     "other nodes": (state(k0__grid=np.zeros((1, 4, 2, 2, 2), np.float32)), "k0 has (2, 2, 2) nodes"),
-    "past the end": (state(density__grid=View(np.zeros(9, np.float32), 0, (1, 1, *SHAPE), (210, 210, 42, 7, 1))),
+    "past the end": (state(density__grid=TensorView(np.zeros(9, np.float32), 0, (1, 1, *SHAPE), (210, 210, 42, 7, 1))),
                      "density.grid of shape"),
     "NaN box": (state(xyz_min=NAN), "xyz_min is [nan nan nan]"),
     "a box of two": (state(xyz_min=NAN[:2]), "xyz_min has shape (2,)"),
     "turned box": (state(xyz_min=CENTRE + RADIUS, xyz_max=CENTRE - RADIUS), "num_voxels_base is 1000, over a volume"),
     "no voxels": (settings(num_voxels_base=0), "num_voxels_base is 0"),
-    "no number": (settings(num_voxels_base="many"), "num_voxels_base is no array"),
+    "no number": (settings(num_voxels_base="many"), "num_voxels_base is not an array"),
     "a number beyond all": (settings(num_voxels_base=1 << 62), "num_voxels_base is too large, or not a number"),
-    "a threshold of 1": (settings(fast_color_thres=1.0), "fast_color_thres is no opacity"),
-    "NaN threshold": (settings(fast_color_thres={0: float("nan")}), "fast_color_thres is no opacity"),
+    "a threshold of 1": (settings(fast_color_thres=1.0), "fast_color_thres is not an opacity"),
+    "NaN threshold": (settings(fast_color_thres={0: float("nan")}), "fast_color_thres is not an opacity"),
     "NaN shift": (state(act_shift=NAN[:1]), "activation[0] is nan"),
     "NaN weight": (state(**{"rgbnet__3__bias": NAN}), "the MLP["),
     "a weight beyond bounds": (state(**{"rgbnet__3__bias": np.full(3, 1e38, np.float32)}), "the MLP["),
@@ -210,9 +210,9 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
 
 
 PLANE_LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
-    "a broad vector": (state(k0__z_vec=np.zeros((1, 3, 7, 2), np.float32)), "k0.z_vec has (7, 2) nodes; allowed: of o"),
-    "other nodes": (state(k0__x_vec=np.zeros((1, 2, 4, 1), np.float32)), "k0.yz_plane has (6, 7, 2)"),
-    "more channels": (state(k0__f_vec=np.zeros((7, 5), np.float32)), "k0.f_vec makes 5 channels; allowed: 4"),
+    "a broad vector": (state(k0__z_vec=np.zeros((1, 3, 7, 2), np.float32)), "k0.z_vec has (7, 2) nodes; allowed: node"),
+    "other nodes": (state(k0__x_vec=np.zeros((1, 2, 4, 1), np.float32)), "k0.yz_plane has shape (6, 7, 2)"),
+    "more channels": (state(k0__f_vec=np.zeros((7, 5), np.float32)), "k0.f_vec has 5 columns; allowed: 4"),
     "fewer parts": (state(k0__f_vec=np.zeros((6, 4), np.float32)), "k0.f_vec is for (6,) parts; allowed: 7"),
     "another density": (state(density__grid=GRID[..., :3]), "k0 has (5, 6, 7) nodes; allowed: (5, 6, 3)"),
 }  # fmt: skip
@@ -243,4 +243,4 @@ def test_another_files_of_torch_are_refused(tmp_path: Path, capsys: pytest.Captu
     said = refused_as_it_is(tmp_path / "bad.tar", torch_file({"state_dict": {}}), capsys)
     assert "data.pkl has no model_kwargs; allowed: a checkpoint of DirectVoxGO" in said
     said = refused_as_it_is(tmp_path / "bad.tar", b"ustar" * 200, capsys)
-    assert "is no whole zip archive" in said
+    assert "is not a complete zip archive" in said

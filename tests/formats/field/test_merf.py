@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import Camera, LatticeField, jobs, load, octree_of_lattice, orbit_cameras, render_lattice
+from nerfbake import Camera, LatticeField, build_octree_from_lattice, jobs, load, orbit_cameras, render_lattice
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.field import merf as reader
@@ -21,10 +21,10 @@ from nerfbake.jobs import lattices
 from nerfbake.kernels.lattice.harmonics import LEAST
 from nerfbake.kernels.lattice.nodes import densities
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.memory import memory_limit
 from nerfbake.scene.lattice_field import DeferredColour
-from nerfbake.stages import _block_voxels
+from nerfbake.stages import lattice_to_octree
 from nerfbake.stages._lattice import MLP_DIRECTIONS, features_of, nodes_of, places_of, seen_along
 from tests.jobs.listener import Listener
 from tests.support.lies import Lie, assert_refused, changed, half_of, no_field, picture, without
@@ -149,7 +149,7 @@ def test_empty_blocks_are_passed_over_and_nothing_else(lattice: LatticeField) ->
 # -- octrees ---------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("edge", "times"), [(14, 2), (5, 4)])
 def test_voxels_are_means_of_samples(made: dict[str, Any], lattice: LatticeField, edge: int, times: int) -> None:
-    octree = octree_of_lattice(lattice, resolution=(edge,) * 3)
+    octree = build_octree_from_lattice(lattice, resolution=(edge,) * 3)
     points = world_centres(octree)[::3]
     inside = (np.stack(np.meshgrid(*[np.arange(times)] * 3), -1).reshape(-1, 3) + 0.5) / times - 0.5
     near = (points[:, None] + inside * octree.voxel_size).reshape(-1, 3)
@@ -168,10 +168,10 @@ def test_voxels_are_means_of_samples(made: dict[str, Any], lattice: LatticeField
 
 
 def test_chunks_do_not_show(lattice: LatticeField, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = octree_of_lattice(lattice, basis="SH1", resolution=(7, 6, 5))
-    monkeypatch.setattr(_block_voxels, "_TOGETHER", 2000)
-    monkeypatch.setattr(_block_voxels, "_FITTED", 50)
-    assert_same_octree(octree_of_lattice(lattice, basis="SH1", resolution=(7, 6, 5)), whole)
+    whole = build_octree_from_lattice(lattice, basis="SH1", resolution=(7, 6, 5))
+    monkeypatch.setattr(lattice_to_octree, "_TOGETHER", 2000)
+    monkeypatch.setattr(lattice_to_octree, "_FITTED", 50)
+    assert_same_octree(build_octree_from_lattice(lattice, basis="SH1", resolution=(7, 6, 5)), whole)
 
 
 def test_as_many_voxels_as_fit_and_a_line_that_says_so(
@@ -181,21 +181,21 @@ def test_as_many_voxels_as_fit_and_a_line_that_says_so(
     folder = written(tmp_path / "baked", merf_folder(made))
     sizes, said = [], []
     for coarsest in (64, 4):
-        monkeypatch.setattr(_block_voxels, "_COARSEST", coarsest)
-        monkeypatch.setattr(_block_voxels, "_voxel_bytes", lambda B: 1 << 24)  # 256 voxels are all that fits
+        monkeypatch.setattr(lattice_to_octree, "_COARSEST", coarsest)
+        monkeypatch.setattr(lattice_to_octree, "_voxel_bytes", lambda B: 1 << 24)  # 256 voxels are all that fits
         steps = Listener()
         sizes.append(jobs.bake_octree(folder, tmp_path / f"{coarsest}.svo.npz", basis="SH1", steps=steps).size)
         said.append(steps.said)
     assert sizes == [(14, 14, 14), (7, 7, 7)]
     assert all("only MERF's inner cube" in note for note, *_ in said)
-    assert re.search(r": in 14x14x14 voxels, [0-9.]+ dB from the lattice's own pictures; colours are", said[0][1])
+    assert re.search(r": in 14x14x14 voxels, [0-9.]+ dB against pictures of the lattice; colours differ", said[0][1])
     assert ": in 7x7x7 voxels (the finest that fit into memory; it has 14x14x14 cells), " in said[1][1]
 
 
 def test_least_densities_make_no_voxels(lattice: LatticeField) -> None:
-    every, dense = (octree_of_lattice(lattice, basis="SH1", sigma_min=least) for least in (None, 5.0))
+    every, dense = (build_octree_from_lattice(lattice, basis="SH1", sigma_min=least) for least in (None, 5.0))
     assert 0 < np.count_nonzero(dense.childless) < np.count_nonzero(every.childless)
-    scaled = octree_of_lattice(lattice.scaled(2.0), basis="SH1")
+    scaled = build_octree_from_lattice(lattice.scaled(2.0), basis="SH1")
     assert_allclose(scaled.sigma, every.sigma / 2, rtol=1e-6)
     assert_allclose(scaled.voxel_size, 2 * every.voxel_size)
 
@@ -227,17 +227,17 @@ def test_commands_take_it(made: dict[str, Any], tmp_path: Path, capsys: pytest.C
 W, H, D = ATLAS
 INDICES = BLOCKS_WIDE**2, BLOCKS_WIDE
 LIES: dict[str, tuple[Lie, str]] = {
-    "SMERF": (changed(submodel_idx=0), "scene_params.json has submodel_idx: of SMERF, a field of many MLPs"),
+    "SMERF": (changed(submodel_idx=0), "scene_params.json has submodel_idx: a key of SMERF, a field of many MLPs"),
     "torch-merf": (changed(triplane_voxel_size=2 / PLANES),
-                   "triplane_voxel_size is 0.0740741: of another world than MERF's, as torch-merf's are"),
-    "planes alone": (changed(sparse_grid_resolution=-1), "scene_params.json has no sparse grid, whose blocks say"),
+                   "triplane_voxel_size is 0.0740741: another world size than MERF's, as in torch-merf"),
+    "planes alone": (changed(sparse_grid_resolution=-1), "scene_params.json has no sparse grid, whose blocks define"),
     "no parameters": (without("scene_params.json"), "scene_params.json is missing"),
     "no JSON": (lambda made, files: files.update({"scene_params.json": b"["}), "scene_params.json cannot be parsed"),
     "a huge grid": (changed(sparse_grid_resolution=10**9), "scene_params.json: sparse_grid_resolution is 1000000000"),
     "a large grid": (changed(sparse_grid_resolution=16384, sparse_grid_voxel_size=4 / 16384),
                      "sparse_grid_block_indices.png has 7x49 pixels of RGB; allowed: 5462x29833444 of RGB"),
     "huge planes": (changed(triplane_resolution=16384, triplane_voxel_size=4 / 16384),
-                    "the planes needs 6.0 GiB beside"),
+                    "the planes needs 6.0 GiB in addition to"),
     "three nodes": (changed(triplane_resolution=3), "scene_params.json: triplane_resolution is 3; allowed: 4 to"),
     "no spacing": (no_field("sparse_grid_voxel_size"), "scene_params.json: sparse_grid_voxel_size is missing"),
     "no block": (changed(data_block_size=0), "data_block_size is 0; allowed: a whole number from 1 to 254"),
@@ -246,13 +246,13 @@ LIES: dict[str, tuple[Lie, str]] = {
     "a small atlas": (changed(atlas_depth=3), "atlas_width, ... are (17, 14, 3); allowed: 4 or more, for a block"),
     "no range": (no_field("range_density"), "scene_params.json: range_density"),
     "an odd range": (changed(range_features=[1, 2, 3]), "scene_params.json: range_features has shape (3,)"),
-    "a falling range": (changed(range_features=[7, -7]), "range_features is 7 to -7; allowed: two numbers, rising"),
-    "a huge range": (changed(range_density=[0, 400]), "range_density is 0 to 400; allowed: two numbers, rising, to 20"),
+    "a falling range": (changed(range_features=[7, -7]), "range_features is 7 to -7; allowed: two increasing"),
+    "a huge range": (changed(range_density=[0, 400]), "range_density is 0 to 400; allowed: two increasing numbers, -2"),
     "no numbers": (lambda made, files: files.update({"scene_params.json": json.dumps(
         made["fields"] | {"range_density": [float("nan"), 1]}).encode()}), "scene_params.json cannot be parsed"),
     "infinite": (lambda made, files: files.update({"scene_params.json": json.dumps(
         made["fields"] | {"range_density": [0, 1e300]}).encode()}), "range_density[1] is 1e+300"),
-    "ragged weights": (changed(_0_weights=[[1, 2], [3]]), "scene_params.json: 0_weights is no table of numbers"),
+    "ragged weights": (changed(_0_weights=[[1, 2], [3]]), "scene_params.json: 0_weights is not a table of numbers"),
     "huge weights": (changed(_2_weights=np.full((8, 3), 1e15).tolist()),
                      "2_weights has a number as large as 1e+15; allowed: up to 1e+06"),
     "no weights": (no_field("1_weights"), "scene_params.json: 1_weights"),
@@ -265,10 +265,10 @@ LIES: dict[str, tuple[Lie, str]] = {
                       "sparse_grid_block_indices.png has 7x48 pixels of RGB; allowed: 7x49 of RGB"),
     "grey indices": (picture("sparse_grid_block_indices.png", *INDICES), "has 7x49 pixels of L"),
     "beyond the atlas": (picture("sparse_grid_block_indices.png", *INDICES, 3, value=4),
-                         "block (0, 0, 0), leads to (4, 4, 4); allowed: below (4, 3, 2), the blocks of the atlas"),
-    "twice": (picture("sparse_grid_block_indices.png", *INDICES, 3), "leads to a block of the atlas twice"),
+                         "block (0, 0, 0), points to (4, 4, 4); allowed: below (4, 3, 2), the block counts of"),
+    "twice": (picture("sparse_grid_block_indices.png", *INDICES, 3), "points to a block of the atlas twice"),
     "nothing": (picture("sparse_grid_block_indices.png", *INDICES, 3, value=255),
-                "has no block in the inner cube that holds anything"),
+                "has no occupied block in the inner cube"),
     "other slices": (picture("sparse_grid_features_001.png", H, W + 1, 4),
                      f"sparse_grid_features_001.png has {W + 1}x{H} pixels of RGBA; allowed: {W}x{H} of RGBA"),
     "opaque planes": (picture("plane_rgb_and_density_1.png", PLANES, PLANES, 3), "has 27x27 pixels of RGB"),

@@ -84,7 +84,7 @@ QUANTISED_LIES = {
     "density of another tree": (replace("sigma", np.zeros((2, 2, 2, 2), np.float16)), "sigma has shape"),
     "missing": (drop("sigma"), "npz has no sigma"),
     "retained of another tree": (replace("data_retained", np.zeros((1, 3, 2, 2, 2, 1), np.float16)), "data_retained"),
-    "too much retained": (replace("data_retained", np.zeros((3, 3, 2, 2, 2, 3), np.float16)), "1 codebooks beside 3"),
+    "too much retained": (replace("data_retained", np.zeros((3, 3, 2, 2, 2, 3), np.float16)), "1 codebooks, and 3"),
     "codes are floats": (replace("quant_map", np.zeros((1, 3, 2, 2, 2), np.float32)), "quant_map has dtype float32"),
 }  # fmt: skip
 

@@ -20,8 +20,7 @@ from nerfbake.formats.field import plenvdb as reader
 from nerfbake.formats.volume import openvdb
 from nerfbake.scene.lattice_field import MlpColour
 from nerfbake.scene.vdb import VdbTree
-from nerfbake.scene.vdb_tiles import VdbTiles
-from nerfbake.scene.vdb_topology import VdbTopology
+from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.volume import Volume
 from tests.support.lattices import SHAPE
 from tests.support.n3trees import archive
@@ -210,7 +209,7 @@ LIES: dict[str, tuple[Callable[[Files], None], str]] = {
     "no colours": (without("finecolor.vdb"), "finecolor.vdb is missing"),
     "no density": (without("finedensity.vdb"), "finedensity.vdb is missing"),
     "no shift": (but("fine_last.tar", dvgo_file(dvgo(mlp="none", dialect="early"))), "finecolor.vdb: the file has 2"),
-    "another file": (but("fine_last.tar", b"no zip"), "fine_last.tar: file is no whole zip archive"),
+    "another file": (but("fine_last.tar", b"no zip"), "fine_last.tar: file is not a complete zip archive"),
     "NDC": (but("fine_last.tar", dvgo_file(plenvdb() | {"model_kwargs": {"mpi_depth": 3}})),
             "fine_last.tar: model_kwargs has mpi_depth: a forward-facing scene (NDC)"),
     "no box": (but("fine_last.tar", model_without("xyz_min")), "fine_last.tar: model_state_dict has no xyz_min"),
@@ -228,35 +227,35 @@ LIES: dict[str, tuple[Callable[[Files], None], str]] = {
     "no voxels": (but("finedensity.vdb", grid_file(DENSITY, at=~FULL)), "finedensity.vdb: the grid has no voxels"),
     "far away": (but("finedensity.vdb", grid_file(np.zeros((1, 1, 4097, 1)))), "to (0, 0, 4096); allowed: from"),
     "other nodes": (but("finecolor.vdb", grid_file(COLOURS[0], COLOURS[1][:4])),
-                    "finecolor.vdb: grid [1] has (4, 6, 7) nodes; allowed: (5, 6, 7), as finedensity.vdb has"),
+                    "finecolor.vdb: grid [1] has (4, 6, 7) nodes; allowed: (5, 6, 7), as finedensity.vdb"),
     "a NaN": (but("finedensity.vdb", grid_file(changed(DENSITY, (0, 0, 0), np.nan))), "density[0] is nan"),
     "too thin": (lambda files: files.update(plenvdb_folder(plenvdb(shape=(1, 3, 4)))), "links has shape (1, 3, 4)"),
 }  # fmt: skip
-EACH_ONCE = f"allowed: to each of {N} rows from one node; float32 tells rows apart up to 16,777,216"
+EACH_ONCE = f"allowed: one node for each of {N} rows; float32 can represent row numbers up to 16,777,216"
 MERGED_LIES: dict[str, tuple[Callable[[Files], None], str]] = {
     "no rows": (without("mergedidxs.vdb"), "mergedidxs.vdb is missing" ),
     "no table": (without("mergeddata.npz"), "mergeddata.npz is missing"),
-    "no mask": (but("fine_last.tar", model_without("mask_cache.mask")), "has no mask_cache.mask; allowed: the one"),
+    "no mask": (but("fine_last.tar", model_without("mask_cache.mask")), "has no mask_cache.mask; allowed: the mask"),
     "no den": (but("mergeddata.npz", archive({"col": np.zeros((3, 6))})), "mergeddata.npz: npz has no den"),
     "an empty den": (but("mergeddata.npz", archive({"den": np.zeros(0), "col": np.zeros((0, 6))})), "den has no rows"),
     "whole numbers": (but("mergeddata.npz", archive({"den": np.zeros(3, int), "col": np.zeros((3, 6))})), "den has dt"),
     "a narrow col": (but("mergeddata.npz", archive({"den": np.zeros(3), "col": np.zeros((3, 5))})), "col has dtype"),
     "fewer rows": (but("mergeddata.npz", archive({"den": np.zeros(N), "col": np.zeros((N, 6))})),
-                   f"leads to row {N}; allowed: whole numbers from 1 to {N - 1}, the last row of mergeddata.npz"),
+                   f"points to row {N}; allowed: whole numbers from 1 to {N - 1}, the last row of mergeddata.npz"),
     "more rows": (but("mergeddata.npz", archive({"den": np.zeros(N + 2), "col": np.zeros((N + 2, 6))})),
-                  f"mergedidxs.vdb: the grid leads from {N} nodes to {N} rows; allowed: to each of {N + 1} rows"),
-    "half a row": (but("mergedidxs.vdb", grid_file(ROWS + 0.5, at=MASK)), "mergedidxs.vdb: the grid leads to row 1.5"),
-    "row 0": (but("mergedidxs.vdb", grid_file(ROWS - 1, at=MASK)), "the grid leads to row 0"),
-    "row NaN": (but("mergedidxs.vdb", grid_file(ROWS * np.nan, at=MASK)), "the grid leads to row nan"),
+                  f"mergedidxs.vdb: the grid points from {N} nodes to {N} rows; allowed: one node for each of {N + 1}"),
+    "half a row": (but("mergedidxs.vdb", grid_file(ROWS + 0.5, at=MASK)), "mergedidxs.vdb: the grid points to row 1.5"),
+    "row 0": (but("mergedidxs.vdb", grid_file(ROWS - 1, at=MASK)), "the grid points to row 0"),
+    "row NaN": (but("mergedidxs.vdb", grid_file(ROWS * np.nan, at=MASK)), "the grid points to row nan"),
     "a signalling NaN": (but("mergedidxs.vdb", grid_file(np.full_like(ROWS, 0x7FA00000, np.uint32).view(np.float32),
-                                                         at=MASK)), "the grid leads to row nan"),
+                                                         at=MASK)), "the grid points to row nan"),
     "a row twice": (but("mergedidxs.vdb", grid_file(np.maximum(ROWS, 2), at=MASK)), EACH_ONCE),
     "another mask": (but("mergedidxs.vdb", grid_file(ROWS[::-1], at=MASK[::-1])),
-                     "mergedidxs.vdb: the grid has other nodes than those where mask_cache.mask is true; allowed: the "
-                     "same ones; of lattices above 256^3 nodes"),
-    "below 0": (lambda files: files.update({"mergedidxs.vdb": _moved_down()}), "the grid has other nodes than"),
+                     "mergedidxs.vdb: the grid has nodes other than those where mask_cache.mask is true; allowed: the "
+                     "same nodes; above 256^3 nodes"),
+    "below 0": (lambda files: files.update({"mergedidxs.vdb": _moved_down()}), "the grid has nodes other than"),
     "beyond": (but("mergedidxs.vdb", grid_file(np.pad(ROWS, ((9, 0), (0, 0), (0, 0), (0, 0))),
-                                               at=np.pad(MASK, ((9, 0), (0, 0), (0, 0))))), "has other nodes than"),
+                                               at=np.pad(MASK, ((9, 0), (0, 0), (0, 0))))), "has nodes other than"),
 }  # fmt: skip
 
 
@@ -303,5 +302,5 @@ def test_a_lying_merged_folder_is_refused(lie: str, tmp_path: Path, capsys: pyte
 def test_its_checkpoint_alone_is_told_where_its_grids_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "fine_last.tar").write_bytes(model_file(CHECKPOINT))
     assert run(["info", str(tmp_path / "fine_last.tar")]) == 1
-    said = "has density_type VDBGrid: of PlenVDB, whose grids are in files beside this one; allowed: the folder with"
+    said = "has density_type VDBGrid: a PlenVDB model, whose grids are in other files of its folder; allowed:"
     assert said in capsys.readouterr().err

@@ -18,7 +18,7 @@ from nerfbake.formats.field import dvgo
 from nerfbake.formats.field import plenvdb as form
 from nerfbake.formats.volume import openvdb
 from nerfbake.io import save_folder
-from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
+from nerfbake.kernels.lattice.nodes import densities, in_nodes, interpolate_rows
 from nerfbake.scene.lattice_field import Activation, MlpColour, RgbColour, ShColour
 from nerfbake.stages._lattice import nodes_of, places_of, seen_along, table_of
 from tests.support.plenvdb import plenvdb
@@ -238,7 +238,7 @@ def test_a_folder_read_back_is_what_its_equations_say() -> None:
     points = lattice.box[0] + np.random.default_rng(6).random((30, 3)) * (lattice.box[1] - lattice.box[0])
     places = places_of(found, points)
     way = [6 / 7, 2 / 7, 3 / 7]
-    features = blended(found.links, table_of(found), in_nodes(places, found.shape, True))
+    features = interpolate_rows(found.links, table_of(found), in_nodes(places, found.shape, True))
     seen = seen_along(found, np.array([way]))(features, np.zeros(30, np.int64))
     assert_allclose(seen, by_the_equations(lattice, points, way), atol=2e-6)
 
@@ -247,11 +247,11 @@ def test_a_folder_read_back_is_what_its_equations_say() -> None:
 @pytest.mark.parametrize(
     ("fields", "problem"),
     [
-        ({"activation": Activation("relu")}, "is one of another program; allowed: softplus of raw densities"),
-        ({"at_corners": False}, "is one of another program; allowed: softplus"),
-        ({"mask_box": np.array([[0.0] * 3, [1.0] * 3])}, "is one of another program; allowed: softplus"),
-        ({"colour": ShColour(4)}, "has colours of SH4, cut at 0; allowed: an MLP of features and directions, RGB"),
-        ({"box": np.array([[0.0] * 3, [16, 11, 26]])}, r"has 17x12x14 nodes over 16 x 11 x 26; allowed: nodes as far"),
+        ({"activation": Activation("relu")}, "is from another program; allowed: softplus of raw densities"),
+        ({"at_corners": False}, "is from another program; allowed: softplus"),
+        ({"mask_box": np.array([[0.0] * 3, [1.0] * 3])}, "is from another program; allowed: softplus"),
+        ({"colour": ShColour(4)}, "has colours of SH4, cut at 0; allowed: RGB, or an MLP of features and directions"),
+        ({"box": np.array([[0.0] * 3, [16, 11, 26]])}, r"has 17x12x14 nodes over 16 x 11 x 26; allowed: the same node"),
     ],
 )
 def test_a_lattice_that_is_none_of_plenvdbs_is_refused(fields: dict[str, Any], problem: str, tmp_path: Path) -> None:
@@ -270,7 +270,9 @@ def test_features_that_are_no_triples_are_refused() -> None:
 
 def test_what_cannot_be_merged_is_refused() -> None:
     lattice = some()
-    with pytest.raises(InvalidScene, match="holds values above 65504; allowed: what float16 can hold, or not merged"):
+    with pytest.raises(
+        InvalidScene, match="contains values above 65504; allowed: values that float16 can represent, or not"
+    ):
         files(replace(lattice, density=np.full(lattice.n, 1e6, np.float32)), merged=True)
     with pytest.raises(InvalidScene, match=r"the mask has \(2, 2, 2\) nodes; allowed: \(17, 12, 14\)"):
         files(replace(lattice, occupied=np.ones((2, 2, 2), bool)), merged=True)

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nerfbake import Camera, LatticeField, load, octree_of_lattice, render_lattice
+from nerfbake import Camera, LatticeField, build_octree_from_lattice, load, render_lattice
 from nerfbake.cli.main import run
 from nerfbake.formats.field import snerg as reader
 from nerfbake.kernels.lattice.harmonics import LEAST
-from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
+from nerfbake.kernels.lattice.nodes import densities, in_nodes, interpolate_rows
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
-from nerfbake.scene.lattice_colour import DeferredColour
+from nerfbake.kernels.maths.elementary import fibonacci
+from nerfbake.scene.lattice_field import DeferredColour
 from nerfbake.stages._lattice import MLP_DIRECTIONS, fit_of, nodes_of, places_of, seen_along, table_of
 from tests.support.lies import Lie, assert_refused, changed, half_of, no_field, picture, without
 from tests.support.plenvdb import written
@@ -54,7 +54,7 @@ def looked_up(lattice: LatticeField, points: Any) -> tuple[Any, Any]:
     inside = ((places >= 0) & (places <= 1)).all(axis=1)
     at = in_nodes(np.clip(places, 0, 1), lattice.shape, lattice.at_corners)
     density = np.where(inside, densities(nodes_of(lattice), np.clip(places, 0, 1)), 0)
-    return density, blended(lattice.links, table_of(lattice), at)
+    return density, interpolate_rows(lattice.links, table_of(lattice), at)
 
 
 @pytest.mark.parametrize("diffuse", [False, True])
@@ -76,7 +76,7 @@ def test_places_are_what_its_renderer_fetches_there(diffuse: bool) -> None:
 def test_an_octree_of_it_holds_its_voxels() -> None:
     made = snerg()
     lattice = read(made)
-    octree = octree_of_lattice(lattice)
+    octree = build_octree_from_lattice(lattice)
     points = world_centres(octree)[::7]
     found = octree.sample(points)
     assert_allclose(found[:, -1], density_of(values_at(made, points)), rtol=1e-5, atol=1e-5)
@@ -148,10 +148,10 @@ def test_commands_take_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 W, H = ATLAS[0], 4 * ATLAS[1]
 LIES: dict[str, tuple[Lie, str]] = {
     "NDC": (changed(ndc=True), "scene_params.json has ndc: a forward-facing scene"),
-    "MERF": (changed(triplane_resolution=2048), "scene_params.json has triplane_resolution: of MERF, whose pictures"),
-    "SMERF": (changed(scene_scale_factor=1), "has scene_scale_factor: of SMERF, a field of many MLPs"),
+    "MERF": (changed(triplane_resolution=2048), "scene_params.json has triplane_resolution: a key of MERF, whose"),
+    "SMERF": (changed(scene_scale_factor=1), "has scene_scale_factor: a key of SMERF, a field of many MLPs"),
     "no JSON": (lambda made, files: files.update({"scene_params.json": b"["}), "scene_params.json cannot be parsed"),
-    "another format": (changed(format="raw"), "scene_params.json: format is another; allowed: png"),
+    "another format": (changed(format="raw"), "scene_params.json: format is not supported; allowed: png"),
     "no block": (changed(block_size=0), "scene_params.json: block_size is 0; allowed: a whole number from 1 to 254"),
     "no width": (no_field("grid_width"), "scene_params.json: grid_width is missing"),
     "a huge grid": (changed(grid_depth=10**9), "scene_params.json: grid_depth is 1000000000"),
@@ -159,9 +159,9 @@ LIES: dict[str, tuple[Lie, str]] = {
     "no voxels": (changed(voxel_size=0), "scene_params.json: voxel_size is 0"),
     "no place": (changed(min_y=None), "scene_params.json: min_y is missing"),
     "no turn": (no_field("worldspace_T_opengl"), "worldspace_T_opengl"),
-    "a slanted turn": (changed(worldspace_T_opengl=[[0.8, 0.6, 0, 0], *TURN[1:]]), "is another turn; allowed: rows"),
-    "an axis twice": (changed(worldspace_T_opengl=[TURN[1], *TURN[1:]]), "worldspace_T_opengl is another turn"),
-    "ragged weights": (changed(_0_weights=[[1, 2], [3]]), "scene_params.json: 0_weights is no table of numbers"),
+    "a slanted turn": (changed(worldspace_T_opengl=[[0.8, 0.6, 0, 0], *TURN[1:]]), "is not a swap of axes; allowed: "),
+    "an axis twice": (changed(worldspace_T_opengl=[TURN[1], *TURN[1:]]), "worldspace_T_opengl is not a swap of axes"),
+    "ragged weights": (changed(_0_weights=[[1, 2], [3]]), "scene_params.json: 0_weights is not a table of numbers"),
     "no weights": (no_field("1_weights"), "scene_params.json: 1_weights"),
     "other inputs": (changed(_0_weights=np.ones((30, 8)).tolist()), "scene_params.json: 0_weights takes 30 inputs"),
     "other units": (changed(_1_weights=np.ones((8, 7)).tolist()), "scene_params.json: 1_weights has weights of (7, 8)"),
@@ -172,9 +172,9 @@ LIES: dict[str, tuple[Lie, str]] = {
     "other indices": (picture("atlas_indices.png", 9, 3, 3), "atlas_indices.png has 3x9 pixels of RGB; allowed: 3x8"),
     "a grey index": (picture("atlas_indices.png", 8, 3), "atlas_indices.png has 3x8 pixels of L"),
     "beyond the atlas": (picture("atlas_indices.png", 8, 3, 3, value=9),
-                         "atlas_indices.png, block (0, 0, 0), leads to (9, 9, 9); allowed: below (3, 2, 2)"),
-    "twice": (picture("atlas_indices.png", 8, 3, 3), "atlas_indices.png leads to a block of the atlas twice"),
-    "nothing": (picture("atlas_indices.png", 8, 3, 3, value=255), "atlas_indices.png has no block that holds anything"),
+                         "atlas_indices.png, block (0, 0, 0), points to (9, 9, 9); allowed: below (3, 2, 2)"),
+    "twice": (picture("atlas_indices.png", 8, 3, 3), "atlas_indices.png points to a block of the atlas twice"),
+    "nothing": (picture("atlas_indices.png", 8, 3, 3, value=255), "atlas_indices.png has no occupied block"),
     "other slices": (picture("rgba_000.png", H, W + 1, 4), f"rgba_000.png has {W + 1}x{H} pixels of RGBA"),
     "opaque slices": (picture("feature_000.png", H, W, 3), f"feature_000.png has {W}x{H} pixels of RGB"),
     "no picture": (lambda made, files: files.update({"rgba_000.png": b"x"}), "rgba_000.png cannot be read"),

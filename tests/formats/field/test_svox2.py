@@ -86,7 +86,7 @@ def at(key: str, index: Any, value: float) -> Callable[[Arrays], None]:
 
 LIES: dict[str, tuple[Callable[[Arrays], None], str]] = {
     "link past the end": (at("links", (1, 2, 3), 211), "links[1, 2, 3] is 211; allowed: below 211"),
-    "links beyond 32 bits": (put("links", np.full(SHAPE, 1 << 40)), "links hold numbers beyond 32 bits"),
+    "links beyond 32 bits": (put("links", np.full(SHAPE, 1 << 40)), "links contain numbers beyond 32 bits"),
     "links are floats": (put("links", np.zeros(SHAPE, np.float32)), "links has dtype float32"),
     "links are flat": (put("links", np.zeros(210, np.int32)), "links has dtype int32, shape (210,)"),
     "no links": (put("links", np.zeros((0, 6, 7), np.int32)), "links has shape (0, 6, 7)"),

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nerfbake import Camera, LatticeField, load, memory_limit, octree_of_lattice, render_lattice
+from nerfbake import Camera, LatticeField, build_octree_from_lattice, load, memory_limit, render_lattice
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.field import tensorf as reader
 from nerfbake.formats.wire.torch_writer import Raw, numpy_array
-from nerfbake.kernels.lattice.nodes import blended, densities, in_nodes
+from nerfbake.kernels.lattice.nodes import densities, in_nodes, interpolate_rows
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.scene.lattice_field import MlpColour, ShColour
 from nerfbake.stages._lattice import fit_of, nodes_of, places_of, seen_along, table_of
 from tests.support.hostile import refused_as_it_is
@@ -38,7 +38,7 @@ def read(**options: Any) -> LatticeField:
 
 def features_at(lattice: LatticeField, points: Any) -> Any:
     at = in_nodes(np.clip(places_of(lattice, points), 0, 1), lattice.shape, lattice.at_corners)
-    return blended(lattice.links, table_of(lattice), at)
+    return interpolate_rows(lattice.links, table_of(lattice), at)
 
 
 def test_nodes_are_the_sums_of_products() -> None:
@@ -60,7 +60,7 @@ def test_densities_are_those_of_its_planes_in_its_mask(act: str) -> None:
     found = densities(nodes_of(lattice), np.clip(places_of(lattice, POINTS), 0, 1))
     assert_allclose(found, density_at(checkpoint, POINTS), rtol=1e-5, atol=1e-5)
     assert np.count_nonzero(lattice.links < 0) > 20  # nodes that do not matter to what the mask holds
-    octree = octree_of_lattice(lattice, basis="SH1")
+    octree = build_octree_from_lattice(lattice, basis="SH1")
     points = world_centres(octree)
     assert_allclose(octree.sample(points)[:, -1], density_at(checkpoint, points), rtol=1e-5, atol=1e-5)
 
@@ -204,16 +204,16 @@ def ones(*shape: int) -> Any:
 NESTED = Raw(b"]" * 5000 + b"a" * 4999)  # lists in lists
 PLANES = [f"density_plane.{i}" for i in range(3)]
 LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
-    "NDC": (settings(near_far=[0.0, 1.0]), "near_far is of rays from 0 to 1: a forward-facing scene (NDC)"),
+    "NDC": (settings(near_far=[0.0, 1.0]), "near_far is 0 to 1: a forward-facing scene (NDC)"),
     "NDC by its box": (settings(near_far=None, aabb=np.array([[-2, -2, -1], [2, 2, 1]], np.float32)), "scene (NDC)"),
-    "lines alone": (without(*PLANES), "state_dict has density_line.0: of lines alone (TensorCP)"),
-    "the oldest": (lambda c: c.update(state_dict={"plane_coef": ones(1)}), "has plane_coef: its oldest model"),
+    "lines alone": (without(*PLANES), "state_dict has density_line.0: lines alone (TensorCP)"),
+    "the oldest": (lambda c: c.update(state_dict={"plane_coef": ones(1)}), "has plane_coef: the oldest model"),
     "no planes": (without("density_plane.1"), "state_dict has no density_plane.1; allowed: a model of TensoRF"),
     "no basis": (without("basis_mat.weight"), "state_dict has no basis_mat.weight"),
     "a flat plane": (state(density_plane__0=ones(5)), "density_plane.0 has shape (5,); allowed: (1, parts, nodes"),
     "whole numbers": (state(density_plane__0=np.ones((1, 2, 6, 5), np.int32)), "density_plane.0 has dtype int32"),
-    "other nodes": (state(density_plane__2=ones(1, 2, 7, 5)), "density_plane.2 has (5, 7, 2), density_line.2 (5, 2)"),
-    "other parts": (state(density_line__1=ones(1, 2, 6, 1)), "allowed: nodes of (5, 6, 7), and as many parts"),
+    "other nodes": (state(density_plane__2=ones(1, 2, 7, 5)), "plane.2 has shape (5, 7, 2), density_line.2 (5, 2)"),
+    "other parts": (state(density_line__1=ones(1, 2, 6, 1)), "allowed: nodes of (5, 6, 7), and the same number"),
     "a broad line": (state(density_line__1=ones(1, 3, 6, 2)), "density_line.1 has shape (1, 3, 6, 2)"),
     "other lattices": (lambda c: _resized(c, "app", 1), "app_plane.0 has (4, 5, 6) nodes; allowed: (5, 6, 7)"),
     "a lattice too thin": (lambda c: _resized(c, "density", 4), "density_plane.0 is of a lattice of (1, 2, 3)"),
@@ -221,21 +221,21 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a basis of none": (state(basis_mat__weight=ones(4)), "basis_mat.weight has shape (4,)"),
     "no box": (settings(aabb=3), "aabb has dtype int64"),
     "a box of one": (settings(aabb=ones(3)), "aabb has shape (3,); allowed: (2, 3)"),
-    "a turned box": (settings(aabb=ones(2, 3)), "aabb is no box; allowed: the lowest corner"),
-    "a NaN box": (settings(aabb=np.nan * ones(2, 3)), "aabb is no box"),
-    "no shift": (settings(density_shift=None), "density_shift is no array"),
+    "a turned box": (settings(aabb=ones(2, 3)), "aabb is not a box; allowed: the lowest corner"),
+    "a NaN box": (settings(aabb=np.nan * ones(2, 3)), "aabb is not a box"),
+    "no shift": (settings(density_shift=None), "density_shift is not an array"),
     "two scales": (settings(distance_scale=ones(2)), "distance_scale has dtype float32, shape (2,)"),
     "another activation": (settings(fea2denseAct="exp"), "fea2denseAct is 'exp'; allowed: softplus or relu"),
-    "positions": (settings(shadingMode="MLP_PE"), "shadingMode is 'MLP_PE', whose MLP asks for positions; allowed: ML"),
+    "positions": (settings(shadingMode="MLP_PE"), "shadingMode is 'MLP_PE', whose MLP takes positions as inputs; "),
     "bare colours": (settings(shadingMode="RGB"), "shadingMode is 'RGB', colours without a bound"),
     "no mode": (settings(shadingMode=None), "shadingMode is None; allowed: MLP_Fea, MLP or SH"),
-    "SH of four": (settings(shadingMode="SH"), "basis_mat.weight makes 4 features; allowed: 27, for SH"),
+    "SH of four": (settings(shadingMode="SH"), "basis_mat.weight has 4 rows; allowed: 27, for SH"),
     "a mode without an end": (settings(shadingMode=NESTED), "shadingMode is a list; allowed: MLP_Fea"),
     "frequencies in lists": (settings(fea_pe=NESTED), "fea_pe is a list; allowed: 0 to 16"),
     "an activation of lists": (settings(fea2denseAct=NESTED), "fea2denseAct is a list; allowed: softplus or relu"),
     "no frequencies": (settings(view_pe=None), "view_pe is None; allowed: 0 to 16"),
     "a million": (settings(fea_pe=10**6), "fea_pe is 1000000; allowed: 0 to 16"),
-    "fewer inputs": (settings(view_pe=1), "renderModule.mlp.0 takes 43 inputs; allowed: 37, of 4 features"),
+    "fewer inputs": (settings(view_pe=1), "renderModule.mlp.0 takes 43 inputs; allowed: 37, for 4 features"),
     "no layer": (without("renderModule.mlp.2.weight"), "has no renderModule.mlp.2.weight"),
     "a layer of another width": (state(renderModule__mlp__2__weight=ones(8, 7)), "renderModule.mlp.2 has weights of"),
     "a last layer of four": (state(renderModule__mlp__4__weight=ones(4, 8)), "the MLP's last has shape"),
@@ -244,8 +244,8 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a thin mask": (mask(shape=(1, 1, 60)), "alphaMask.shape is (1, 1, 60)"),
     "a huge mask": (mask(shape=(4096, 4096, 4096)), "alphaMask.mask has dtype uint8, shape (8,); allowed: uint8 (85"),
     "fewer bits": (mask(mask=numpy_array(np.zeros(7, np.uint8))), "alphaMask.mask has dtype uint8, shape (7,)"),
-    "no bits": (mask(mask=None), "alphaMask.mask is no array"),
-    "no box of the mask": (mask(aabb=ones(2, 3)), "aabb is no box"),
+    "no bits": (mask(mask=None), "alphaMask.mask is not an array"),
+    "no box of the mask": (mask(aabb=ones(2, 3)), "aabb is not a box"),
     "no settings": (lambda checkpoint: checkpoint.update(kwargs=3), "data.pkl has no kwargs; allowed: a checkpoint of"),
 }  # fmt: skip
 
@@ -294,4 +294,4 @@ def test_a_mask_that_holds_nothing_leaves_nothing(tmp_path: Path, capsys: pytest
     path.write_bytes(tensorf_file(checkpoint))
     assert run(["info", str(path)]) == 0
     assert run(["svo", str(path), str(tmp_path / "out.svo.pb"), "-q"]) == 1
-    assert "holds nothing" in capsys.readouterr().err
+    assert "is empty" in capsys.readouterr().err

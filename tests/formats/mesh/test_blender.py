@@ -47,6 +47,7 @@ print("ALPHA", ",".join(f"{alpha:.3f}" for alpha in pixels[3::4]))
 
 
 @pytest.mark.slow
+@pytest.mark.tools
 @pytest.mark.skipif(shutil.which("blender") is None, reason="no blender: `make tools` installs it")
 @pytest.mark.skipif(os.environ.get("NERFBAKE_BLENDER") == "0", reason="left out: NERFBAKE_BLENDER=0")
 def test_blenders_meshes_are_seen_where_blender_renders_them(tmp_path: Path) -> None:
@@ -83,6 +84,7 @@ for thing in bpy.context.evaluated_depsgraph_get().objects:
 
 
 @pytest.mark.slow
+@pytest.mark.tools
 @pytest.mark.skipif(shutil.which("blender") is None, reason="no blender: `make tools` installs it")
 @pytest.mark.skipif(os.environ.get("NERFBAKE_BLENDER") == "0", reason="left out: NERFBAKE_BLENDER=0")
 def test_volume_and_mesh_of_one_scene_stand_in_one_place_in_blender(tmp_path: Path) -> None:

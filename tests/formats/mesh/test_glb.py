@@ -161,7 +161,7 @@ def deep(depth: int) -> dict[str, Any]:
 
 NAN = struct.pack("<f", np.nan) + BODY[4:]
 LIES: dict[str, tuple[bytes, str]] = {
-    "no glTF": (b"glTF", "is no .glb"),
+    "no glTF": (b"glTF", "is not a .glb"),
     "version 1": (glb(document(), BODY).replace(b"\x02\0\0\0", b"\x01\0\0\0", 1), "has version 1"),
     "longer than it is": (glb(document(), BODY)[:-1], "declares"),
     "no JSON": (glb(b"{"), "JSON chunk cannot be parsed"),
@@ -171,12 +171,12 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no primitives": (glb(document(meshes=[{"primitives": []}]), BODY), "has no faces"),
     "only lines": (glb(document(meshes=primitive(mode=1)), BODY), "has no faces"),
     "two corners": (glb(document(meshes=primitive(mode=5), **accessor(count=2)), BODY), "has no faces"),
-    "a node that is its own child": (glb(document(nodes=[{"children": [0]}]), BODY), "stands in the scene twice"),
-    "a ring of nodes": (glb(document(**deep(5000)), BODY), "stands in the scene twice"),
+    "a node that is its own child": (glb(document(nodes=[{"children": [0]}]), BODY), "is in the scene twice"),
+    "a ring of nodes": (glb(document(**deep(5000)), BODY), "is in the scene twice"),
     "no such node": (glb(document(scenes=[{"nodes": [7]}]), BODY), "nodes have no entry 7"),
     "a node of text": (glb(document(nodes=["mesh"]), BODY), "nodes[0] is a str"),
     "no such mesh": (glb(document(nodes=[{"mesh": -1}]), BODY), "meshes have no entry -1"),
-    "a short matrix": (glb(document(nodes=[{"mesh": 0, "matrix": [1]}]), BODY), "nodes[0].matrix is no list"),
+    "a short matrix": (glb(document(nodes=[{"mesh": 0, "matrix": [1]}]), BODY), "nodes[0].matrix is not a"),
     "no positions": (glb(document(meshes=primitive(attributes={})), BODY), "accessors have no entry None"),
     "terabytes": (glb(document(**accessor(count=1 << 39)), BODY), "accessors[0] has 549,755,813,888 entries"),
     "no corners": (glb(document(**accessor(count=0)), BODY), "accessors[0] has 0 entries"),

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.octree import bson as octree_bson
+from nerfbake.formats.octree import bson as wire_bson
 from nerfbake.formats.octree.fields import small_fields
-from nerfbake.formats.wire import bson as wire_bson
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.octrees import read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
@@ -121,13 +121,13 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no data": (changed("report", node_data=[]), "level_sizes adds up to 17 nodes; allowed: 1 to 0"),
     "origin is a number": (changed("report", origin=1.5), "origin is float; allowed: a flat list"),
     "width is a float": (changed("report", width=4.0), "width is 4.0; allowed: a whole number"),
-    "a date": (changed("report", width=bson.DatetimeMS(2**62)), "width is|is no BSON"),
+    "a date": (changed("report", width=bson.DatetimeMS(2**62)), "width is|is not BSON"),
     "blob of another dtype": (changed("bulk", node_data=blob(dtype="<f8")), "node_data has dtype"),
     "blob of another shape": (changed("bulk", node_data=blob(shape=[17, 14])), "node_data declares shape"),
     "blob of negative shape": (changed("bulk", node_data=blob(shape=[-17, -13])), "node_data declares shape"),
-    "blob without bytes": (changed("bulk", node_data={"dtype": "<f4", "shape": [17, 13]}), "node_data is no blob"),
-    "blob of text": (changed("bulk", node_data=blob(data="x" * 884)), "node_data is no blob"),
-    "blob of another subtype": (changed("bulk", node_data=blob(data=Binary(bytes(884), 2))), "node_data is no blob"),
+    "blob without bytes": (changed("bulk", node_data={"dtype": "<f4", "shape": [17, 13]}), "node_data is not a blob"),
+    "blob of text": (changed("bulk", node_data=blob(data="x" * 884)), "node_data is not a blob"),
+    "blob of another subtype": (changed("bulk", node_data=blob(data=Binary(bytes(884), 2))), "node_data is not a blob"),
     "too many elements": (bson.encode({f"x{i}": 1 for i in range(1001)}), "more than 1,000 elements"),
     "large small fields": (changed("bulk", note="x" * (1 << 24)), "note has 16,777,221 bytes"),
     "level sizes of another tree": (changed("bulk", level_sizes=[1, 7, 9]), "level_sizes are"),

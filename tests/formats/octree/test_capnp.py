@@ -12,8 +12,8 @@ from numpy.testing import assert_array_equal
 
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.octree import capnp as octree_capnp
-from nerfbake.formats.octree.type_urls import TYPE_URLS
-from nerfbake.formats.wire import capnp as wire_capnp
+from nerfbake.formats.octree import capnp as wire_capnp
+from nerfbake.formats.octree.fields import TYPE_URLS
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.octrees import read, small_octree, written
 from tests.support.scenes import assert_same_octree, octrees
@@ -109,7 +109,7 @@ def test_many_segments_and_far_pointers_are_read() -> None:
 def test_double_far_pointers_are_read() -> None:
     """The content in segment 1, its landing pad in segment 2, as a full segment 1 makes writers do."""
     octree = small_octree()
-    (segment,) = wire_capnp.Message(memoryview(written("svo.capnp", "bulk", octree))).segments
+    (segment,) = wire_capnp.CapnpMessage(memoryview(written("svo.capnp", "bulk", octree))).segments
     offset, description = struct.unpack("<iI", segment[:8])
     assert (offset, description) == (0, 2 | 10 << 16)
     first = struct.pack("<II", 2 | 1 << 2 | 0 << 3, 2)
@@ -168,11 +168,11 @@ LIES: dict[str, tuple[bytes, str]] = {
     "a root of 1 MiB": (patched(BULK, ROOT + 4, "<I", 2**32 - 1), "is pointed to as the start of 131,070 words"),
     "far into no segment": (patched(BULK, ROOT, "<II", 2, 7), "segment 7, word 0"),
     "far past the end": (patched(BULK, ROOT, "<II", 2 | 1 << 20, 0), "segment 0, word 131,072"),
-    "far to itself": (patched(BULK, ROOT, "<II", 2, 0), "is no landing pad"),
-    "double far to itself": (patched(BULK, ROOT, "<II", 6, 0), "is no landing pad"),
+    "far to itself": (patched(BULK, ROOT, "<II", 2, 0), "is not a landing pad"),
+    "double far to itself": (patched(BULK, ROOT, "<II", 6, 0), "is not a landing pad"),
     "a capability": (patched(BULK, ROOT, "<II", 3, 0), "a pointer is of kind 3"),
     "text that does not end": (BULK.replace(b"FloatValue\0", b"FloatValues"), "text without its end"),
-    "text of no UTF-8": (patched(BULK, first(BULK, 0), "<B", 255), "pointer 0 is no UTF-8"),
+    "text of no UTF-8": (patched(BULK, first(BULK, 0), "<B", 255), "pointer 0 is not UTF-8"),
     "children of 2 GiB": (patched(REPORT, pointer(1) + 4, "<I", 2**32 - 4), "start of 268,435,456 words"),
     "children of another size": (patched(REPORT, pointer(1) + 4, "<I", 136 << 3 | 5), "allowed: a list of <i4"),
     "children of structs": (patched(REPORT, pointer(1) + 4, "<I", 136 << 3 | 7), "element size 7; allowed: a list"),

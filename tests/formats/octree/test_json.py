@@ -115,16 +115,16 @@ LIES: dict[str, tuple[bytes, str]] = {
     "origin of two": (document(origin=[0, 0]), "origin has 2 numbers; allowed: 3"),
     "unknown data_format": (document(data_format="SH99"), "data_format is 'SH99'"),
     "lobes of nothing": (document(data_format="", extra_data=[1.0]), "data_format is ''"),
-    "blob without data": (document(node_data={"dtype": "<f4"}), "node_data is no blob"),
+    "blob without data": (document(node_data={"dtype": "<f4"}), "node_data is not a blob"),
     "blob of another dtype": (document(node_data=blob(dtype="<f8")), "node_data has dtype '<f8'; allowed: '<f4'"),
     "blob of another shape": (document(node_data=blob(shape=[17, 14])), r"declares shape \(17, 14\)"),
     "blob of terabytes": (document(node_data=blob(shape=[2**40, 2**40])), "node_data declares shape"),
     "blob of negative shape": (document(node_data=blob(shape=[-17, -13])), "node_data declares shape"),
-    "blob of fractions": (document(node_data=blob(shape=[17.0, 13])), "node_data is no blob"),
+    "blob of fractions": (document(node_data=blob(shape=[17.0, 13])), "node_data is not a blob"),
     "flat blob": (document(node_data=blob(shape=[221])), "node_data declares shape"),
     "blob of other rows": (document(node_data=blob(shape=[13, 17])), "node_data has 221 values"),
-    "no base64": (document(node_data=blob(data="!!!!")), "data that are no base64"),
-    "not ASCII": (document(node_data=blob(data="é")), "data that are no base64"),
+    "no base64": (document(node_data=blob(data="!!!!")), "data that is not base64"),
+    "not ASCII": (document(node_data=blob(data="é")), "data that is not base64"),
 }  # fmt: skip
 
 

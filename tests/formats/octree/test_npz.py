@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nerfbake.formats.octree import npz as octree_npz
-from nerfbake.formats.wire import npz_writer
+from nerfbake.formats.wire import npz
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.scenes import assert_same_octree, octrees
 
@@ -29,13 +29,13 @@ def test_round_trips_are_exact(octree: SparseVoxelOctree, no_child: int) -> None
 
 @given(octrees())
 def test_numpy_alone_reads_it(octree: SparseVoxelOctree) -> None:
-    with np.load(io.BytesIO(written(octree))) as npz:
-        assert npz["size"].tolist() == list(octree.size)
-        assert npz["node_children"].tobytes() == octree.node_children.tobytes()
-        assert npz["node_data"].dtype == octree.node_data.dtype
-        assert npz["node_data"].tobytes() == octree.node_data.tobytes()
-        assert npz["level_sizes"].tolist() == octree.level_sizes
-        assert str(npz["data_format"]) == octree.data_format
+    with np.load(io.BytesIO(written(octree))) as archive:
+        assert archive["size"].tolist() == list(octree.size)
+        assert archive["node_children"].tobytes() == octree.node_children.tobytes()
+        assert archive["node_data"].dtype == octree.node_data.dtype
+        assert archive["node_data"].tobytes() == octree.node_data.tobytes()
+        assert archive["level_sizes"].tolist() == octree.level_sizes
+        assert str(archive["data_format"]) == octree.data_format
 
 
 @given(octrees())
@@ -53,9 +53,9 @@ def test_arrays_start_at_multiples_of_64_bytes_and_are_read_as_views(octree: Spa
 def test_archives_beyond_32_bits_are_zip64(octree: SparseVoxelOctree) -> None:
     # The real limit is 4 GiB; the same code at 1 KiB.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(npz_writer, "_ZIP64_FROM", 1024)
+        patch.setattr(npz, "_ZIP64_FROM", 1024)
         data = written(octree)
-    with np.load(io.BytesIO(data)) as npz:
-        assert npz["node_data"].tobytes() == octree.node_data.tobytes()
+    with np.load(io.BytesIO(data)) as archive:
+        assert archive["node_data"].tobytes() == octree.node_data.tobytes()
     assert zipfile.ZipFile(io.BytesIO(data)).testzip() is None
     assert_same_octree(octree_npz.decode(memoryview(data)), octree)

@@ -17,7 +17,7 @@ from numpy.testing import assert_array_equal
 from nerfbake import build_octree
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.octree import protobuf as octree_protobuf
-from nerfbake.formats.octree.type_urls import TYPE_URLS
+from nerfbake.formats.octree.fields import TYPE_URLS
 from nerfbake.kernels.coding.varint import encode_varints
 from nerfbake.memory import memory_limit
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -206,7 +206,7 @@ def field(number: int, wire: int, payload: bytes) -> bytes:
         (field(5, 2, b"\x03\x01\x02\x03"), "node_children has 3 numbers; allowed: a multiple of 8"),
         (field(5, 0, b"\x01"), "field 5 has wire type 0; allowed: 2"),
         (field(1, 2, b"\x01x"), "type_url is 'x'"),
-        (field(1, 2, b"\x01\xff"), "field 1 is no UTF-8"),
+        (field(1, 2, b"\x01\xff"), "field 1 is not UTF-8"),
         (field(1, 2, b"\x00"), "adds up to 0 nodes"),
         (field(9, 2, b"\x01\x05") + field(6, 2, b"\x03abc"), "node_data has 3 bytes; allowed: a multiple of 4"),
         (field(9, 2, b"\x01\x01") + field(6, 2, b"\x04abcd"), "size is 0x0x0"),

@@ -98,7 +98,7 @@ def test_a_file_is_an_octree_to_everybody(coding: Coding, tmp_path: Path) -> Non
 
 def test_zstd_around_it_is_refused_with_the_reason(tmp_path: Path) -> None:
     octree = random_quantised(4)
-    with pytest.raises(UsageError, match="packed already"):
+    with pytest.raises(UsageError, match="compressed already"):
         save(tmp_path / "a.svoq.zst", octree)
     assert list(tmp_path.iterdir()) == []
 
@@ -211,5 +211,5 @@ def test_an_octree_too_regular_for_its_bytes_is_padded() -> None:
     assert sizes["padding"] > len(data) / 2
     assert_same(decode_quantised(memoryview(data)), flat)
     at = len(data) - 5
-    with pytest.raises(InvalidFile, match="padding holds something"):
+    with pytest.raises(InvalidFile, match="padding has non-zero bytes"):
         decode_quantised(memoryview(sealed(data[:at] + b"\1" + data[at + 1 :])))

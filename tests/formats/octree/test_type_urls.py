@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nerfbake.errors import InvalidFile, InvalidScene
-from nerfbake.formats.octree.type_urls import NAMED, TYPE_URLS, stored_dtype, type_url_of
+from nerfbake.formats.octree.fields import NAMED, TYPE_URLS, stored_dtype, type_url_of
 from nerfbake.scene.basis import parse_basis, voxel_dtype
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.octrees import FORMATS, read, small_octree
@@ -53,9 +53,7 @@ def test_a_type_stands_for_the_data_format_that_a_file_leaves_out() -> None:
 def test_what_has_no_type_is_not_written() -> None:
     octree = replace(small_octree(), data_format="SG4", extra_data=np.zeros((4, 4), np.float32))
     for name in ("svo.pb", "svo.json"):
-        with pytest.raises(
-            InvalidScene, match="data_format is 'SG4', whose voxels have no type of their own; allowed: RGB"
-        ):
+        with pytest.raises(InvalidScene, match="data_format is 'SG4', which has no voxel type; allowed: RGB"):
             typed(name, octree)
 
 

@@ -84,7 +84,7 @@ def test_the_facts_tell_what_the_shader_asks_of_an_atlas(tmp_path: Path) -> None
 
 def test_meshes_stand_beside_a_field_and_not_beside_a_surface(tmp_path: Path, field: RadianceField) -> None:
     surface = build_page_surface(load(stage1_folder(tmp_path / "a"), Stage1))
-    with pytest.raises(InvalidScene, match="the meshes stand beside a surface"):
+    with pytest.raises(InvalidScene, match="the meshes are combined with a surface"):
         page_of(content=surface, field=None, meshes=(cube(),))
-    with pytest.raises(InvalidScene, match="the field is there; allowed: one of what is marched"):
+    with pytest.raises(InvalidScene, match="the field is present; allowed: a field for voxels"):
         page_of(content=surface, field=field)

@@ -24,7 +24,7 @@ from nerfbake import (
     quantise_octree,
     render_field,
     sample_n3tree,
-    sphere_cameras,
+    scatter_cameras,
     weigh_leaves,
 )
 from nerfbake.errors import InvalidFile, InvalidScene
@@ -42,7 +42,7 @@ def view() -> Page:
 @pytest.fixture(scope="module")
 def quantised(view: Page) -> QuantisedOctree:
     assert view.field is not None
-    importance = weigh_leaves(view.field, sphere_cameras(view.field, frames=2, edge=16))
+    importance = weigh_leaves(view.field, scatter_cameras(view.field, frames=2, edge=16))
     return quantise_octree(build_octree(sample_n3tree(resolution=16)), importance, step=0.1, prune=0.1)
 
 
@@ -128,7 +128,12 @@ def test_a_file_in_a_coding_that_the_script_does_not_read_is_carried_in_the_othe
     quantised: QuantisedOctree,
 ) -> None:
     ranged, deflated = (b"".join(svoq.encode(quantised, coding=coding)) for coding in svoq.CODINGS)
-    assert view_html.carried(memoryview(ranged)) == view_html.carried(memoryview(deflated)) == ranged != deflated
+    assert (
+        view_html.script_readable(memoryview(ranged))
+        == view_html.script_readable(memoryview(deflated))
+        == ranged
+        != deflated
+    )
 
 
 def test_a_cover_is_square(view: Page) -> None:
@@ -153,5 +158,5 @@ def test_what_an_exact_page_carries_comes_back(view: Page) -> None:
 
 
 def test_what_is_no_page_is_refused() -> None:
-    with pytest.raises(InvalidFile, match="is no whole page"):
+    with pytest.raises(InvalidFile, match="is not a complete page"):
         view_html.content_of(memoryview(b"<!DOCTYPE html>"))

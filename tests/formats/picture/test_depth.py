@@ -14,8 +14,7 @@ from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.picture import depth_npy, depth_png
 from nerfbake.formats.picture import png as image_png
 from nerfbake.memory import memory_limit
-from nerfbake.scene.depth import Depth
-from nerfbake.scene.image import Image
+from nerfbake.scene.image import Depth, Image
 
 
 def distances() -> npt.NDArray[np.float32]:

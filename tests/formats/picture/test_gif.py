@@ -94,7 +94,7 @@ def test_pictures_that_do_not_go_together_are_refused() -> None:
     small, large = turning(None).frames[0], Image(np.zeros((9, 9, 3), np.float32), clear, clear, None)
     with pytest.raises(InvalidScene, match="has no pictures; allowed: at least one"):
         Animation(())
-    with pytest.raises(InvalidScene, match="picture 1 has 9x9 pixels; allowed: 40x30, as the first"):
+    with pytest.raises(InvalidScene, match="picture 1 has 9x9 pixels; allowed: 40x30, like the first"):
         Animation((small, large))
     with pytest.raises(InvalidScene, match="picture 1 differs in transparency"):
         Animation((small, small.over((0.0, 0.0, 0.0))))

@@ -188,7 +188,7 @@ def test_what_stands_behind_the_grids_is_not_passed_over(files: Path, tmp_path: 
         for more in (b"\0" * 9, b"\0" * 99):
             (tmp_path / f"b{path.suffix}").write_bytes(path.read_bytes() + more)
             (problem,) = check(tmp_path / f"b{path.suffix}")
-            assert "behind the grids" in str(problem) or "goes on for" in str(problem)
+            assert "after the grids" in str(problem) or "after the last grid" in str(problem)
 
 
 def test_a_grid_that_cannot_be_read_is_named(files: Path, types: Path, tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import build_octree, build_vdb, octree_of_volume
+from nerfbake import build_octree, build_octree_from_volume, build_vdb
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.volume import nanovdb as vdb_nanovdb
 from nerfbake.formats.volume.nanovdb_reader import _unblosced
-from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.formats.wire import nanovdb as nano
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid
 from nerfbake.scene.vdb_topology import VdbTopology
@@ -57,7 +57,7 @@ def test_buffers_of_blosc_follow_each_other(monkeypatch: pytest.MonkeyPatch) -> 
     packed = [blosc.compress(part, 4, cname="lz4") for part in parts if part]
     data = b"".join(len(part).to_bytes(8, "little") + part for part in packed)
     assert _unblosced(memoryview(data), sum(map(len, parts))) == b"".join(parts)
-    with pytest.raises(InvalidFile, match="a blosc buffer's size would stand at bytes"):
+    with pytest.raises(InvalidFile, match="a blosc buffer's size would be at bytes"):
         _unblosced(memoryview(data), sum(map(len, parts)) + 100_000)
 
 
@@ -86,26 +86,26 @@ def test_the_octree_comes_back_from_an_index() -> None:
     octree.node_data.setflags(write=False)
     for half in (False, True):
         made = build_vdb(octree, grids=("index",), half=half)
-        assert_same_octree(octree_of_volume(decoded(encoded(made))), octree_of_volume(made))
+        assert_same_octree(build_octree_from_volume(decoded(encoded(made))), build_octree_from_volume(made))
 
 
 def test_an_octree_that_comes_back_is_sound() -> None:
     made = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     back = decoded(encoded(build_vdb(made, grids=("index",)), codec="zip"))
-    assert octree_of_volume(back).problems() == []
+    assert build_octree_from_volume(back).problems() == []
 
 
 def test_lobes_come_back_with_the_octree() -> None:
     lobes = np.random.default_rng(0).normal(size=(2, 11)).astype(np.float32)
     octree = build_octree(n3tree(data_format="ASG2", extra_data=lobes))
-    back = octree_of_volume(decoded(encoded(build_vdb(octree, grids=("index",)))))
+    back = build_octree_from_volume(decoded(encoded(build_vdb(octree, grids=("index",)))))
     assert_same_octree(back, octree)
 
 
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda: volume(tree([]), tree([])), "would hold 2 grids: density[0], density[1]; allowed: `grid=NAME`"),
+        (lambda: volume(tree([]), tree([])), "would contain 2 grids: density[0], density[1]; allowed: `grid=NAME`"),
         (lambda: volume(tree([], name="x" * 256)), "the grid's name is 256 bytes long; allowed: 255 at most"),
         (lambda: volume(tree([], channels=3, dtype=np.float16)), "is float16; allowed: float32"),
     ],

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake import save
-from nerfbake.formats.wire import nanovdb_nodes as nano
+from nerfbake.formats.wire import nanovdb as nano
 from nerfbake.io import check
 from tests.support.hostile import complaint
 from tests.support.vdb_readers import SCENES, index, tree, volume

@@ -11,13 +11,13 @@ import numpy.typing as npt
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import build_octree, build_vdb, octree_of_volume
+from nerfbake import build_octree, build_octree_from_volume, build_vdb
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError
 from nerfbake.formats.volume import npz as vdb_npz
-from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.formats.wire.npz import write_npz
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import IndexGrid, VdbTree
-from nerfbake.scene.vdb_tiles import VdbTiles
+from nerfbake.scene.vdb_topology import VdbTiles
 from nerfbake.scene.volume import Volume
 from tests.conftest import REPOSITORY
 from tests.support.scenes import assert_same_octree, n3tree
@@ -71,7 +71,7 @@ def test_the_octree_comes_back(grids: tuple[str, ...]) -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     for half in (False, True):
         made = build_vdb(octree, grids=grids, half=half)
-        assert_same_octree(octree_of_volume(decoded(encoded(made))), octree_of_volume(made))
+        assert_same_octree(build_octree_from_volume(decoded(encoded(made))), build_octree_from_volume(made))
 
 
 def test_grids_with_the_same_voxels_share_a_tree() -> None:
@@ -171,13 +171,13 @@ LIES: dict[str, tuple[str, Callable[[Any], Any], str]] = {
     "a tree below 0": ("grid_tree", lambda _: np.array([-1, 0]), "npz has no tree_-1_upper_mask"),
     "long words": ("tree_0_leaf_mask", lambda a: a.astype(np.uint64), "tree_0_leaf_mask has dtype uint64; allowed"),
     "half a mask": ("tree_0_lower_mask", lambda a: a[:, :64], "tree_0_lower_mask has dtype uint32, shape"),
-    "a wrong rank": ("tree_0_leaf_rank", lambda a: a + 1, "tree_0_leaf_rank[0, 0] is 2; allowed: 1, by the bits"),
+    "a wrong rank": ("tree_0_leaf_rank", lambda a: a + 1, "tree_0_leaf_rank[0, 0] is 2; allowed: 1, the number"),
     "a voxel more": ("tree_0_leaf_mask", flipped, "tree_0_leaf_rank[0, 1] is"),
-    "a lower node less": ("tree_0_root_origin", lambda a: a[1:], "upper_mask has 8 rows; allowed: 7 as root_origin"),
+    "a lower node less": ("tree_0_root_origin", lambda a: a[1:], "upper_mask has 8 rows; allowed: 7, as in root_"),
     "wide origins": ("tree_0_root_origin", lambda a: a.astype(np.int64), "root_origin has shape (8, 3), dtype int64"),
     "an origin astray": ("tree_0_root_origin", lambda a: a + 1, "root_origin[0, 0] is 1; allowed: multiples of 4096"),
     "tiles out of order": ("tree_0_root_origin", lambda a: a[::-1], "root_origin is out of order"),
-    "a row less": ("grid_0_table", lambda a: a[1:], "grid 'density' has 899 values; allowed: 900, one a voxel"),
+    "a row less": ("grid_0_table", lambda a: a[1:], "grid 'density' has 899 values; allowed: 900, one per voxel"),
     "no rows": ("grid_0_table", lambda a: a[:0], "grid_0_table has no rows"),
     "no table": ("grid_1_table", lambda a: a[:0], "table of 'index' has shape (0, 4)"),
     "two channels": ("grid_0_table", lambda a: np.repeat(a, 2, axis=1), "(m, 1 or 3) float16 or float32"),
@@ -206,7 +206,7 @@ def test_memory_is_bounded() -> None:
 @pytest.mark.parametrize(
     ("grids", "said"),
     [
-        ([tree([])] * 101, "would hold 101 grids; allowed: 100 at most"),
+        ([tree([])] * 101, "would contain 101 grids; allowed: 100 at most"),
         ([tree([], name="x" * 10_000)], "is 10,000 characters long; allowed: 9,999"),
     ],
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import build_octree, build_vdb, load, octree_of_volume, sample_n3tree, save
+from nerfbake import build_octree, build_octree_from_volume, build_vdb, load, sample_n3tree, save
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.memory import memory_limit
@@ -76,7 +76,7 @@ def test_the_octree_comes_back_from_density_and_sh() -> None:
     octree = build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4"))
     for half in (False, True):
         made = build_vdb(octree, grids=("density", "sh"), half=half)
-        assert_same_octree(octree_of_volume(decoded(encoded(made))), octree_of_volume(made))
+        assert_same_octree(build_octree_from_volume(decoded(encoded(made))), build_octree_from_volume(made))
 
 
 def test_there_are_no_index_grids() -> None:
@@ -234,7 +234,9 @@ print("ALPHA", ",".join(f"{value:.3f}" for value in alpha))
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
+@pytest.mark.tools
 @pytest.mark.skipif(shutil.which("blender") is None, reason="no blender: `make tools` installs it")
 @pytest.mark.skipif(os.environ.get("NERFBAKE_BLENDER") == "0", reason="left out: NERFBAKE_BLENDER=0")
 def test_blender_shows_it_where_it_is(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake.errors import InvalidFile, NerfbakeError
 from nerfbake.formats.wire.checkpoint import decode_checkpoint, encode_checkpoint
-from nerfbake.formats.wire.npz_writer import write_npz
+from nerfbake.formats.wire.npz import write_npz
 from nerfbake.memory import memory_limit
 from tests.support.hostile import damaged
 

@@ -117,8 +117,8 @@ def test_numbers() -> None:
 def test_tables() -> None:
     np.testing.assert_array_equal(wire_json.table([[1, 2], [3, 4.5]], "it", (None, 2)), [[1, 2], [3, 4.5]])
     for value, said in (
-        ([[1, 2], [3]], "it is no table of numbers"),
-        ([["x"]], "it is no table"),
+        ([[1, 2], [3]], "it is not a table of numbers"),
+        ([["x"]], "it is not a table"),
         ([[None]], r"it\[0, 0\] is nan"),
         ([1, 2], r"it has shape \(2,\); allowed: any x 2 numbers"),
         ([[1, 2e15]], r"it\[0, 1\] is 2e\+15; allowed: -1e\+15 to 1e\+15"),
@@ -129,4 +129,4 @@ def test_tables() -> None:
 
 @given(VALUES)
 def test_what_is_shown_of_a_value_is_short(value: Any) -> None:
-    assert len(wire_json.shown(value)) <= 40
+    assert len(wire_json.shorten(value)) <= 40

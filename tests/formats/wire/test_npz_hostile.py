@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from nerfbake.errors import InvalidFile
-from nerfbake.formats.wire.npz_reader import NpzReader
+from nerfbake.formats.wire.npz import NpzReader
 from tests.support.hostile import refused
 from tests.support.n3trees import archive, sound
 
@@ -43,7 +43,7 @@ def declares(shape: str, descr: str = "'<f4'") -> str:
 
 ARCHIVES = {
     "an empty file": (b"", "is empty"),
-    "no zip": (b"nonsense" * 100, "is no whole zip archive"),
+    "no zip": (b"nonsense" * 100, "is not a complete zip archive"),
     "only a zip's end": (b"PK\x05\x06" + bytes(18), "npz has no child"),
     "terabytes, truly declared": (member("child.npy", npy(declares("(1000000, 1000000)", "'<i4'")), 1 << 40), "child"),
     "terabytes in the header": (member("child.npy", npy(declares("(1099511627776,)"))), "child declares shape"),
@@ -103,8 +103,8 @@ def test_a_member_that_inflates_a_thousandfold_stays_within_max_memory(tmp_path:
         sys.exit(run(["svo", "bad.npz", "out.svo.pb", "--max-memory", "100MiB"]))"""
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "bad.npz: data needs 170.9 MiB beside 172." in done.stderr  # KiB of the file and what it held before
-    assert done.stderr.endswith(" that are taken; allowed: 100.0 MiB (--max-memory)\n")
+    assert "bad.npz: data needs 170.9 MiB in addition to 172." in done.stderr  # KiB of the file and what it held before
+    assert done.stderr.endswith(" in use; allowed: 100.0 MiB (--max-memory)\n")
 
 
 def test_a_stream_that_goes_on_past_its_declared_end_is_refused(
@@ -123,4 +123,4 @@ def test_a_stream_that_goes_on_past_its_declared_end_is_refused(
         target.writestr("data.npy", content.getvalue() + bytes(1000))
         target.getinfo("data.npy").file_size = len(content.getvalue())
         target.getinfo("data.npy").CRC = zlib.crc32(content.getvalue())
-    assert "data goes on past its declared end" in refused(tmp_path, packed.getvalue(), capfd)
+    assert "data continues past its declared end" in refused(tmp_path, packed.getvalue(), capfd)

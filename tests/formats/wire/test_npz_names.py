@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from nerfbake import build_octree, catalog, load, save
-from nerfbake.formats.wire.npz_names import MAX_MEMBERS, npz_keys
+from nerfbake.formats.wire.zip_reader import MAX_MEMBERS, npz_keys
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.support.scenes import n3tree

@@ -10,9 +10,9 @@ import numpy.typing as npt
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake.formats.wire.npz_writer import Pieces, write_npz
+from nerfbake.formats.wire.npz import StreamedArray, write_npz
 
-ARRAYS: dict[str, npt.ArrayLike | Pieces] = {
+ARRAYS: dict[str, npt.ArrayLike | StreamedArray] = {
     "empty": np.zeros((0, 3), np.float32),
     "one": np.int64(7),
     "rows": np.arange(60_000, dtype=np.float16).reshape(-1, 3) % 1000,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nerfbake.formats.wire.page_pieces import END, beginning, figure, picture, table, text
+from nerfbake.formats.wire.page import END, beginning, figure, picture, table, text
 
 
 def test_whatever_is_put_into_a_page_is_text() -> None:

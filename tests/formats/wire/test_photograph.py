@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
-from nerfbake.formats.wire.photograph import decode_photograph
+from nerfbake.formats.wire.picture import decode_photograph
 from nerfbake.memory import memory_limit
 from tests.support.hostile import damaged
 

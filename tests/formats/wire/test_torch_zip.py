@@ -12,9 +12,18 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from nerfbake.errors import InvalidFile, MemoryLimit
-from nerfbake.formats.wire.torch_pickle import MAX_OPCODES, read_pickle
-from nerfbake.formats.wire.torch_writer import Raw, View, Writer, archive, glob, numpy_array, ordered, text, torch_file
-from nerfbake.formats.wire.torch_zip import TorchReader, is_torch
+from nerfbake.formats.wire.torch import MAX_OPCODES, TorchReader, is_torch, read_pickle
+from nerfbake.formats.wire.torch_writer import (
+    Raw,
+    TensorView,
+    Writer,
+    archive,
+    glob,
+    numpy_array,
+    ordered,
+    text,
+    torch_file,
+)
 from nerfbake.memory import memory_limit, scope
 
 SIX = np.arange(6, dtype=np.float32)
@@ -38,7 +47,7 @@ def test_tensors_of_every_type_are_read(dtype: str) -> None:
 
 
 def test_views_share_a_storage_and_need_not_lie_together() -> None:
-    reader, root = read({"turned": View(SIX, 0, (3, 2), (1, 3)), "part": View(SIX, 1, (2,), (3,))})
+    reader, root = read({"turned": TensorView(SIX, 0, (3, 2), (1, 3)), "part": TensorView(SIX, 1, (2,), (3,))})
     assert_array_equal(reader.array(root["turned"], "turned"), SIX.reshape(2, 3).T)
     assert_array_equal(reader.array(root["part"], "part"), [1, 4])
 
@@ -99,9 +108,9 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "system": (glob("os", "system") + text("true") + b"\x85R", "byte 2 names 'os system'; allowed: tensors"),
     "eval": (glob("builtins", "eval") + text("1") + b"\x85R", "names 'builtins eval'"),
     "a dotted name": (glob("torch", "FloatStorage.from_file") + b")R", "names 'torch FloatStorage.from_file'"),
-    "a storage is no builder": (glob("torch", "FloatStorage") + b")R", "builds something of what is no global"),
-    "a class is no builder": (glob("numpy", "ndarray") + b")R", "gives a class other arguments"),
-    "text is no builder": (text("os") + b")R", "builds something of what is no global"),
+    "a storage is no builder": (glob("torch", "FloatStorage") + b")R", "calls a value that is not a global"),
+    "a class is no builder": (glob("numpy", "ndarray") + b")R", "has unexpected arguments for a class"),
+    "text is no builder": (text("os") + b")R", "calls a value that is not a global"),
     "arguments are no tuple": (glob("collections", "OrderedDict") + b"]R", "a global and its arguments"),
     "STACK_GLOBAL": (text("os") + text("system") + b"\x93.", "has the opcode 93; allowed: those that torch writes"),
     "INST": (b"(ios\nsystem\n", "has the opcode 69"),
@@ -109,26 +118,26 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "NEWOBJ_EX": (b")}\x92", "has the opcode 92"),
     "an extension": (b"\x82\x01", "has the opcode 82"),
     "a frame": (b"\x95" + bytes(8), "has the opcode 95"),
-    "persid of text": (text("0") + b"Q", "names what is no storage"),
-    "persid of another type": (b"(" + text("module") + text("a") + b"tQ", "names what is no storage"),
+    "persid of text": (text("0") + b"Q", "has an invalid storage"),
+    "persid of another type": (b"(" + text("module") + text("a") + b"tQ", "has an invalid storage"),
     "a storage of another kind": (STORAGE.replace(b"FloatStorage", b"FloatTensor\0"), "names 'torch FloatTensor"),
-    "negative count": (STORAGE.replace(b"K\x06tQ", b"J\xff\xff\xff\xfftQ"), "names what is no storage"),
-    "negative stride": (TENSOR + b"(" + STORAGE + b"K\x00K\x02\x85J\xff\xff\xff\xff\x85tR", "gives a tensor other"),
-    "size and stride apart": (TENSOR + b"(" + STORAGE + b"K\x00K\x02\x85)tR", "gives a tensor other arguments"),
-    "a tensor of nothing": (TENSOR + b")R", "gives a tensor other arguments"),
-    "state of a number": (b"K\x01}b", "gives a state to what has none"),
-    "objects in an array": (glob("numpy", "dtype") + text("O") + b"\x85R", "gives a dtype other arguments"),
-    "array without its bytes": (numpy_array(SIX).code.replace(b"K\x06", b"K\x07"), "gives an array other arguments"),
-    "a key that is a list": (b"}(]K\x01u", "items that are no pairs"),
-    "items of a list": (b"](K\x01K\x02u", "sets items of what is no dict"),
-    "appended to a dict": (b"}K\x01a", "appends to what is no list"),
-    "odd items": (b"}(K\x01u", "sets items of what is no dict"),
-    "nothing on the stack": (b"R", "takes a value where there is none"),
-    "no mark": (b"K\x01t", "ends a group that has no beginning"),
-    "a mark is no value": (b"(\x85", "takes a value where there is none"),
-    "never kept": (b"h\x07", "asks for number 7, which was never kept"),
+    "negative count": (STORAGE.replace(b"K\x06tQ", b"J\xff\xff\xff\xfftQ"), "has an invalid storage"),
+    "negative stride": (TENSOR + b"(" + STORAGE + b"K\x00K\x02\x85J\xff\xff\xff\xff\x85tR", "arguments for a tensor"),
+    "size and stride apart": (TENSOR + b"(" + STORAGE + b"K\x00K\x02\x85)tR", "has unexpected arguments for a tensor"),
+    "a tensor of nothing": (TENSOR + b")R", "has unexpected arguments for a tensor"),
+    "state of a number": (b"K\x01}b", "sets the state of a value that has none"),
+    "objects in an array": (glob("numpy", "dtype") + text("O") + b"\x85R", "has unexpected arguments for a dtype"),
+    "array without its bytes": (numpy_array(SIX).code.replace(b"K\x06", b"K\x07"), "unexpected arguments for an array"),
+    "a key that is a list": (b"}(]K\x01u", "items that are not pairs"),
+    "items of a list": (b"](K\x01K\x02u", "sets items of a value that is not a dict"),
+    "appended to a dict": (b"}K\x01a", "appends to a value that is not a list"),
+    "odd items": (b"}(K\x01u", "sets items of a value that is not a dict"),
+    "nothing on the stack": (b"R", "pops a value from an empty stack"),
+    "no mark": (b"K\x01t", "ends a group without a mark"),
+    "a mark is no value": (b"(\x85", "pops a value from an empty stack"),
+    "never kept": (b"h\x07", "reads memo entry 7, which was never stored"),
     "protocol 4": (b"\x80\x04", "is of protocol 4"),
-    "no UTF-8": (b"X\x02\x00\x00\x00\xff\xff", "no UTF-8"),
+    "no UTF-8": (b"X\x02\x00\x00\x00\xff\xff", "not UTF-8"),
     "a name without an end": (b"c" + b"a" * 300, "a name without an end"),
     "cut": (b"X\xff\xff\xff\x7fab", "ends"),
     "endless": (b"N" * (MAX_OPCODES + 1), f"more than {MAX_OPCODES:,} opcodes"),
@@ -148,10 +157,10 @@ def test_what_was_kept_is_not_copied_again_and_again() -> None:
     """A list of thousands, of which every five bytes would make a dict."""
     many = b"](" + b"".join(b"K\x01K\x02\x86" for _ in range(5000)) + b"eq\x01\x85q\x02"
     again = glob("collections", "OrderedDict") + b"q\x03h\x02R" + b"h\x03h\x02R" * 20_000
-    with pytest.raises(InvalidFile, match="builds more than the file holds"):
+    with pytest.raises(InvalidFile, match="builds more than the file contains"):
         read_pickle(b"\x80\x02" + many + again + b".", "data.pkl")
     pairs = b"(" + b"K\x01K\x02\x86" * 5000 + b"tq\x02"
-    with pytest.raises(InvalidFile, match="builds more than the file holds"):
+    with pytest.raises(InvalidFile, match="builds more than the file contains"):
         read_pickle(b"\x80\x02" + pairs + again + b".", "data.pkl")
 
 
@@ -161,7 +170,7 @@ def test_shapes_of_thousands_of_edges_are_not_multiplied() -> None:
         TENSOR + b"(" + STORAGE + b"K\x00" + edges + edges + b"tR",
         numpy_array(SIX).code.replace(b"(K\x06t", edges),
     ):
-        with pytest.raises(InvalidFile, match=r"gives (a tensor|an array) other arguments"):
+        with pytest.raises(InvalidFile, match=r"has unexpected arguments for (a tensor|an array)"):
             read_pickle(b"\x80\x02" + code + b".", "data.pkl")
 
 
@@ -174,15 +183,18 @@ def test_a_state_of_itself_ends() -> None:
 @pytest.mark.parametrize(
     ("view", "said"),
     [
-        (View(SIX, 5, (2,), (1,)), "a of shape (2,) reaches number 6; allowed: numbers of its storage, which has 6"),
-        (View(SIX, 0, (2, 2), (1, 5)), "reaches number 6"),
-        (View(SIX, 0, (7,), (0,)), "a of shape (7,) reaches number 0"),
-        (View(SIX, 0, (1 << 40, 1 << 40), (0, 0)), "reaches number 0"),
-        (View(SIX, 0, (0,), (1,)), "a of shape (0,)"),
-        (View(SIX, 0, (6,), (1,), numel=7), "data/0 has 24 bytes; allowed: 28 for a"),
+        (
+            TensorView(SIX, 5, (2,), (1,)),
+            "a of shape (2,) reaches number 6; allowed: the 6 numbers of its storage",
+        ),
+        (TensorView(SIX, 0, (2, 2), (1, 5)), "reaches number 6"),
+        (TensorView(SIX, 0, (7,), (0,)), "a of shape (7,) reaches number 0"),
+        (TensorView(SIX, 0, (1 << 40, 1 << 40), (0, 0)), "reaches number 0"),
+        (TensorView(SIX, 0, (0,), (1,)), "a of shape (0,)"),
+        (TensorView(SIX, 0, (6,), (1,), numel=7), "data/0 has 24 bytes; allowed: 28 for a"),
     ],
 )
-def test_tensors_stay_within_their_storage(view: View, said: str) -> None:
+def test_tensors_stay_within_their_storage(view: TensorView, said: str) -> None:
     reader, root = read({"a": view})
     with pytest.raises(InvalidFile) as error:
         reader.array(root["a"], "a")
@@ -193,7 +205,7 @@ def test_a_storage_that_is_missing_or_packed_is_refused() -> None:
     writer = Writer()
     pickle = b"\x80\x02" + writer.code({"a": SIX}) + b"."
     reader = TorchReader(memoryview(archive(pickle, [])))
-    with pytest.raises(InvalidFile, match="a has its numbers in data/0, which is not there"):
+    with pytest.raises(InvalidFile, match="a refers to data/0, which is missing"):
         reader.array(reader.root["a"], "a")
     with pytest.raises(InvalidFile, match=r"lists 0 members data\.pkl"):
         TorchReader(memoryview(archive(pickle, [], prefix="x").replace(b"data.pkl", b"data.pkk")))
@@ -240,7 +252,7 @@ def test_what_torch_saves_is_read(torch: str, tmp_path: Path) -> None:
 @pytest.mark.tools
 @pytest.mark.slow
 def test_torch_reads_what_is_written(torch: str, tmp_path: Path) -> None:
-    (tmp_path / "a.pt").write_bytes(torch_file({"a": View(SIX, 0, (3, 2), (1, 3)), "b": numpy_array(SIX)}))
+    (tmp_path / "a.pt").write_bytes(torch_file({"a": TensorView(SIX, 0, (3, 2), (1, 3)), "b": numpy_array(SIX)}))
     loads = "import sys, torch; a = torch.load(sys.argv[1]); print(a['a'].tolist(), a['b'].tolist())"
     done = subprocess.run([torch, "-c", loads, str(tmp_path / "a.pt")], capture_output=True, check=True, timeout=120)
     assert done.stdout.decode().split("\n")[0] == f"{SIX.reshape(2, 3).T.tolist()} {SIX.tolist()}"

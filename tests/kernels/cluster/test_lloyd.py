@@ -7,17 +7,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nerfbake.kernels.cluster import colours, lloyd
+from nerfbake.kernels.cluster import lloyd
+from nerfbake.kernels.cluster.colours import codes_of, colours_of, runs
 
 RANDOM = np.random.default_rng(8)
 
 
 def clouds(m: int) -> tuple[np.ndarray, np.ndarray]:
     """Points along a bent sheet, sorted into cells."""
-    codes = np.unique(colours.codes_of(RANDOM.integers(0, 256, (m, 3), np.uint8)))
-    f = colours.colours_of(codes) / 255
+    codes = np.unique(codes_of(RANDOM.integers(0, 256, (m, 3), np.uint8)))
+    f = colours_of(codes) / 255
     points = np.stack([f[:, 0], f[:, 1], f[:, 2], f[:, 0] * f[:, 1], np.sin(5 * f[:, 2])], axis=1)
-    return (100 * points).astype(np.float32), colours.runs(codes >> np.uint32(15))
+    return (100 * points).astype(np.float32), runs(codes >> np.uint32(15))
 
 
 @pytest.mark.parametrize("K", [1, 5, 300])

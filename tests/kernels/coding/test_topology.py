@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from nerfbake.kernels.coding.nodes import nodes_of
-from nerfbake.kernels.coding.topology import DEEP, ORPHAN, SOUND, decode_masks, encode_masks
+from nerfbake.kernels.coding.topology import DEEP, ORPHAN, SOUND, decode_masks, encode_masks, nodes_of
 from tests.support.quantised import random_quantised
 
 seeds = st.integers(0, 10_000)

@@ -8,25 +8,35 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nerfbake.kernels.fit.bricks import COLOUR_SUM, CURVATURE, DENSITY_SUM, MOST, ROW, SIGMA, WEIGHT, Bricks, new_batch
-from nerfbake.kernels.fit.plan import plan_of_solid, settle
-from nerfbake.kernels.fit.rays import View, march_view
+from nerfbake.kernels.fit.bricks import (
+    COLOUR_SUM,
+    CURVATURE,
+    DENSITY_SUM,
+    MOST,
+    ROW,
+    SIGMA,
+    WEIGHT,
+    BrickGrid,
+    new_batch,
+)
+from nerfbake.kernels.fit.plan import number_cells, plan_of_solid
+from nerfbake.kernels.fit.rays import FitView, march_view
 
 EYE = np.array([0.4, 0.3, 5.0])
 
 
-def bricks(seed: int = 0) -> Bricks:
+def bricks(seed: int = 0) -> BrickGrid:
     """A ball of 16^3 cells over the unit cube, with colours of SH4 and densities of all sizes."""
     x = (np.arange(16) + 0.5) / 16 - 0.5
     solid = np.add.outer(np.add.outer(x * x, x * x), x * x) < 0.2
-    made, random = settle(plan_of_solid(solid)), np.random.default_rng(seed)
+    made, random = number_cells(plan_of_solid(solid)), np.random.default_rng(seed)
     n = len(made.row)
     values = random.normal(0, 1, 13 * n).astype(np.float32)
     for brick in range(len(made.first) - 1):
         start, end = made.first[brick], made.first[brick + 1]
         values[13 * start + 12 * (end - start) : 13 * end] = random.uniform(0, 0.5, end - start)
     size = np.full(3, 1 / 16)
-    return Bricks(made.top, made.slots, made.first, made.places, values, np.zeros(3), size, 1 / 16)
+    return BrickGrid(made.top, made.slots, made.first, made.places, values, np.zeros(3), size, 1 / 16)
 
 
 def rays(samples: int) -> Any:
@@ -38,12 +48,12 @@ def rays(samples: int) -> Any:
     return directions.astype(np.float32), targets.astype(np.float32)
 
 
-def marched(made: Bricks, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
+def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
     """The errors' sum, and the rows (n, 16) added up over tasks."""
     directions, targets = rays(samples)
     n, errors = len(made.places), np.zeros(tasks)
     batch = new_batch(tasks, len(made.slots), n)
-    march_view(made, batch, View(EYE, directions, targets, np.ones(3, np.float32), 0.0, point), errors)
+    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point), errors)
     total = np.zeros((n, ROW))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
@@ -53,7 +63,7 @@ def marched(made: Bricks, samples: int = 1, tasks: int = 1, point: float = 0.0) 
     return errors.sum(), total
 
 
-def place_of(made: Bricks, cell: int) -> int:
+def place_of(made: BrickGrid, cell: int) -> int:
     """Where a cell's density stands among the values."""
     brick = int(np.searchsorted(made.first, cell, side="right")) - 1
     start, count = int(made.first[brick]), int(made.first[brick + 1] - made.first[brick])
@@ -93,7 +103,7 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     made = bricks()
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
-    march_view(made, batch, View(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0), np.zeros(1))
+    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0), np.zeros(1))
     _, rows = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
     assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])

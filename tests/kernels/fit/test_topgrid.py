@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from nerfbake.kernels.fit.topgrid import top_grid
+from nerfbake.kernels.fit.bricks import top_grid
 
 
 def test_distances_are_those_to_the_nearest_brick() -> None:

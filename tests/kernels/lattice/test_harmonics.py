@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from nerfbake.kernels.lattice.harmonics import LEAST, inverse_of, log_lanes, refitted, shown
+from nerfbake.kernels.lattice.harmonics import LEAST, evaluate_colours, inverse_of, log_lanes, refit_coefficients
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 
 RANDOM = np.random.default_rng(3)
 
@@ -21,7 +21,7 @@ def test_coefficients_are_the_least_squares_of_the_logits() -> None:
     assert colours.max() > 1
     cut = np.clip(colours, LEAST, 1 - LEAST)
     expected = np.linalg.lstsq(wanted, np.log(cut / (1 - cut)).T, rcond=None)[0].T.reshape(70, 48)
-    found = refitted(features, basis.astype(np.float32), inverse_of(wanted))
+    found = refit_coefficients(features, basis.astype(np.float32), inverse_of(wanted))
     assert_allclose(found, expected, rtol=1e-5, atol=1e-4)
 
 
@@ -29,7 +29,7 @@ def test_a_colour_is_seen_in_its_own_direction() -> None:
     directions, features = fibonacci(5), RANDOM.normal(0, 0.5, (8, 12)).astype(np.float32)
     ray = np.array([4, 0, 1, 1, 2, 3, 4, 0])
     expected = np.maximum(0.5 + np.einsum("kcb,kb->kc", features.reshape(8, 3, 4), sh_basis(directions[ray], 4)), 0)
-    assert_allclose(shown(features, sh_basis(directions, 4, np.float32), ray), expected, atol=1e-6)
+    assert_allclose(evaluate_colours(features, sh_basis(directions, 4, np.float32), ray), expected, atol=1e-6)
 
 
 def test_the_logarithm_of_lanes() -> None:

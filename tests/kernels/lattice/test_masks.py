@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake.kernels.lattice.masks import nodes_around, touched_cells
+from nerfbake.kernels.lattice.planes import nodes_around, touched_cells
 
 
 def test_a_node_touches_eight_cells_even_at_the_end() -> None:

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake.kernels.lattice.nodes import (
     RELU,
     SOFTPLUS,
-    Nodes,
-    blended,
+    DensityNodes,
     cells_in,
     densities,
     in_nodes,
+    interpolate_rows,
     nearest_in,
     softplus_of,
     thickness_of,
@@ -51,10 +51,10 @@ def test_values_are_the_sums_of_all_nodes_by_their_hats(corners: bool) -> None:
         assert_allclose(at, np.clip(where * SHAPE - 0.5, 0, np.array(SHAPE) - 1))
     weights = hats(at) * (LINKS >= 0)
     table = RANDOM.normal(0, 1, (210, 4)).astype(np.float32)
-    assert_allclose(blended(LINKS, table, at), np.einsum("mxyz,xyzc->mc", weights, table[LINKS]), atol=2e-6)
+    assert_allclose(interpolate_rows(LINKS, table, at), np.einsum("mxyz,xyzc->mc", weights, table[LINKS]), atol=2e-6)
     raw = np.einsum("mxyz,xyz->m", weights, DENSITY[LINKS])
     met = (hats(at) > 0)[:, LINKS >= 0].any(axis=1)
-    nodes = Nodes(LINKS, DENSITY, EVERYWHERE, *nearest_in(EVERYWHERE), int(corners), RELU, 0.0, 2.0, 0.0)
+    nodes = DensityNodes(LINKS, DENSITY, EVERYWHERE, *nearest_in(EVERYWHERE), int(corners), RELU, 0.0, 2.0, 0.0)
     assert_allclose(densities(nodes, where), np.where(met, 2 * np.maximum(raw, 0), 0), atol=1e-5)
     soft = nodes._replace(kind=SOFTPLUS, shift=-1.5, least=0.125)
     wanted = 2 * np.log1p(np.exp(raw - 1.5))
@@ -67,7 +67,7 @@ def test_a_mask_counts_at_its_nearest_node() -> None:
     mask = np.zeros((3, 2, 2), bool)
     mask[1] = True
     full = np.arange(210, dtype=np.int32).reshape(SHAPE)
-    nodes = Nodes(full, np.ones(210, np.float32), mask, *nearest_in(mask), 1, RELU, 0.0, 1.0, 0.0)
+    nodes = DensityNodes(full, np.ones(210, np.float32), mask, *nearest_in(mask), 1, RELU, 0.0, 1.0, 0.0)
     x = np.array([0.0, 0.2499, 0.2501, 0.5, 0.7499, 0.7501, 1.0])
     where = np.column_stack([x, np.full(7, 0.3), np.full(7, 0.9)])
     assert_array_equal(densities(nodes, where), [0, 0, 1, 1, 1, 0, 0])
@@ -85,7 +85,7 @@ def test_a_mask_may_be_of_cells_in_a_box_of_its_own() -> None:
     mask[[1, 3]] = True
     box, own = np.array([[0.0, 0, 0], [2, 1, 1]]), np.array([[-0.5, 0, 0], [1.5, 1, 1]])
     full = np.arange(210, dtype=np.int32).reshape(SHAPE)
-    nodes = Nodes(full, np.ones(210, np.float32), mask, *cells_in(mask, box, own), 1, RELU, 0.0, 1.0, 0.0)
+    nodes = DensityNodes(full, np.ones(210, np.float32), mask, *cells_in(mask, box, own), 1, RELU, 0.0, 1.0, 0.0)
     x = np.array([0.0, 0.24, 0.26, 0.49, 0.51, 0.7, 0.75, 0.76, 1.0])
     where = np.column_stack([x, np.full(9, 0.3), np.full(9, 1.0)])
     assert_array_equal(densities(nodes, where), [1, 1, 0, 0, 1, 1, 1, 0, 0])

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake.kernels.lattice.nodes import RELU, Nodes, nearest_in
-from nerfbake.kernels.lattice.rays import gathered, samples_of, summed
+from nerfbake.kernels.lattice.nodes import RELU, DensityNodes, nearest_in
+from nerfbake.kernels.lattice.rays import composite_colours, composite_values, samples_of
 
 LINKS = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
 STEP = 0.125
 
 
-def nodes(density: float) -> Nodes:
+def nodes(density: float) -> DensityNodes:
     mask = np.ones((1, 1, 1), bool)
-    return Nodes(LINKS, np.full(8, density, np.float32), mask, *nearest_in(mask), 1, RELU, 0.0, 1.0, 0.0)
+    return DensityNodes(LINKS, np.full(8, density, np.float32), mask, *nearest_in(mask), 1, RELU, 0.0, 1.0, 0.0)
 
 
 def test_a_ray_through_a_fog_is_weighed_by_hand() -> None:
@@ -29,8 +29,10 @@ def test_a_ray_through_a_fog_is_weighed_by_hand() -> None:
     assert_allclose(met.weights, weights, rtol=1e-6)
     assert_allclose(met.lost, [[1 - kept**8, (weights * (0.25 + np.arange(8) * STEP)).sum()], [0, 0]])
     colours = np.repeat(np.arange(8, dtype=np.float32)[:, None], 3, axis=1)
-    assert_allclose(gathered(met, colours)[0], (weights * np.arange(8)).sum(), rtol=1e-6)
-    assert_allclose(summed(met, colours[:, :2] + 1), [[(weights * np.arange(1, 9)).sum()] * 2, [0, 0]], rtol=1e-6)
+    assert_allclose(composite_colours(met, colours)[0], (weights * np.arange(8)).sum(), rtol=1e-6)
+    assert_allclose(
+        composite_values(met, colours[:, :2] + 1), [[(weights * np.arange(1, 9)).sum()] * 2, [0, 0]], rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("cut", [0.5, 1e-4])

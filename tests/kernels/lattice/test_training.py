@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake.kernels.lattice import training
-from nerfbake.kernels.lattice.training import BATCH, Pairs, Weights, fitted
+from nerfbake.kernels.lattice.training import BATCH, TrainingRows, Weights, train
 
 UNITS, B = 64, 4
 ROW = np.arange(BATCH) % 40
@@ -17,16 +17,16 @@ WAY = np.arange(BATCH) * 7 % 30
 
 
 @pytest.fixture(scope="module")
-def pairs() -> Pairs:
+def pairs() -> TrainingRows:
     """Of 40 rows with three features, and 30 directions; some logits are beyond what counts."""
     random = np.random.default_rng(0)
     arrays = ((40, 3), (40, 3 * B), (30, 5), (30, B))
     features, coefficients, code, basis = (random.normal(0, 1, shape).astype(np.float32) for shape in arrays)
     coefficients[::7] *= 20
-    return Pairs(features, coefficients, code, basis)
+    return TrainingRows(features, coefficients, code, basis)
 
 
-def error(pairs: Pairs, weights: list[npt.NDArray[np.float64]]) -> float:
+def error(pairs: TrainingRows, weights: list[npt.NDArray[np.float64]]) -> float:
     """As the module's docstring has it."""
     first, middle, last, b0, b1, b2 = weights
     x = np.concatenate([pairs.features[ROW], pairs.code[WAY]], axis=1).astype(np.float64)
@@ -41,7 +41,7 @@ def error(pairs: Pairs, weights: list[npt.NDArray[np.float64]]) -> float:
     ("number", "place"),
     [(0, (3, 1)), (0, (40, 7)), (1, (63, 5)), (1, (2, 60)), (2, (1, 33)), (3, (17,)), (4, (50,)), (5, (2,))],
 )
-def test_slopes_are_those_of_the_error(number: int, place: tuple[int, ...], pairs: Pairs) -> None:
+def test_slopes_are_those_of_the_error(number: int, place: tuple[int, ...], pairs: TrainingRows) -> None:
     weights = training._start(np.random.default_rng(1), 8, UNITS)
     found = training._slopes(pairs, weights, ROW, WAY)
     assert [each.shape for each in found] == [each.shape for each in weights]
@@ -53,15 +53,15 @@ def test_slopes_are_those_of_the_error(number: int, place: tuple[int, ...], pair
     assert_allclose(found[number][place], (ends[0] - ends[1]) / 2e-5, rtol=1e-3, atol=1e-7)
 
 
-def test_the_error_falls_and_the_bits_hang_on_the_seed_alone(pairs: Pairs) -> None:
+def test_the_error_falls_and_the_bits_hang_on_the_seed_alone(pairs: TrainingRows) -> None:
     start = training._start(np.random.default_rng(3), 8, UNITS)
     before = numba.get_num_threads()
     try:
         numba.set_num_threads(1)
-        alone = fitted(pairs, UNITS, rounds=50, seed=3)
+        alone = train(pairs, UNITS, rounds=50, seed=3)
     finally:
         numba.set_num_threads(before)
-    together, other = fitted(pairs, UNITS, rounds=50, seed=3), fitted(pairs, UNITS, rounds=50, seed=4)
+    together, other = train(pairs, UNITS, rounds=50, seed=3), train(pairs, UNITS, rounds=50, seed=4)
     for one, same in zip(alone, together, strict=True):
         assert_array_equal(one, same)
     assert (other.first != together.first).any()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nerfbake.kernels.march.looks import faced
+from nerfbake.kernels.march.directions import rotate_and_project
 from nerfbake.kernels.march.sh import sh_basis
-from nerfbake.kernels.maths.affine import turned
+from nerfbake.kernels.maths.affine import rotate
 
 
 @pytest.mark.parametrize("B", [1, 4, 9, 16, 25])
@@ -15,6 +15,6 @@ def test_rays_are_faced_as_arrays_are(B: int) -> None:
     random = np.random.default_rng(B)
     looks, turn, axes = random.normal(size=(2500, 3)), random.normal(size=(3, 3)), random.normal(size=(3, 3))
     looks /= np.sqrt((looks * looks).sum(axis=1))[:, None]
-    ways, basis = faced(looks, turn, axes, B)
-    assert ways.tobytes() == turned(looks, turn).tobytes()
-    assert basis.tobytes() == sh_basis(turned(looks, axes), B, np.float32).tobytes()
+    ways, basis = rotate_and_project(looks, turn, axes, B)
+    assert ways.tobytes() == rotate(looks, turn).tobytes()
+    assert basis.tobytes() == sh_basis(rotate(looks, axes), B, np.float32).tobytes()

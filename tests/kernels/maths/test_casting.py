@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from nerfbake.kernels.maths.casting import cast
+from nerfbake.kernels.maths.elementary import cast
 
 
 def test_what_cannot_be_is_kept_without_a_word() -> None:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from nerfbake.kernels.maths.eigen import cholesky, eigenvectors
+from nerfbake.kernels.maths.linear import cholesky, eigenvectors
 
 
 def test_a_turned_ellipse_by_hand() -> None:

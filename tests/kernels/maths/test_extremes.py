@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nerfbake.kernels.maths import extremes as module
-from nerfbake.kernels.maths.extremes import extremes
+from nerfbake.kernels.maths import elementary as module
+from nerfbake.kernels.maths.elementary import extremes
 
 
 def test_by_hand() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from nerfbake.kernels.octree import haar, haar_blocks
+from nerfbake.kernels.octree import haar
 
 
 @given(st.integers(0, 2**32), st.integers(1, 400), st.integers(1, 6), st.integers(1, 5))
@@ -19,7 +19,7 @@ def test_blocks_give_the_bits_of_the_whole_transform(seed: int, m: int, levels: 
     merges, m = haar.merges_of(codes, levels), len(codes)
     rows = random.integers(-1000, 1000, (m, width + 1)).astype(np.int32)
     steps, mixing, leaf = random.random(width + 1), random.normal(size=(width, width)), random.permutation(m)
-    values, last = haar_blocks.restore(rows, steps, merges, mixing, leaf)
+    values, last = haar.restore(rows, steps, merges, mixing, leaf)
     points = haar.inverse(rows, steps, merges)
     sums = np.zeros((m, width))
     for channel in range(width):
@@ -33,7 +33,7 @@ def test_blocks_give_the_bits_of_the_whole_transform(seed: int, m: int, levels: 
 def test_a_block_is_a_cube(levels: int) -> None:
     codes = np.unique(np.random.default_rng(levels).integers(0, 8**levels, 3000))
     merges = haar.merges_of(codes, levels)
-    blocks = haar_blocks.blocks_of(merges)
+    blocks = haar.blocks_of(merges)
     cube = codes >> 12
     assert_array_equal(blocks.heads, np.append(np.flatnonzero(np.append(True, cube[1:] != cube[:-1])), len(codes)))
     assert_array_equal(np.sort(blocks.pairs), np.arange(len(blocks.heads) - 2, len(codes) - 1))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from nerfbake.kernels.octree.morton import dilate
+from nerfbake.kernels.octree.lookup import dilate
 
 
 def test_bits_are_spread_by_three() -> None:

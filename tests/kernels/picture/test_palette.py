@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from nerfbake.kernels.picture.palette import ALL_COLOURS, UNKNOWN, nearest_colour
+from nerfbake.kernels.picture.drawing import ALL_COLOURS, UNKNOWN, nearest_colour
 
 
 @given(st.integers(0, 2**32), st.integers(1, 256))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.surface import mlp
 
 RANDOM = np.random.default_rng(3)
@@ -47,7 +47,7 @@ def test_comparison_by_hand() -> None:
     # Weights of zero show 1/2 everywhere: 127.5, which rounds to 128 and is cut to 127.
     w0, w1 = np.zeros((6, 4), np.float32), np.zeros((4, 3), np.float32)
     table = np.array([[125, 125, 125]], np.float32) / np.float32(255)
-    shown = mlp.Shown(table, np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32))
+    shown = mlp.AtlasWeights(table, np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32))
     one, direction = np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])
     np.testing.assert_allclose(
         mlp.differences(one, mlp.split_layers(direction, w0, w1), shown), [[9, 27, 7.5, 18.75]], rtol=1e-4

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nerfbake.kernels.maths.sphere import fibonacci
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.surface import octahedron
 
 

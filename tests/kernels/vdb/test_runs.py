@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake.kernels.vdb import runs
-from nerfbake.kernels.vdb.runs import in_order_of, reduce_runs, rows_of_runs, spread_of, spread_over
+from nerfbake.kernels.vdb import bitmask
+from nerfbake.kernels.vdb.bitmask import in_order_of, reduce_runs, rows_of_runs, spread_of, spread_over
 
 
 def test_empty_runs_say_so() -> None:
@@ -20,7 +20,7 @@ def test_runs_in_another_order() -> None:
 
 @pytest.mark.parametrize("at_once", [1, 2, 1024])
 def test_values_of_runs_in_another_order(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "_RUNS", at_once)
+    monkeypatch.setattr(bitmask, "_RUNS", at_once)
     counts, order = np.array([2, 1, 0, 3]), np.array([3, 2, 0])
     assert_array_equal(in_order_of(np.arange(10, 16), counts, order), [13, 14, 15, 10, 11])
 

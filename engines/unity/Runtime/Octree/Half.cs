@@ -2,7 +2,7 @@ using System.Runtime.InteropServices;
 
 namespace Nerfbake
 {
-    /// <summary>IEEE 754 halves.</summary>
+    /// <summary>Conversion of IEEE 754 halves.</summary>
     internal static class Half
     {
         [StructLayout(LayoutKind.Explicit)]
@@ -12,7 +12,7 @@ namespace Nerfbake
             [FieldOffset(0)] public float Number;
         }
 
-        /// <summary>A half, given by its 16 bits, as the float that equals it.</summary>
+        /// <summary>The float that equals a half, given by its 16 bits.</summary>
         public static float ToFloat(int half)
         {
             int sign = (half & 0x8000) << 16, exponent = half >> 10 & 31, fraction = half & 1023;

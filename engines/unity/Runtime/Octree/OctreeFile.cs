@@ -3,21 +3,22 @@ using System;
 namespace Nerfbake
 {
     /// <summary>
-    /// A .svo.pb: the message of schemas/svo.proto, both profiles, both layouts, both spellings of "no child", float32 and
-    /// float16, and files that have the report's six fields alone. Throws OctreeException, one line, for any other bytes.
+    /// A .svo.pb: the message of schemas/svo.proto in both profiles and both layouts, with 0 or -1 for "no child", in
+    /// float32 or float16, with or without the fields that nerfbake adds to the report's six. Throws an OctreeException
+    /// of one line for any other bytes.
     /// </summary>
     public sealed class OctreeFile : OctreeNodes
     {
         /// <summary>type.googleapis.com/...: the type of a value, or of a whole voxel.</summary>
         public string TypeUrl { get; private set; }
 
-        /// <summary>"SH9", "RGBA", ... as the file says, or as the number of values suggests; "" if nobody knows.</summary>
+        /// <summary>"SH9", "RGBA", ... from the file, or derived from the number of values; "" if unknown.</summary>
         public string DataFormat { get; private set; }
 
-        /// <summary>Floats in a node.</summary>
+        /// <summary>Values per node.</summary>
         public int DataDim { get; private set; }
 
-        /// <summary>The file holds float16.</summary>
+        /// <summary>Whether the file contains float16.</summary>
         public bool HasHalves { get; private set; }
 
         private readonly ArraySegment<byte> nodeData;
@@ -53,14 +54,14 @@ namespace Nerfbake
                     throw new OctreeException("voxel_size", "has an edge of " + edge, "a finite number above 0, 1e-15 to 1e15");
         }
 
-        /// <summary>The octree with all values as plain floats, DataDim for each node.</summary>
+        /// <summary>The octree with all values as plain floats, DataDim per node.</summary>
         public SparseVoxelOctree<float> ToNumbers()
         {
             return new SparseVoxelOctree<float>(this, Values());
         }
 
-        /// <summary>The octree with a struct for each node, whose floats are the node's in their order. One of this
-        /// package must be the file's: an SH9Voxel reads SH9 alone. Throws OctreeException.</summary>
+        /// <summary>The octree with one struct per node, which contains the node's floats in their order. A struct of
+        /// this package must match the format of the file: SH9Voxel reads only SH9. Throws OctreeException.</summary>
         public SparseVoxelOctree<T> ToVoxels<T>() where T : struct
         {
             int floats = VoxelMemory.FloatsIn<T>();

@@ -3,9 +3,9 @@ using System;
 namespace Nerfbake
 {
     /// <summary>
-    /// The nodes of a sparse voxel octree, and the way down to one, as TR-24-01 (docs/sources.md) has them: listing 1, and what
-    /// docs/formats/octree.md says beyond it. Right-handed; octant = x + 2y + 4z, 1 being the upper half. A node without
-    /// any child is a leaf and fills its cube; in a node that has children, an octant without one is empty.
+    /// The nodes of a sparse voxel octree and their lookup, as in listing 1 of TR-24-01 (docs/sources.md), with the
+    /// additional rules of docs/formats/octree.md. Right-handed; octant = x + 2y + 4z, 1 is the upper half. A node
+    /// without children is a leaf and fills its cube; in a node with children, an octant without a child is empty.
     /// </summary>
     public class OctreeNodes
     {
@@ -15,16 +15,16 @@ namespace Nerfbake
         public int Height { get; private set; }
         public int Depth { get; private set; }
 
-        /// <summary>Eight a node, 0 where there is no child. Nodes of the last level may have none (`compact`).</summary>
+        /// <summary>Eight per node, 0 for no child. Nodes of the last level may have no entries (`compact`).</summary>
         public int[] NodeChildren { get; private set; }
 
-        /// <summary>How many nodes there are; every one of them has values.</summary>
+        /// <summary>The number of nodes; every node has values.</summary>
         public int Count { get; private set; }
 
-        /// <summary>How many nodes each level has, the root's first.</summary>
+        /// <summary>The number of nodes of each level, starting with the root's level.</summary>
         public int[] LevelSizes { get; private set; }
 
-        /// <summary>The level whose nodes are single voxels: the root's cube has 2^GridLevel voxels an edge.</summary>
+        /// <summary>The level of single voxels: the root's cube has 2^GridLevel voxels along an edge.</summary>
         public int GridLevel { get; private set; }
 
         /// <summary>world = origin + voxel * voxelSize; voxel (0, 0, 0) starts at origin.</summary>
@@ -32,8 +32,8 @@ namespace Nerfbake
 
         public double[] VoxelSize { get; private set; }
 
-        /// <summary>Proves the table sound: every node but the root is one node's child, once, and lies on a level that
-        /// the grid has. Throws OctreeException.</summary>
+        /// <summary>Validates the children: every node except the root is the child of exactly one node, and its level
+        /// exists in the grid. Throws OctreeException.</summary>
         protected OctreeNodes(int[] size, int[] children, int count, double[] origin, double[] voxelSize)
         {
             for (int axis = 0; axis < 3; axis++)
@@ -104,7 +104,7 @@ namespace Nerfbake
             return end;
         }
 
-        /// <summary>Eight children for every node, as the shaders want them: zeros behind those of a compact octree.</summary>
+        /// <summary>Eight children for every node, for the shaders; a compact octree is padded with zeros.</summary>
         public int[] ChildrenOfAll()
         {
             int[] all = new int[8 * Count];
@@ -112,7 +112,7 @@ namespace Nerfbake
             return all;
         }
 
-        /// <summary>The node that fills the cube around a voxel; -1 for empty space and outside the grid.</summary>
+        /// <summary>The leaf that contains a voxel; -1 in empty space and outside the grid.</summary>
         public int NodeAt(int x, int y, int z)
         {
             if (x < 0 || y < 0 || z < 0 || x >= Width || y >= Height || z >= Depth)
@@ -139,7 +139,7 @@ namespace Nerfbake
             return false;
         }
 
-        /// <summary>The node around a point in voxels; -1 for empty space, outside the grid, and NaN.</summary>
+        /// <summary>The leaf around a point in voxels; -1 in empty space, outside the grid, and for NaN.</summary>
         public int NearestNode(float x, float y, float z)
         {
             if (!(x >= 0 && y >= 0 && z >= 0 && x < Width && y < Height && z < Depth))
@@ -148,8 +148,8 @@ namespace Nerfbake
         }
 
         /// <summary>
-        /// Of the eight voxels whose centres surround a point in voxels, those that are not empty: their nodes and their
-        /// weights, into arrays of eight; how many there are. All weights, those of empty ones too, add up to 1.
+        /// Writes the leaves and the weights of the voxels that are not empty, among the eight whose centres surround a
+        /// point in voxels, to arrays of eight, and returns their number. The weights of all eight add up to 1.
         /// </summary>
         public int Neighbours(float x, float y, float z, int[] nodes, float[] weights)
         {

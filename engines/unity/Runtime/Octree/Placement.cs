@@ -1,12 +1,12 @@
 namespace Nerfbake
 {
     /// <summary>
-    /// Where an octree stands in a left-handed world with y up, as Unity's is: (x, y, z) there is (x, z, y) in the octree's
+    /// Places an octree in a left-handed world with y up, like Unity's: (x, y, z) there is (x, z, y) in the octree's
     /// own axes, which are right-handed with z up. The same as Y_UP_LEFT in world.hlsl.
     /// </summary>
     public static class Placement
     {
-        /// <summary>Three rows of a 3 x 4 matrix, from the octree's own world to voxels.</summary>
+        /// <summary>The three rows of the 3 x 4 matrix from the octree's own world to voxels.</summary>
         public static float[] ToVoxels(OctreeNodes octree)
         {
             float[] rows = new float[12];
@@ -18,8 +18,8 @@ namespace Nerfbake
             return rows;
         }
 
-        /// <summary>The eight corners of the octree's box, x, y, z of each; corner i has the upper x where i and 1 is set,
-        /// the upper y with 2 and the upper z with 4.</summary>
+        /// <summary>The eight corners of the octree's box, x, y, z each. Corner i has the upper x if bit 1 of i is set,
+        /// the upper y if bit 2 is set, and the upper z if bit 4 is set.</summary>
         public static float[] Corners(OctreeNodes octree)
         {
             int[] size = { octree.Width, octree.Height, octree.Depth }, own = { 0, 2, 1 };
@@ -33,7 +33,7 @@ namespace Nerfbake
             return corners;
         }
 
-        /// <summary>The twelve triangles of that box by its corners, clockwise from outside as Unity has it.</summary>
+        /// <summary>The twelve triangles of that box by its corners, clockwise from outside as in Unity.</summary>
         public static int[] Triangles()
         {
             return new[]

@@ -5,9 +5,9 @@ using System.Text;
 namespace Nerfbake
 {
     /// <summary>
-    /// The fields of a Protocol Buffers message by their numbers, as far as a message of numbers, text, bytes and packed
-    /// arrays needs it; the payloads stay where they are in the file. Unknown fields are skipped. Whatever the bytes say,
-    /// each is looked at once, and nothing larger than the file is allocated.
+    /// The fields of a Protocol Buffers message by their numbers. Supports numbers, text, bytes and packed arrays; the
+    /// payloads are not copied. Unknown fields are skipped. For any input, each byte is read once, and nothing larger
+    /// than the file is allocated.
     /// </summary>
     internal sealed class ProtobufMessage
     {
@@ -87,14 +87,14 @@ namespace Nerfbake
             return found;
         }
 
-        /// <summary>A whole number of 32 bits; 0 where absent. Of several the last one counts.</summary>
+        /// <summary>An integer of 32 bits; 0 if absent. If the field is repeated, the last one counts.</summary>
         public int Number(int number)
         {
             List<Field> found = Of(number, Varint);
             return found.Count == 0 ? 0 : unchecked((int)(uint)found[found.Count - 1].Value);
         }
 
-        /// <summary>A bytes field, which may be absent. Of several the last one counts.</summary>
+        /// <summary>A bytes field; empty if absent. If the field is repeated, the last one counts.</summary>
         public ArraySegment<byte> Last(int number)
         {
             List<Field> found = Of(number, Bytes);
@@ -117,7 +117,7 @@ namespace Nerfbake
             }
         }
 
-        /// <summary>A packed array of varints, of each the lower 32 bits; a writer may have cut it into several runs.</summary>
+        /// <summary>The lower 32 bits of a packed array of varints, which may be split into several runs.</summary>
         public int[] WholeNumbers(int number)
         {
             List<Field> runs = Of(number, Bytes);
@@ -133,7 +133,7 @@ namespace Nerfbake
             return numbers;
         }
 
-        /// <summary>A packed array of doubles; a writer may have cut it into several runs.</summary>
+        /// <summary>A packed array of doubles, which may be split into several runs.</summary>
         public double[] Doubles(int number, string name)
         {
             List<double> found = new List<double>();

@@ -3,21 +3,22 @@ using System;
 namespace Nerfbake
 {
     /// <summary>
-    /// Listing 1 of TR-24-01 (docs/sources.md): an octree whose nodes hold values of type T. T is float, and then
-    /// a node has DataDim of them; or a struct of a node's floats with names, SH9Voxel and its like or one of your own, and then it has one.
+    /// Listing 1 of TR-24-01 (docs/sources.md): an octree with node values of type T. T is either float, with DataDim
+    /// values per node, or a struct with a name for each of a node's floats (SH9Voxel and the others of this package,
+    /// or your own struct), with one struct per node.
     /// </summary>
     public sealed class SparseVoxelOctree<T> : OctreeNodes where T : struct
     {
-        /// <summary>Node after node. Halves of a file are floats here, which is exact.</summary>
+        /// <summary>The values, node after node. Halves of a file become floats, which is exact.</summary>
         public T[] NodeData { get; private set; }
 
-        /// <summary>How many T a node has.</summary>
+        /// <summary>The number of T per node.</summary>
         public int PerNode { get; private set; }
 
-        /// <summary>How many floats a node has: the coefficients of red, green and blue, then sigma.</summary>
+        /// <summary>The number of floats per node: the coefficients of red, green and blue, then sigma.</summary>
         public int DataDim { get; private set; }
 
-        /// <summary>How they are laid out, as svox names it: "SH9", "RGBA", ...; "" if nobody knows.</summary>
+        /// <summary>The layout of these floats, in svox's names: "SH9", "RGBA", ...; "" if unknown.</summary>
         public string DataFormat { get; private set; }
 
         internal SparseVoxelOctree(OctreeFile file, T[] data) : base(file)
@@ -28,7 +29,7 @@ namespace Nerfbake
             DataFormat = file.DataFormat;
         }
 
-        /// <summary>What the voxel around a point in voxels holds; all zeros in empty space and outside.</summary>
+        /// <summary>The value of the voxel around a point in voxels; zeros in empty space or outside.</summary>
         public T Nearest(float x, float y, float z)
         {
             if (PerNode != 1)
@@ -37,7 +38,7 @@ namespace Nerfbake
             return node < 0 ? default(T) : NodeData[node];
         }
 
-        /// <summary>The same as DataDim floats.</summary>
+        /// <summary>Writes the same value as DataDim floats.</summary>
         public void Nearest(float x, float y, float z, float[] values)
         {
             int node = NearestNode(x, y, z);
@@ -47,8 +48,8 @@ namespace Nerfbake
                 VoxelMemory.ToFloats(NodeData, node * PerNode, values, DataDim);
         }
 
-        /// <summary>Between the eight voxels whose centres surround a point in voxels, as DataDim floats; what is empty or
-        /// outside counts as zeros.</summary>
+        /// <summary>Interpolates between the eight voxels whose centres surround a point in voxels, as DataDim floats.
+        /// Empty space and voxels outside the grid count as zeros.</summary>
         public void Trilinear(float x, float y, float z, float[] values)
         {
             int[] nodes = new int[8];

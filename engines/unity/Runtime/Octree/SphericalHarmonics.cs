@@ -5,7 +5,7 @@ namespace Nerfbake
 {
     /// <summary>
     /// Real spherical harmonics in the order and with the signs of PlenOctrees: f0^0, f1^-1, f1^0, f1^1, f2^-2, ...;
-    /// docs/conventions.md. Directions are of length 1, from the camera to the scene, in the octree's own axes.
+    /// docs/conventions.md. Directions are unit vectors from the camera to the scene, in the octree's own axes.
     /// </summary>
     public static class SphericalHarmonics
     {
@@ -69,9 +69,9 @@ namespace Nerfbake
         }
 
         /// <summary>
-        /// The colour that a node's floats show in a direction, red, green and blue in 0..1, sRGB: the sigmoid of each
-        /// colour's coefficients times the basis. RGBA has one number a colour, and no basis. Throws OctreeException for
-        /// lobes, which cannot be drawn.
+        /// The colour of a node's floats in a direction, red, green and blue in 0..1, sRGB: the sigmoid of each
+        /// colour's coefficients times the basis. RGBA has one number per colour, and no basis. Throws OctreeException
+        /// for lobes, which cannot be drawn.
         /// </summary>
         public static void Colour(string dataFormat, float[] values, float x, float y, float z, float[] colour)
         {

@@ -3,10 +3,10 @@ using System.Runtime.InteropServices;
 
 namespace Nerfbake
 {
-    /// <summary>Floats as structs of floats and back, without code for each struct.</summary>
+    /// <summary>Converts floats to structs of floats and back, without code for each struct.</summary>
     internal static class VoxelMemory
     {
-        /// <summary>The floats that a T is. Throws ArgumentException for a T that is not floats alone.</summary>
+        /// <summary>The number of floats in a T. Throws ArgumentException if T does not consist of floats.</summary>
         public static int FloatsIn<T>() where T : struct
         {
             int size = Marshal.SizeOf(typeof(T));
@@ -30,7 +30,7 @@ namespace Nerfbake
             return found;
         }
 
-        /// <summary>So many floats from the T with this number on.</summary>
+        /// <summary>Writes `count` floats to `values`, starting at data[first].</summary>
         public static void ToFloats<T>(T[] data, int first, float[] values, int count) where T : struct
         {
             float[] plain = data as float[];

@@ -3,7 +3,7 @@ using System.Globalization;
 
 namespace Nerfbake
 {
-    /// <summary>What a type_url and a data_format say of a node's values.</summary>
+    /// <summary>The type of a node's values, from type_url and data_format.</summary>
     internal struct VoxelType
     {
         private const string Home = "type.googleapis.com/";
@@ -34,8 +34,8 @@ namespace Nerfbake
             throw new OctreeException("type_url", "is none that is known", "FloatValue, Float16Value, or a voxel of schemas/voxels.proto");
         }
 
-        /// <summary>The file's format, or the one that this number of values suggests; throws where they do not go
-        /// together.</summary>
+        /// <summary>The file's format, or the format derived from this number of values. Throws if the two do not
+        /// match.</summary>
         public string FormatFor(int dataDim)
         {
             if (Format == "")
@@ -50,7 +50,7 @@ namespace Nerfbake
             return Format;
         }
 
-        /// <summary>Coefficients of a colour: 9 for "SH9", 1 for "RGBA". Throws for a name that svox does not know.</summary>
+        /// <summary>Coefficients per colour: 9 for "SH9", 1 for "RGBA". Throws for names that svox lacks.</summary>
         private static int Colours(string format)
         {
             if (format == "RGBA")

@@ -1,6 +1,6 @@
 using System.Runtime.InteropServices;
 
-// A node's floats with names: the messages of schemas/voxels.proto. F1_m1 is the coefficient f1^-1: degree 1, order -1.
+// Structs that name a node's floats: the messages of schemas/voxels.proto. F1_m1 is f1^-1: degree 1, order -1.
 namespace Nerfbake
 {
     /// <summary>Coefficients of one colour: 1 spherical harmonic.</summary>
@@ -83,7 +83,7 @@ namespace Nerfbake
         public float Sigma;
     }
 
-    /// <summary>Colours that look the same from everywhere.</summary>
+    /// <summary>Colours that do not depend on the view.</summary>
     [StructLayout(LayoutKind.Sequential, Pack = 4)]
     public struct RGBAVoxel
     {

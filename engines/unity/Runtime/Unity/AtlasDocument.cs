@@ -3,11 +3,11 @@ using UnityEngine;
 
 namespace Nerfbake
 {
-    /// <summary>What atlas.json says of the folder that `nerfbake atlas` writes, as far as a shader needs it.</summary>
+    /// <summary>The parts of the atlas.json from `nerfbake atlas` that a shader needs.</summary>
     [Serializable]
     public sealed class AtlasDocument
     {
-        /// <summary>One of the meshes, each with textures of its own. The names are those of the file.</summary>
+        /// <summary>One of the meshes; each has its own textures. The names are those of the file.</summary>
         [Serializable]
         public sealed class Cascade
         {

@@ -3,8 +3,8 @@ using UnityEngine;
 namespace Nerfbake
 {
     /// <summary>
-    /// Shows a mesh with the atlas that `nerfbake atlas` baked: gives the material, which must be of the shader
-    /// Nerfbake/Atlas, the textures of one cascade and the numbers of atlas.json.
+    /// Shows a mesh with an atlas baked by `nerfbake atlas`: passes the textures of one cascade and the numbers of
+    /// atlas.json to the material, which must use the shader Nerfbake/Atlas.
     /// </summary>
     [ExecuteAlways]
     [RequireComponent(typeof(MeshRenderer))]

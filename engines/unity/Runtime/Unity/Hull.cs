@@ -2,7 +2,7 @@ using UnityEngine;
 
 namespace Nerfbake
 {
-    /// <summary>The meshes in which octrees are marched, in an object's own axes.</summary>
+    /// <summary>Makes the meshes whose fragments march an octree, in the object's own axes.</summary>
     public static class Hull
     {
         /// <summary>The box of the whole octree.</summary>
@@ -15,8 +15,8 @@ namespace Nerfbake
             return MeshOf(vertices, Placement.Triangles());
         }
 
-        /// <summary>A hull of `nerfbake hull`, written as .obj: Unity mirrors its x, and knows nothing of z being up. What
-        /// it imports as (x, y, z) is turned to (-x, z, y).</summary>
+        /// <summary>A hull that `nerfbake hull` wrote as .obj. Unity mirrors x when it imports an .obj, and does not
+        /// convert z up to y up, so an imported vertex (x, y, z) becomes (-x, z, y).</summary>
         public static Mesh FromObj(Mesh imported)
         {
             Vector3[] vertices = imported.vertices;

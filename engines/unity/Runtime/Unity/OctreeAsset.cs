@@ -2,19 +2,19 @@ using UnityEngine;
 
 namespace Nerfbake
 {
-    /// <summary>A .svo.pb as an asset: the bytes of the file, proved sound when it was imported.</summary>
+    /// <summary>A .svo.pb as an asset: the bytes of the file, which were validated at the import.</summary>
     public sealed class OctreeAsset : ScriptableObject
     {
         [SerializeField, HideInInspector] private byte[] bytes;
         [SerializeField] private string content;
 
-        /// <summary>What the file holds, in words.</summary>
+        /// <summary>A description of the contents.</summary>
         public string Content
         {
             get { return content; }
         }
 
-        /// <summary>Throws OctreeException, one line, for bytes that are no octree.</summary>
+        /// <summary>Throws an OctreeException of one line for bytes that are not a valid octree.</summary>
         public static OctreeAsset From(byte[] bytes)
         {
             OctreeFile file = OctreeFile.Read(bytes);

@@ -3,7 +3,7 @@ using UnityEngine;
 
 namespace Nerfbake
 {
-    /// <summary>An octree on the graphics card: the buffers and the numbers that Shaders/Octree.hlsl reads.</summary>
+    /// <summary>An octree on the graphics card: the buffers and uniforms that Shaders/Octree.hlsl reads.</summary>
     public sealed class OctreeBuffers : IDisposable
     {
         private static readonly int Children = Shader.PropertyToID("nodeChildren"), Data = Shader.PropertyToID("nodeData");
@@ -17,7 +17,7 @@ namespace Nerfbake
         private readonly Vector4 size, basis;
         private readonly float[] toVoxels;
 
-        /// <summary>Throws OctreeException for values that cannot be drawn: lobes, and what nobody knows.</summary>
+        /// <summary>Throws OctreeException for values that cannot be drawn: lobes, and unknown formats.</summary>
         public OctreeBuffers(OctreeFile file)
         {
             bool plain = file.DataFormat == "RGBA";

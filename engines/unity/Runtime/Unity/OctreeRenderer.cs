@@ -3,8 +3,9 @@ using UnityEngine;
 namespace Nerfbake
 {
     /// <summary>
-    /// Draws an octree: a hull, in whose fragments the shader marches. The material decides how: Nerfbake/Octree blends with
-    /// what stands behind it, Nerfbake/Octree Cutout writes depth like an opaque mesh; both cast shadows.
+    /// Draws an octree: the shader marches a ray in each fragment of a hull. The material selects the shader:
+    /// Nerfbake/Octree blends with the objects behind it, Nerfbake/Octree Cutout writes depth like an opaque mesh. Both
+    /// cast shadows.
     /// </summary>
     [ExecuteAlways]
     [RequireComponent(typeof(MeshFilter), typeof(MeshRenderer))]
@@ -19,7 +20,7 @@ namespace Nerfbake
         private Mesh mesh;
         private bool stale;
 
-        /// <summary>What is drawn; null: nothing.</summary>
+        /// <summary>The octree to draw; null draws nothing.</summary>
         public OctreeAsset Octree
         {
             get { return octree; }
@@ -40,7 +41,7 @@ namespace Nerfbake
             Release();
         }
 
-        // Unity allows no other mesh here: it is made with the next frame.
+        // Unity does not allow a change of the mesh here, so Update() makes it.
         private void OnValidate()
         {
             stale = true;
@@ -52,7 +53,7 @@ namespace Nerfbake
                 Refresh();
         }
 
-        // Rays end at what the camera sees of opaque meshes: it has to draw their depth.
+        // Rays end at the opaque meshes that the camera sees, so the camera has to draw their depth.
         private void OnWillRenderObject()
         {
             Camera.current.depthTextureMode |= DepthTextureMode.Depth;

@@ -2,8 +2,8 @@ using Nerfbake;
 using UnityEngine;
 
 /// <summary>
-/// An octree among ordinary meshes: put this on an empty object, give it an imported .svo.pb and press play. A plane and a
-/// ball stand where they hide parts of it and are hidden, and the octree's shadow falls on the plane.
+/// An octree among ordinary meshes. Add this to an empty object, assign an imported .svo.pb and press play. A plane and
+/// a ball hide parts of the octree and are partly hidden by it, and the octree's shadow falls on the plane.
 /// </summary>
 public sealed class OctreeSample : MonoBehaviour
 {

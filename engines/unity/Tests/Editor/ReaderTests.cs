@@ -1,10 +1,10 @@
 using Nerfbake;
 using NUnit.Framework;
 
-/// <summary>That the reader works in Unity's own runtime, too; what it reads is held to schemas/conformance under Mono.</summary>
+/// <summary>Tests of the reader in Unity's own runtime. Tests under Mono compare it with schemas/conformance.</summary>
 public sealed class ReaderTests
 {
-    // 2 x 2 x 2 voxels, RGBA: the root, and one child at x = 1, y = 1, z = 0, whose density is 4.
+    // 2 x 2 x 2 voxels, RGBA: the root, and one child at x = 1, y = 1, z = 0 with density 4.
     private static readonly byte[] File =
     {
         0x10, 2, 0x18, 2, 0x20, 2, 0x2A, 16, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,

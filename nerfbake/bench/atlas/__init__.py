@@ -1,1 +1,0 @@
-"""Octahedral atlases in every method and size."""

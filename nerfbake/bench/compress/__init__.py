@@ -1,1 +1,0 @@
-"""What compressed octrees cost in bytes and in pictures."""

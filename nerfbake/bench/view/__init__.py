@@ -1,1 +1,0 @@
-"""Pages to look around in, timed in a browser."""

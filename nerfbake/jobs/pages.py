@@ -1,0 +1,347 @@
+"""Write interactive web pages of fields and meshes, or open temporary pages in the user's browser.
+
+A page shows a field, a field with a mesh beside it, a stage-1 folder of nerf2mesh, or an atlas baked from one.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Unpack
+
+from nerfbake import catalog, io, memory
+from nerfbake.errors import BudgetMissed, UsageError
+from nerfbake.jobs.budgets import Budget, judge_output
+from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice
+from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.pictures import PlacedMesh
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import page_views
+from nerfbake.scene.atlas import BakedAtlas
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.compression import Compression
+from nerfbake.scene.held_out import HeldOut
+from nerfbake.scene.image import Image
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.mesh import Mesh, Meshes
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.page import Page, PageField
+from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
+from nerfbake.stages.field_to_image import RenderOptions, render_field
+from nerfbake.stages.field_to_page_field import build_page_field, round_field
+from nerfbake.stages.n3tree_to_octree import build_octree
+from nerfbake.stages.octree_to_compression import compress_octree
+from nerfbake.stages.scene_to_cameras import orbit_cameras
+from nerfbake.stages.scene_to_field import build_field, build_field_from_page, round_to_bytes
+from nerfbake.stages.scenes_to_comparison import compare_scenes
+from nerfbake.stages.stage1_to_image import render_stage1
+from nerfbake.stages.stage1_to_page_surface import build_page_surface
+
+_ALLOWED = "an OUT, which you can open on another machine"
+
+
+@contextmanager
+def written_or_opened(target: AnyTarget | None) -> Iterator[Target]:
+    """Yield the target of a page. Without one, yield a page in a temporary folder and open it after the block.
+
+    The temporary folder is kept for the browser, unless the block fails. Raises UsageError, before the block runs, if
+    no browser is available.
+    """
+    if target is not None:
+        yield as_target(target)
+        return
+    _require_browser()
+    folder = tempfile.mkdtemp(prefix="nerfbake-")
+    page = Path(folder) / "page.html"
+    try:
+        yield Target(str(page))
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    if not webbrowser.open_new_tab(page.as_uri()):
+        raise UsageError(f"no browser could open {page}; allowed: {_ALLOWED}")
+
+
+def _require_browser() -> None:
+    screen = sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not screen and not os.environ.get("BROWSER"):
+        raise UsageError(f"there is no display for a browser; allowed: {_ALLOWED}")
+    try:
+        webbrowser.get()
+    except webbrowser.Error:
+        raise UsageError(f"there is no browser; allowed: {_ALLOWED}") from None
+
+
+_COPIES = 4  # copies of the triangles while a page is made: arrays, bytes, compressed, base64
+Colour = tuple[float, float, float]
+
+
+class PageLook(NamedTuple):
+    """Display options of a page. cameras: a capture to look from, or None. The others are those of Page."""
+
+    title: str
+    cameras: str | None
+    background: Colour | None
+    lookup: Literal["nearest", "trilinear"]
+
+
+class PageExtras(NamedTuple):
+    """The meshes of a page beside its field, and their composite mode, as arguments of Page."""
+
+    meshes: tuple[Mesh, ...] = ()
+    composite: Literal["stop", "ztest"] = "stop"
+
+    @staticmethod
+    def of(mesh: PlacedMesh | None) -> PageExtras:
+        """Read the meshes of a file. Without a file there are no meshes. Raises NerfbakeError."""
+        if mesh is None:
+            return PageExtras()
+        meshes = mesh.read().meshes
+        with io.blame(mesh.path):
+            memory.require("the page's triangles and textures", _COPIES * memory.size_of(meshes))
+        return PageExtras(meshes, mesh.how)
+
+    def render(self, field: RadianceField, view: Camera, **options: Unpack[RenderOptions]) -> Image:
+        """Render the first view of field and meshes. Options are passed to render_field()."""
+        if not self.meshes:
+            return render_field(field, view, **options)
+        meshes = Meshes(self.meshes)
+        return render_field_and_meshes(field, meshes, view, how=self.composite, **options)
+
+
+def surface_page(steps: Steps, source: Source, scene: Stage1 | BakedAtlas, stage1: str | None, look: PageLook) -> Page:
+    """Make the page of a stage-1 folder or an atlas. stage1: for an atlas, a folder whose MLP is also shown.
+
+    Raises NerfbakeError.
+    """
+    mlp = None
+    if stage1 is not None:
+        with steps.phase(f"reading {stage1}"):
+            mlp = io.load_folder(stage1, Stage1)
+    with source.blamed(steps, "arranging the triangles"):
+        surface = build_page_surface(scene, stage1=mlp)
+    views, first = page_views(steps, scene, look.cameras, name=source.name)
+    with source.blamed(steps, "rendering the cover"):
+        cover = render_stage1(scene, first, background=look.background)
+    return Page(surface, None, views, cover, look.title, turns=look.cameras is None, background=look.background)
+
+
+_FRAMES, _EDGE = 4, 200  # number and edge of the pictures on which the loss of float16 is measured
+# Limit for the compressed data of a page without a goal. The page is a third larger, since it stores them in base64,
+# plus a quarter of a megabyte. A page of this size can be mailed.
+_MOST_BYTES = 4_300_000
+
+Data = Literal["compressed", "exact"]
+
+
+def view_file(
+    source: AnySource,
+    target: AnyTarget | None = None,
+    *,
+    data: Data | None = None,
+    goal: CompressionGoal = LEAST_LOSS,
+    choice: GridChoice = AS_IT_IS,
+    cameras: str | None = None,
+    truth: str | None = None,
+    min_psnr: float | None = None,
+    samples: int | None = None,
+    title: str | None = None,
+    background: tuple[float, float, float] | None = None,
+    lookup: Literal["nearest", "trilinear"] = "nearest",
+    mesh: PlacedMesh | None = None,
+    stage1: str | None = None,
+    steps: Steps = SILENT,
+) -> Page:
+    """Write a page that shows a scene in any browser and return it. This is `nerfbake view`.
+
+    The scene is a PlenOctree, an octree, a volume, a lattice field, or a folder with a mesh: nerf2mesh's stage 1 or an
+    atlas. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
+    `target`.rejected if min_psnr is missed. Without a target, writes a temporary page and opens it in the browser.
+
+    data        compressed: the data of compress_file(); exact: float16; None: exact for a volume, else compressed
+    goal        goal of the compression; max_size is the size of the page. By default a loss of 0.1 dB, or more if the
+                page would take more than 6 MB. A source that is already compressed is carried unchanged if neither a
+                goal nor truth is given
+    choice      the grids of a volume
+    cameras     a capture to look from, and to measure min_psnr on; None: the page opens with the front of the scene,
+                which turns slowly, and min_psnr is measured on 8 views around it
+    truth       a folder with a photograph NAME.png for each of the cameras, to measure the loss of the compression on;
+                None: it is predicted
+    min_psnr    lowest allowed mean PSNR of the written page against `source`, in dB; None: no limit
+    samples     rays along each edge of a pixel of these pictures; None: from the cameras, else 1
+    title       title of the page; None: the name of the source without its extension
+    background  sRGB in 0..1; None: light or dark, following the browser's setting
+    lookup      lookup that the page opens with, as in render_field(); it can be switched in the page
+    mesh        a mesh to show in a field
+    stage1      for an atlas: the stage-1 folder that it was baked from, whose MLP the page also shows
+
+    Raises NerfbakeError.
+
+    >>> page = view_file("a.npz", "a.html", data="exact", title="A sample", min_psnr=60)
+    >>> print(page)
+    page of a SH1 page field of 1,252 rows, 2x2x2 cells of 8^3
+    """
+    source = as_source(source)
+    photographs, budget = GroundTruth(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)
+    wish = _Wish(data, goal, photographs, anew=goal != LEAST_LOSS or truth is not None)
+    photographs.require()
+    if data == "exact" and wish.anew:
+        raise UsageError(
+            "exact data are not compressed; allowed: `max_loss`, `max_size` and `truth` with `data=compressed`"
+        )
+    with written_or_opened(target) as file:
+        form = file.require("Page")
+        budget.require(file)
+        content, scene, held_out = _read(steps, source, wish, choice)
+        if stage1 is not None and not isinstance(scene, BakedAtlas):
+            raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
+        look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
+        if isinstance(scene, Stage1 | BakedAtlas):
+            if mesh or wish.anew or min_psnr is not None:
+                raise UsageError(
+                    f"{source.name} contains triangles, for which a goal, `truth`, `min_psnr` and `mesh` have no "
+                    "effect; allowed: these options with a field"
+                )
+            made = surface_page(steps, source, scene, stage1, look)
+            file.write(steps, made)
+            return made
+        shown = _framed(steps, source, scene, mesh, look)
+        if data == "exact" or isinstance(scene, Volume):
+            made = _exact(steps, source, shown)
+        elif content is not None and not wish.anew:
+            steps.say(f"{source.name}: already compressed, so the page carries it unchanged")
+            made = shown.page(form.load_page_module().script_readable(content))
+        else:
+            found = _compressed(steps, source, scene, held_out, shown, wish, form)
+            steps.say(f"{file.path}: {found}")
+            if goal == LEAST_LOSS and found.loss > MAX_LOSS:
+                most = f"the compressed data are limited to {_MOST_BYTES / 1e6:g} MB by default"
+                steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
+            made = shown.page(found.quantised)
+        with file.writing(steps, made) as written:
+            judge_output(
+                written.path, shown.field, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
+            )
+    return made
+
+
+class _Wish(NamedTuple):
+    """The requested data of a page. anew: a goal or truth is given, so compressed sources are compressed again."""
+
+    data: Data | None
+    goal: CompressionGoal
+    photographs: GroundTruth
+    anew: bool
+
+
+class _Shown(NamedTuple):
+    """Everything in the page of a field except its content."""
+
+    field: RadianceField
+    views: Cameras
+    cover: Image
+    beside: PageExtras
+    look: PageLook
+
+    def page(self, content: Any) -> Page:
+        title, cameras, background, lookup = self.look
+        turns = cameras is None
+        return Page(content, self.field, self.views, self.cover, title, turns, background, lookup, *self.beside)
+
+
+def _read(
+    steps: Steps, source: Source, wish: _Wish, choice: GridChoice
+) -> tuple[memoryview | None, Any, HeldOut | None]:
+    """Read the source. Return the bytes of an already compressed file, the scene, and the pixels of photographs.
+
+    A PlenOctree that is going to be compressed is returned as an octree.
+    """
+    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
+    read = source.read_with_format(steps, *fields, Stage1, BakedAtlas)
+    scene = sample_lattice(steps, source, read.scene) if isinstance(read.scene, LatticeField) else read.scene
+    scene = choice.of(steps, source, scene)
+    if isinstance(scene, Volume):
+        if wish.data == "compressed" or wish.anew:
+            raise UsageError(f"{source.name} is a volume, which cannot be compressed; allowed: `data=exact`")
+        if wish.data is None:
+            steps.say(f"{source.name}: volumes are not compressed, so the page carries its values in float16")
+    elif wish.data != "exact" and isinstance(scene, N3Tree):
+        with source.blamed(steps, "building the octree"):
+            return None, build_octree(scene), scene.held_out
+    return read.data, scene, None
+
+
+def _framed(steps: Steps, source: Source, scene: Any, mesh: PlacedMesh | None, look: PageLook) -> _Shown:
+    """Return the field of a scene with the cameras of the page and its cover picture."""
+    with source.blamed(steps, "building the field"):
+        field = build_field(scene)
+    views, first = page_views(steps, field, look.cameras, name=source.name)
+    with source.blamed(steps, "rendering the cover"):
+        beside = PageExtras.of(mesh)
+        cover = beside.render(field, first, background=look.background, lookup=look.lookup)
+    return _Shown(field, views, cover, beside, look)
+
+
+def _exact(steps: Steps, source: Source, shown: _Shown) -> Page:
+    """Make the page of float16 values, and print the rounding error."""
+    with source.blamed(steps, "arranging the field"):
+        made = shown.page(build_page_field(shown.field))
+    _tell_rounding(steps, source, shown.field)
+    return made
+
+
+def _compressed(
+    steps: Steps,
+    source: Source,
+    octree: SparseVoxelOctree,
+    held_out: HeldOut | None,
+    shown: _Shown,
+    wish: _Wish,
+    form: catalog.Format,
+) -> Compression:
+    """Compress an octree to the requested goal. max_size is the size of the page."""
+    sized = form if wish.goal.max_size is not None else catalog.formats_of("QuantisedOctree")[0]
+    module = sized.load_packed_module()
+
+    def coded_size(quantised: QuantisedOctree) -> int:
+        return module.coded_size(shown.page(quantised) if sized is form else quantised)
+
+    options = wish.goal.options | wish.photographs.read(steps, held_out)
+    with source.blamed(steps, "compressing") as tell:
+        options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
+        if wish.goal == LEAST_LOSS:
+            with suppress(BudgetMissed):  # the octree has too many leaves to fit at any precision
+                return compress_octree(octree, max_size=_MOST_BYTES, **options)
+        return compress_octree(octree, **options)
+
+
+def _field_of(path: str) -> RadianceField:
+    """Read the field of a written page, with the values that its shader gets."""
+    content = io.load_page_content(path)
+    if isinstance(content, PageField):
+        return build_field_from_page(content)
+    return round_to_bytes(round_field(build_field(content)))
+
+
+def _tell_rounding(steps: Steps, source: Source, field: RadianceField) -> None:
+    """Print the PSNR of the float16 values, unless the rounding is exact."""
+    with source.blamed(steps, "measuring the rounding error"):
+        rounded = round_field(field)
+        if (rounded.values == field.values).all():
+            return
+        views = orbit_cameras(field, frames=_FRAMES, width=_EDGE, height=_EDGE)
+        found = compare_scenes(field, rounded, views, keep_pictures=False)
+    steps.say(f"{source.name}: float16 gives {found.means['a_b']['psnr']:.2f} dB against its float32")

@@ -1,0 +1,77 @@
+"""The pixels of one posed picture that a fit uses, with their target colours and rays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.dilation import dilated
+from nerfbake.kernels.fit import colours as kernels
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.views import Views
+
+
+class RayTargets(NamedTuple):
+    """The rays of some pixels, and the colours that they should have.
+
+    eye         (3,) in the world
+    pixels      (m,) indices into the picture, row by row
+    targets     (m, 4) colour over the background, and alpha
+    directions  (m samples^2, 3), pixel by pixel
+    """
+
+    eye: Floats
+    pixels: npt.NDArray[np.int32]
+    targets: Singles
+    directions: Singles
+
+
+def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int | None) -> RayTargets:
+    """Return the pixels of a view that are not only background, and all pixels up to `ring` pixels from them.
+
+    The picture is first reduced by the factor `scale`. ring None returns all pixels. samples: rays along each edge of
+    a pixel.
+    """
+    picture, camera = views.pictures[view], scaled_camera(views.cameras.cameras[view], scale)
+    image = np.empty((camera.height, camera.width, 4), np.float32)
+    kernels.downscale(picture, np.array(views.background, np.float64), views.masked, scale, image)
+    pixels = np.arange(camera.width * camera.height, dtype=np.int32)
+    if ring is not None:
+        held = image[None, ..., 3] > 0
+        for _ in range(ring):
+            held = dilated(held)
+        found = kernels.number_pixels(np.ascontiguousarray(held[0]), _tiles(camera.width, camera.height), pixels)
+        pixels = pixels[:found].copy()
+    return RayTargets(
+        camera.pose[:3, 3].copy(), pixels, kernels.gather_pixels(image, pixels), _directions(camera, pixels, samples)
+    )
+
+
+def scaled_camera(camera: Camera, scale: int) -> Camera:
+    """Return the camera for a picture reduced by the factor `scale`; incomplete rows and columns are cut off."""
+    if scale == 1:
+        return camera
+    centre = camera.cx / scale, camera.cy / scale
+    edges = max(camera.width // scale, 1), max(camera.height // scale, 1)
+    return replace(camera, width=edges[0], height=edges[1], focal=(camera.fx / scale, camera.fy / scale), centre=centre)
+
+
+def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int) -> Singles:
+    if camera.lens is not None and camera.lens.bends:
+        fine = camera.part(slice(0, camera.width), slice(0, camera.height), finer=samples)
+        rays = fine.rays()[1].reshape(camera.height, samples, camera.width, samples, 3).transpose(0, 2, 1, 3, 4)
+        return rays.reshape(-1, samples * samples * 3)[pixels].reshape(-1, 3).astype(np.float32)
+    out = np.empty((len(pixels) * samples * samples, 3), np.float32)
+    optics, turn = np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.ascontiguousarray(camera.pose[:3, :3])
+    kernels.pinhole_directions(pixels, camera.width, optics, turn, samples, out)
+    return out
+
+
+@lru_cache(maxsize=8)
+def _tiles(width: int, height: int) -> Ints:
+    return kernels.tile_order(width, height)
