@@ -8,7 +8,8 @@ from importlib.util import find_spec
 from nerfbake.errors import Problem, UsageError
 from nerfbake.io.machine import machine
 
-EXTRAS = {"matplotlib": "plot", "warp": "warp"}  # module: the extra of pyproject.toml that installs it
+# Module: the extra of pyproject.toml that installs it, in the order of the extra `test`.
+EXTRAS = {"matplotlib": "plot", "warp": "warp", "pycolmap": "poses"}
 
 
 def environment(*packages: str) -> dict[str, str]:

@@ -7,6 +7,7 @@ all command lines before it runs any of them.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Any, NamedTuple
 
 import click
@@ -59,6 +60,14 @@ class PhotographsPath(Place):
 
     def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
         return DeclaredPaths(albums=paths)
+
+
+class PhotographsWithPoses(Place):
+    """A folder of photographs to which the command writes their poses."""
+
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        outputs = tuple(str(PurePath(path) / name) for path in paths for name in ("transforms.json", "sparse/0"))
+        return DeclaredPaths(reads=paths, writes=outputs)
 
 
 class Stage1AndFolder(Place):

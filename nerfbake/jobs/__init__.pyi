@@ -37,6 +37,8 @@ from .pictures import PictureOutputs as PictureOutputs
 from .pictures import PlacedMesh as PlacedMesh
 from .pictures import ViewSelection as ViewSelection
 from .pictures import render_views as render_views
+from .poses import PosesResult as PosesResult
+from .poses import find_poses as find_poses
 from .refits import RefitOptions as RefitOptions
 from .refits import RefitResult as RefitResult
 from .refits import RefitTarget as RefitTarget

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from nerfbake import build_field, build_octree, jobs, orbit_cameras, save
 from nerfbake.cli import main
 from nerfbake.jobs import ComparedViews, ComparisonLimits, ComparisonOutputs, PictureOutputs, ViewSelection
+from tests.support.rooms import write_room
 from tests.support.scenes import n3tree
 
 # atlas.json tells the options that were given; the command gives them all.
@@ -86,6 +88,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
             "a.npz", f"{out}.html", data="exact", title="A scene", background=(1.0, 1.0, 1.0), cameras="c.json"
         ),
     ),
+    "poses": (["OUT", "--seed", "3"], lambda out: jobs.find_poses(out, seed=3)),
     "refit": (
         ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
         lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.RefitTarget(like="a.npz", frames=4, edge=24)),
@@ -140,6 +143,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_stage1(folder / "in", resolution=32)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     jobs.bake_atlas_folder(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
+    write_room(folder / "poses-command")
+    shutil.copytree(folder / "poses-command", folder / "poses-job")
     return folder
 
 

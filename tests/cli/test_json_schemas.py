@@ -25,6 +25,7 @@ from tests.conformance.case import HOME
 from tests.conformance.case import SUFFIX as EXPECTED
 from tests.support.meshes import sphere
 from tests.support.outputs import SCHEMAS, SUFFIX, read_output, validator
+from tests.support.rooms import write_room
 from tests.support.source import PACKAGE, imports
 
 ATLAS = "--map-size 8 --directions 9 --json"
@@ -55,6 +56,7 @@ LINES = {
     f"fit photographs OUT.npz {FIT}": 0,
     f"fit photographs OUT.svo.pb --holdout 5 {FIT}": 0,
     f"fit photographs OUT.svo.pb --test photographs {FIT}": 0,
+    "poses room --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --like a.npz --frames 4 --edge 24 --epochs 1 --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --views photographs --epochs 1 --json": 0,
     "batch 'svo {in} out/{stem}.svo.pb --min-psnr 30' a.npz --plan --json": 0,
@@ -62,7 +64,7 @@ LINES = {
     "bench formats a.svo.pb --formats raw --rounds 1 --format json": 0,
     "bench formats a.svo.pb coarse.svo.pb --formats raw --rounds 2 --format json": 0,
 }
-SLOW = ("bench", "compress")
+SLOW = ("bench", "compress", "poses")
 FROZEN = sorted(path for path in HOME.glob("*/*") if not path.name.endswith((EXPECTED, ".html", ".gif")))
 
 
@@ -86,6 +88,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_stage1(folder / "in", resolution=32)
     jobs.bake_atlas_folder(folder / "in", folder / "baked", clusters=3, map_size=8)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
+    write_room(folder / "room")
     return folder
 
 

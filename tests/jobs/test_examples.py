@@ -10,6 +10,7 @@ import pytest
 
 import nerfbake
 from nerfbake import jobs
+from tests.support.rooms import write_room
 from tests.support.source import public_names
 
 
@@ -21,6 +22,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.bake_octree(folder / "a.npz", folder / "octree.svo.npz")
     jobs.write_sample_stage1(folder / "mesh_stage1", resolution=64)
     jobs.write_sample_capture(folder / "photographs", frames=16, edge=48)
+    write_room(folder / "room")
     return folder
 
 

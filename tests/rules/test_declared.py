@@ -60,6 +60,7 @@ LINES = {
     ),
     "compare a b --sheet s.png --html p.html --min-psnr 3": DeclaredPaths(("a", "b"), (), ("s.png", "p.html")),
     "fit photos a.npz --masks m --state s --plot c.svg": DeclaredPaths(("m",), ("photos",), ("a.npz", "c.svg"), ("s",)),
+    "poses photos": DeclaredPaths(("photos",), (), ("photos/transforms.json", "photos/sparse/0")),
     "refit a b --views photos": DeclaredPaths(("a",), ("photos",), ("b",)),
     "render a --out p.png --depth --alpha --mesh m.glb": DeclaredPaths(
         ("a", "m.glb"), (), ("p.png", "p.depth.png", "p.alpha.png")

@@ -34,6 +34,7 @@ JOBS: dict[str, Callable[..., Any]] = {
     "hull": jobs.bake_hull,
     "lattice": jobs.bake_lattice,
     "lod": jobs.bake_lod,
+    "poses": jobs.find_poses,
     "refit": jobs.refit_file,
     "render": jobs.render_views,
     "sample capture": jobs.write_sample_capture,

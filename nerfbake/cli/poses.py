@@ -1,0 +1,50 @@
+"""`nerfbake poses`: find the camera poses of photographs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from nerfbake import io
+from nerfbake.cli.console import Console
+from nerfbake.cli.params import as_json, console_options, max_memory
+from nerfbake.cli.paths import PhotographsWithPoses
+
+
+@click.command()
+@click.argument("source", metavar="PHOTOS", type=PhotographsWithPoses())
+@click.option(
+    "--sequential",
+    is_flag=True,
+    default=None,
+    help="Match each picture only with the next ones, in the order of names: for frames of a video.  [default: if there"
+    " are more than 150 pictures]",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**31 - 1),
+    default=0,
+    show_default=True,
+    help="Random seed. The same seed gives almost the same poses again.",
+)
+@click.option("--force", is_flag=True, help="Replace transforms.json and sparse/0 in PHOTOS.")
+@max_memory
+@as_json
+@console_options
+def poses(source: str, as_json: bool, console: Console, **options: Any) -> None:
+    """Find the camera poses of photographs.
+
+    Reads the pictures in the folder PHOTOS or in its subfolder images. Writes their poses to PHOTOS: transforms.json,
+    and a COLMAP model in sparse/0. Needs pycolmap: pip install 'nerfbake[poses]'.
+
+    \b
+      nerfbake poses photographs && nerfbake fit photographs scene.npz
+      nerfbake poses frames --sequential --json
+    """
+
+    from nerfbake.jobs.poses import find_poses
+
+    found = find_poses(source, steps=console, **options)
+    if as_json:
+        io.print_json(found._asdict())

@@ -1,0 +1,236 @@
+"""Find the camera poses of photographs with pycolmap, an optional library."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from nerfbake import io, progress
+from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
+from nerfbake.io.reading import is_picture
+from nerfbake.io.targets import replacing_folder
+from nerfbake.jobs.files import AnySource, as_source
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.camera import Cameras
+
+CAMERAS, MODEL = "transforms.json", "sparse/0"  # the outputs, in the folder of the photographs
+MOST_EXHAUSTIVE = 150  # pictures of which every pair is matched; more are matched in their order
+LEAST = 3  # pictures of a model
+MAX_SEED = 2**31 - 1
+_PICTURES = "images"
+_EXTRA = "pip install 'nerfbake[poses]'"
+_ADVICE = "sharp pictures of a textured scene that does not move, each of which shows two thirds of the one before"
+
+
+class PosesResult(NamedTuple):
+    """What find_poses() has found.
+
+    folder      the folder of the photographs, with the outputs
+    pictures    number of pictures in it
+    registered  number of pictures whose pose was found
+    points      number of points in space that the model has
+    error       mean distance between a point in a picture and the projection of its point in space, in pixels
+    """
+
+    folder: str
+    pictures: int
+    registered: int
+    points: int
+    error: float
+
+
+def find_poses(
+    source: AnySource,
+    *,
+    sequential: bool | None = None,
+    seed: int = 0,
+    force: bool = False,
+    steps: Steps = SILENT,
+) -> PosesResult:
+    """Find the camera poses of photographs and return facts about them. This is `nerfbake poses`.
+
+    Reads the pictures in the folder `source`, or in its subfolder images. Writes transforms.json and a COLMAP model in
+    sparse/0 to `source`. Needs pycolmap, which the extra `poses` installs. Raises NerfbakeError.
+
+    sequential  match each picture only with the next ones, in the order of names; None: if there are more than 150
+    seed        the random seed; the same pictures and seed give almost the same poses again
+    force       replace existing outputs
+
+    >>> find_poses("room").registered
+    8
+    """
+    source = as_source(source)
+    folder = Path(source.path)
+    if not 0 <= seed <= MAX_SEED:
+        raise UsageError(f"`seed` is {seed}; allowed: 0 to {MAX_SEED}")
+    if find_spec("pycolmap") is None:
+        raise UsageError(Problem("finding poses", "needs pycolmap, which is not installed", _EXTRA))
+    place, names = _pictures_of(folder, source.name)
+    _require_outputs(folder, force)
+    groups = _same_sizes(steps, place, names)
+    if sequential is None:
+        sequential = len(names) > MOST_EXHAUSTIVE
+    with _model_folder(folder, force) as part:
+        request = {"pictures": str(place), "groups": groups, "work": str(part / "work"), "model": str(part)}
+        found = _run(steps, source.name, {**request, "sequential": sequential, "seed": seed, "threads": _threads()})
+        _require_model(steps, source.name, found["models"], len(names))
+        io.save(folder / CAMERAS, _cameras(part, "" if place == folder else f"{_PICTURES}/"), force=force)
+    result = PosesResult(source.path, len(names), found["models"][0], found["points"], found["error"])
+    steps.say(
+        f"{source.name}: {result.registered} of {result.pictures} pictures have a pose; {result.points:,} points, "
+        f"mean reprojection error {result.error:.2f} pixels"
+    )
+    return result
+
+
+def require_poses(source: AnySource, *, steps: Steps = SILENT) -> None:
+    """Find the poses of a folder that has photographs and no cameras; do nothing for any other source.
+
+    Raises NerfbakeError as find_poses() does.
+    """
+    source = as_source(source)
+    folder = Path(source.path)
+    if not folder.is_dir():
+        return
+    try:
+        io.load_split(folder)
+    except InvalidFile:
+        if not any(
+            is_picture(file) for place in (folder, folder / _PICTURES) if place.is_dir() for file in place.iterdir()
+        ):
+            raise
+        steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
+        find_poses(source, steps=steps)
+
+
+def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
+    """Return the folder that has the pictures, and their sorted names."""
+    if not folder.is_dir():
+        found = "is not a folder" if folder.exists() else "does not exist"
+        raise InvalidFile(f"{found}; allowed: a folder of photographs", source=name)
+    names: list[str] = []
+    place = folder
+    for place in (folder / _PICTURES, folder):
+        with io.blame(str(place)):
+            files = sorted(place.iterdir()) if place.is_dir() else []
+        names = [file.name for file in files if is_picture(file) and file.is_file() and not file.name.startswith(".")]
+        if names:
+            break
+    if len(names) < LEAST:
+        found = f"are {len(names)}" if names else "are missing"
+        allowed = f"{LEAST} or more .jpg, .jpeg or .png in the folder or in its subfolder {_PICTURES}"
+        raise InvalidFile(Problem("the pictures", found, allowed), source=name)
+    for each in names:
+        if not each.isprintable() or "\\" in each:
+            problem = Problem(f"the name {each!r}", "cannot be written", "printable characters, no \\")
+            raise InvalidFile(problem, source=name)
+    return place, names
+
+
+def _require_outputs(folder: Path, force: bool) -> None:
+    """Raise OutputError if an output exists and must not be replaced, or if the folder cannot be written to."""
+    io.require_absent(folder / CAMERAS, force=force)
+    if (folder / MODEL).parent.is_dir():
+        io.require_no_folder(folder / MODEL, force=force)
+
+
+def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
+    """Read each picture, as `fit` does, and group their names by size. Raises InvalidFile for a damaged picture."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    with steps.phase(f"reading {len(names)} pictures"):
+        for name in progress.each(names):
+            groups.setdefault(io.load_photograph(place / name).shape, []).append(name)
+    return list(groups.values())
+
+
+@contextmanager
+def _model_folder(folder: Path, force: bool) -> Iterator[Path]:
+    """A new folder that becomes sparse/0 if the block succeeds. A folder `sparse` that stays empty is removed."""
+    target = folder / MODEL
+    with io.blame(str(target), OutputError):
+        target.parent.mkdir(exist_ok=True)
+    try:
+        with io.blame(str(target), OutputError), replacing_folder(target, force=force) as part:
+            yield part
+    finally:
+        with suppress(OSError):
+            target.parent.rmdir()
+
+
+def _threads() -> int:
+    """The number of threads that the environment allows, as for kernels; -1: one for each core."""
+    allowed = os.environ.get("NUMBA_NUM_THREADS", "")
+    return int(allowed) if allowed.isdecimal() and int(allowed) > 0 else -1
+
+
+def _cameras(model: Path, prefix: str) -> Cameras:
+    """Return the cameras of a COLMAP model. Each name is the path of the picture, which is written as file_path."""
+    cameras = io.load(model, Cameras)
+    named = (f"{prefix}{camera.picture.removeprefix(f'{_PICTURES}/')}" for camera in cameras.cameras)
+    return replace(
+        cameras, cameras=tuple(replace(camera, name=name) for camera, name in zip(cameras.cameras, named, strict=True))
+    )
+
+
+def _require_model(steps: Steps, name: str, models: list[int], pictures: int) -> None:
+    """Raise InvalidFile if there is no model; print a warning if the pictures form several."""
+    if not models or models[0] < LEAST:
+        raise InvalidFile(Problem("the pictures", "have too few points in common to find poses", _ADVICE), source=name)
+    if len(models) > 1 and models[0] < pictures:  # a second model may also repeat a part of the first
+        steps.say(
+            f"{name}: warning: the pictures form {len(models)} models that share too few points; the largest has "
+            f"{models[0]} of {pictures} pictures and is kept; take more pictures between the groups"
+        )
+
+
+def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Run pycolmap in a process of its own and return its last line. Raises NerfbakeError."""
+    event: dict[str, Any] = {}
+    with tempfile.TemporaryFile() as words:
+        with _process(request, words) as process, ExitStack() as step:
+            assert process.stdout is not None
+            for line in process.stdout:
+                event = json.loads(line)
+                if "step" in event:
+                    step.close()
+                    step.enter_context(steps.phase(event["step"]))
+                elif "share" in event:
+                    progress.report(event["share"])
+            code = process.wait()
+        words.seek(0)
+        last = words.read().decode(errors="replace").strip().rpartition("\n")[2]
+    if "models" in event:
+        return event
+    if "missing" in event:
+        raise UsageError(Problem("pycolmap", f"cannot be imported ({event['missing']})", _EXTRA), source=name)
+    if "unread" in event:
+        picture = str(Path(request["pictures"]) / event["unread"])
+        raise InvalidFile("cannot be read by pycolmap; allowed: a PNG or a JPEG of 8 bits", source=picture)
+    if "failed" in event:
+        raise NerfbakeError(f"pycolmap failed: {event['failed']}", source=name)
+    ended = f"signal {-code}" if code < 0 else f"exit code {code}"
+    raise NerfbakeError(f"pycolmap ended with {ended}{last and f': {last}'}", source=name)
+
+
+@contextmanager
+def _process(request: Mapping[str, Any], words: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+    """Start the process; kill it if the block fails, also after Ctrl-C. -P ignores the working directory."""
+    command = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words) as process:
+        try:
+            assert process.stdin is not None
+            with suppress(BrokenPipeError):  # it has crashed already
+                process.stdin.write(json.dumps(request).encode() + b"\n")
+                process.stdin.flush()
+            yield process
+        finally:
+            process.kill()

@@ -1,0 +1,308 @@
+"""Poses of photographs: where they are written, how exact they are, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image as Pillow
+
+from nerfbake import Cameras, NerfbakeError, io, load
+from nerfbake.jobs import PosesResult, find_poses, poses
+from nerfbake.jobs._pycolmap import pairs_of
+from tests.conftest import REPOSITORY
+from tests.jobs.listener import Listener
+from tests.support.fake_pycolmap import SLEEPS, replace_pycolmap, write_pycolmap
+from tests.support.rooms import FOCAL, HEIGHT, WIDTH, write_room
+
+Array = npt.NDArray[np.float64]
+FRAMES = 8
+
+
+class Found:
+    """Two folders with the same pictures, one of them in `images`, and what find_poses() has found and said."""
+
+    def __init__(self, folder: Path) -> None:
+        self.places = folder / "flat", folder / "below"
+        self.positions = write_room(self.places[0], frames=FRAMES)
+        shutil.copytree(self.places[0], self.places[1] / "images")
+        self.listener = Listener()
+        self.results = [find_poses(place, steps=self.listener) for place in self.places]
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
+    return Found(tmp_path_factory.mktemp("rooms"))
+
+
+@pytest.fixture
+def photographs(tmp_path: Path) -> Path:
+    """Pictures of noise, which have nothing in common."""
+    random = np.random.default_rng(0)
+    for i in range(4):
+        Pillow.fromarray(random.integers(0, 256, (48, 64, 3), np.uint8)).save(tmp_path / f"{i}.png")
+    return tmp_path
+
+
+def aligned(source: Array, target: Array) -> Array:
+    """The source points after the similarity that brings them closest to the target (Umeyama, 1991)."""
+    centre, aim = source.mean(axis=0), target.mean(axis=0)
+    U, S, Vt = np.linalg.svd((target - aim).T @ (source - centre))
+    sign = np.array([1, 1, np.linalg.det(U @ Vt)])
+    scale = (S * sign).sum() / ((source - centre) ** 2).sum()
+    moved: Array = (source - centre) @ (U * sign @ Vt).T * scale + aim
+    return moved
+
+
+def largest_error(source: Array, target: Array) -> float:
+    """The largest distance between two sets of points after a similarity, as a share of the target's spread."""
+    spread = np.linalg.norm(target - target.mean(axis=0), axis=1).max()
+    return float(np.linalg.norm(aligned(source, target) - target, axis=1).max() / spread)
+
+
+def positions_of(cameras: Cameras) -> Array:
+    return np.array([camera.pose[:3, 3] for camera in cameras.cameras])
+
+
+def written(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def refused(folder: Path | str, **options: Any) -> str:
+    """The error of a call that must leave the folder as it was."""
+    before = written(Path(folder))
+    with pytest.raises(NerfbakeError) as caught:
+        find_poses(folder, **options)
+    assert written(Path(folder)) == before
+    assert not list(Path(folder).rglob(".*.part"))
+    line = f"{caught.value.exit_code} {caught.value}"
+    assert "\n" not in line
+    return line
+
+
+def test_the_similarity_is_undone_and_an_error_is_found() -> None:
+    target = np.random.default_rng(0).normal(size=(6, 3))
+    turned = 3 * target @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) + 5
+    assert largest_error(turned, target) < 1e-12
+    turned[0, 0] += 1
+    assert largest_error(turned, target) > 0.01
+
+
+@pytest.mark.slow
+def test_the_cameras_are_where_they_were(found: Found) -> None:
+    cameras = load(found.places[0], Cameras)
+    assert [camera.picture for camera in cameras.cameras] == [f"{i:04d}.png" for i in range(FRAMES)]
+    assert largest_error(positions_of(cameras), found.positions) < 0.01
+    (first, *_) = cameras.cameras
+    assert (first.width, first.height) == (WIDTH, HEIGHT)
+    assert first.fx == pytest.approx(FOCAL, rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_facts_are_those_of_the_model(found: Found) -> None:
+    result = found.results[0]
+    assert result == PosesResult(str(found.places[0]), FRAMES, FRAMES, result.points, result.error)
+    assert result.points > 300
+    assert 0 < result.error < 1
+    said = f"8 of 8 pictures have a pose; {result.points:,} points, mean reprojection error {result.error:.2f} pixels"
+    assert found.listener.said[0] == f"{found.places[0]}: {said}"
+    assert found.listener.phases[:4] == [
+        "reading 8 pictures",
+        "finding features in 8 pictures",
+        "matching 28 pairs of pictures",
+        "placing 8 cameras",
+    ]
+    assert found.listener.shares[-1] == (1.0, "")
+
+
+@pytest.mark.slow
+def test_the_same_pictures_and_seed_give_the_same_model(found: Found) -> None:
+    flat, below = map(written, found.places)
+    names = {name for name in flat if not name.endswith(".png")}
+    assert names == {"transforms.json", *(f"sparse/0/{name}.bin" for name in ("cameras", "images", "points3D"))}
+    for name in names - {"transforms.json"}:
+        assert flat[name] == below[name], name
+
+
+@pytest.mark.slow
+def test_both_files_have_the_same_cameras_and_lead_to_the_pictures(found: Found) -> None:
+    for place in found.places:
+        ours, colmap = load(place / "transforms.json", Cameras), load(place / "sparse/0", Cameras)
+        for camera, other in zip(ours.cameras, colmap.cameras, strict=True):
+            assert (camera.focal, camera.centre, camera.lens) == (other.focal, other.centre, other.lens)
+            assert camera.pose.tolist() == other.pose.tolist()
+            picture = io.find_photograph(place, camera.picture)
+            assert picture is not None
+            assert picture.name == Path(other.picture).name
+    assert {camera.picture for camera in ours.cameras} == {camera.picture for camera in colmap.cameras}
+
+
+@pytest.mark.slow
+def test_pictures_of_two_sizes_have_two_cameras_and_frames_of_a_video_their_order(found: Found, tmp_path: Path) -> None:
+    for i, path in enumerate(sorted(found.places[0].glob("*.png"))):
+        picture = Pillow.open(path)
+        picture.crop((0, 8 * (i % 2), WIDTH, HEIGHT)).save(tmp_path / path.name)
+    listener = Listener()
+    assert find_poses(tmp_path, sequential=True, steps=listener).registered == FRAMES
+    assert [camera.height for camera in load(tmp_path, Cameras).cameras] == [HEIGHT, HEIGHT - 8] * (FRAMES // 2)
+    assert "matching 28 pairs of pictures" in listener.phases
+
+
+@pytest.mark.slow
+def test_two_rooms_are_two_models_and_the_larger_one_is_kept(tmp_path: Path) -> None:
+    write_room(tmp_path, frames=4)
+    write_room(tmp_path, frames=6, first=10)
+    listener = Listener()
+    assert find_poses(tmp_path, steps=listener)[1:3] == (10, 6)
+    warning, _ = listener.said
+    assert "the pictures form 2 models" in warning
+    assert "the largest has 6 of 10 pictures" in warning
+    assert all(camera.name.startswith("001") for camera in load(tmp_path, Cameras).cameras)
+
+
+def test_pairs_in_order_are_the_next_pictures_and_those_at_powers_of_two() -> None:
+    assert pairs_of(5, sequential=False) == pairs_of(5, sequential=True) == 10
+    assert pairs_of(18, sequential=True) == sum(18 - step for step in (*range(1, 11), 16))
+
+
+def test_without_pycolmap_its_extra_is_named(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    said = "2 finding poses needs pycolmap, which is not installed; allowed: pip install 'nerfbake[poses]'"
+    assert refused(photographs) == said
+
+
+def test_a_pycolmap_that_cannot_be_imported_is_told(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_pycolmap(photographs, "raise ImportError('libgomp is missing')", monkeypatch)
+    said = "pycolmap cannot be imported (libgomp is missing); allowed: pip install 'nerfbake[poses]'"
+    assert refused(photographs) == f"2 {photographs}: {said}"
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (
+            "import os, sys\nprint('double free', file=sys.stderr, flush=True)\nos.abort()",
+            "ended with signal 6: ",
+        ),
+        ("import os\nos._exit(3)", "ended with exit code 3"),
+        ("class logging: pass\ndef set_random_seed(seed): raise RuntimeError('no disk')", "failed: no disk"),
+    ],
+)
+def test_a_crash_of_pycolmap_is_an_error_of_one_line(
+    code: str, said: str, photographs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace_pycolmap(photographs, code, monkeypatch)
+    assert refused(photographs).startswith(f"1 {photographs}: pycolmap {said}")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_process_of_pycolmap_ends_with_ours(number: int, photographs: Path) -> None:
+    environment = os.environ | write_pycolmap(photographs, SLEEPS)
+    command = [sys.executable, "-m", "nerfbake", "poses", str(photographs)]
+    with subprocess.Popen(command, env=environment, cwd=REPOSITORY, stderr=subprocess.DEVNULL) as process:
+        started = photographs / "started"
+        _wait(lambda: started.exists() and started.read_text() != "")
+        process.send_signal(number)
+        assert process.wait(timeout=20) == (-number if number == signal.SIGKILL else 128 + number)
+    _wait(lambda: not _runs(int(started.read_text())))
+    assert not (photographs / "transforms.json").exists()
+    assert (photographs / "sparse").exists() == (number == signal.SIGKILL)
+
+
+def _wait(condition: Any) -> None:
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def _runs(process: int) -> bool:
+    """Whether a process runs, and is not only waiting for somebody to ask how it ended."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_pictures_without_common_points_have_no_poses(photographs: Path) -> None:
+    said = refused(photographs)
+    assert said.startswith(f"1 {photographs}: the pictures have too few points in common to find poses; allowed: sharp")
+    assert not (photographs / "sparse").exists()
+
+
+def test_a_folder_without_enough_pictures_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("none")
+    (tmp_path / ".hidden.png").write_text("none")
+    allowed = "allowed: 3 or more .jpg, .jpeg or .png in the folder or in its subfolder images"
+    assert refused(tmp_path) == f"1 {tmp_path}: the pictures are missing; {allowed}"
+    for name in ("a.JPG", "b.jpeg"):
+        (tmp_path / name).write_bytes(b"")
+    assert refused(tmp_path) == f"1 {tmp_path}: the pictures are 2; {allowed}"
+    assert refused(tmp_path / "gone") == f"1 {tmp_path}/gone: does not exist; allowed: a folder of photographs"
+    assert refused(tmp_path / "a.JPG") == f"1 {tmp_path}/a.JPG: is not a folder; allowed: a folder of photographs"
+
+
+def test_a_picture_that_fit_cannot_read_is_refused(photographs: Path) -> None:
+    picture = photographs / "2.png"
+    picture.write_bytes(picture.read_bytes()[:2000])
+    assert refused(photographs).startswith(f"1 {picture}: ")
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "sparse/0/images.bin"])
+def test_existing_poses_are_kept(name: str, photographs: Path) -> None:
+    (photographs / name).parent.mkdir(parents=True, exist_ok=True)
+    (photographs / name).write_bytes(b"by hand")
+    assert "exists already" in refused(photographs)
+    assert refused(photographs, force=True).startswith(f"1 {photographs}: the pictures have too few")
+
+
+def test_a_seed_that_pycolmap_does_not_take_is_refused(photographs: Path) -> None:
+    assert refused(photographs, seed=2**31) == "2 `seed` is 2147483648; allowed: 0 to 2147483647"
+
+
+@pytest.mark.parametrize(("pictures", "sequential"), [(150, False), (151, True)])
+def test_many_pictures_are_matched_in_their_order(
+    pictures: int, sequential: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Mapping[str, Any]] = []
+
+    def run(steps: Any, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
+        asked.append(request)
+        return {"models": []}
+
+    monkeypatch.setattr(poses, "_run", run)
+    for i in range(pictures):
+        Pillow.new("RGB", (8, 8)).save(tmp_path / f"{i:03d}.jpg")
+    refused(tmp_path)
+    refused(tmp_path, sequential=not sequential)
+    assert [request["sequential"] for request in asked] == [sequential, not sequential]
+
+
+@pytest.mark.data
+@pytest.mark.long
+def test_photographs_of_a_phone_agree_with_a_given_model(data: Path, tmp_path: Path) -> None:
+    capture = data / "captures" / "plush"
+    names = sorted(path.name for path in (capture / "images").iterdir())[:12]
+    (tmp_path / "images").mkdir()
+    for name in names:
+        with Pillow.open(capture / "images" / name) as picture:
+            picture.resize((504, 378), Pillow.Resampling.LANCZOS).save(tmp_path / "images" / name, quality=95)
+    result = find_poses(tmp_path)
+    assert result.registered == result.pictures == 12
+    assert result.error < 1
+    given = {Path(camera.picture).name: camera for camera in load(capture, Cameras).cameras}
+    cameras = load(tmp_path, Cameras)
+    assert [Path(camera.picture).name for camera in cameras.cameras] == names
+    known = np.array([given[name].pose[:3, 3] for name in names])
+    assert largest_error(positions_of(cameras), known) < 0.03

@@ -1,0 +1,28 @@
+"""A module in the place of pycolmap, for the process that nerfbake.jobs._pycolmap runs in."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+SLEEPS = """
+import os, pathlib, time
+pathlib.Path(__file__).with_name("started").write_text(str(os.getpid()))
+time.sleep(60)
+"""
+
+
+def write_pycolmap(folder: Path, code: str) -> dict[str, str]:
+    """Write the module to a folder; return the environment in which it is found."""
+    (folder / "pycolmap.py").write_text(code)
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{REPOSITORY}"}
+
+
+def replace_pycolmap(folder: Path, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let processes that this test starts find the module."""
+    for name, value in write_pycolmap(folder, code).items():
+        monkeypatch.setenv(name, value)
