@@ -28,6 +28,8 @@ from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
     from nerfbake.jobs.fits import FitResult
+    from nerfbake.jobs.photographs import PhotographOptions
+    from nerfbake.stages.pictures_to_views import Scenery
 
 
 class FitBackground(Background):
@@ -69,7 +71,7 @@ def photograph_options(function: Command) -> Command:
         "--masks",
         metavar="DIR",
         type=Reads(),
-        help="Folder with a mask NAME.png for each picture, white where the object is. Needed if scenery is behind it.",
+        help="Folder with a mask NAME.png for each picture, white where the object is.",
     )
     @click.option(
         "--test",
@@ -85,7 +87,12 @@ def photograph_options(function: Command) -> Command:
     )
     @wraps(function)
     def command(
-        *args: object, background: Any, masks: str | None, test: str | None, holdout: int | None, **others: object
+        *args: object,
+        background: Any,
+        masks: str | None,
+        test: str | None,
+        holdout: int | None,
+        **others: object,
     ) -> object:
         from nerfbake.jobs.photographs import PhotographOptions
 
@@ -100,7 +107,8 @@ def fit_options(function: Command) -> Command:
     @click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
-        help="Schedule of about 40, 80 or 140 seconds on two cores.  [default: balanced]",
+        help="Schedule of about 40, 80 or 140 seconds on two cores; with scenery of 1, 2 or 5 minutes.  [default: "
+        "balanced]",
     )
     @click.option(
         "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."
@@ -111,7 +119,8 @@ def fit_options(function: Command) -> Command:
         type=click.Choice(["32", "64", "128", "256", "512"]),
         default="256",
         show_default=True,
-        help="Voxels along each axis, before those with the largest errors are split once more.",
+        help="Voxels along each axis, before those with the largest errors are split once more. With scenery: along "
+        "each axis of the inner cube, after they are split.",
     )
     @sh_basis
     @click.option(
@@ -125,8 +134,8 @@ def fit_options(function: Command) -> Command:
     @click.option(
         "--box",
         type=Box(),
-        help="Two opposite corners of the box around the object, in world coordinates.  [default: derived from the "
-        "pictures]",
+        help="Two opposite corners of the box around the object, or of the inner cube of scenery, in world "
+        "coordinates.  [default: derived from the pictures]",
     )
     @seed
     @wraps(function)
@@ -158,6 +167,14 @@ def fit_options(function: Command) -> Command:
 @fit_options
 @photograph_options
 @click.option(
+    "--scenery",
+    type=click.Choice(["auto", "keep", "drop"]),
+    default="auto",
+    show_default=True,
+    help="keep: fit everything that the pictures show. drop: fit an object in front of a plain background. auto: "
+    "keep if there is scenery behind the object, and neither alpha nor masks.",
+)
+@click.option(
     "--dtype",
     type=click.Choice(["float16", "float32"]),
     help="Number type of the values of a PlenOctree.  [default: float16]",
@@ -172,11 +189,21 @@ def fit_options(function: Command) -> Command:
 @max_memory
 @as_json
 @console_options
-def fit(source: str, target: Target, plot: str | None, as_json: bool, console: Console, **options: Any) -> None:
+def fit(
+    source: str,
+    target: Target,
+    plot: str | None,
+    as_json: bool,
+    console: Console,
+    album: PhotographOptions,
+    scenery: Scenery,
+    **options: Any,
+) -> None:
     """Fit a scene to photographs.
 
     Fits a sparse field to the photographs and camera poses of SOURCE, and writes it to OUT: a PlenOctree, an octree or
-    a volume. Prints the PSNR and SSIM of OUT on held-out photographs.
+    a volume; with the scenery behind an object, a PlenOctree. If SOURCE has photographs alone, finds their poses first,
+    as `nerfbake poses` does. Prints the PSNR and SSIM of OUT on held-out photographs.
 
     \b
       nerfbake fit capture chair.npz
@@ -188,7 +215,7 @@ def fit(source: str, target: Target, plot: str | None, as_json: bool, console: C
 
     if plot:
         require_chart(plot, force=target.force)
-    fitted = fit_file(Source(source), target, steps=console, **options)
+    fitted = fit_file(Source(source), target, album=album._replace(scenery=scenery), steps=console, **options)
     if plot:
         save_bytes(plot, _chart(source, fitted, Path(plot).suffix), force=target.force)
     if as_json:

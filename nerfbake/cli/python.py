@@ -12,6 +12,7 @@ from nerfbake.jobs.steps import SILENT
 if TYPE_CHECKING:
     from nerfbake.jobs.photographs import Colour
     from nerfbake.scene.n3tree import N3Tree
+    from nerfbake.stages.pictures_to_views import Scenery
 
 
 def fit(
@@ -29,6 +30,7 @@ def fit(
     masks: str | None = None,
     test: str | None = None,
     holdout: int | None = None,
+    scenery: Scenery = "auto",
     dtype: Literal["float16", "float32"] | None = None,
     progress: bool = False,
 ) -> N3Tree:
@@ -54,5 +56,5 @@ def fit(
     terminal = sys.stderr is not None and sys.stderr.isatty()
     steps = Console(quiet=False, verbose=False, mode="auto" if terminal else "plain") if progress else SILENT
     recipe = FitOptions(preset, minutes, epochs, resolution, samples, basis, box, seed)
-    album = PhotographOptions(background, masks, test, holdout)
+    album = PhotographOptions(background, masks, test, holdout, scenery)
     return fit_scene(source, album=album, recipe=recipe, dtype=dtype, steps=steps)

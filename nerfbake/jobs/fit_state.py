@@ -83,11 +83,14 @@ def _cost(stage: Stage) -> float:
 
 
 class FitRun:
-    """Follows the states of a fit, and measures its quality on a few of the held-out views."""
+    """Follows the states of a fit, and measures its quality on a few of the held-out views.
 
-    def __init__(self, posed: SplitViews, schedule: Schedule) -> None:
+    samples: rays along each edge of a pixel with which these are rendered.
+    """
+
+    def __init__(self, posed: SplitViews, schedule: Schedule, samples: int) -> None:
         judges = posed.judges
-        self._views, self._schedule = len(posed.trained.pictures), schedule
+        self._views, self._schedule, self._samples = len(posed.trained.pictures), schedule, samples
         count = len(judges.pictures)
         self._which = f"{min(count, HANDFUL)} of {count} held-out views"
         self._judges = judges.take(range(0, count, max(1, count // HANDFUL))[:HANDFUL])
@@ -134,7 +137,7 @@ class FitRun:
     def _seen(self, now: Any) -> float | None:
         try:
             field = build_field(now.field())
-            errors = measure_views(field, self._judges, samples=self._schedule[-1].rays)
+            errors = measure_views(field, self._judges, samples=self._samples)
         except MemoryLimit:
             return None  # the fit itself may still fit into memory
         return sum(error.psnr for error in errors) / len(errors)
@@ -206,7 +209,7 @@ def _digest(views: Views) -> str:
     """Return a hash of the inputs of a fit: cameras, pixels and background."""
     import hashlib  # here, so that --help does not import it
 
-    found = hashlib.sha256(repr((tuple(map(float, views.background)), views.masked)).encode())
+    found = hashlib.sha256(repr((tuple(map(float, views.background)), views.masked, views.scenery)).encode())
     for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
         inside = tuple(map(float, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)))
         found.update(repr((inside, camera.lens, camera.pose.tolist())).encode())

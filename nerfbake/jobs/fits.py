@@ -16,6 +16,7 @@ from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun
 from nerfbake.jobs.photographs import ALL, PhotographOptions, read_photographs
+from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.held_out import HeldOut
@@ -58,9 +59,9 @@ def _compressed(
     return compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
-def _held_out(judges: Views, schedule: Schedule) -> HeldOut:
-    """Return the pixels of the held-out views, with the rays per pixel that the scene was fitted for."""
-    cameras = replace(judges.cameras, samples=schedule[-1].rays)
+def _held_out(judges: Views, samples: int) -> HeldOut:
+    """Return the pixels of the held-out views, with the rays per pixel that they are measured with."""
+    cameras = replace(judges.cameras, samples=samples)
     photographs = map(judges.photograph, range(len(judges.pictures)))
     return HeldOut.of(cameras, photographs, background=judges.background)
 
@@ -83,10 +84,13 @@ class FitOptions(NamedTuple):
     preset      schedule of stages: fast, balanced or best; None: balanced, unless minutes or epochs is given
     minutes     select a schedule that takes this many minutes on two cores
     epochs      schedule as text, in the notation in which it is printed; it sets its own resolution and samples
-    resolution  cells along each axis of the lattice, before some of them are split
-    samples     rays along each edge of a pixel, 1 or 2: choose the value that the field will be rendered with
+    resolution  cells along each axis of the lattice, before some of them are split; with scenery, of the inner cube,
+                after some of them are split
+    samples     rays along each edge of a pixel, 1 or 2: choose the value that the field will be rendered with; with
+                scenery it is only measured with them
     basis       SH basis of the colours: SH1 to SH25
-    box         x0, y0, z0, x1, y1, z1 of the box around the object in world coordinates; None: from the pictures
+    box         x0, y0, z0, x1, y1, z1 of the box around the object in world coordinates, or of the inner cube of
+                scenery; None: from the pictures, or from the cameras
     seed        seed for the order of the views: the same seed gives the same bytes
     """
 
@@ -99,8 +103,8 @@ class FitOptions(NamedTuple):
     box: tuple[float, float, float, float, float, float] | None = None
     seed: int = 0
 
-    def schedule(self, views: int | None = None) -> Schedule:
-        """Return the stages. views: the number of views, if known. Raises UsageError for contradictory options."""
+    def schedule(self, views: Views | None = None) -> Schedule:
+        """Return the stages. views: the training views, if known. Raises UsageError for contradictory options."""
         given = [name for name in ("preset", "minutes", "epochs") if getattr(self, name) is not None]
         if len(given) > 1:
             names = " and ".join(f"`{name}`" for name in given)
@@ -108,18 +112,29 @@ class FitOptions(NamedTuple):
         from nerfbake.scene.schedule import (
             parse_schedule,
             preset_schedule,
+            scenery_schedule,
             schedule_for,
         )  # --help must not import NumPy
 
-        asked = {"resolution": self.resolution, "samples": self.samples} | ({"views": views} if views else {})
+        asked: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
+        if views is not None:
+            asked["views"] = len(views.pictures)
         try:
             if self.epochs is not None:
                 return parse_schedule(self.epochs)
+            if views is not None and views.scenery:
+                edge = min(min(camera.width, camera.height) for camera in views.cameras.cameras)
+                sizes = {"resolution": self.resolution, "views": len(views.pictures), "edge": edge}
+                return scenery_schedule(self.preset or PRESET, **sizes, minutes=self.minutes)
             if self.minutes is not None:
                 return schedule_for(self.minutes, **asked)
             return preset_schedule(self.preset or PRESET, **asked)
         except InvalidScene as error:
             raise UsageError(error.what) from None
+
+    def rays(self, schedule: Schedule) -> int:
+        """Return the rays along each edge of a pixel with which the held-out views are rendered."""
+        return self.samples if self.epochs is None else schedule[-1].rays
 
     def told(self, schedule: Schedule) -> dict[str, str]:
         """Return everything besides the pictures that the output bytes depend on."""
@@ -179,11 +194,13 @@ def fit_scene(
     source = as_source(source)
     album.require()
     recipe.schedule()
+    require_poses(source, steps=steps)
     posed = read_photographs(steps, source, album)
-    schedule = recipe.schedule(len(posed.trained.pictures))
-    field = _fit(steps, source, posed.trained, schedule, recipe, FitRun(posed, schedule), None, [])
+    schedule = recipe.schedule(posed.trained)
+    course = FitRun(posed, schedule, recipe.rays(schedule))
+    field = _fit(steps, source, posed.trained, schedule, recipe, course, None, [])
     with steps.phase("putting the field together"):
-        return _tree(field, dtype, _held_out(posed.judges, schedule))
+        return _tree(field, dtype, _held_out(posed.judges, recipe.rays(schedule)))
 
 
 def fit_file(
@@ -199,7 +216,8 @@ def fit_file(
 ) -> FitResult:
     """Fit a sparse field to the photographs of a capture and return the quality of its file. This is `nerfbake fit`.
 
-    Reads the cameras and pictures of `source` and `album`. Writes `target`, whose extension selects the type of scene,
+    Reads the cameras and pictures of `source` and `album`; a folder of photographs without cameras gets their poses
+    from find_poses() first. Writes `target`, whose extension selects the type of scene,
     and checkpoints to the folder `state`. A run that was killed resumes from the last checkpoint and writes the same
     bytes. Ctrl-C writes the current state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
 
@@ -218,16 +236,20 @@ def fit_file(
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
+    require_poses(source, steps=steps)
     posed = read_photographs(steps, source, album)
-    judges, schedule = posed.judges, recipe.schedule(len(posed.trained.pictures))
+    judges, schedule = posed.judges, recipe.schedule(posed.trained)
+    if judges.scenery and kind != "N3Tree":
+        found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
+        raise UsageError(f"{found}; allowed: a PlenOctree (.npz), or `scenery=drop` and a plain background or masks")
     steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
     steps.say(f"{source.name}: `epochs={schedule}`")
     keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule), posed.trained)
-    course = FitRun(posed, schedule)
+    course = FitRun(posed, schedule, recipe.rays(schedule))
     with _interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = CONVERSIONS[kind](field, lambda: _held_out(judges, schedule), target, tell, dtype)
+            scene = CONVERSIONS[kind](field, lambda: _held_out(judges, recipe.rays(schedule)), target, tell, dtype)
         del field, posed
         if asked:
             _write_partial(steps, target, kind, scene, state)
@@ -235,7 +257,7 @@ def fit_file(
     if asked:
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
     del scene
-    fitted = _judged(steps, target, judges, schedule, course)
+    fitted = _judged(steps, target, judges, schedule, recipe.rays(schedule), course)
     if report is not None:
         report(fitted)
     return fitted
@@ -313,9 +335,9 @@ def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: s
     raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
 
 
-def _judged(steps: Steps, target: Target, judges: Views, schedule: Schedule, course: FitRun) -> FitResult:
-    """Read the written file and measure it on the held-out views, with the rays per pixel it was fitted for."""
-    worked, passed, samples = course.clock.worked, course.clock.passed, schedule[-1].rays
+def _judged(steps: Steps, target: Target, judges: Views, schedule: Schedule, samples: int, course: FitRun) -> FitResult:
+    """Read the written file and measure it on the held-out views."""
+    worked, passed = course.clock.worked, course.clock.passed
     file = Source(target.path)
     with file.blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
         loaded = file.read_with_format(steps)

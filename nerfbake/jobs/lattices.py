@@ -96,7 +96,7 @@ def bake_lattice(
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     target.require()
     budget.require(target)
-    scene = source.read(steps, N3Tree, SparseVoxelOctree)
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree))
     judged = None if budget.min_psnr is None else scene
     with source.blamed(steps, "building the octree"):
         if isinstance(scene, N3Tree) and resolution is None:
@@ -113,6 +113,16 @@ def bake_lattice(
         steps.say(f"{target.path}: {lattice}, {seen}, {written.size:,} bytes")
         judge_output(written.path, judged, budget, made_from=source.name, name=target.path, steps=steps)
     return lattice
+
+
+def without_scenery(steps: Steps, source: Source, scene: Any) -> Any:
+    """Return the inner cube of a PlenOctree with scenery, and print what is left out; else the scene itself."""
+    if not isinstance(scene, N3Tree) or scene.shells == 1:
+        return scene
+    with source.blamed(steps, "reading the inner cube"):
+        inner = scene.inner_cube()
+    steps.say(f"{source.name}: uses the inner cube of {inner.resolution}^3 and leaves out the scenery around it")
+    return inner
 
 
 def compact_octree(

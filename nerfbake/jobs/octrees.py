@@ -10,7 +10,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
-from nerfbake.jobs.lattices import compact_octree, sample_lattice
+from nerfbake.jobs.lattices import compact_octree, sample_lattice, without_scenery
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
@@ -58,7 +58,7 @@ def bake_octree(
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    scene = source.read(steps, N3Tree, LatticeField)
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, LatticeField))
     if isinstance(scene, LatticeField):
         if resample != "mean":
             raise UsageError("`resample` has no effect on a lattice, which has no leaves; allowed: with a PlenOctree")
@@ -129,7 +129,7 @@ def read_octree_and_held_out(steps: Steps, source: Source) -> tuple[SparseVoxelO
 
     from nerfbake.stages.n3tree_to_octree import build_octree
 
-    scene = source.read(steps, N3Tree, SparseVoxelOctree, LatticeField)
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField))
     if isinstance(scene, SparseVoxelOctree):
         return scene, None
     if isinstance(scene, LatticeField):
@@ -176,7 +176,7 @@ def bake_volume(
     budget.require(target)
     wanted = require_grids(form, grids, half=half)
     scene: N3Tree | SparseVoxelOctree | LatticeField
-    scene = source.read(steps, N3Tree, SparseVoxelOctree, LatticeField)
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField))
     judged = None if budget.min_psnr is None else scene  # without a budget, the tree can be freed early
     if isinstance(scene, LatticeField):
         size = (resolution,) * 3 if isinstance(resolution, int) else resolution

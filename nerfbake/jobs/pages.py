@@ -21,7 +21,7 @@ from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice
-from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.lattices import sample_lattice, without_scenery
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import page_views
@@ -278,7 +278,8 @@ def _read(
             raise UsageError(f"{source.name} is a volume, which cannot be compressed; allowed: `data=exact`")
         if wish.data is None:
             steps.say(f"{source.name}: volumes are not compressed, so the page carries its values in float16")
-    elif wish.data != "exact" and isinstance(scene, N3Tree):
+    scene = without_scenery(steps, source, scene)
+    if wish.data != "exact" and isinstance(scene, N3Tree):
         with source.blamed(steps, "building the octree"):
             return None, build_octree(scene), scene.held_out
     return read.data, scene, None

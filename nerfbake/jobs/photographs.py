@@ -14,7 +14,7 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import read_cameras
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.views import Views
-from nerfbake.stages.pictures_to_views import build_views
+from nerfbake.stages.pictures_to_views import Scenery, build_views
 
 HOLDOUT = 8  # every eighth view is held out if the capture has no test views
 _LEAST = 2  # lowest number of training views
@@ -31,12 +31,15 @@ class PhotographOptions(NamedTuple):
     masks       a folder with a mask NAME.png for each picture, white where the object is; None: no masks
     test        another file or folder of cameras, whose views are held out; None: the test views of the capture, if any
     holdout     hold out every N-th view; None: the test views of the capture, else every eighth view
+    scenery     keep: fit what stands behind the object, too; drop: fit the object alone; auto: keep if the pictures
+                show scenery
     """
 
     background: Colour | None = None
     masks: str | None = None
     test: str | None = None
     holdout: int | None = None
+    scenery: Scenery = "auto"
 
     def require(self) -> None:
         """Raise UsageError for contradictory options. Call it before doing any work."""
@@ -44,6 +47,8 @@ class PhotographOptions(NamedTuple):
             raise UsageError("`test` and `holdout` both select the held-out views; allowed: one of them")
         if self.holdout is not None and self.holdout < 2:
             raise UsageError(f"`holdout` is {self.holdout}; allowed: 2 or more")
+        if self.scenery == "keep" and self.masks is not None:
+            raise UsageError("`masks` and `scenery=keep` contradict each other; allowed: one of them")
 
 
 ALL = PhotographOptions()
@@ -63,7 +68,7 @@ def read_photographs(steps: Steps, source: Source, album: PhotographOptions = AL
     test = album.test or (split[1] if split and album.holdout is None else None)
     if test is not None:
         views = _read(steps, trained, album)
-        known = album._replace(background=views.background)
+        known = album._replace(background=views.background, scenery="keep" if views.scenery else "drop")
         posed = SplitViews(views, _read(steps, test, known))
     else:
         posed = _held_out(_read(steps, trained, album), album.holdout or HOLDOUT, trained)
@@ -88,7 +93,9 @@ def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
     masks = None if album.masks is None else _masks(album.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
-        return build_views(cameras, _pictures(cameras, files, masks), background=album.background)
+        return build_views(
+            cameras, _pictures(cameras, files, masks), background=album.background, scenery=album.scenery
+        )
 
 
 def _pictures(cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | None) -> Iterator[Any]:

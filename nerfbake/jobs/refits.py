@@ -56,7 +56,7 @@ class RefitTarget(NamedTuple):
     def posed(self, steps: Steps, samples: int) -> SplitViews:
         """Return the training views and the held-out views. samples: rays along each edge of a pixel."""
         if self.views is not None:
-            return read_photographs(steps, Source(self.views), self.album)
+            return read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
         bigger = Source(str(self.like))
         scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume)
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):

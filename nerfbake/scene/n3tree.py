@@ -17,6 +17,7 @@ from nerfbake.scene.base import Scene, edge_problems, number_problems, place_pro
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.held_out import HeldOut
 
+MAX_SHELLS = 8  # with the inner cube
 MAX_CELLS_PER_AXIS = 1 << 20  # cells along an axis at the deepest level: coordinates stay exact in int64
 
 
@@ -32,6 +33,7 @@ class N3Tree(Scene):
     dialect  variant of the file format: 'svox', 'legacy', 'quantised', 'quantised+retained'
     held_out held-out pixels, with which compress_octree() measures its loss; None: unknown
     ndc      True for a forward-facing scene, whose cube is not a box of the world
+    shells   of a scene with scenery, N = 2: the inner cube is the middle 1 / 2^(shells - 1) of the edge; else 1
 
     Rows that are not reachable from the root (freed ones) are invalid and never read.
 
@@ -52,6 +54,7 @@ class N3Tree(Scene):
     dialect: str = "svox"
     ndc: bool = False
     held_out: HeldOut | None = None
+    shells: int = 1
 
     def __post_init__(self) -> None:
         shape = self.child.shape
@@ -69,12 +72,18 @@ class N3Tree(Scene):
         if self.data_dim != basis.data_dim:
             found = f"has {self.data_dim} values per cell"
             raise InvalidScene(Problem("data", found, f"{basis.data_dim} for data_format {self.data_format}"))
+        if not 1 <= self.shells <= (MAX_SHELLS if shape[1] == 2 else 1):
+            raise InvalidScene(Problem("shells", f"are {self.shells}", f"1 to {MAX_SHELLS}, and 1 unless N is 2"))
         for name in ("offset", "invradius"):
             value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
-        return f"{self.data_format} PlenOctree of {self.resolution}^3, {plural(sum(map(len, self.levels)), 'node')}"
+        nodes = plural(sum(map(len, self.levels)), "node")
+        if self.shells == 1:
+            return f"{self.data_format} PlenOctree of {self.resolution}^3, {nodes}"
+        inner, around = self.resolution >> (self.shells - 1), plural(self.shells - 1, "shell")
+        return f"{self.data_format} PlenOctree of {inner}^3 with {around} around it, {nodes}"
 
     # -- sizes -------------------------------------------------------------------------------------------------
     @property
@@ -137,13 +146,63 @@ class N3Tree(Scene):
         """(n, N, N, N) density in 1/world unit, a copy; only the values of leaves are valid."""
         return np.ascontiguousarray(self.data[..., -1], np.float32)
 
+    def inner_cube(self) -> N3Tree:
+        """Return the inner cube of a scene with scenery as a tree of its own; any other tree is returned unchanged.
+
+        The held-out pixels are left out, since they show the scenery, too.
+        """
+        if self.shells == 1:
+            return self
+        self.require_sound()
+        child = self.child.reshape(self.n, 8)
+        # Octant o of the inner cube lies in octant o of the root, and there in cell 7 - o of each shell.
+        rows, cells = np.zeros(8, np.int64), np.arange(8)
+        held = np.ones(8, bool)
+        for _ in range(self.shells - 1):
+            step = child[rows, cells].astype(np.int64)
+            held &= step != 0
+            rows, cells = np.where(held, rows + step, 0), 7 - np.arange(8)
+        below = held & (child[rows, cells] != 0)
+        nodes = [rows[below] + child[rows, cells][below]]
+        while nodes[-1].size:
+            steps = child[nodes[-1]]
+            nodes.append((nodes[-1][:, None] + steps)[steps != 0])
+        kept = np.sort(np.concatenate(nodes))
+        number = np.zeros(self.n, np.int64)
+        number[kept] = 1 + np.arange(len(kept))
+        own = child[kept]
+        made = np.zeros((1 + len(kept), 8), np.int32)
+        made[0, below] = number[rows[below] + child[rows, cells][below]]
+        linked = np.where(own != 0, number[np.minimum(kept[:, None] + own, self.n - 1)] - number[kept][:, None], 0)
+        made[1:] = linked
+        data = np.zeros((1 + len(kept), 8, self.data_dim), self.data.dtype)
+        values = self.data.reshape(self.n, 8, self.data_dim)
+        data[0, held] = values[rows, cells][held]
+        data[1:] = values[kept]
+        scale = 2.0 ** (self.shells - 1)
+        return N3Tree(
+            child=made.reshape(-1, 2, 2, 2),
+            data=data.reshape(-1, 2, 2, 2, self.data_dim),
+            offset=(self.offset - 0.5) * scale + 0.5,
+            invradius=self.invradius * scale,
+            data_format=self.data_format,
+            extra_data=self.extra_data,
+            dialect=self.dialect,
+        )
+
     # -- soundness ---------------------------------------------------------------------------------------------
     def structure_problems(self) -> list[Problem]:
         return [
             *edge_problems("invradius", self.invradius),
             *place_problems("offset", self.offset),
-            *self._walk.problems,
+            *(self._walk.problems or self._shell_problems()),
         ]
+
+    def _shell_problems(self) -> list[Problem]:
+        levels = len(self._walk.levels)
+        if self.shells < max(levels, 2):
+            return []
+        return [Problem("shells", f"are {self.shells} in {plural(levels, 'level')}", "fewer than its levels")]
 
     def value_problems(self, *, negative_is_empty: bool = False) -> list[Problem]:
         """Values that cannot be rendered. Only live leaves are checked. The structure must be valid."""

@@ -140,6 +140,50 @@ def _stages(epochs: int, resolution: int, samples: int, views: int) -> Schedule:
     return Schedule(made)
 
 
+# Epochs of the stages of R / 8, R / 4 and R / 2 cells, and of the stages in which some cells are split.
+SCENERY_PRESETS = {"fast": (3, 2, 2, (1,)), "balanced": (3, 2, 3, (2, 1)), "best": (3, 3, 4, (3, 3, 3))}
+_SCENERY_MINUTES = {"fast": 1.0, "balanced": 2.0, "best": 5.0}
+
+
+def scenery_schedule(
+    name: str = "balanced", *, resolution: int = 256, views: int = VIEWS, edge: int = 512, minutes: float | None = None
+) -> Schedule:
+    """A preset's stages for pictures with scenery; `resolution` is that of the smallest cells in the inner cube.
+
+    views: as in preset_schedule(). edge: the pictures' shorter edge in pixels; each stage scales them so that it has
+    about 1.5 times as many pixels as the inner cube has cells. minutes: select the stages for this time instead of the
+    preset.
+    """
+    if name not in SCENERY_PRESETS:
+        raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(SCENERY_PRESETS)))
+    factor = 1.0
+    if minutes is not None:
+        if not 0 < minutes <= MAX_MINUTES:
+            raise InvalidScene(Problem("minutes", f"are {minutes:g}", f"above 0, to {MAX_MINUTES:g}"))
+        name = [preset for preset, least in _SCENERY_MINUTES.items() if least <= max(minutes, 1)][-1]
+        factor = minutes / _SCENERY_MINUTES[name]
+
+    def times(epochs: int) -> int:
+        return max(1, min(round(factor * epochs * VIEWS / views), MAX_EPOCHS))
+
+    def scale(cells: int) -> int:
+        return max(1, min(round(edge / (1.5 * cells)), MAX_SCALE))
+
+    half = max(resolution // 2, 32)
+    first, second, third, last = SCENERY_PRESETS[name]
+    density, colour = (0.025, 0.015), (0.5, 0.3)
+    made = [
+        Stage(max(half // 4, 32), scale(half // 4), times(first), (0.03, 0.015), colour, prune=0.03),
+        Stage(max(half // 2, 32), scale(half // 2), times(second), density, colour, prune=0.03),
+        Stage(half, scale(half), times(third), density, colour, prune=0.03),
+    ]
+    for number, epochs in enumerate(last):
+        end = number == len(last) - 1
+        rates = ((0.025, 0.01), (0.5, 0.2)) if end else (density, colour)
+        made.append(Stage(half, scale(2 * half), times(epochs), *rates, split=0.06 if number else 0.2, prune=0.02))
+    return Schedule(made)
+
+
 def _parse_stage(text: str, place: str) -> Stage:
     found: dict[str, str] = {}
     for word in text.split(","):

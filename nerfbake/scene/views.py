@@ -24,6 +24,7 @@ class Views(Scene):
     pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as in files
     background  sRGB, 0..1: the colour behind the object; pictures with alpha are composited over it
     masked      True: alpha separates the object from the background; False: alpha is 255 everywhere
+    scenery     True: all pixels show something that is fitted, also what stands behind the object
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, Views
@@ -36,6 +37,7 @@ class Views(Scene):
     pictures: tuple[npt.NDArray[np.uint8], ...]
     background: tuple[float, float, float]
     masked: bool
+    scenery: bool = False
 
     def __post_init__(self) -> None:
         if len(self.pictures) != len(self.cameras.cameras):
@@ -48,7 +50,9 @@ class Views(Scene):
                 raise InvalidScene(Problem(f"picture {camera.name}".strip(), found, f"{shape} uint8"))
 
     def __str__(self) -> str:
-        return plural(len(self.pictures), "picture") + (" with alpha" if self.masked else "")
+        return plural(len(self.pictures), "picture") + (
+            " with alpha" if self.masked else " with scenery" if self.scenery else ""
+        )
 
     def take(self, numbers: Sequence[int]) -> Views:
         """These views alone, in this order; the pictures are shared."""

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from nerfbake import memory
-from nerfbake.kernels.arrays import Bits, Points, Singles
+from nerfbake.kernels.arrays import Bits, Coords, Floats, Ints, Points, Singles
 from nerfbake.kernels.fit.bricks import BrickGrid, copy_parents, values_by_brick, values_by_cell
 from nerfbake.kernels.fit.plan import NONE, BrickPlan, FinalBricks, number_cells, plan_of_solid
 from nerfbake.kernels.maths.elementary import power
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.brick_field import BrickField
 
-START_DENSITY = 0.1  # per cell width
+START_DENSITY = 0.1  # per cell width, in the visual hull of an object
 _CELL_BYTES = 30  # per cell, in addition to its values
 _BRICK_BYTES = 8 * 512  # per brick, while its tables are computed
 
@@ -36,11 +36,11 @@ class BrickCells(NamedTuple):
         return len(self.means)
 
 
-def cells_of_solid(solid: Bits, box: Points, B: int) -> BrickCells:
-    """Return grey cells of low density for all cells of a solid (R, R, R)."""
+def cells_of_solid(solid: Bits, box: Points, B: int, density: float = START_DENSITY) -> BrickCells:
+    """Return grey cells of low density, per cell width, for all cells of a solid (S R, R, R), shell after shell."""
     cells = _cells(number_cells(plan_of_solid(solid)), box, 3 * B + 1)
     values = np.zeros((cells.n, 3 * B + 1), np.float32)
-    values[:, -1] = START_DENSITY
+    values[:, -1] = density
     values_by_brick(values, cells.bricks.first, cells.bricks.values)
     return cells
 
@@ -53,7 +53,7 @@ def cells_of_field(field: BrickField) -> BrickCells:
         number_cells(BrickPlan(field.top, codes)), field.box, field.basis.data_dim, beside=field.values.nbytes
     )
     values = field.values.copy()
-    values[:, -1] *= np.float32(cells.bricks.width) * (1 + field.wide).astype(np.float32)
+    values[:, -1] *= _widths(cells.bricks)
     values_by_brick(values, cells.bricks.first, cells.bricks.values)
     return cells
 
@@ -66,17 +66,30 @@ def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points) -> BrickCells:
     return cells
 
 
-def lattice_frame(box: Points, resolution: int) -> tuple[Points, Points, float]:
-    """Return the lattice's lowest corner, the edges of a cell (3,), and the edge of a cube with a cell's volume."""
+def lattice_frame(box: Points, resolution: int, shells: int) -> tuple[Points, Points, Floats]:
+    """Return each shell's lowest corner and edges of a cell (S, 3), and the edges (S,) of cubes with a cell's volume.
+
+    box: the innermost one.
+    """
     size = (box[1] - box[0]) / resolution
-    return box[0].copy(), size, float(power(float(size[0] * size[1] * size[2]), 1 / 3))
+    scale = (1 << np.arange(shells)).astype(np.float64)[:, None]
+    width = float(power(float(size[0] * size[1] * size[2]), 1 / 3))
+    return box[0] - (scale - 1) * (resolution / 2 * size), size * scale, width * scale[:, 0]
+
+
+def _widths(bricks: BrickGrid) -> Singles:
+    """Return the width (n,) of each cell in world units."""
+    shell = np.argwhere(bricks.top >= 0)[:, 0] // bricks.top.shape[1]
+    width = np.repeat(bricks.width[shell].astype(np.float32), np.diff(bricks.first))
+    return np.asarray(width * (1 + (bricks.places & 1)), np.float32)
 
 
 def _cells(made: FinalBricks, box: Points, D: int, *, beside: int = 0) -> BrickCells:
     """Return cells with uninitialised values. `beside` is the number of bytes in use that are not counted elsewhere."""
     n = len(made.row)
     memory.require(f"fitting {n:,} cells", n * (4 * D + _CELL_BYTES) + _BRICK_BYTES * len(made.slots) + beside)
-    low, size, width = lattice_frame(box, 8 * len(made.top))
+    r = made.top.shape[1]
+    low, size, width = lattice_frame(box, 8 * r, len(made.top) // r)
     bricks = BrickGrid(made.top, made.slots, made.first, made.places, np.empty(D * n, np.float32), low, size, width)
     return BrickCells(bricks, np.zeros((n, 2), np.float32), np.zeros((n, 2), np.float32))
 
@@ -87,7 +100,16 @@ def field_of_cells(cells: BrickCells, box: Points, basis: Basis) -> BrickField:
     memory.require(f"a field of {cells.n:,} cells", 4 * len(bricks.values) + 4 * bricks.slots.size)
     values = np.empty((cells.n, basis.data_dim), np.float32)
     values_by_cell(bricks.values, bricks.first, values)
-    values[:, -1] /= np.float32(bricks.width) * (1 + (bricks.places & 1)).astype(np.float32)
+    values[:, -1] /= _widths(bricks)
     shift = 2 * bricks.first[:-1, None]
     rows = np.where(bricks.slots >= 0, bricks.slots + shift, -1).astype(np.int32)
-    return BrickField(8 * len(bricks.top), box.copy(), basis, bricks.top.copy(), rows, values)
+    return BrickField(8 * bricks.top.shape[1], box.copy(), basis, bricks.top.copy(), rows, values)
+
+
+def cell_places(bricks: BrickGrid) -> tuple[Ints, Coords]:
+    """Return each cell's shell (n,), and its lowest lattice cell (n, 3) in the grid of that shell."""
+    r = bricks.top.shape[1]
+    brick = np.repeat(np.argwhere(bricks.top >= 0), np.diff(bricks.first), axis=0)
+    place = bricks.places >> 1
+    within = np.stack([place >> 6, place >> 3 & 7, place & 7], axis=1)
+    return brick[:, 0] // r, (8 * (brick % [r, r, r]) + within).astype(np.int32)

@@ -20,6 +20,7 @@ from nerfbake.kernels.maths.elementary import log
 from nerfbake.scene.base import edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.brick_field import BrickField
+from nerfbake.scene.n3tree import MAX_SHELLS
 from nerfbake.scene.schedule import RESOLUTIONS, Schedule, parse_schedule
 from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame
 
@@ -36,9 +37,10 @@ def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int
     resolutions: smallest and largest number of cells along an axis of the lattice. Raises InvalidScene, MemoryLimit.
     """
     b, n = (len(arrays[name]) if name in arrays and arrays[name].ndim else 0 for name in ("slots", "places"))
-    r = len(arrays["top"]) if "top" in arrays and arrays["top"].ndim else 0
+    grid = arrays["top"].shape if "top" in arrays and arrays["top"].ndim == 3 else (0, 0, 0)
+    r, shells = grid[1], min(max(grid[0] // max(grid[1], 1), 1), MAX_SHELLS)
     shapes: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
-        "top": (np.int32, (r, r, r)),
+        "top": (np.int32, (shells * r, r, r)),
         "slots": (np.int16, (b, SIZE)),
         "first": (np.int32, (b + 1,)),
         "places": (np.int16, (n,)),
@@ -139,8 +141,8 @@ class FitState:
 
     @property
     def resolution(self) -> int:
-        """Number of cells of the lattice along an axis."""
-        return 8 * len(self.cells.bricks.top)
+        """Number of cells of the lattice along an axis of the inner cube."""
+        return int(8 * self.cells.bricks.top.shape[1])
 
     @property
     def train_psnr(self) -> float:
@@ -166,7 +168,8 @@ class FitState:
         held = own_arrays(arrays, resolutions=(RESOLUTIONS[0], 2 * RESOLUTIONS[1]))
         basis, _, schedule = held["text"].tobytes().decode("ascii", "replace").partition(" ")
         made: dict[str, Any] = {name: held[name] for name in BRICKS}
-        low, size, width = lattice_frame(held["box"], 8 * len(held["top"]))
+        r = held["top"].shape[1]
+        low, size, width = lattice_frame(held["box"], 8 * r, len(held["top"]) // r)
         bricks = BrickGrid(**made, low=low, size=size, width=width)
         counters = dict(zip(COUNTERS, map(int, held["counters"]), strict=True))
         error, values = map(float, held["sums"])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +24,9 @@ _CHUNK = 256  # bricks at a time: their cells stay in the second-level cache
 def build_n3tree(field: BrickField, *, dtype: Literal["float32", "float16"] = "float32") -> N3Tree:
     """Convert a field of bricks to a PlenOctree (N = 2). Each cell becomes a leaf of its size and keeps its values.
 
-    Cells of density 0 are empty leaves. The tree's cube is the field's box, whose edges may differ in length. float16
-    rounds the values. Raises InvalidScene for a broken field and for values that are too large for float16;
+    Cells of density 0 are empty leaves. The tree's cube is the field's box, whose edges may differ in length, or its
+    outermost shell: the inner cube of a field with scenery is then the cube of 1 / 2^k of its edge in the middle.
+    float16 rounds the values. Raises InvalidScene for a broken field and for values that are too large for float16;
     MemoryLimit.
 
     >>> import numpy as np
@@ -40,6 +42,12 @@ def build_n3tree(field: BrickField, *, dtype: Literal["float32", "float16"] = "f
     array([50.,  0.], dtype=float32)
     """
     field.require_usable()
+    shells = [_shell_tree(field.shell(number), dtype) for number in reversed(range(field.shells))]
+    return memory.kept(_nested(shells) if len(shells) > 1 else shells[0])
+
+
+def _shell_tree(field: BrickField, dtype: Literal["float32", "float16"]) -> N3Tree:
+    """Return the tree of a field without shells."""
     values = cast_values(field.values, np.dtype(dtype), what="the field", asked="float16")
     filled = values[:, -1] > 0
     bricks, codes = _bricks(field, filled)
@@ -52,14 +60,56 @@ def build_n3tree(field: BrickField, *, dtype: Literal["float32", "float16"] = "f
     _link_above(child, above)
     _fill(field, values, filled, bricks, first, child, data)
     edges = field.box[1] - field.box[0]
-    tree = N3Tree(
+    return N3Tree(
         child=child.reshape(n, 2, 2, 2),
         data=data.reshape(n, 2, 2, 2, width),
         offset=-field.box[0] / edges,
         invradius=1 / edges,
         data_format=str(field.basis),
     )
-    return memory.kept(tree)
+
+
+def _nested(trees: list[N3Tree]) -> N3Tree:
+    """Return the trees as one, each in the middle half of the one before; the middle of each but the last is empty.
+
+    The octant o of a tree's root takes the place of cell 7 - o in the octant o of the next larger tree.
+    """
+    parents, values = _with_octants(trees[0])
+    child, data = [parents], [values]
+    rows = parents[0].copy()  # of the octants of the larger tree, among all rows
+    first, start = 0, len(parents)  # the row of parents[0], and of the next node
+    for number, tree in enumerate(trees[1:], start=2):
+        nodes, values = _with_octants(tree) if number < len(trees) else _flat(tree)
+        octants = np.where(nodes[0] > 0, start + nodes[0] - 1, 0)  # the tree's root has no row
+        for o in range(8):
+            if octants[o]:
+                parents[rows[o] - first, 7 - o] = octants[o] - rows[o]
+        child.append(nodes[1:])
+        data.append(values[1:])
+        parents, rows, first = child[-1], octants, start
+        start += len(nodes) - 1
+    memory.require("the tree of all shells", sum(part.nbytes for part in (*child, *data)))
+    n = start
+    return replace(
+        trees[0],
+        shells=len(trees),
+        child=np.concatenate(child).reshape(n, 2, 2, 2),
+        data=np.concatenate(data).reshape(n, 2, 2, 2, -1),
+    )
+
+
+def _flat(tree: N3Tree) -> tuple[npt.NDArray[np.int32], npt.NDArray[Any]]:
+    return tree.child.reshape(tree.n, 8), tree.data.reshape(tree.n, 8, -1)
+
+
+def _with_octants(tree: N3Tree) -> tuple[npt.NDArray[np.int32], npt.NDArray[Any]]:
+    """Return the nodes and values of a tree, with empty nodes for the octants of its root that have none."""
+    child, data = _flat(tree)
+    empty = np.flatnonzero(child[0] == 0)
+    child = np.concatenate([child, np.zeros((len(empty), 8), np.int32)])
+    data = np.concatenate([data, np.zeros((len(empty), *data.shape[1:]), data.dtype)])
+    child[0, empty] = tree.n + np.arange(len(empty))
+    return child, data
 
 
 class _Bricks(NamedTuple):

@@ -24,9 +24,9 @@ from nerfbake.stages._half import cast_values
 def build_octree_from_bricks(field: BrickField, *, layout: Layout = "full") -> SparseVoxelOctree:
     """Convert a field of bricks to an octree over its lattice. Each cell becomes a leaf of its size with its values.
 
-    Cells of density 0 have no nodes, and eight equal siblings are merged to one leaf. Inner nodes store the mean of
-    the leaves below them by the rule of build_octree(), as if the octree was built from the field's PlenOctree. Raises
-    InvalidScene for a broken field; MemoryLimit.
+    Of a field with shells, the inner cube is converted. Cells of density 0 have no nodes, and eight equal siblings are
+    merged to one leaf. Inner nodes store the mean of the leaves below them by the rule of build_octree(), as if the
+    octree was built from the field's PlenOctree. Raises InvalidScene for a broken field; MemoryLimit.
 
     >>> import numpy as np
     >>> from nerfbake import BrickField, build_octree_from_bricks
@@ -39,6 +39,7 @@ def build_octree_from_bricks(field: BrickField, *, layout: Layout = "full") -> S
     ([1, 1, 1, 1], [0.09765625, 0.78125, 6.25, 50.0])
     """
     field.require_usable()
+    field = field.shell(0)
     filled = field.values[:, -1] > 0
     blocks = []
     for height, chosen in enumerate((filled & ~field.wide, filled & field.wide)):

@@ -40,6 +40,7 @@ def build_vdb_from_bricks(
     VDB index grid (index), 8 voxels, float32
     """
     field.require_usable()
+    field = field.shell(0)
     require_grids(grids, up, str(field.basis), field.basis.data_dim)
     sigma = np.ascontiguousarray(field.values[:, -1])
     values: npt.NDArray[Any] = field.values

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +19,24 @@ PLAIN_SHARE = 0.7  # of the pixels along the pictures' edges; below 1, because t
 
 Pixels = npt.NDArray[np.uint8]
 Colour = tuple[float, float, float]
+Scenery = Literal["auto", "keep", "drop"]
 
 
-def build_views(cameras: Cameras, pictures: Iterable[Pixels], *, background: Colour | None = None) -> Views:
+def build_views(
+    cameras: Cameras, pictures: Iterable[Pixels], *, background: Colour | None = None, scenery: Scenery = "auto"
+) -> Views:
     """Combine cameras with their pictures, (H, W, 4) uint8 of straight sRGB colour and alpha.
 
     A camera is resized if its size differs from its picture's, but the aspect ratio is the same. background: the sRGB
     colour in 0..1 behind the object; None: white if any picture has alpha, else the median of the pixels along the
-    pictures' edges. In pictures without alpha, 70 % of these pixels must have that colour (+-16 of 255), since the
-    object cannot be separated from the background otherwise.
+    pictures' edges. In pictures without alpha, 70 % of these pixels have that colour (+-16 of 255) if they show an
+    object without scenery.
 
-    Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery behind the object, and
-    for pictures that show only background.
+    scenery: keep fits everything that the pictures show, over the mean of all pixels; drop fits an object in front of a
+    background; auto keeps it if the pictures show scenery behind the object, and no background was given.
+
+    Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery that is not to be kept,
+    for scenery in pictures with alpha, and for pictures that show only background.
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, build_views
@@ -47,6 +54,12 @@ def build_views(cameras: Cameras, pictures: Iterable[Pixels], *, background: Col
     if len(kept) != len(cameras.cameras):
         raise InvalidScene(Problem("pictures", f"are {len(kept):,}", f"{len(cameras.cameras):,}, one a camera"))
     masked = any(int(pixels[..., 3].min()) < 255 for pixels in kept)
+    if masked and scenery == "keep":
+        raise InvalidScene(
+            Problem("the pictures", "have alpha or masks", "pictures without them where scenery is kept")
+        )
+    if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(kept)):
+        return Views(replace(cameras, cameras=tuple(fitting)), tuple(kept), background or _mean(kept), False, True)
     behind = (background or WHITE) if masked else _plain_background(kept, background)
     views = Views(replace(cameras, cameras=tuple(fitting)), tuple(kept), behind, masked)
     if all(views.behind(i).all() for i in range(len(kept))):
@@ -87,6 +100,31 @@ def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
 
     Raises InvalidScene if too few pixels of the edges have this colour.
     """
+    colour, alike = _edge_colour(pictures, told)
+    if alike < PLAIN_SHARE:
+        words = ",".join(str(round(255 * value)) for value in colour)
+        found = f"show scenery behind the object: only {int(100 * alike)} % of their edges are near {words}"
+        allowed = f"alpha, a plain background ({100 * PLAIN_SHARE:.0f} % or more), `masks=DIR`, or `scenery=keep`"
+        raise InvalidScene(Problem("the pictures", found, allowed))
+    return colour
+
+
+def _is_plain(pictures: list[Pixels]) -> bool:
+    return _edge_colour(pictures, None)[1] >= PLAIN_SHARE
+
+
+def _mean(pictures: list[Pixels]) -> Colour:
+    """Return the mean colour of all pixels."""
+    sums, count = np.zeros(3), 0
+    for pixels in pictures:
+        sums += pixels[..., :3].sum(axis=(0, 1), dtype=np.int64)
+        count += pixels[..., 0].size
+    red, green, blue = (sums / (255 * count)).tolist()
+    return red, green, blue
+
+
+def _edge_colour(pictures: list[Pixels], told: Colour | None) -> tuple[Colour, float]:
+    """Return `told`, or else the median colour along the pictures' edges, and the share of their pixels near it."""
     counts = np.zeros((3, 256), np.int64)
     for edge in _edges(pictures):
         for channel in range(3):
@@ -95,12 +133,7 @@ def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
     median = [int(np.argmax(2 * np.cumsum(row) >= total)) for row in counts]
     colour = told or (median[0] / 255, median[1] / 255, median[2] / 255)
     alike = sum(int(near_colour(edge, colour).sum()) for edge in _edges(pictures))
-    if alike < PLAIN_SHARE * total:
-        words = ",".join(str(round(255 * value)) for value in colour)
-        found = f"show scenery behind the object: only {100 * alike // total} % of their edges are near {words}"
-        allowed = f"alpha, a plain background ({100 * PLAIN_SHARE:.0f} % or more), or `masks=DIR`"
-        raise InvalidScene(Problem("the pictures", found, allowed))
-    return colour
+    return colour, alike / total
 
 
 def _edges(pictures: list[Pixels]) -> Iterator[Pixels]:

@@ -33,6 +33,7 @@ from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from nerfbake.stages._fog import density_of
 from nerfbake.stages._tile_levels import tile_levels
+from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 
 
 def build_field_from_n3tree(tree: N3Tree) -> RadianceField:
@@ -185,6 +186,8 @@ def build_field_from_bricks(bricks: BrickField) -> RadianceField:
     SH1 field of 1 leaves over 8^3 cells
     """
     bricks.require_usable()
+    if bricks.shells > 1:
+        return build_field_from_n3tree(build_n3tree(bricks))
     cells = _brick_cells(bricks)
     scale = bricks.resolution / (bricks.box[1] - bricks.box[0])
     place = np.column_stack([np.diag(scale), -bricks.box[0] * scale])

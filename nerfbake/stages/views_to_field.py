@@ -21,6 +21,7 @@ from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_state import FitState
 from nerfbake.stages._ray_targets import RayTargets, ray_targets
+from nerfbake.stages._scenery import focus_distance, resolved, start_scenery
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
 __all__ = ["FitState", "fit_field"]
@@ -29,6 +30,7 @@ TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 c
 _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's own colour
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
+_DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
 
@@ -44,9 +46,10 @@ def fit_field(
     """Fit a field to pictures. Yields the state of the fit after every picture; each yield returns the same object.
 
     The schedule sets the number of rays per pixel for each stage, and the field is best for pictures with the same
-    number: 2 x 2 rays for photographs. box: as in carve_hull(). start: a state to resume from; basis, box and seed are
-    then those of the state, and the schedule must equal the state's. The same arguments give the same bytes, for any
-    number of threads, and also if the fit is interrupted and resumed. Raises InvalidScene, MemoryLimit.
+    number: 2 x 2 rays for photographs. box: as in carve_hull(); for views with scenery, the inner cube, which is None
+    or around what the cameras look at. start: a state to resume from; basis, box and seed are then those of the state,
+    and the schedule must equal the state's. The same arguments give the same bytes, for any number of threads, and also
+    if the fit is interrupted and resumed. Raises InvalidScene, MemoryLimit.
 
     Source: Plenoxels (Fridovich-Keil et al., 2022) for the representation and its coarse-to-fine growth; the steps are
     our own (docs/fitting.md, "How it is fitted").
@@ -73,7 +76,7 @@ def fit_field(
     while not state.done:
         if state.built < state.stage:
             batch = None  # frees its memory
-            _rebuild(state)
+            _rebuild(state, views)
         batch = _visit(state, views, batch)
         _count_on(state, len(views.pictures))
         yield state
@@ -83,11 +86,13 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     kind = parse_basis(basis)
     if kind.kind != "SH":
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
+    if views.scenery:
+        return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, kind.size))
     solid, box = find_solid(views, box, schedule[0].cells)
     return FitState(schedule, kind, seed, box, cells_of_solid(solid, box, kind.size))
 
 
-def _rebuild(state: FitState) -> None:
+def _rebuild(state: FitState, views: Views) -> None:
     """Build the cells of the next stage: prune cells with low weights, then double the resolution or divide cells."""
     stage, last, bricks = state.schedule[state.stage], state.schedule[state.stage - 1], state.cells.bricks
     keep = state.cells.seen[:, 0] >= last.prune
@@ -97,7 +102,7 @@ def _rebuild(state: FitState) -> None:
     if stage.cells > last.cells:
         plan = double_plan(plan, np.ones(len(keep), bool))
     if stage.split:
-        chosen = _most_blamed(state, keep, stage.split)
+        chosen = _most_blamed(state, keep & (resolved(state.cells, views) if views.scenery else True), stage.split)
         plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
     state.cells = cells_of_plan(bricks, plan, state.box)
@@ -120,11 +125,17 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None) -> TaskBuff
     if state.view == 0:
         cells.seen[:, 1] = 0
         state.error = state.values = 0.0
-    order = np.random.default_rng([state.seed, state.stage, state.epoch]).permutation(len(views.pictures))
-    looks = ray_targets(views, int(order[state.view]), scale=stage.scale, samples=stage.rays, ring=_RING)
+    random = np.random.default_rng([state.seed, state.stage, state.epoch])
+    order = random.permutation(len(views.pictures))
+    ring: int | None = _RING
+    shift = 0.0, 0.0
+    if views.scenery:
+        x, y = (random.random((len(order), 2))[state.view] - 0.5).tolist()
+        ring, shift = None, (x, y)
+    looks = ray_targets(views, int(order[state.view]), scale=stage.scale, samples=stage.rays, ring=ring, shift=shift)
     if not len(looks.pixels):
         return batch
-    error, batch = _marched(cells.bricks, batch, looks, views)
+    error, batch = _marched(cells.bricks, state.box, batch, looks, views)
     state.error += error
     state.values += 3 * len(looks.pixels)
     part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
@@ -141,11 +152,13 @@ def _rate(rates: Rates, part: float) -> float:
 
 
 def _marched(
-    bricks: BrickGrid, batch: TaskBuffers | None, looks: RayTargets, views: Views
+    bricks: BrickGrid, box: Points, batch: TaskBuffers | None, looks: RayTargets, views: Views
 ) -> tuple[float, TaskBuffers]:
     """Render a view's pixels. Returns the sum of their squared errors, and a larger batch if the view needs one."""
     background, errors = np.array(views.background, np.float32), np.zeros(TASKS)
-    view = FitView(looks.eye, looks.directions, looks.targets, background, _ALPHA if views.masked else 0.0, _POINT)
+    alpha, distortion = _ALPHA if views.masked else 0.0, _DISTORTION if views.scenery else 0.0
+    focus = focus_distance(box)
+    view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, _POINT, distortion, focus)
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:

@@ -112,7 +112,12 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
     scenery = np.random.default_rng(0).integers(0, 256, (10, 14, 3), np.uint8)
     capture = photographed(write_nerfstudio, tmp_path / "capture", many(5), lambda pixels: scenery)
     with pytest.raises(InvalidScene, match=r"capture: the pictures show scenery behind the object: .* `masks=DIR`"):
-        read(capture)
+        read(capture, scenery="drop")
+    kept = read(capture)
+    assert kept.trained.scenery
+    assert kept.judges.scenery
+    with pytest.raises(UsageError, match="`masks` and `scenery=keep` contradict each other; allowed: one of them"):
+        PhotographOptions(masks="masks", scenery="keep").require()
     masks = tmp_path / "masks"
     mask = np.repeat(spot(14, 10)[..., 3:], 3, axis=2)
     for number, name in enumerate(("r_0.png", "r_1.jpg", "r_2.png.png", "images/r_3.png", "images/r_4.png.png")):

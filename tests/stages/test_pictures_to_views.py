@@ -66,10 +66,25 @@ def test_an_object_that_is_cut_off_leaves_the_background_plain() -> None:
 def test_scenery_behind_the_object_is_one_line_that_tells_of_masks() -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (9, 12, 4), np.uint8)
     pixels[..., 3] = 255
-    with pytest.raises(InvalidScene, match=r"show scenery behind the object: only \d+ % .* or `masks=DIR`"):
-        build_views(cameras(), [pixels])
+    with pytest.raises(InvalidScene, match=r"show scenery behind the object: only \d+ % .* or `scenery=keep`"):
+        build_views(cameras(), [pixels], scenery="drop")
     with pytest.raises(InvalidScene, match=r"only 0 % of their edges are near 255,0,255; allowed"):
         build_views(cameras(), [opaque(over(spot(12, 9), (255, 255, 255)))], background=(1.0, 0.0, 1.0))
+
+
+def test_scenery_is_kept_where_the_pictures_show_it() -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (9, 12, 4), np.uint8)
+    pixels[..., 3] = 255
+    kept = build_views(cameras(), [pixels])
+    assert kept.scenery
+    assert str(kept) == "1 picture with scenery"
+    np.testing.assert_allclose(kept.background, pixels[..., :3].mean(axis=(0, 1)) / 255)
+    plain = opaque(over(spot(12, 9), (255, 255, 255)))
+    assert not build_views(cameras(), [plain]).scenery
+    assert build_views(cameras(), [plain], scenery="keep").scenery
+    assert not build_views(cameras(), [spot(12, 9)]).scenery
+    with pytest.raises(InvalidScene, match="the pictures have alpha or masks; allowed: pictures without"):
+        build_views(cameras(), [spot(12, 9)], scenery="keep")
 
 
 @pytest.mark.parametrize("pixels", [np.zeros((9, 12, 4), np.uint8), np.full((9, 12, 4), 255, np.uint8)])

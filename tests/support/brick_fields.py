@@ -7,8 +7,10 @@ import numpy.typing as npt
 from hypothesis import strategies as st
 
 from nerfbake import BrickField
-from nerfbake.kernels.fit.bricks import top_grid
+from nerfbake.kernels.fit.bricks import top_grid, values_by_brick
+from nerfbake.kernels.fit.plan import double_plan, plan_of_kept
 from nerfbake.scene.basis import Basis
+from nerfbake.stages._bricks import BrickCells, cells_of_plan, cells_of_solid, field_of_cells
 
 
 def brick_field_of(
@@ -81,3 +83,26 @@ def sampled(field: BrickField) -> npt.NDArray[np.float32]:
     values = field.sample(lattice_points(field))
     values[values[:, -1] == 0] = 0
     return values
+
+
+BOX = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+
+
+def some_shells(*, shells: int = 3, basis: int = 1, seed: int = 0, share: float = 0.02) -> BrickCells:
+    """Random cells of 64^3 in an inner cube over BOX and in shells around it. About half of the cells are wide."""
+    random = np.random.default_rng(seed)
+    solid = random.random((shells, 32, 32, 32)) < share
+    solid[1:, 8:24, 8:24, 8:24] = False
+    coarse = cells_of_solid(solid.reshape(-1, 32, 32), BOX, basis)
+    bricks = coarse.bricks
+    plan = plan_of_kept(bricks.top, bricks.slots, bricks.first, np.ones(coarse.n, bool))
+    cells = cells_of_plan(bricks, double_plan(plan, random.random(coarse.n) < 0.5), BOX)
+    values = random.normal(0, 1, (cells.n, 3 * basis + 1)).astype(np.float32)
+    values[:, -1] = random.uniform(0.05, 0.5, cells.n)
+    values_by_brick(values, cells.bricks.first, cells.bricks.values)
+    return cells
+
+
+def some_shelled_field(*, shells: int = 3, basis: int = 1, seed: int = 0) -> BrickField:
+    """The field of some_shells()."""
+    return field_of_cells(some_shells(shells=shells, basis=basis, seed=seed), BOX, Basis("SH", basis))

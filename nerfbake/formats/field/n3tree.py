@@ -21,7 +21,7 @@ from nerfbake.scene.held_out import MAX_EVERY, HeldOut, thinned_size
 from nerfbake.scene.n3tree import N3Tree
 
 _KEYS = {"child", "data_dim", "invradius", "invradius3"}
-_HELD_OUT = "held_out"
+_HELD_OUT, _SHELLS = "held_out", "shells"  # nerfbake's additional keys, which svox ignores
 _CHUNK = 1 << 13  # cells dequantised at a time, few enough that their coefficients stay in the CPU cache
 
 
@@ -66,6 +66,7 @@ def decode(view: memoryview, *, companion: bool = False) -> N3Tree:
         dialect=dialect,
         ndc=companion,
         held_out=_held_out(npz),
+        shells=_shells(npz),
     )
 
 
@@ -93,6 +94,8 @@ def encode(tree: N3Tree, *, packing: Literal["stored", "deflated"] = "stored") -
     }
     if tree.extra_data is not None:
         arrays["extra_data"] = tree.extra_data
+    if tree.shells > 1:
+        arrays[_SHELLS] = np.int64(tree.shells)
     if tree.held_out is not None:
         arrays |= _held_out_arrays(tree.held_out)
     yield from write_npz(arrays, deflated=packing == "deflated")
@@ -107,13 +110,21 @@ def _guess(data_dim: int) -> str:
 
 
 def _held_out_arrays(held_out: HeldOut) -> dict[str, npt.ArrayLike]:
-    """Return nerfbake's additional keys, which svox ignores."""
     return {
         f"{_HELD_OUT}_cameras": np.frombuffer(b"".join(transforms.encode(held_out.cameras)), np.uint8),
         f"{_HELD_OUT}_pixels": np.concatenate([pixels.reshape(-1, 3) for pixels in held_out.pixels]),
         f"{_HELD_OUT}_every": np.int64(held_out.every),
         f"{_HELD_OUT}_background": np.array(held_out.background),
     }
+
+
+def _shells(npz: NpzReader) -> int:
+    if _SHELLS not in npz:
+        return 1
+    shells = npz.scalar(_SHELLS)
+    if not isinstance(shells, (int, np.integer)):
+        raise InvalidFile(Problem(_SHELLS, f"is {str(shells)[:40]}", "a number of shells"))
+    return int(shells)
 
 
 def _held_out(npz: NpzReader) -> HeldOut | None:

@@ -23,11 +23,20 @@ Top = npt.NDArray[np.int32]
 
 
 def top_grid(held: Bits) -> Top:
-    """Number the occupied places of a grid (r, r, r) bool in raster order; return (r, r, r) int32.
+    """Number the occupied places of a grid (S r, r, r) bool in raster order; return (S r, r, r) int32.
 
-    An empty place contains -d, where d is the Chebyshev distance to the nearest brick, so a ray may skip d - 1 further
-    bricks in every direction. Without any brick, d is r everywhere.
+    The grid contains S shells, one after the other along x. An empty place contains -d, where d is the Chebyshev
+    distance to the nearest brick of its shell, so a ray may skip d - 1 further bricks in every direction. In a shell
+    without any brick, d is r everywhere.
     """
+    r = held.shape[1]
+    top = np.concatenate([_distances(shell) for shell in held.reshape(-1, r, r, r)])
+    top[held] = np.arange(np.count_nonzero(held), dtype=np.int32)
+    return top
+
+
+def _distances(held: Bits) -> Top:
+    """Return minus the distance (r, r, r) of each empty place to the nearest brick."""
     r = len(held)
     top = np.full(held.shape, -r, np.int32)
     near = held.copy()
@@ -37,7 +46,6 @@ def top_grid(held: Bits) -> Top:
         if wider.all() or not wider.any():
             break
         near = wider
-    top[held] = np.arange(np.count_nonzero(held), dtype=np.int32)
     return top
 
 
@@ -56,14 +64,17 @@ UNMET, LOST = -1, -2
 class BrickGrid(NamedTuple):
     """The bricks of a field and their values.
 
-    top        (r, r, r)        numbers of the bricks, see top_grid()
+    S concentric cubes have r^3 places for bricks each. Cube 0 is the inner one; cube k has cells 2^k times as wide, and
+    bricks only outside of cube k - 1 (so it is a shell).
+
+    top        (S r, r, r)      numbers of the bricks, see top_grid()
     slots      (b, 512) int16   the slot of each place in a brick, x-major
     first      (b + 1,)         the number of each brick's first cell
     places     (n,) int16       place << 1 | wide of each cell in its brick
     values     ((3 B + 1) n,)   of each brick in turn: the coefficients (all cells' first, all cells' second, ...),
                                 then the densities, per width of the cell
-    low, size  (3,)             corner of the lattice and size of a cell, in the world
-    width                       the width of a cell that is not wide, in world units
+    low, size  (S, 3)           each shell's corner and size of a cell, in the world
+    width      (S,)             the width of each shell's cells that are not wide, in world units
     """
 
     top: npt.NDArray[np.int32]
@@ -73,7 +84,7 @@ class BrickGrid(NamedTuple):
     values: Singles
     low: Floats
     size: Floats
-    width: float
+    width: Floats
 
 
 class TaskBuffers(NamedTuple):

@@ -113,11 +113,11 @@ def new_colour_buffer(B: int) -> Singles:
 
 @compiled()
 def fill_brick_rows(
-    bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, at: Any, eye: Floats, room: Singles
+    bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, shell: Whole, at: Any, eye: Floats, room: Singles
 ) -> Whole:
     """Fill the rows of a brick's cells. Return the number of the first row, or LOST if the capacity is exceeded.
 
-    at (3,) int: the brick in the top grid; eye (3,) in the world; room: a buffer of new_colour_buffer().
+    at (3,) int: the brick in the grid of its shell; eye (3,) in the world; room: a buffer of new_colour_buffer().
     """
     first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
     base = batch.used[task]
@@ -127,16 +127,16 @@ def fill_brick_rows(
         return np.int64(LOST)
     batch.base[task, brick] = base
     B, low, size = len(room) - _BASIS, bricks.low, bricks.size
-    x = np.float32(low[0] + 8 * at[0] * size[0] - eye[0])
-    y = np.float32(low[1] + 8 * at[1] * size[1] - eye[1])
-    z = np.float32(low[2] + 8 * at[2] * size[2] - eye[2])
-    evaluate_basis(
-        bricks.places, first, count, x, y, z, np.float32(size[0]), np.float32(size[1]), np.float32(size[2]), room
-    )
+    x = np.float32(low[shell, 0] + 8 * at[0] * size[shell, 0] - eye[0])
+    y = np.float32(low[shell, 1] + 8 * at[1] * size[shell, 1] - eye[1])
+    z = np.float32(low[shell, 2] + 8 * at[2] * size[shell, 2] - eye[2])
+    dx, dy, dz = np.float32(size[shell, 0]), np.float32(size[shell, 1]), np.float32(size[shell, 2])
+    evaluate_basis(bricks.places, first, count, x, y, z, dx, dy, dz, room)
     start = (3 * B + 1) * first
     for channel in range(3):
         _colour(bricks.values, start + channel * B * count, count, B, room, batch.rows, task, base, channel)
-    _fill(bricks.values, start + 3 * B * count, bricks.places, first, count, bricks.width, batch.rows, task, base)
+    densities, width = start + 3 * B * count, float(bricks.width[shell])
+    _fill(bricks.values, densities, bricks.places, first, count, width, batch.rows, task, base)
     return np.int64(base)
 
 

@@ -24,7 +24,7 @@ NONE = -1
 
 
 class BrickPlan(NamedTuple):
-    """top (r, r, r): the numbers of the bricks, see kernels.fit.bricks.top_grid(); codes (b, 512)."""
+    """top (S r, r, r): the numbers of the bricks, see kernels.fit.bricks.top_grid(); codes (b, 512)."""
 
     top: Top
     codes: Codes
@@ -41,12 +41,12 @@ class FinalBricks(NamedTuple):
 
 
 def plan_of_solid(solid: Bits) -> BrickPlan:
-    """Return the plan of the set cells of a grid (R, R, R) bool; all of them copy row 0."""
-    r = len(solid) // 8
-    bricks = solid.reshape(r, 8, r, 8, r, 8).transpose(0, 2, 4, 1, 3, 5).reshape(-1, SIZE)
+    """Return the plan of the set cells of a grid (S R, R, R) bool, shell after shell; all of them copy row 0."""
+    r = solid.shape[1] // 8
+    bricks = solid.reshape(-1, 8, r, 8, r, 8).transpose(0, 2, 4, 1, 3, 5).reshape(-1, SIZE)
     held = bricks.any(axis=1)
     codes = np.where(bricks[held], np.int32(0), np.int32(NONE))
-    return BrickPlan(top_grid(held.reshape(r, r, r)), codes)
+    return BrickPlan(top_grid(held.reshape(-1, r, r)), codes)
 
 
 def plan_of_kept(top: Top, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits) -> BrickPlan:

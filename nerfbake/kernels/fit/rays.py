@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,9 @@ class FitView(NamedTuple):
 
     eye (3,) and directions (pixels rays, 3) float32, unit vectors, in the world; the rays of a pixel are consecutive.
     targets (pixels, 4): colour over the background, and alpha. background (3,). alpha_weight and point_weight: weights
-    of alpha, and of the colour of each single cell, relative to that of a pixel's colour.
+    of alpha, and of the colour of each single cell, relative to that of a pixel's colour. distortion: weight of the
+    distortion loss, which pulls the weights of a ray to one place; 0: none. It measures distances along the ray on a
+    scale that is linear near the camera and ends at infinity; focus: its middle, in world units.
     """
 
     eye: Floats
@@ -47,22 +49,28 @@ class FitView(NamedTuple):
     background: Singles
     alpha_weight: float
     point_weight: float
+    distortion: float
+    focus: float
 
 
 class TaskState(NamedTuple):
     """The buffers of one task.
 
-    row, length, through: for each cell that the rays of a pixel hit, its row, the length of the ray in it, and the
-    transmittance behind it. seen (4,): the sum of the rays' colours and alphas, later the residual of the pixel. room:
-    a buffer of colours.new_room(). place (3,): the camera, in cells.
+    row, length, depth, through: for each cell that the rays of a pixel hit, its row, the length of the ray in it, where
+    it lies along the ray (see _depth()), and the transmittance behind it. seen (4,): the sum of the rays' colours and
+    alphas, later the residual of the pixel. room: a buffer of colours.new_colour_buffer(). place (S, 3): the camera, in
+    cells of each shell. enter, leave (S,): where the ray enters and leaves each cube.
     """
 
     row: npt.NDArray[np.int32]
     length: Singles
+    depth: Singles
     through: Singles
     seen: Floats
     room: Singles
     place: Floats
+    enter: Floats
+    leave: Floats
 
 
 def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: Floats) -> None:
@@ -88,10 +96,13 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: F
     own = TaskState(
         np.empty(most, np.int32),
         np.empty(most, np.float32),
+        np.empty(most if view.distortion > 0 else 1, np.float32),
         np.empty(most, np.float32),
         np.zeros(4),
         new_colour_buffer((len(bricks.values) // bricks.first[-1] - 1) // 3),
         (view.eye - bricks.low) / bricks.size,
+        np.empty(len(bricks.low)),
+        np.empty(len(bricks.low)),
     )
     ends = np.zeros(rays + 1, np.int64)
     for task in range(first, tasks, step):
@@ -106,6 +117,8 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: F
                 own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
             error += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
             for ray in range(rays):
+                if view.distortion > 0:
+                    _accumulate_distortion(batch, task, view, own, ends[ray], ends[ray + 1])
                 _accumulate_back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
         errors[task] = error
 
@@ -114,121 +127,188 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: F
 def _march_ray(
     bricks: BrickGrid, batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, ray: Whole, count: Whole
 ) -> Whole:
-    """March a ray: add its colour and alpha to `seen`, append its hits, and return the number of all hits so far."""
-    o0, o1, o2 = own.place[0], own.place[1], own.place[2]
-    d0, d1, d2 = (
-        view.directions[ray, 0] / bricks.size[0],
-        view.directions[ray, 1] / bricks.size[1],
-        view.directions[ray, 2] / bricks.size[2],
-    )
-    i0 = 1 / d0 if d0 != 0 else np.inf
-    i1 = 1 / d1 if d1 != 0 else np.inf
-    i2 = 1 / d2 if d2 != 0 else np.inf
-    edge = 8 * bricks.top.shape[0]
-    t, end = part_between(o0, i0, edge, 0.0, np.inf)
-    t, end = part_between(o1, i1, edge, t, end)
-    t, end = part_between(o2, i2, edge, t, end)
-    x, y, z = (
-        containing_cell(o0 + t * d0, 0, edge - 1),
-        containing_cell(o1 + t * d1, 0, edge - 1),
-        containing_cell(o2 + t * d2, 0, edge - 1),
-    )
+    """March a ray: add its colour and alpha to `seen`, append its hits, and return the number of all hits so far.
+
+    The ray meets each shell at most twice: before and behind the smaller cubes.
+    """
+    edge, shells = 8 * bricks.top.shape[1], len(bricks.low)
     through, red, green, blue = 1.0, 0.0, 0.0, 0.0
-    up0, up1, up2 = d0 > 0, d1 > 0, d2 > 0
-    exact = 3  # after a wide cell, the only axis along which the last bit of the place is valid; 3: all axes
-    while t < end:
-        b0, b1, b2 = x >> 3, y >> 3, z >> 3
-        brick = np.int64(bricks.top[b0, b1, b2])
-        base = np.int64(-1)
-        if brick >= 0:
-            base = np.int64(batch.base[task, brick])
-            if base == UNMET:
-                base = fill_brick_rows(bricks, batch, task, brick, (b0, b1, b2), view.eye, own.room)
-        if base < 0:
-            # Skip the empty bricks up to the known distance, in all directions.
-            exact = 3
-            away: Whole = max(-brick, 1)
-            l0, l1, l2, width = (b0 - away + 1) << 3, (b1 - away + 1) << 3, (b2 - away + 1) << 3, (2 * away - 1) << 3
-            exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
-            exit1 = ((l1 + width if up1 else l1) - o1) * i1 if d1 != 0 else np.inf
-            exit2 = ((l2 + width if up2 else l2) - o2) * i2 if d2 != 0 else np.inf
-            if exit0 <= exit1 and exit0 <= exit2:
-                t = max(t, exit0)
-                x = l0 + width if up0 else l0 - 1
-                y, z = (
-                    containing_cell(o1 + t * d1, l1, l1 + width - 1),
-                    containing_cell(o2 + t * d2, l2, l2 + width - 1),
+    # The shells from the outermost to the innermost one that the ray enters, and back.
+    deepest = shells
+    for shell in range(shells - 1, -1, -1):
+        own.enter[shell], own.leave[shell] = _part_in_cube(bricks, own, view, ray, shell)
+        if own.enter[shell] >= own.leave[shell]:
+            break
+        deepest = shell
+    for part in range(2 * (shells - deepest) - 1 if deepest < shells else 0):
+        inward = part < shells - 1 - deepest
+        shell = shells - 1 - part if inward else 2 * deepest + part - shells + 1
+        t = own.enter[shell] if inward or shell == deepest else own.leave[shell - 1]
+        end = own.enter[shell - 1] if inward else own.leave[shell]
+        if t >= end:
+            continue
+        o0, o1, o2 = own.place[shell, 0], own.place[shell, 1], own.place[shell, 2]
+        d0, d1, d2 = (
+            view.directions[ray, 0] / bricks.size[shell, 0],
+            view.directions[ray, 1] / bricks.size[shell, 1],
+            view.directions[ray, 2] / bricks.size[shell, 2],
+        )
+        i0 = 1 / d0 if d0 != 0 else np.inf
+        i1 = 1 / d1 if d1 != 0 else np.inf
+        i2 = 1 / d2 if d2 != 0 else np.inf
+        x, y, z = (
+            containing_cell(o0 + t * d0, 0, edge - 1),
+            containing_cell(o1 + t * d1, 0, edge - 1),
+            containing_cell(o2 + t * d2, 0, edge - 1),
+        )
+        up0, up1, up2 = d0 > 0, d1 > 0, d2 > 0
+        exact = 3  # after a wide cell, the only axis along which the last bit of the place is valid; 3: all axes
+        while t < end:
+            b0, b1, b2 = x >> 3, y >> 3, z >> 3
+            brick = np.int64(bricks.top[shell * bricks.top.shape[1] + b0, b1, b2])
+            base = np.int64(-1)
+            if brick >= 0:
+                base = np.int64(batch.base[task, brick])
+                if base == UNMET:
+                    base = fill_brick_rows(bricks, batch, task, brick, shell, (b0, b1, b2), view.eye, own.room)
+            if base < 0:
+                # Skip the empty bricks up to the known distance, in all directions.
+                exact = 3
+                away: Whole = max(-brick, 1)
+                l0, l1, l2, width = (
+                    (b0 - away + 1) << 3,
+                    (b1 - away + 1) << 3,
+                    (b2 - away + 1) << 3,
+                    (2 * away - 1) << 3,
                 )
-            elif exit1 <= exit2:
-                t = max(t, exit1)
-                y = l1 + width if up1 else l1 - 1
-                x, z = (
-                    containing_cell(o0 + t * d0, l0, l0 + width - 1),
-                    containing_cell(o2 + t * d2, l2, l2 + width - 1),
-                )
-            else:
-                t = max(t, exit2)
-                z = l2 + width if up2 else l2 - 1
-                x, y = (
-                    containing_cell(o0 + t * d0, l0, l0 + width - 1),
-                    containing_cell(o1 + t * d1, l1, l1 + width - 1),
-                )
-        else:
-            while True:
-                slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
-                if exact < 3 and slot & 1 == 0:
-                    if exact != 0:
-                        x = containing_cell(o0 + t * d0, x & ~1, x | 1)
-                    if exact != 1:
-                        y = containing_cell(o1 + t * d1, y & ~1, y | 1)
-                    if exact != 2:
-                        z = containing_cell(o2 + t * d2, z & ~1, z | 1)
-                    exact = 3
-                    slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
-                wide: Whole = slot & 1
-                l0, l1, l2, width = x & ~wide, y & ~wide, z & ~wide, 1 + wide
                 exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
                 exit1 = ((l1 + width if up1 else l1) - o1) * i1 if d1 != 0 else np.inf
                 exit2 = ((l2 + width if up2 else l2) - o2) * i2 if d2 != 0 else np.inf
-                ahead = max(min(exit0, exit1, exit2), t)
-                if slot >= 0:
-                    row = base + (slot >> 1)
-                    length = ahead - t
-                    depth = min(batch.rows[task, row, SIGMA] * length, 39.0)
-                    step = int(depth * _PER)
-                    rest = depth - step * (1 / _PER)
-                    kept = _FALL[step] * (1 - rest * (1 - rest * (0.5 - rest * (1 / 6))))
-                    behind = through * kept
-                    if behind < OPAQUE:
-                        behind = 0.0  # the last cell absorbs all remaining light
-                    weight = through - behind
-                    red += weight * batch.rows[task, row, 0]
-                    green += weight * batch.rows[task, row, 1]
-                    blue += weight * batch.rows[task, row, 2]
-                    through = behind
-                    own.row[count], own.length[count], own.through[count] = row, length, through
-                    count += 1
-                    if through == 0:
-                        break
-                t = ahead
                 if exit0 <= exit1 and exit0 <= exit2:
-                    x, axis = l0 + width if up0 else l0 - 1, 0
+                    t = max(t, exit0)
+                    x = l0 + width if up0 else l0 - 1
+                    y, z = (
+                        containing_cell(o1 + t * d1, l1, l1 + width - 1),
+                        containing_cell(o2 + t * d2, l2, l2 + width - 1),
+                    )
                 elif exit1 <= exit2:
-                    y, axis = l1 + width if up1 else l1 - 1, 1
+                    t = max(t, exit1)
+                    y = l1 + width if up1 else l1 - 1
+                    x, z = (
+                        containing_cell(o0 + t * d0, l0, l0 + width - 1),
+                        containing_cell(o2 + t * d2, l2, l2 + width - 1),
+                    )
                 else:
-                    z, axis = l2 + width if up2 else l2 - 1, 2
-                exact = axis if wide else 3
-                if x >> 3 != b0 or y >> 3 != b1 or z >> 3 != b2:
+                    t = max(t, exit2)
+                    z = l2 + width if up2 else l2 - 1
+                    x, y = (
+                        containing_cell(o0 + t * d0, l0, l0 + width - 1),
+                        containing_cell(o1 + t * d1, l1, l1 + width - 1),
+                    )
+            else:
+                while True:
+                    slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
+                    if exact < 3 and slot & 1 == 0:
+                        if exact != 0:
+                            x = containing_cell(o0 + t * d0, x & ~1, x | 1)
+                        if exact != 1:
+                            y = containing_cell(o1 + t * d1, y & ~1, y | 1)
+                        if exact != 2:
+                            z = containing_cell(o2 + t * d2, z & ~1, z | 1)
+                        exact = 3
+                        slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
+                    wide: Whole = slot & 1
+                    l0, l1, l2, width = x & ~wide, y & ~wide, z & ~wide, 1 + wide
+                    exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
+                    exit1 = ((l1 + width if up1 else l1) - o1) * i1 if d1 != 0 else np.inf
+                    exit2 = ((l2 + width if up2 else l2) - o2) * i2 if d2 != 0 else np.inf
+                    ahead = max(min(exit0, exit1, exit2), t)
+                    if slot >= 0:
+                        row = base + (slot >> 1)
+                        length = ahead - t
+                        depth = min(batch.rows[task, row, SIGMA] * length, 39.0)
+                        step = int(depth * _PER)
+                        rest = depth - step * (1 / _PER)
+                        kept = _FALL[step] * (1 - rest * (1 - rest * (0.5 - rest * (1 / 6))))
+                        behind = through * kept
+                        if behind < OPAQUE:
+                            behind = 0.0  # the last cell absorbs all remaining light
+                        weight = through - behind
+                        red += weight * batch.rows[task, row, 0]
+                        green += weight * batch.rows[task, row, 1]
+                        blue += weight * batch.rows[task, row, 2]
+                        through = behind
+                        own.row[count], own.length[count], own.through[count] = row, length, through
+                        if view.distortion > 0:
+                            own.depth[count] = _depth(t + 0.5 * length, view.focus)
+                        count += 1
+                        if through == 0:
+                            break
+                    t = ahead
+                    if exit0 <= exit1 and exit0 <= exit2:
+                        x, axis = l0 + width if up0 else l0 - 1, 0
+                    elif exit1 <= exit2:
+                        y, axis = l1 + width if up1 else l1 - 1, 1
+                    else:
+                        z, axis = l2 + width if up2 else l2 - 1, 2
+                    exact = axis if wide else 3
+                    if x >> 3 != b0 or y >> 3 != b1 or z >> 3 != b2:
+                        break
+                if through == 0:
                     break
-            if through == 0:
+            if not (0 <= x < edge and 0 <= y < edge and 0 <= z < edge):
                 break
-        if not (0 <= x < edge and 0 <= y < edge and 0 <= z < edge):
+        if through == 0:
             break
     own.seen[0] += red + through * view.background[0]
     own.seen[1] += green + through * view.background[1]
     own.seen[2] += blue + through * view.background[2]
     own.seen[3] += 1 - through
     return count
+
+
+@compiled(merged=True)
+def _part_in_cube(bricks: BrickGrid, own: TaskState, view: FitView, ray: Whole, shell: Whole) -> Any:
+    """Return where the ray enters and leaves the cube around a shell."""
+    edge, start, end = 8 * bricks.top.shape[1], 0.0, np.inf
+    for axis in range(3):
+        step = view.directions[ray, axis] / bricks.size[shell, axis]
+        start, end = part_between(own.place[shell, axis], 1 / step if step != 0 else np.inf, edge, start, end)
+    return start, end
+
+
+@compiled(merged=True)
+def _depth(t: float, focus: float) -> float:
+    """Return a place along a ray, -2 at the camera to 2 at infinity; near `focus` about log(t / focus)."""
+    return 2 * (t - focus) / (t + focus)
+
+
+@compiled(merged=True)
+def _accumulate_distortion(
+    batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, first: Whole, last: Whole
+) -> None:
+    """Add the slopes of a ray's distortion loss to the density sums of its cells.
+
+    The loss is sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i with the weights w, the places m, and the lengths l on
+    the scale of the places. Source: Mip-NeRF 360 (Barron et al., 2022), equation 15.
+    """
+    total, moment, before = 0.0, 0.0, 1.0
+    for hit in range(first, last):
+        weight = before - np.float64(own.through[hit])
+        total, moment, before = total + weight, moment + weight * own.depth[hit], np.float64(own.through[hit])
+    behind_weight, behind_moment, behind_slope = 0.0, 0.0, 0.0
+    for hit in range(last - 1, first - 1, -1):
+        behind = np.float64(own.through[hit])
+        weight = (np.float64(own.through[hit - 1]) if hit > first else 1.0) - behind
+        depth, length = np.float64(own.depth[hit]), np.float64(own.length[hit])
+        ahead_weight, ahead_moment = total - behind_weight - weight, moment - behind_moment - weight * depth
+        scale = (2 - depth) * (2 - depth) / (4 * view.focus)  # the slope of the places
+        slope = 2 * (depth * (ahead_weight - behind_weight) - ahead_moment + behind_moment)
+        slope += 2 / 3 * weight * length * scale
+        batch.rows[task, own.row[hit], DENSITY_SUM] -= view.distortion * length * (behind * slope - behind_slope)
+        behind_slope += weight * slope
+        behind_weight += weight
+        behind_moment += weight * depth
 
 
 @compiled(merged=True)

@@ -68,12 +68,12 @@ def _step_blocks(
     step: int,
 ) -> None:
     """Step the bricks in every step-th block of places of the top grid."""
-    r, B = bricks.top.shape[0], len(steps.ridge)
+    r, places, B = bricks.top.shape[1], bricks.top.size, len(steps.ridge)
     sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_colour_buffer(B)
-    for block in range(first, (r * r * r + _BLOCK - 1) // _BLOCK, step):
-        for place in range(block * _BLOCK, min((block + 1) * _BLOCK, r * r * r)):
-            at = place // (r * r), place // r % r, place % r
-            brick = np.int64(bricks.top[at])
+    for block in range(first, (places + _BLOCK - 1) // _BLOCK, step):
+        for place in range(block * _BLOCK, min((block + 1) * _BLOCK, places)):
+            shell, at0, at1, at2 = place // (r * r * r), place // (r * r) % r, place // r % r, place % r
+            brick = np.int64(bricks.top[shell * r + at0, at1, at2])
             if brick < 0:
                 continue
             begin, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
@@ -81,13 +81,22 @@ def _step_blocks(
                 continue
             start = (3 * B + 1) * begin
             _move_density(
-                bricks.values, start + 3 * B * count, bricks.places, bricks.width, begin, count, sums, means, steps
+                bricks.values,
+                start + 3 * B * count,
+                bricks.places,
+                bricks.width[shell],
+                begin,
+                count,
+                sums,
+                means,
+                steps,
             )
             _update_seen(sums, seen, begin, count, np.float32(1 / steps.rays))
-            x = np.float32(bricks.low[0] + 8 * at[0] * bricks.size[0] - eye[0])
-            y = np.float32(bricks.low[1] + 8 * at[1] * bricks.size[1] - eye[1])
-            z = np.float32(bricks.low[2] + 8 * at[2] * bricks.size[2] - eye[2])
-            dx, dy, dz = np.float32(bricks.size[0]), np.float32(bricks.size[1]), np.float32(bricks.size[2])
+            s0, s1, s2 = bricks.size[shell, 0], bricks.size[shell, 1], bricks.size[shell, 2]
+            x = np.float32(bricks.low[shell, 0] + 8 * at0 * s0 - eye[0])
+            y = np.float32(bricks.low[shell, 1] + 8 * at1 * s1 - eye[1])
+            z = np.float32(bricks.low[shell, 2] + 8 * at2 * s2 - eye[2])
+            dx, dy, dz = np.float32(s0), np.float32(s1), np.float32(s2)
             evaluate_basis(bricks.places, begin, count, x, y, z, dx, dy, dz, room)
             _scale_sums(
                 begin, count, sums, means, np.float32(1 / steps.rays), np.float32(steps.colour), room, steps.parts

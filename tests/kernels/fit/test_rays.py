@@ -35,8 +35,8 @@ def bricks(seed: int = 0) -> BrickGrid:
     for brick in range(len(made.first) - 1):
         start, end = made.first[brick], made.first[brick + 1]
         values[13 * start + 12 * (end - start) : 13 * end] = random.uniform(0, 0.5, end - start)
-    size = np.full(3, 1 / 16)
-    return BrickGrid(made.top, made.slots, made.first, made.places, values, np.zeros(3), size, 1 / 16)
+    size = np.full((1, 3), 1 / 16)
+    return BrickGrid(made.top, made.slots, made.first, made.places, values, np.zeros((1, 3)), size, np.array([1 / 16]))
 
 
 def rays(samples: int) -> Any:
@@ -53,7 +53,7 @@ def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.
     directions, targets = rays(samples)
     n, errors = len(made.places), np.zeros(tasks)
     batch = new_batch(tasks, len(made.slots), n)
-    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point), errors)
+    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0), errors)
     total = np.zeros((n, ROW))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
@@ -103,7 +103,7 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     made = bricks()
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
-    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0), np.zeros(1))
+    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0), np.zeros(1))
     _, rows = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
     assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])

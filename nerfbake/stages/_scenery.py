@@ -1,0 +1,111 @@
+"""Where a fit of pictures with scenery starts: the inner cube, shells of fog around it, and a wall at their end."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Bits, Floats, Points
+from nerfbake.kernels.maths.affine import inverse, rotate
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.views import Views
+from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
+
+SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
+FOG = 0.01  # density per cell width
+WALL = 3.0  # density per cell width of the outermost cells, which show whatever is farther away, such as the sky
+_LEAST = 3  # views that must see a cell
+_CLEAR = 0.25  # of the distance that the cameras look at: no fog starts that close to a camera
+_CELL_BYTES = 40
+
+
+def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> tuple[Points, BrickCells]:
+    """Return the inner cube (2, 3), and fog in all cells around it that two views or more see.
+
+    box: the inner cube; None: around the point that the cameras look at. Raises InvalidScene, MemoryLimit.
+    """
+    box = _inner_cube(views) if box is None else box
+    solid = _visible(views, box, resolution)
+    if not solid.any():
+        raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
+    cells = cells_of_solid(solid, box, B, FOG)
+    shell, corner = cell_places(cells.bricks)
+    wall = (shell == SHELLS - 1) & ((corner == 0) | (corner == resolution - 1)).any(axis=1)
+    _set_density(cells, wall, WALL)
+    return box, cells
+
+
+def focus_distance(box: Points) -> float:
+    """Return the distance of the cameras from what they look at, which is the edge of the inner cube."""
+    return float((box[1] - box[0]).mean())
+
+
+def resolved(cells: BrickCells, views: Views) -> Bits:
+    """Return the cells (n,) that cover more than one pixel in the nearest view that shows them."""
+    shell, corner = cell_places(cells.bricks)
+    wide = 1 + (cells.bricks.places & 1)
+    centre = cells.bricks.low[shell] + (corner + wide[:, None] / 2) * cells.bricks.size[shell]
+    width = cells.bricks.width[shell] * wide
+    found = np.zeros(cells.n, bool)
+    for camera in views.cameras.cameras:
+        away = np.sqrt(np.square(centre - camera.pose[:3, 3]).sum(axis=1))
+        found |= (width * max(camera.fx, camera.fy) > away) & _sees(camera, centre, width)
+    return found
+
+
+def _set_density(cells: BrickCells, chosen: Bits, density: float) -> None:
+    first, values = cells.bricks.first, cells.bricks.values
+    D = len(values) // int(first[-1])
+    brick = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    count = np.diff(first)[brick]
+    place = D * first[:-1][brick].astype(np.int64) + (D - 1) * count + np.arange(cells.n) - first[:-1][brick]
+    values[place[chosen]] = density
+
+
+def _visible(views: Views, box: Points, R: int) -> Bits:
+    """Return the cells (S R, R, R) of all shells that enough views see."""
+    memory.require(f"fog in {SHELLS} shells of {R}^3 cells", _CELL_BYTES * R**3 * SHELLS)
+    low, size, width = lattice_frame(box, R, SHELLS)
+    steps = np.stack(np.meshgrid(*[np.arange(R)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
+    found, clear, least = [], _CLEAR * focus_distance(box), min(_LEAST, len(views.pictures))
+    for shell in range(SHELLS):
+        centre, counts = low[shell] + steps * size[shell], np.zeros(R**3, np.int32)
+        for camera in views.cameras.cameras:
+            counts += _sees(camera, centre, width[shell])
+            away = np.square(centre - camera.pose[:3, 3]).sum(axis=1)
+            counts[away < clear * clear] = -len(views.pictures)
+        solid = (counts >= least).reshape(R, R, R)
+        if shell:
+            solid[R // 4 : R - R // 4, R // 4 : R - R // 4, R // 4 : R - R // 4] = False
+        found.append(solid)
+    return np.concatenate(found)
+
+
+def _sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
+    """Return which cells (n,) around these centres may touch the camera's frustum. The lens counts as a pinhole."""
+    along = rotate(centre - camera.pose[:3, 3], np.ascontiguousarray(camera.pose[:3, :3].T))
+    depth, reach = -along[:, 2], 0.87 * np.asarray(width)  # half a cell's diagonal
+    inside = depth > -reach
+    for axis, middle, edge, focal in (0, camera.cx, camera.width, camera.fx), (1, camera.cy, camera.height, camera.fy):
+        # Picture rows count downwards, so that both sides of the frustum are within +-far.
+        far = max(middle, edge - middle) / focal
+        inside &= np.abs(along[:, axis]) <= far * depth + reach * np.sqrt(1 + far * far)
+    return np.asarray(inside)
+
+
+def _inner_cube(views: Views) -> Points:
+    """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it."""
+    eyes = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras])
+    looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
+    across = np.eye(3) - looks[:, :, None] * looks[:, None]
+    spread = float(np.sqrt(np.square(eyes - eyes.mean(axis=0)).sum(axis=1).max()))
+    # Parallel axes do not intersect: the point is pulled to one in front of the cameras.
+    ahead = (eyes + spread * looks).mean(axis=0)
+    left = across.sum(axis=0) + 1e-2 * len(eyes) * np.eye(3)
+    right = (across * eyes[:, None]).sum(axis=(0, 2)) + 1e-2 * len(eyes) * ahead
+    centre = rotate(right, inverse(left))
+    half = float(np.median(np.sqrt(np.square(eyes - centre).sum(axis=1)))) / 2
+    if not half > 0:
+        raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))
+    return np.stack([centre - half, centre + half])

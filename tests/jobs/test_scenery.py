@@ -1,0 +1,58 @@
+"""Jobs with scenery: a fit of photographs alone, and what follows from its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerfbake import io, jobs
+from nerfbake.errors import InvalidFile, UsageError
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.stages.brick_field_to_n3tree import build_n3tree
+from tests.support.brick_fields import some_shelled_field
+from tests.support.rooms import write_room
+
+SHORT = "cells=32,scale=4,epochs=2,density=0.05,prune=0.02/cells=32,scale=2,epochs=1,split=0.3"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("shells") / "a.npz"
+    io.save(path, build_n3tree(some_shelled_field(basis=4)))
+    return path
+
+
+def test_photographs_alone_become_a_scene(tmp_path: Path) -> None:
+    room = tmp_path / "room"
+    write_room(room, frames=8)
+    fitted = jobs.fit_file(str(room), str(tmp_path / "a.npz"), recipe=jobs.FitOptions(epochs=SHORT, basis="SH1"))
+    assert (room / "transforms.json").exists()
+    tree = io.load(tmp_path / "a.npz", N3Tree)
+    assert tree.shells == 6
+    assert fitted.psnr > 12
+    # The scenery has no place in an octree; the second fit finds the cameras that the first one wrote.
+    with pytest.raises(
+        UsageError, match=r"has scenery behind the object, which .*a\.svo\.pb cannot store; allowed: a Pl"
+    ):
+        jobs.fit_file(str(room), str(tmp_path / "a.svo.pb"), recipe=jobs.FitOptions(epochs=SHORT))
+    assert not (tmp_path / "a.svo.pb").exists()
+
+
+def test_a_folder_without_pictures_and_cameras_is_refused_as_before(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing")
+    with pytest.raises(InvalidFile, match="is a folder of unknown kind"):
+        jobs.fit_file(str(tmp_path), str(tmp_path / "a.npz"))
+
+
+def test_octrees_and_volumes_take_the_inner_cube(scene: Path, tmp_path: Path) -> None:
+    octree = jobs.bake_octree(str(scene), str(tmp_path / "a.svo.npz"))
+    assert octree.size == (64, 64, 64)
+    np.testing.assert_allclose(octree.origin, [-1, -1, -1])
+    volume = jobs.bake_volume(str(scene), str(tmp_path / "a.vdb"))
+    assert volume.frame is not None
+    assert volume.frame.size == (64, 64, 64)
+    jobs.compress_file(str(scene), str(tmp_path / "a.svoq"))
+    jobs.view_file(str(scene), str(tmp_path / "a.html"))
+    assert all((tmp_path / name).exists() for name in ("a.svoq", "a.html"))

@@ -1,0 +1,206 @@
+"""Fits to pictures with scenery on all sides: the march through shells, the distortion loss, and a small room."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from nerfbake import Camera, Cameras, Views, build_field, fit_field, measure_views, render_field
+from nerfbake.errors import InvalidScene
+from nerfbake.kernels.fit.bricks import DENSITY_SUM, ROW, BrickGrid, new_batch
+from nerfbake.kernels.fit.rays import FitView, march_view
+from nerfbake.scene.basis import Basis
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.schedule import parse_schedule, scenery_schedule
+from nerfbake.stages._bricks import cells_of_solid, field_of_cells
+from nerfbake.stages._fit_state import FitState
+from nerfbake.stages._ray_targets import ray_targets
+from tests.support.brick_fields import BOX, some_shelled_field, some_shells
+
+WHITE = (1.0, 1.0, 1.0)
+SCHEDULE = parse_schedule(
+    "cells=32,scale=2,epochs=6,density=0.05..0.03,prune=0.02/cells=32,epochs=4,density=0.03..0.01,split=0.5,prune=0.01"
+)
+
+
+def cameras(count: int = 28, edge: int = 48, away: float = 1.6) -> Cameras:
+    """Cameras on an arc of 100 degrees around the origin, which they look at, at four heights."""
+    poses = [look_at(np.zeros(3), 1.75 * i / count, 0.2 * (i % 4) - 0.2, away) for i in range(count)]
+    return Cameras(tuple(Camera(edge, edge, 0.9 * edge, pose, f"{i:02d}") for i, pose in enumerate(poses)))
+
+
+def pictures_of(scene: Any, posed: Cameras) -> Views:
+    pictures = tuple(render_field(scene, camera, background=WHITE, samples=2).pixels for camera in posed.cameras)
+    opaque = tuple(np.concatenate([each, np.full_like(each[..., :1], 255)], axis=2) for each in pictures)
+    return Views(posed, opaque, WHITE, False, scenery=True)
+
+
+def room() -> Any:
+    """A box of coloured plates within walls of coloured tiles, 8 units apart."""
+    solid = np.zeros((3, 32, 32, 32), bool)
+    solid[0, 10:22, 10:22, 12:20] = True
+    solid[2] = True
+    solid[2, 1:31, 1:31, 1:31] = False
+    cells = cells_of_solid(solid.reshape(-1, 32, 32), BOX, 1, 8.0)
+    field = field_of_cells(cells, BOX, Basis("SH", 1))
+    random = np.random.default_rng(0)
+    shell = np.repeat(np.arange(3), [field.shell(number).n for number in range(3)])
+    _, plate = np.unique(np.column_stack([field.corners // 4, shell]), axis=0, return_inverse=True)
+    field.values[:, :3] = random.normal(0, 2, (plate.max() + 1, 3))[plate.reshape(-1)]
+    return build_field(field)
+
+
+@pytest.mark.parametrize("shells", [1, 2, 3])
+@pytest.mark.parametrize("eye", [[0.1, 0.2, 0.3], [1.3, -0.4, 0.2], [-3.1, 2.2, 1.0], [9.0, 1.0, 2.0]])
+def test_rays_through_shells_see_what_the_renderer_sees(shells: int, eye: list[float]) -> None:
+    cells = some_shells(shells=shells)
+    field = build_field(field_of_cells(cells, BOX, Basis("SH", 1)))
+    pose = np.eye(4)
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    pose[:3, :3], pose[:3, 3] = turn * np.linalg.det(turn), eye
+    camera = Camera(24, 20, 9.0, pose)
+    seen = render_field(field, camera, background=WHITE).colour.reshape(-1, 3)
+    views = Views(Cameras((camera,)), (np.zeros((20, 24, 4), np.uint8),), WHITE, False, scenery=True)
+    looks = ray_targets(views, 0, scale=1, samples=1, ring=None)
+    targets = np.concatenate([seen, np.zeros((len(seen), 1))], axis=1).astype(np.float32)[looks.pixels]
+    errors = np.zeros(1)
+    view = FitView(looks.eye, looks.directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0)
+    march_view(cells.bricks, new_batch(1, len(cells.bricks.slots), cells.n), view, errors)
+    # Colours come from a short series, and rays end at a transmittance of 1 %.
+    assert np.sqrt(errors[0] / seen.size) < 0.004
+    if shells == 3 and eye[0] < 8:
+        assert seen.std() > 0.02
+
+
+def loss_and_sums(made: BrickGrid, values: Any, distortion: float) -> tuple[float, Any]:
+    """The distortion loss of some rays, by its definition, and the kernel's sums for the densities."""
+    bricks = made._replace(values=values)
+    directions = np.random.default_rng(2).normal(size=(12, 3)) * [0.3, 0.3, 1]
+    directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+    targets, errors = np.zeros((12, 4), np.float32), np.zeros(1)
+    eye = np.array([0.05, -0.02, 0.1])
+    sums = []
+    for weight in (0.0, distortion):
+        batch = new_batch(1, len(bricks.slots), len(bricks.places))
+        view = FitView(eye, directions, targets, np.zeros(3, np.float32), 0.0, 0.0, weight, 1.5)
+        march_view(bricks, batch, view, errors)
+        total = np.zeros((len(bricks.places), ROW))
+        for brick, base in enumerate(batch.base[0]):
+            if base >= 0:
+                start, end = bricks.first[brick], bricks.first[brick + 1]
+                total[start:end] += batch.rows[0, base : base + end - start]
+        sums.append(total[:, DENSITY_SUM])
+    return _loss(bricks, eye, directions, 1.5), sums[1] - sums[0]
+
+
+def _loss(bricks: BrickGrid, eye: Any, directions: Any, focus: float) -> float:
+    """Sum over rays of sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i, with fine steps along each ray."""
+    field = field_of_cells(some_shells()._replace(bricks=bricks), BOX, Basis("SH", 1))
+    total = 0.0
+    for direction in directions.astype(np.float64):
+        t = np.linspace(0, 8, 40_001)
+        middle = (t[1:] + t[:-1]) / 2
+        row = field.rows_at(eye + middle[:, None] * direction)
+        change = np.flatnonzero(np.diff(row, prepend=-9))
+        ends = np.append(change[1:], len(row))
+        row, start, end = row[change], t[change], t[ends]
+        start, end, row = start[row >= 0], end[row >= 0], row[row >= 0]
+        depth = field.values[row, -1].astype(np.float64) * (end - start)
+        behind = np.exp(-np.cumsum(depth))
+        weight = np.concatenate([[1.0], behind[:-1]]) - behind if len(behind) else behind
+        place = 2 * ((start + end) / 2 - focus) / ((start + end) / 2 + focus)
+        length = (end - start) * (2 - place) ** 2 / (4 * focus)
+        total += float((weight[:, None] * weight * np.abs(place[:, None] - place)).sum())
+        total += float((weight**2 * length).sum() / 3)
+    return total
+
+
+def test_sums_of_the_distortion_loss_are_its_slope() -> None:
+    cells = some_shells()
+    made = cells.bricks
+    start = np.repeat(made.first[:-1], np.diff(made.first))
+    count = np.repeat(np.diff(made.first), np.diff(made.first))
+    place = 4 * start + 3 * count + np.arange(cells.n) - start  # of each cell's density
+    width = (made.width[(np.argwhere(made.top >= 0)[:, 0] // 8)]).repeat(np.diff(made.first)) * (1 + (made.places & 1))
+    values = made.values.copy()
+    values[place] *= 0.3  # no ray ends early
+    loss, sums = loss_and_sums(made, values, 0.5)
+    assert loss > 0
+    for cell in np.argsort(-np.abs(sums))[:4]:
+        losses = []
+        for step in (-1e-2, 1e-2):
+            moved = values.copy()
+            moved[place[cell]] += step
+            losses.append(_loss(made._replace(values=moved), np.array([0.05, -0.02, 0.1]), _directions(), 1.5))
+        slope = (losses[1] - losses[0]) / 2e-2 * width[cell]
+        assert_allclose(sums[cell], -0.5 * slope, rtol=0.03, atol=1e-4)
+
+
+def _directions() -> Any:
+    directions = np.random.default_rng(2).normal(size=(12, 3)) * [0.3, 0.3, 1]
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+
+
+def test_a_room_is_fitted_with_its_walls() -> None:
+    scene, posed = room(), cameras()
+    views = pictures_of(scene, posed)
+    trained, judges = views.take([i for i in range(28) if i % 7 != 3]), views.take([3, 10, 17, 24])
+    *_, state = fit_field(trained, schedule=SCHEDULE, basis="SH1")
+    field = state.field()
+    assert field.shells > 3
+    made = build_field(field)
+    errors = [error.psnr for error in measure_views(made, judges, samples=2)]
+    assert min(errors) > 20
+    assert max(errors) > 30
+    for camera in judges.cameras.cameras[1:3]:
+        true, found = (render_field(each, camera, background=WHITE).depth for each in (scene, made))
+        assert np.isfinite(found).all()  # the walls are there
+        assert np.median(np.abs(found / true - 1)) < 0.15
+        assert (found > 0.5 * true).mean() > 0.97  # and no fog is in front of the camera
+
+
+def test_a_fit_with_scenery_resumes_with_the_same_bytes() -> None:
+    views = pictures_of(room(), cameras(6, 32))
+    short = parse_schedule("cells=32,scale=2,epochs=1,density=0.05/cells=32,epochs=1,split=0.3")
+    whole: Any = None
+    half: Any = None
+    for number, whole in enumerate(fit_field(views, schedule=short, basis="SH1", seed=3)):
+        if number == 6:
+            half = {name: array.copy() for name, array in whole.arrays().items()}
+    *_, resumed = fit_field(views, schedule=short, start=FitState.of_arrays(half))
+    for name, array in whole.arrays().items():
+        assert_array_equal(resumed.arrays()[name], array, err_msg=name)
+
+
+def test_cameras_at_one_place_need_a_box() -> None:
+    posed = cameras(4)
+    poses = [camera.pose.copy() for camera in posed.cameras]
+    for pose in poses:
+        pose[:3, 3] = 0
+    still = Cameras(tuple(Camera(16, 16, 14.0, pose, str(i)) for i, pose in enumerate(poses)))
+    views = Views(still, (np.full((16, 16, 4), 255, np.uint8),) * 4, WHITE, False, scenery=True)
+    with pytest.raises(InvalidScene, match="the cameras are all at the same place; allowed: two places or more"):
+        next(iter(fit_field(views, schedule=SCHEDULE)))
+
+
+def test_schedules_of_scenery_take_longer_for_better_presets() -> None:
+    presets = [scenery_schedule(name) for name in ("fast", "balanced", "best")]
+    assert sorted(schedule.epochs for schedule in presets) == [schedule.epochs for schedule in presets]
+    assert all(schedule[0].cells == 32 and schedule[-1].cells == 128 for schedule in presets)
+    assert scenery_schedule(minutes=1) == presets[0]
+    assert scenery_schedule(minutes=5) == presets[2]
+    assert scenery_schedule(minutes=0.2).epochs < presets[0].epochs
+    assert scenery_schedule(minutes=10).epochs > presets[2].epochs
+    assert [stage.scale for stage in scenery_schedule("fast", edge=756)] == [16, 8, 4, 2]
+    with pytest.raises(InvalidScene, match="preset is 'slow'; allowed: fast, balanced, best"):
+        scenery_schedule("slow")
+    with pytest.raises(InvalidScene, match="minutes are 0; allowed: above 0"):
+        scenery_schedule(minutes=0)
+
+
+def test_a_field_with_shells_is_rendered_like_its_tree() -> None:
+    field = some_shelled_field()
+    assert build_field(field).sample(np.array([[0.0, 0.0, 3.0]])).shape == (1, 4)
