@@ -28,7 +28,7 @@ from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
 from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import measure_views
+from nerfbake.stages.views_to_error import measure_views, plain_psnr
 
 if TYPE_CHECKING:
     from nerfbake.scene.schedule import Schedule
@@ -76,6 +76,8 @@ CONVERSIONS: dict[str, Callable[[BrickField, Pixels, Target, Tell, Dtype | None]
 }
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
 PRESET = "balanced"
+_FEW = 20  # views of scenery
+_POOR = 4.0  # dB above pictures of a single colour
 
 
 class FitOptions(NamedTuple):
@@ -194,7 +196,7 @@ def fit_scene(
     source = as_source(source)
     album.require()
     recipe.schedule()
-    require_poses(source, steps=steps)
+    require_poses(steps, source)
     posed = read_photographs(steps, source, album)
     schedule = recipe.schedule(posed.trained)
     course = FitRun(posed, schedule, recipe.rays(schedule))
@@ -236,13 +238,16 @@ def fit_file(
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
-    require_poses(source, steps=steps)
+    require_poses(steps, source)
     posed = read_photographs(steps, source, album)
     judges, schedule = posed.judges, recipe.schedule(posed.trained)
     if judges.scenery and kind != "N3Tree":
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
-        raise UsageError(f"{found}; allowed: a PlenOctree (.npz), or `scenery=drop` and a plain background or masks")
+        raise UsageError(f"{found}; allowed: a PlenOctree, or masks of the object")
     steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
+    if judges.scenery and len(posed.trained.pictures) < _FEW:
+        few = f"{len(posed.trained.pictures)} views are few for scenery"
+        steps.say(f"{source.name}: {few}; parts that fewer than three of them show stay empty")
     steps.say(f"{source.name}: `epochs={schedule}`")
     keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule), posed.trained)
     course = FitRun(posed, schedule, recipe.rays(schedule))
@@ -349,6 +354,9 @@ def _judged(steps: Steps, target: Target, judges: Views, schedule: Schedule, sam
         f"{fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on {judges}{replace(judges.cameras, samples=samples).rays_told}"
     )
     steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
+    if fitted.psnr < (plain := plain_psnr(judges)) + _POOR:
+        check = "check that the poses belong to these pictures, in this order, and are not mirrored"
+        steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {check}")
     return fitted
 
 

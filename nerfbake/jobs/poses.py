@@ -18,7 +18,7 @@ from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
 from nerfbake.io.reading import is_picture
 from nerfbake.io.targets import replacing_folder
-from nerfbake.jobs.files import AnySource, as_source
+from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.camera import Cameras
 
@@ -92,12 +92,11 @@ def find_poses(
     return result
 
 
-def require_poses(source: AnySource, *, steps: Steps = SILENT) -> None:
+def require_poses(steps: Steps, source: Source) -> None:
     """Find the poses of a folder that has photographs and no cameras; do nothing for any other source.
 
     Raises NerfbakeError as find_poses() does.
     """
-    source = as_source(source)
     folder = Path(source.path)
     if not folder.is_dir():
         return

@@ -23,6 +23,24 @@ class ViewError(NamedTuple):
     ssim: float
 
 
+def plain_psnr(views: Views) -> float:
+    """Return the mean PSNR in dB of pictures that have only the mean colour of their photograph.
+
+    >>> import numpy as np
+    >>> from nerfbake import Camera, Cameras, Views
+    >>> picture = np.full((2, 4, 4), 255, np.uint8)
+    >>> picture[0, :, :3] = 0
+    >>> camera = Camera(4, 2, 5.0, np.eye(4), "front")
+    >>> round(plain_psnr(Views(Cameras((camera,)), (picture,), (1.0, 1.0, 1.0), False)), 2)
+    6.02
+    """
+    found = []
+    for number in range(len(views.pictures)):
+        truth = views.photograph(number).astype(np.float64)
+        found.append(psnr(np.broadcast_to(truth.mean(axis=(0, 1)), truth.shape), truth))
+    return sum(found) / len(found)
+
+
 def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
     """Render every view over its background, and measure it against its photograph.
 

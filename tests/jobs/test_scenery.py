@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nerfbake import io, jobs
+from nerfbake.cli.main import run
 from nerfbake.errors import InvalidFile, UsageError
+from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from tests.support.brick_fields import some_shelled_field
@@ -24,14 +29,16 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_photographs_alone_become_a_scene(tmp_path: Path) -> None:
+def test_photographs_alone_become_a_scene(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     room = tmp_path / "room"
     write_room(room, frames=8)
-    fitted = jobs.fit_file(str(room), str(tmp_path / "a.npz"), recipe=jobs.FitOptions(epochs=SHORT, basis="SH1"))
+    assert run(["fit", str(room), str(tmp_path / "a.npz"), "--epochs", SHORT, "--basis", "SH1", "--json"]) == 0
+    written = capfd.readouterr()
+    assert "has photographs without cameras, so their poses are found first" in written.err
     assert (room / "transforms.json").exists()
     tree = io.load(tmp_path / "a.npz", N3Tree)
     assert tree.shells == 6
-    assert fitted.psnr > 12
+    assert json.loads(written.out)["psnr"] > 15
     # The scenery has no place in an octree; the second fit finds the cameras that the first one wrote.
     with pytest.raises(
         UsageError, match=r"has scenery behind the object, which .*a\.svo\.pb cannot store; allowed: a Pl"
@@ -56,3 +63,17 @@ def test_octrees_and_volumes_take_the_inner_cube(scene: Path, tmp_path: Path) ->
     jobs.compress_file(str(scene), str(tmp_path / "a.svoq"))
     jobs.view_file(str(scene), str(tmp_path / "a.html"))
     assert all((tmp_path / name).exists() for name in ("a.svoq", "a.html"))
+
+
+def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    room = tmp_path / "room"
+    write_room(room, frames=8)
+    jobs.find_poses(str(room))
+    cameras = io.load(room, Cameras)
+    names = [camera.picture for camera in cameras.cameras]
+    wrong = [replace(camera, picture=names[(3 * i + 1) % 8]) for i, camera in enumerate(cameras.cameras)]
+    io.save(room / "transforms.json", replace(cameras, cameras=tuple(wrong)), force=True)
+    assert run(["fit", str(room), str(tmp_path / "a.npz"), "--epochs", SHORT, "--basis", "SH1"]) == 0
+    told = capfd.readouterr().err
+    assert "7 views are few for scenery; parts that fewer than three of them show stay empty" in told
+    assert re.search(r"a poor fit; pictures of a single colour have \d+\.\d\d dB; check that the poses belong", told)
