@@ -30,10 +30,25 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
     if not solid.any():
         raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
     cells = cells_of_solid(solid, box, B, FOG)
-    shell, corner = cell_places(cells.bricks)
-    wall = (shell == SHELLS - 1) & ((corner == 0) | (corner == resolution - 1)).any(axis=1)
-    _set_density(cells, wall, WALL)
+    close_wall(cells)
     return box, cells
+
+
+def wall_of(cells: BrickCells) -> Bits:
+    """Return the cells (n,) at the end of the outermost shell."""
+    shell, corner = cell_places(cells.bricks)
+    wide, edge = 1 + (cells.bricks.places & 1)[:, None], 8 * cells.bricks.top.shape[1]
+    return np.asarray((shell == SHELLS - 1) & ((corner == 0) | (corner + wide == edge)).any(axis=1))
+
+
+def close_wall(cells: BrickCells) -> None:
+    """Make the wall opaque, so that rays that leave all other cells do not end in the background."""
+    first, values, wall = cells.bricks.first, cells.bricks.values, wall_of(cells)
+    D = len(values) // int(first[-1])
+    brick = np.repeat(np.arange(len(first) - 1), np.diff(first))[wall]
+    start = first[:-1][brick].astype(np.int64)
+    place = D * start + (D - 1) * np.diff(first)[brick] + np.flatnonzero(wall) - start  # of each density
+    values[place] = np.maximum(values[place], np.float32(WALL))
 
 
 def focus_distance(box: Points) -> float:
@@ -52,15 +67,6 @@ def resolved(cells: BrickCells, views: Views) -> Bits:
         away = np.sqrt(np.square(centre - camera.pose[:3, 3]).sum(axis=1))
         found |= (width * max(camera.fx, camera.fy) > away) & _sees(camera, centre, width)
     return found
-
-
-def _set_density(cells: BrickCells, chosen: Bits, density: float) -> None:
-    first, values = cells.bricks.first, cells.bricks.values
-    D = len(values) // int(first[-1])
-    brick = np.repeat(np.arange(len(first) - 1), np.diff(first))
-    count = np.diff(first)[brick]
-    place = D * first[:-1][brick].astype(np.int64) + (D - 1) * count + np.arange(cells.n) - first[:-1][brick]
-    values[place[chosen]] = density
 
 
 def _visible(views: Views, box: Points, R: int) -> Bits:

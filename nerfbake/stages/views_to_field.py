@@ -21,7 +21,7 @@ from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_state import FitState
 from nerfbake.stages._ray_targets import RayTargets, ray_targets
-from nerfbake.stages._scenery import focus_distance, resolved, start_scenery
+from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
 __all__ = ["FitState", "fit_field"]
@@ -96,6 +96,8 @@ def _rebuild(state: FitState, views: Views) -> None:
     """Build the cells of the next stage: prune cells with low weights, then double the resolution or divide cells."""
     stage, last, bricks = state.schedule[state.stage], state.schedule[state.stage - 1], state.cells.bricks
     keep = state.cells.seen[:, 0] >= last.prune
+    if views.scenery:
+        keep |= wall_of(state.cells)
     if not keep.any():
         raise InvalidScene(Problem("the fit", "has no cell left that is visible in a picture", "pictures of an object"))
     plan, wide = plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), bool(state.divided)
@@ -106,6 +108,8 @@ def _rebuild(state: FitState, views: Views) -> None:
         plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
     state.cells = cells_of_plan(bricks, plan, state.box)
+    if views.scenery:
+        close_wall(state.cells)
     state.built = state.stage
 
 
