@@ -295,6 +295,8 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
     live = sum(map(len, tree.levels))
     with np.errstate(divide="ignore", invalid="ignore"):
         corners = (np.array([[0.0] * 3, [1.0] * 3]) - tree.offset) / tree.invradius
+        half = 0.5**tree.shells
+        inner = (np.array([[0.5 - half] * 3, [0.5 + half] * 3]) - tree.offset) / tree.invradius
     # A cell in a node of level d is a cube of level d + 1.
     return {
         "kind": "PlenOctree (N3Tree)",
@@ -311,6 +313,8 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
         "occupied_leaves": int(occupied.sum()),
         "occupied_per_level": [0] + [int(occupied[rows].sum()) for rows in tree.levels],
         "world_box": _numbers(corners),
+        "shells": tree.shells,
+        "inner_box": None if tree.shells == 1 else _numbers(inner),
         "ranges": _ranges(extremes(cells, occupied.reshape(-1)), tree.data_format),
         "non_finite": extremes(cells, leaves.reshape(-1)).non_finite,
         "held_out": None if tree.held_out is None else str(tree.held_out),

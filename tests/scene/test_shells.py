@@ -15,6 +15,7 @@ from nerfbake import build_n3tree, build_octree_from_bricks
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.kernels.fit.bricks import top_grid
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.stages.scene_to_summary import summarise_scene
 from tests.support.brick_fields import BOX, some_shelled_field
 
 
@@ -123,3 +124,12 @@ def test_shells_of_a_hostile_file_are_one_line(tmp_path: Path, value: Any, messa
     np.savez(path, **(arrays | {"shells": value}))
     with pytest.raises((InvalidFile, InvalidScene), match=message):
         nerfbake.load(path, N3Tree).require_usable()
+
+
+def test_info_names_the_inner_box() -> None:
+    tree = build_n3tree(some_shelled_field())
+    told = summarise_scene(tree)
+    assert told["shells"] == 3
+    assert_allclose(told["inner_box"], BOX)
+    assert_allclose(told["world_box"], 4 * BOX)
+    assert summarise_scene(tree.inner_cube())["inner_box"] is None
