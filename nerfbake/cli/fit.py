@@ -137,6 +137,14 @@ def fit_options(function: Command) -> Command:
         help="Two opposite corners of the box around the object, or of the inner cube of scenery, in world "
         "coordinates.  [default: derived from the pictures]",
     )
+    @click.option(
+        "--exposure",
+        type=click.Choice(["auto", "fit", "fixed"]),
+        default="auto",
+        show_default=True,
+        help="fit: also fit a gain for each photograph and channel, which removes differences of exposure and of white "
+        "balance. fixed: use the photographs as they are. auto: fit if they show scenery.",
+    )
     @seed
     @wraps(function)
     def command(
@@ -149,13 +157,14 @@ def fit_options(function: Command) -> Command:
         samples: int,
         box: Any,
         seed: int,
+        exposure: Any,
         **others: object,
     ) -> object:
         from nerfbake.jobs.fits import FitOptions
 
         if epochs is not None:
             without_effect("resolution", "samples", here="with --epochs, which has its own", allowed="one of them")
-        recipe = FitOptions(preset, minutes, epochs, int(resolution), samples, basis, box, seed)
+        recipe = FitOptions(preset, minutes, epochs, int(resolution), samples, basis, box, seed, exposure)
         return function(*args, recipe=recipe, **others)
 
     return command
@@ -230,6 +239,7 @@ def _facts(source: str, fitted: FitResult) -> dict[str, Any]:
         "bytes": fitted.bytes,
         "epochs": fitted.schedule,
         "psnr": fitted.psnr,
+        "corrected": fitted.corrected,
         "ssim": fitted.ssim,
         "cpu_seconds": fitted.worked,
         "seconds": fitted.passed,

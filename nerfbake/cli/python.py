@@ -26,6 +26,7 @@ def fit(
     basis: str = "SH9",
     box: tuple[float, float, float, float, float, float] | None = None,
     seed: int = 0,
+    exposure: Literal["auto", "fit", "fixed"] = "auto",
     background: Colour | None = None,
     masks: str | None = None,
     test: str | None = None,
@@ -55,6 +56,6 @@ def fit(
 
     terminal = sys.stderr is not None and sys.stderr.isatty()
     steps = Console(quiet=False, verbose=False, mode="auto" if terminal else "plain") if progress else SILENT
-    recipe = FitOptions(preset, minutes, epochs, resolution, samples, basis, box, seed)
+    recipe = FitOptions(preset, minutes, epochs, resolution, samples, basis, box, seed, exposure)
     album = PhotographOptions(background, masks, test, holdout, scenery)
     return fit_scene(source, album=album, recipe=recipe, dtype=dtype, steps=steps)

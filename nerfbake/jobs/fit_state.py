@@ -144,7 +144,7 @@ class FitRun:
 
 
 _OFTEN = 30.0  # seconds between checkpoints
-_VERSION = 1
+_VERSION = 2
 
 
 class Checkpoint(NamedTuple):
@@ -209,7 +209,9 @@ def _digest(views: Views) -> str:
     """Return a hash of the inputs of a fit: cameras, pixels and background."""
     import hashlib  # here, so that --help does not import it
 
-    found = hashlib.sha256(repr((tuple(map(float, views.background)), views.masked, views.scenery)).encode())
+    found = hashlib.sha256(
+        repr((tuple(map(float, views.background)), views.masked, views.scenery, views.rough)).encode()
+    )
     for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
         inside = tuple(map(float, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)))
         found.update(repr((inside, camera.lens, camera.pose.tolist())).encode())

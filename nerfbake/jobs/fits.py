@@ -35,11 +35,12 @@ if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
 
 Dtype = Literal["float16", "float32"]
-Pixels = Callable[[], HeldOut]  # computed only for scenes that store or use them
+Exposure = Literal["auto", "fit", "fixed"]
+Pixels = Callable[[], HeldOut | None]  # computed only for scenes that store or use them
 _GRIDS = ("index",)  # all values in one grid, without loss
 
 
-def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut) -> N3Tree:
+def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut | None) -> N3Tree:
     """Return a PlenOctree that stores the held-out pixels. dtype None: float16 if all values fit, else float32."""
     if dtype is None:
         from nerfbake.stages._half import LARGEST  # here, so that --help does not import NumPy
@@ -59,8 +60,13 @@ def _compressed(
     return compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
-def _held_out(judges: Views, samples: int) -> HeldOut:
-    """Return the pixels of the held-out views, with the rays per pixel that they are measured with."""
+def _held_out(judges: Views, samples: int) -> HeldOut | None:
+    """Return the pixels of the held-out views, with the rays per pixel that they are measured with.
+
+    None if pixels are ignored, which HeldOut cannot express.
+    """
+    if judges.scenery and judges.masked:
+        return None
     cameras = replace(judges.cameras, samples=samples)
     photographs = map(judges.photograph, range(len(judges.pictures)))
     return HeldOut.of(cameras, photographs, background=judges.background)
@@ -94,6 +100,8 @@ class FitOptions(NamedTuple):
     box         x0, y0, z0, x1, y1, z1 of the box around the object in world coordinates, or of the inner cube of
                 scenery; None: from the pictures, or from the cameras
     seed        seed for the order of the views: the same seed gives the same bytes
+    exposure    fit: also fit a gain for each view and channel, which removes differences of exposure and of white
+                balance; fixed: use all pictures as they are; auto: fit for pictures with scenery
     """
 
     preset: str | None = None
@@ -104,6 +112,11 @@ class FitOptions(NamedTuple):
     basis: str = "SH9"
     box: tuple[float, float, float, float, float, float] | None = None
     seed: int = 0
+    exposure: Exposure = "auto"
+
+    def gains(self, views: Views) -> bool:
+        """Return whether the fit of these views has gains."""
+        return self.exposure == "fit" or (self.exposure == "auto" and views.scenery)
 
     def schedule(self, views: Views | None = None) -> Schedule:
         """Return the stages. views: the training views, if known. Raises UsageError for contradictory options."""
@@ -140,7 +153,7 @@ class FitOptions(NamedTuple):
 
     def told(self, schedule: Schedule) -> dict[str, str]:
         """Return everything besides the pictures that the output bytes depend on."""
-        rest = {name: str(getattr(self, name)) for name in ("basis", "box", "seed")}
+        rest = {name: str(getattr(self, name)) for name in ("basis", "box", "seed", "exposure")}
         return {"nerfbake": __version__, "schedule": str(schedule), **rest}
 
 
@@ -175,6 +188,11 @@ class FitResult(NamedTuple):
     def ssim(self) -> float:
         """Mean SSIM over the views."""
         return sum(view.ssim for view in self.views) / len(self.views)
+
+    @property
+    def corrected(self) -> float:
+        """Mean PSNR over the views in dB, with the exposure of each view corrected."""
+        return sum(view.corrected for view in self.views) / len(self.views)
 
 
 def fit_scene(
@@ -262,7 +280,7 @@ def fit_file(
     if asked:
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
     del scene
-    fitted = _judged(steps, target, judges, schedule, recipe.rays(schedule), course)
+    fitted = _judged(steps, target, judges, schedule, recipe, course)
     if report is not None:
         report(fitted)
     return fitted
@@ -300,7 +318,8 @@ def _fit(
     now = start = _start(keeper, course)
     with steps.phase("fitting"), io.blame(source.name):
         box = None if recipe.box is None else world_box(recipe.box)
-        for now in fit_field(views, schedule=schedule, basis=recipe.basis, box=box, seed=recipe.seed, start=start):
+        chosen: dict[str, Any] = {"basis": recipe.basis, "box": box, "seed": recipe.seed}
+        for now in fit_field(views, schedule=schedule, exposure=recipe.gains(views), start=start, **chosen):
             with progress.listening(None):  # measuring does not report progress
                 ended = course.follow(now)
             if keeper is not None and (ended or asked or keeper.is_due):
@@ -340,8 +359,11 @@ def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: s
     raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
 
 
-def _judged(steps: Steps, target: Target, judges: Views, schedule: Schedule, samples: int, course: FitRun) -> FitResult:
+def _judged(
+    steps: Steps, target: Target, judges: Views, schedule: Schedule, recipe: FitOptions, course: FitRun
+) -> FitResult:
     """Read the written file and measure it on the held-out views."""
+    samples = recipe.rays(schedule)
     worked, passed = course.clock.worked, course.clock.passed
     file = Source(target.path)
     with file.blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
@@ -350,9 +372,9 @@ def _judged(steps: Steps, target: Target, judges: Views, schedule: Schedule, sam
     told = str(loaded.scene)
     fitted = FitResult(target.path, told, loaded.size, str(schedule), views, worked, passed, tuple(course.curve))
     io.report_result(psnr=fitted.psnr)
-    seen = (
-        f"{fitted.psnr:.2f} dB, SSIM {fitted.ssim:.4f} on {judges}{replace(judges.cameras, samples=samples).rays_told}"
-    )
+    corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if recipe.gains(judges) else ""
+    rays = replace(judges.cameras, samples=samples).rays_told
+    seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f} on {judges}{rays}"
     steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     if fitted.psnr < (plain := plain_psnr(judges)) + _POOR:
         check = "check that the poses belong to these pictures, in this order, and are not mirrored"

@@ -28,7 +28,8 @@ class PhotographOptions(NamedTuple):
 
     background  the sRGB colour behind the object, in 0..1; None: white for pictures with alpha, else the colour at the
                 edges of the pictures
-    masks       a folder with a mask NAME.png for each picture, white where the object is; None: no masks
+    masks       a folder with a mask NAME.png for each picture, white where the object is, or, with scenery=keep, white
+                where the picture is used; None: no masks
     test        another file or folder of cameras, whose views are held out; None: the test views of the capture, if any
     holdout     hold out every N-th view; None: the test views of the capture, else every eighth view
     scenery     keep: fit what stands behind the object, too; drop: fit the object alone; auto: keep if the pictures
@@ -47,8 +48,6 @@ class PhotographOptions(NamedTuple):
             raise UsageError("`test` and `holdout` both select the held-out views; allowed: one of them")
         if self.holdout is not None and self.holdout < 2:
             raise UsageError(f"`holdout` is {self.holdout}; allowed: 2 or more")
-        if self.scenery == "keep" and self.masks is not None:
-            raise UsageError("`masks` and `scenery=keep` contradict each other; allowed: one of them")
 
 
 ALL = PhotographOptions()
@@ -94,7 +93,11 @@ def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
         return build_views(
-            cameras, _pictures(cameras, files, masks), background=album.background, scenery=album.scenery
+            cameras,
+            _pictures(cameras, files, masks),
+            background=album.background,
+            scenery=album.scenery,
+            rough=masks is not None,
         )
 
 

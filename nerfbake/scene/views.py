@@ -23,8 +23,10 @@ class Views(Scene):
     cameras     each in the size of its picture
     pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as in files
     background  sRGB, 0..1: the colour behind the object; pictures with alpha are composited over it
-    masked      True: alpha separates the object from the background; False: alpha is 255 everywhere
-    scenery     True: all pixels show something that is fitted, also what stands behind the object
+    masked      True: alpha separates the object from the background, or with scenery what is used from what is ignored;
+                False: alpha is 255 everywhere
+    scenery     True: all pixels with alpha 255 show something that is fitted, also what stands behind the object
+    rough       True: alpha comes from masks that may cut off parts of the object
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, Views
@@ -38,6 +40,7 @@ class Views(Scene):
     background: tuple[float, float, float]
     masked: bool
     scenery: bool = False
+    rough: bool = False
 
     def __post_init__(self) -> None:
         if len(self.pictures) != len(self.cameras.cameras):
@@ -65,6 +68,11 @@ class Views(Scene):
         alpha = pixels[..., 3:] / np.float32(255)
         colour = pixels[..., :3] / np.float32(255)
         return np.asarray(colour * alpha + (1 - alpha) * np.array(self.background, np.float32), np.float32)
+
+    def used(self, number: int) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: the pixels of a picture that are fitted and measured: with scenery, those with alpha 255."""
+        pixels = self.pictures[number]
+        return pixels[..., 3] == 255 if self.scenery else np.ones(pixels.shape[:2], bool)
 
     def behind(self, number: int) -> npt.NDArray[np.bool_]:
         """(H, W) bool: the pixels of a picture that show only background: alpha 0, or its plain colour."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.arrays import Floats, Points
 from nerfbake.kernels.fit.bricks import EMPTY, SIZE, BrickGrid, top_grid
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.scene.base import edge_problems, number_problems, place_problems
@@ -26,6 +27,7 @@ from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame
 
 BRICKS = ("top", "slots", "first", "places", "values")
 COUNTERS = ("stage", "epoch", "view", "built", "divided", "seed")
+GAINS = 0.05, 20.0  # least and greatest gain of a view
 _MOST_TEXT = 1 << 16  # most bytes of the text of a basis and a schedule
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -50,6 +52,7 @@ def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int
         "box": (np.float64, (2, 3)),
         "counters": (np.int64, (len(COUNTERS),)),
         "sums": (np.float64, (2,)),
+        "gains": (np.float64, (None, 3)),
         "text": (np.uint8, (None,)),
     }
     if missing := sorted(shapes.keys() - arrays.keys()):
@@ -100,11 +103,13 @@ def _require_numbers(own: Arrays) -> None:
     """Raise InvalidScene for numbers that are not possible in a fit, such as NaN or negative sums."""
     problems = place_problems("the state's box", own["box"])
     problems = problems or edge_problems("the state's box", own["box"][1] - own["box"][0])
-    for name in ("values", "means", "seen", "sums"):
+    for name in ("values", "means", "seen", "sums", "gains"):
         problems = problems or number_problems(f"the state's {name}", own[name])
     for name in ("means", "seen", "sums", "counters"):
         if not problems and (own[name] < 0).any():
             problems = [Problem(f"the state's {name}", "are below 0", "0 or more")]
+    if not problems and ((own["gains"] < GAINS[0]) | (own["gains"] > GAINS[1])).any():
+        problems = [Problem("the state's gains", "are out of range", f"{GAINS[0]:g} to {GAINS[1]:g}")]
     if problems:
         raise InvalidScene(problems[0])
 
@@ -119,6 +124,8 @@ class FitState:
     stage, epoch, view  number of finished stages, of finished epochs in the next stage, and of views in its next epoch
     built          the stage that the cells were built for
     divided        1 if there are cells of two widths, else 0
+    gains          (views, 3): the factor for each channel between the field's colours and those of each view, or (0, 3)
+                   if the views have the same exposure
     error, values  sum of the squared pixel errors of this epoch, and their number (three per pixel)
     """
 
@@ -132,6 +139,7 @@ class FitState:
     view: int = 0
     built: int = 0
     divided: int = 0
+    gains: Floats = attribute(default_factory=lambda: np.ones((0, 3)))
     error: float = 0.0
     values: float = 0.0
 
@@ -159,7 +167,7 @@ class FitState:
         counters = np.array([getattr(self, name) for name in COUNTERS], np.int64)
         sums = np.array([self.error, self.values])
         text = np.frombuffer(f"{self.basis} {self.schedule}".encode(), np.uint8)
-        beside = {"box": self.box, "means": self.cells.means, "seen": self.cells.seen}
+        beside = {"box": self.box, "means": self.cells.means, "seen": self.cells.seen, "gains": self.gains}
         return made | beside | {"counters": counters, "sums": sums, "text": text}
 
     @staticmethod
@@ -179,6 +187,7 @@ class FitState:
             parse_basis(basis),
             box=held["box"],
             cells=cells,
+            gains=held["gains"],
             error=error,
             values=values,
             **counters,

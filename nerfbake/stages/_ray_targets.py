@@ -36,8 +36,9 @@ def ray_targets(
 ) -> RayTargets:
     """Return the pixels of a view that are not only background, and all pixels up to `ring` pixels from them.
 
-    The picture is first reduced by the factor `scale`. ring None returns all pixels. samples: rays along each edge of
-    a pixel. shift: moves all rays within their pixels, in parts of the distance between them, -0.5 to 0.5.
+    The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that
+    views.used() excludes are left out. samples: rays along each edge of a pixel. shift: moves all rays within their
+    pixels, in parts of the distance between them, -0.5 to 0.5.
     """
     picture, camera = views.pictures[view], scaled_camera(views.cameras.cameras[view], scale)
     image = np.empty((camera.height, camera.width, 4), np.float32)
@@ -49,6 +50,8 @@ def ray_targets(
             held = dilated(held)
         found = kernels.number_pixels(np.ascontiguousarray(held[0]), _tiles(camera.width, camera.height), pixels)
         pixels = pixels[:found].copy()
+    if views.scenery and views.masked:
+        pixels = np.flatnonzero(image[..., 3] >= 1).astype(np.int32)
     directions = _directions(camera, pixels, samples, shift)
     return RayTargets(camera.pose[:3, 3].copy(), pixels, kernels.gather_pixels(image, pixels), directions)
 

@@ -23,7 +23,12 @@ Scenery = Literal["auto", "keep", "drop"]
 
 
 def build_views(
-    cameras: Cameras, pictures: Iterable[Pixels], *, background: Colour | None = None, scenery: Scenery = "auto"
+    cameras: Cameras,
+    pictures: Iterable[Pixels],
+    *,
+    background: Colour | None = None,
+    scenery: Scenery = "auto",
+    rough: bool = False,
 ) -> Views:
     """Combine cameras with their pictures, (H, W, 4) uint8 of straight sRGB colour and alpha.
 
@@ -32,11 +37,12 @@ def build_views(
     pictures' edges. In pictures without alpha, 70 % of these pixels have that colour (+-16 of 255) if they show an
     object without scenery.
 
-    scenery: keep fits everything that the pictures show, over the mean of all pixels; drop fits an object in front of a
-    background; auto keeps it if the pictures show scenery behind the object, and no background was given.
+    scenery: keep fits everything that the pictures show, where alpha is 255, over the mean of all these pixels; drop
+    fits an object in front of a background; auto keeps it if the pictures show scenery behind the object and have no
+    alpha, and no background was given. rough: alpha comes from masks that may cut off parts of the object.
 
     Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery that is not to be kept,
-    for scenery in pictures with alpha, and for pictures that show only background.
+    and for pictures that show only background or have no pixel that is used.
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, build_views
@@ -54,14 +60,11 @@ def build_views(
     if len(kept) != len(cameras.cameras):
         raise InvalidScene(Problem("pictures", f"are {len(kept):,}", f"{len(cameras.cameras):,}, one a camera"))
     masked = any(int(pixels[..., 3].min()) < 255 for pixels in kept)
-    if masked and scenery == "keep":
-        raise InvalidScene(
-            Problem("the pictures", "have alpha or masks", "pictures without them where scenery is kept")
-        )
+    posed = replace(cameras, cameras=tuple(fitting))
     if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(kept)):
-        return Views(replace(cameras, cameras=tuple(fitting)), tuple(kept), background or _mean(kept), False, True)
+        return Views(posed, tuple(kept), background or _mean(kept), masked, True)
     behind = (background or WHITE) if masked else _plain_background(kept, background)
-    views = Views(replace(cameras, cameras=tuple(fitting)), tuple(kept), behind, masked)
+    views = Views(posed, tuple(kept), behind, masked, rough=rough and masked)
     if all(views.behind(i).all() for i in range(len(kept))):
         found = "show nothing but the background"
         raise InvalidScene(Problem("the pictures", found, "an object in front of it in at least one picture"))
@@ -114,11 +117,14 @@ def _is_plain(pictures: list[Pixels]) -> bool:
 
 
 def _mean(pictures: list[Pixels]) -> Colour:
-    """Return the mean colour of all pixels."""
+    """Return the mean colour of all pixels with alpha 255. Raises InvalidScene if there are none."""
     sums, count = np.zeros(3), 0
     for pixels in pictures:
-        sums += pixels[..., :3].sum(axis=(0, 1), dtype=np.int64)
-        count += pixels[..., 0].size
+        used = pixels[..., 3] == 255
+        sums += pixels[used, :3].sum(axis=0, dtype=np.int64)
+        count += int(np.count_nonzero(used))
+    if not count:
+        raise InvalidScene(Problem("the pictures", "have no pixel with alpha 255", "masks that are white somewhere"))
     red, green, blue = (sums / (255 * count)).tolist()
     return red, green, blue
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nerfbake import progress
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.views import Views
@@ -16,11 +17,17 @@ _PIXEL_BYTES = 280  # per pixel while two pictures are compared, as in scenes_to
 
 
 class ViewError(NamedTuple):
-    """PSNR in dB and SSIM of a view's picture against its photograph, with the camera's name."""
+    """The error of a view's picture against its photograph.
+
+    name: of the camera. psnr in dB, and ssim: of the picture as it is. corrected: PSNR in dB of the picture times the
+    gain of each channel that makes it most similar to the photograph, which removes differences of exposure and of
+    white balance.
+    """
 
     name: str
     psnr: float
     ssim: float
+    corrected: float
 
 
 def plain_psnr(views: Views) -> float:
@@ -60,6 +67,16 @@ def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tu
     for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
         made = render_field(field, camera, background=views.background, samples=samples).colour.astype(np.float64)
-        truth = views.photograph(i).astype(np.float64)
-        errors.append(ViewError(camera.name, psnr(made, truth), ssim(made, truth)))
+        truth, used = views.photograph(i).astype(np.float64), views.used(i)
+        made[~used] = truth[~used]
+        shown = used if views.scenery else used & ~views.behind(i)
+        alike = np.where(shown[..., None], made * _gains(made[shown], truth[shown]), made)
+        raw, corrected = (psnr(each[used], truth[used]) for each in (made, alike))
+        errors.append(ViewError(camera.name, raw, ssim(made, truth), corrected))
     return tuple(errors)
+
+
+def _gains(made: Floats, truth: Floats) -> Floats:
+    """Return the factors (3,) of colours (m, 3) that make them most similar to others by least squares."""
+    square = np.square(made).sum(axis=0)
+    return np.where(square > 0, (made * truth).sum(axis=0) / np.maximum(square, 1e-30), 1.0)

@@ -8,18 +8,18 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Bits, Points
+from nerfbake.kernels.arrays import Bits, Floats, Points
 from nerfbake.kernels.fit.bricks import ROW, BrickGrid, TaskBuffers, new_batch
 from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
-from nerfbake.kernels.fit.rays import FitView, march_view
+from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
-from nerfbake.kernels.maths.elementary import power
+from nerfbake.kernels.maths.elementary import exp, log, power
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.schedule import Rates, Schedule
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
-from nerfbake.stages._fit_state import FitState
+from nerfbake.stages._fit_state import GAINS, FitState
 from nerfbake.stages._ray_targets import RayTargets, ray_targets
 from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
 from nerfbake.stages.views_to_hull import find_solid, require_views
@@ -31,6 +31,8 @@ _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
 _DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
+# Residuals above this count less: what only one view shows, such as a person who walks by, must not change the others.
+_MOST = 0.2
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
 
@@ -41,14 +43,16 @@ def fit_field(
     basis: str = "SH9",
     box: Points | None = None,
     seed: int = 0,
+    exposure: bool = False,
     start: FitState | None = None,
 ) -> Iterator[FitState]:
     """Fit a field to pictures. Yields the state of the fit after every picture; each yield returns the same object.
 
     The schedule sets the number of rays per pixel for each stage, and the field is best for pictures with the same
     number: 2 x 2 rays for photographs. box: as in carve_hull(); for views with scenery, the inner cube, which is None
-    or around what the cameras look at. start: a state to resume from; basis, box and seed are then those of the state,
-    and the schedule must equal the state's. The same arguments give the same bytes, for any number of threads, and also
+    or around what the cameras look at. exposure: also fit a gain for each view and channel, whose geometric mean over
+    the views is 1. start: a state to resume from; basis, box, seed and exposure are then those of the state, and the
+    schedule must equal the state's. The same arguments give the same bytes, for any number of threads, and also
     if the fit is interrupted and resumed. Raises InvalidScene, MemoryLimit.
 
     Source: Plenoxels (Fridovich-Keil et al., 2022) for the representation and its coarse-to-fine growth; the steps are
@@ -65,12 +69,16 @@ def fit_field(
     (True, 16)
     """
     require_views(views)
-    state = start or _started(views, schedule, basis, box, seed)
+    state = start or _started(views, schedule, basis, box, seed, exposure)
     if state.schedule != schedule:
         raise InvalidScene(Problem("the state's schedule", f"is {state.schedule}", str(schedule)))
     if state.view >= len(views.pictures):
         raise InvalidScene(
             Problem("the state's view", f"is {state.view}", f"below {len(views.pictures)}, as many as views")
+        )
+    if len(state.gains) not in (0, len(views.pictures)):
+        raise InvalidScene(
+            Problem("the state's gains", f"are {len(state.gains)}", f"{len(views.pictures)}, one per view")
         )
     batch = None
     while not state.done:
@@ -82,14 +90,15 @@ def fit_field(
         yield state
 
 
-def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, seed: int) -> FitState:
+def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, seed: int, exposure: bool) -> FitState:
     kind = parse_basis(basis)
     if kind.kind != "SH":
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
+    gains = np.ones((len(views.pictures) if exposure else 0, 3))
     if views.scenery:
-        return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, kind.size))
+        return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, kind.size), gains=gains)
     solid, box = find_solid(views, box, schedule[0].cells)
-    return FitState(schedule, kind, seed, box, cells_of_solid(solid, box, kind.size))
+    return FitState(schedule, kind, seed, box, cells_of_solid(solid, box, kind.size), gains=gains)
 
 
 def _rebuild(state: FitState, views: Views) -> None:
@@ -131,16 +140,22 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None) -> TaskBuff
         state.error = state.values = 0.0
     random = np.random.default_rng([state.seed, state.stage, state.epoch])
     order = random.permutation(len(views.pictures))
-    ring: int | None = _RING
+    ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
     shift = 0.0, 0.0
     if views.scenery:
         x, y = (random.random((len(order), 2))[state.view] - 0.5).tolist()
-        ring, shift = None, (x, y)
-    looks = ray_targets(views, int(order[state.view]), scale=stage.scale, samples=stage.rays, ring=ring, shift=shift)
+        shift = x, y
+    view = int(order[state.view])
+    looks = ray_targets(views, view, scale=stage.scale, samples=stage.rays, ring=ring, shift=shift)
     if not len(looks.pixels):
         return batch
-    error, batch = _marched(cells.bricks, state.box, batch, looks, views)
-    state.error += error
+    if len(state.gains):
+        ground = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32)
+        looks.targets[:, :3] = (looks.targets[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
+    sums, batch = _marched(cells.bricks, state.box, batch, looks, views)
+    state.error += float(sums[0])
+    if len(state.gains) and state.stage:
+        _adapt_gains(state, view, sums)
     state.values += 3 * len(looks.pixels)
     part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
     parts, ridge = (np.array(each, np.float32)[band_of(state.basis.size)] for each in (_PARTS, _RIDGE))
@@ -150,6 +165,15 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None) -> TaskBuff
     return batch
 
 
+def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
+    """Fit the gains of a view to its colours, and scale those of all views so that their geometric mean is 1."""
+    if not (sums[1:] > 0).all():
+        return
+    gains = state.gains.copy()
+    gains[view] *= sums[1:4] / sums[4:]
+    state.gains = np.clip(gains / exp(log(gains).mean(axis=0)), *GAINS)
+
+
 def _rate(rates: Rates, part: float) -> float:
     """Interpolate geometrically between the first and the last rate."""
     return rates[0] * float(power(rates[1] / rates[0], part))
@@ -157,21 +181,22 @@ def _rate(rates: Rates, part: float) -> float:
 
 def _marched(
     bricks: BrickGrid, box: Points, batch: TaskBuffers | None, looks: RayTargets, views: Views
-) -> tuple[float, TaskBuffers]:
-    """Render a view's pixels. Returns the sum of their squared errors, and a larger batch if the view needs one."""
-    background, errors = np.array(views.background, np.float32), np.zeros(TASKS)
-    alpha, distortion = _ALPHA if views.masked else 0.0, _DISTORTION if views.scenery else 0.0
-    focus = focus_distance(box)
-    view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, _POINT, distortion, focus)
+) -> tuple[Floats, TaskBuffers]:
+    """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
+    background, sums = np.array(views.background, np.float32), np.zeros((TASKS, SUMS))
+    alpha = _ALPHA if views.masked and not views.scenery else 0.0
+    distortion = _DISTORTION if views.scenery else 0.0
+    focus, most = focus_distance(box), _MOST if views.scenery else np.inf
+    view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, _POINT, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:
             memory.require(f"fitting {len(bricks.places):,} cells", TASKS * capacity * ROW * 4 + 4 * len(bricks.values))
             batch = new_batch(TASKS, len(bricks.slots), capacity)
-        march_view(bricks, batch, view, errors)
+        march_view(bricks, batch, view, sums)
         capacity = int(batch.used.max())
         if capacity <= batch.rows.shape[1]:
-            return float(errors.sum()), batch
+            return sums.sum(axis=0), batch
         batch, capacity = None, capacity * 5 // 4
 
 

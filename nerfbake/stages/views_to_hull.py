@@ -18,7 +18,7 @@ from nerfbake.stages._ray_targets import ray_targets, scaled_camera
 
 MIN_VIEWS = 2
 _EDGE = 128  # approximate number of pixels along a silhouette's shorter edge
-_WITNESSES = 5  # views that must cover a cell with background only to remove it, if pictures have no alpha
+_WITNESSES = 5  # views that must cover a cell with background only to remove it, if pictures have no exact alpha
 _SEARCH = 32  # cells along an axis during the search for the box
 _ROUNDS = 4
 _CELL_BYTES = 7 + TASKS
@@ -28,8 +28,8 @@ def carve_hull(views: Views, *, box: Points | None = None, resolution: int = 64)
     """Return the visual hull: cells that two views or more see, and that no view covers with background only.
 
     box (2, 3): lowest and highest corner in the world; None: the box around the visual hull in the space that the
-    cameras have in common. If pictures have no alpha, five views must cover a cell with background only to remove it.
-    All cells are grey with a low density. Raises InvalidScene if no cell remains, MemoryLimit.
+    cameras have in common. If pictures have no alpha, or rough masks, five views must cover a cell with background only
+    to remove it. All cells are grey with a low density. Raises InvalidScene if no cell remains, MemoryLimit.
 
     >>> from nerfbake import Views, build_field, carve_hull, orbit_cameras, render_field, sample_n3tree
     >>> scene = build_field(sample_n3tree(resolution=8))
@@ -77,7 +77,8 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
         held = (looks.targets[:, 3] > 0).reshape(1, own.height, own.width)
         held = dilated(held)  # pixels next to an object may still belong to it
         mark_clear(box[0].copy(), size, looks.eye, looks.directions, held.reshape(-1), met, clear, inside)
-    witnesses = 1 if views.masked else min(_WITNESSES, max(len(views.pictures) // 2, 1))
+    exact = views.masked and not views.rough
+    witnesses = 1 if exact else min(_WITNESSES, max(len(views.pictures) // 2, 1))
     solid = (clear < witnesses) & (inside >= MIN_VIEWS)
     if not solid.any():
         found = (

@@ -116,8 +116,6 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
     kept = read(capture)
     assert kept.trained.scenery
     assert kept.judges.scenery
-    with pytest.raises(UsageError, match="`masks` and `scenery=keep` contradict each other; allowed: one of them"):
-        PhotographOptions(masks="masks", scenery="keep").require()
     masks = tmp_path / "masks"
     mask = np.repeat(spot(14, 10)[..., 3:], 3, axis=2)
     for number, name in enumerate(("r_0.png", "r_1.jpg", "r_2.png.png", "images/r_3.png", "images/r_4.png.png")):
@@ -127,6 +125,10 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
                 read(capture, masks=str(masks))
     trained = read(capture, masks=str(masks)).trained
     assert trained.masked
+    assert trained.rough
+    used = read(capture, masks=str(masks), scenery="keep").trained
+    assert used.scenery
+    assert_array_equal(used.used(0), spot(14, 10)[..., 3] == 255)
     for pixels in trained.pictures:
         assert_array_equal(pixels[..., :3], scenery)
         assert_array_equal(pixels[..., 3], spot(14, 10)[..., 3])

@@ -28,7 +28,7 @@ def _states() -> list[Arrays]:
     views = sample_views(frames=6, width=24, height=24)
     return [
         {name: array.copy() for name, array in state.arrays().items()}
-        for state in fit_field(views, schedule=SCHEDULE, basis="SH4")
+        for state in fit_field(views, schedule=SCHEDULE, basis="SH4", exposure=True)
     ]
 
 
@@ -91,6 +91,8 @@ WRONG: dict[str, tuple[Change, str]] = {
     "cells of an old stage": (put("counters", 3, 0), "the state is at stage 2, epoch 0, view 3, built 0"),
     "divided again": (put("counters", 4, 2), "the state is at"),
     "not divided": (put("counters", 4, 0), "the state's lattice has 32 cells an axis; allowed: 16"),
+    "gains for a channel": (replaced("gains", lambda a: a[:, :1]), "the state's gains has shape"),
+    "a gain of 0": (put("gains", (0, 1), 0), "the state's gains are out of range; allowed: 0.05 to 20"),
     "a seed below 0": (put("counters", 5, -1), "the state's counters are below 0"),
     "a schedule of noise": (replaced("text", lambda a: a[::-1].copy()), "allowed"),
     "another basis": (replaced("text", lambda a: np.frombuffer(b"SH9 " + a.tobytes()[4:], np.uint8)), "values are"),

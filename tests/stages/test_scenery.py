@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import Camera, Cameras, Views, build_field, fit_field, measure_views, render_field
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.fit.bricks import DENSITY_SUM, ROW, BrickGrid, new_batch
-from nerfbake.kernels.fit.rays import FitView, march_view
+from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.schedule import parse_schedule, scenery_schedule
@@ -66,11 +67,11 @@ def test_rays_through_shells_see_what_the_renderer_sees(shells: int, eye: list[f
     views = Views(Cameras((camera,)), (np.zeros((20, 24, 4), np.uint8),), WHITE, False, scenery=True)
     looks = ray_targets(views, 0, scale=1, samples=1, ring=None)
     targets = np.concatenate([seen, np.zeros((len(seen), 1))], axis=1).astype(np.float32)[looks.pixels]
-    errors = np.zeros(1)
-    view = FitView(looks.eye, looks.directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0)
-    march_view(cells.bricks, new_batch(1, len(cells.bricks.slots), cells.n), view, errors)
+    sums = np.zeros((1, SUMS))
+    view = FitView(looks.eye, looks.directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf)
+    march_view(cells.bricks, new_batch(1, len(cells.bricks.slots), cells.n), view, sums)
     # Colours come from a short series, and rays end at a transmittance of 1 %.
-    assert np.sqrt(errors[0] / seen.size) < 0.004
+    assert np.sqrt(sums[0, 0] / seen.size) < 0.004
     if shells == 3 and eye[0] < 8:
         assert seen.std() > 0.02
 
@@ -80,13 +81,13 @@ def loss_and_sums(made: BrickGrid, values: Any, distortion: float) -> tuple[floa
     bricks = made._replace(values=values)
     directions = np.random.default_rng(2).normal(size=(12, 3)) * [0.3, 0.3, 1]
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
-    targets, errors = np.zeros((12, 4), np.float32), np.zeros(1)
+    targets = np.zeros((12, 4), np.float32)
     eye = np.array([0.05, -0.02, 0.1])
     sums = []
     for weight in (0.0, distortion):
         batch = new_batch(1, len(bricks.slots), len(bricks.places))
-        view = FitView(eye, directions, targets, np.zeros(3, np.float32), 0.0, 0.0, weight, 1.5)
-        march_view(bricks, batch, view, errors)
+        view = FitView(eye, directions, targets, np.zeros(3, np.float32), 0.0, 0.0, weight, 1.5, np.inf)
+        march_view(bricks, batch, view, np.zeros((1, SUMS)))
         total = np.zeros((len(bricks.places), ROW))
         for brick, base in enumerate(batch.base[0]):
             if base >= 0:
@@ -162,12 +163,76 @@ def test_a_room_is_fitted_with_its_walls() -> None:
         assert (found > 0.5 * true).mean() > 0.97  # and no fog is in front of the camera
 
 
+def brightened(views: Views, gains: Any) -> Views:
+    """The views with their colours times the gains (views, 3), and the exact colours to 1/255."""
+    pictures = []
+    for each, gain in zip(views.pictures, gains, strict=True):
+        colour = np.rint(each[..., :3] * gain).clip(0, 255).astype(np.uint8)
+        pictures.append(np.concatenate([colour, each[..., 3:]], axis=2))
+    return replace(views, pictures=tuple(pictures))
+
+
+def test_gains_of_pictures_with_other_exposures_are_found() -> None:
+    posed = cameras(24, 32)
+    gains = np.where(np.arange(24)[:, None] % 3 == 0, [[0.6, 0.7, 0.8]], 0.9)
+    views = brightened(pictures_of(room(), posed), gains)
+    long = parse_schedule(str(SCHEDULE).replace("epochs=4", "epochs=8"))
+    *_, state = fit_field(views, schedule=long, basis="SH1", exposure=True)
+    assert_allclose(np.exp(np.log(state.gains).mean(axis=0)), 1, rtol=1e-9)
+    ratio = state.gains[1::3].mean(axis=0) / state.gains[::3].mean(axis=0)
+    assert_allclose(ratio, [0.9 / 0.6, 0.9 / 0.7, 0.9 / 0.8], rtol=0.08)
+    *_, fixed = fit_field(views, schedule=long, basis="SH1")
+    found = [np.mean([each.corrected for each in measured(made, views)]) for made in (state, fixed)]
+    assert found[0] > found[1] + 1
+
+
+def measured(state: FitState, views: Views) -> Any:
+    return measure_views(build_field(state.field()), views, samples=2)
+
+
+def test_ignored_pixels_have_no_effect() -> None:
+    views = pictures_of(room(), cameras(6, 32))
+    short = parse_schedule("cells=32,scale=2,epochs=2,density=0.05/cells=32,epochs=1")
+    states, errors = [], []
+    for colour in (0, 255):
+        pictures = [each.copy() for each in views.pictures]
+        for each in pictures:
+            each[4:14, 3:20, :3], each[4:14, 3:20, 3] = colour, 0
+        masked = replace(views, pictures=tuple(pictures), masked=True)
+        assert masked.used(0).sum() == 32 * 32 - 10 * 17
+        *_, state = fit_field(masked, schedule=short, basis="SH1")
+        states.append(state.cells.bricks.values)
+        errors.append(measured(state, masked))
+    assert_array_equal(states[0], states[1])
+    assert errors[0][2].psnr == errors[1][2].psnr
+
+
+def test_what_one_view_shows_alone_has_a_bounded_effect() -> None:
+    # A residual of 1 counts as one of 0.2, and one of 0.1 in full.
+    cells = some_shells(shells=1, share=0.3)
+    directions, eye = np.array([[0.1, 0.2, -1.0]], np.float32), np.array([0.1, 0.1, 3.0])
+    directions /= np.linalg.norm(directions)
+    ground, sums, found = np.zeros(3, np.float32), np.zeros((1, SUMS)), []
+    for most, beyond in ((9.0, 0.2), (0.2, 1.0), (9.0, 0.1), (0.2, 0.1)):
+        batch = new_batch(1, len(cells.bricks.slots), cells.n)
+        target = np.ones((1, 4), np.float32)
+        view = FitView(eye, directions, target, ground, 0.0, 0.0, 0.0, 1.0, most)
+        march_view(cells.bricks, batch, view, sums)
+        target[0, :3] = np.sqrt(sums[0, 4:]) + beyond  # the rendered colour, and more
+        batch = new_batch(1, len(cells.bricks.slots), cells.n)
+        march_view(cells.bricks, batch, view, sums)
+        found.append(batch.rows[0, : batch.used[0], DENSITY_SUM].copy())
+    assert np.abs(found[0]).max() > 0
+    assert_allclose(found[0], found[1], rtol=1e-4, atol=1e-7)
+    assert_array_equal(found[2], found[3])
+
+
 def test_a_fit_with_scenery_resumes_with_the_same_bytes() -> None:
     views = pictures_of(room(), cameras(6, 32))
     short = parse_schedule("cells=32,scale=2,epochs=1,density=0.05/cells=32,epochs=1,split=0.3")
     whole: Any = None
     half: Any = None
-    for number, whole in enumerate(fit_field(views, schedule=short, basis="SH1", seed=3)):
+    for number, whole in enumerate(fit_field(views, schedule=short, basis="SH1", seed=3, exposure=True)):
         if number == 6:
             half = {name: array.copy() for name, array in whole.arrays().items()}
     *_, resumed = fit_field(views, schedule=short, start=FitState.of_arrays(half))

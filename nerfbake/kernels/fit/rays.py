@@ -28,6 +28,7 @@ from nerfbake.kernels.march.traversal import containing_cell
 from nerfbake.kernels.maths.elementary import exp
 from nerfbake.kernels.parallel import on_every_core
 
+SUMS = 7
 OPAQUE = 0.01  # transmittance below which a ray stops
 _PER = 64  # table entries for one unit of optical depth
 _FALL = exp(-np.arange(40 * _PER) / _PER)
@@ -40,7 +41,8 @@ class FitView(NamedTuple):
     targets (pixels, 4): colour over the background, and alpha. background (3,). alpha_weight and point_weight: weights
     of alpha, and of the colour of each single cell, relative to that of a pixel's colour. distortion: weight of the
     distortion loss, which pulls the weights of a ray to one place; 0: none. It measures distances along the ray on a
-    scale that is linear near the camera and ends at infinity; focus: its middle, in world units.
+    scale that is linear near the camera and ends at infinity; focus: its middle, in world units. most: the largest
+    residual of a channel that counts in full; those of other pixels are scaled down to it.
     """
 
     eye: Floats
@@ -51,6 +53,7 @@ class FitView(NamedTuple):
     point_weight: float
     distortion: float
     focus: float
+    most: float
 
 
 class TaskState(NamedTuple):
@@ -73,19 +76,20 @@ class TaskState(NamedTuple):
     leave: Floats
 
 
-def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: Floats) -> None:
+def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats) -> None:
     """Fill the batch with the changes that the pixels require of the cells.
 
-    errors (tasks,): the sum of the squared residuals of the colours.
+    sums (tasks, SUMS): the sum of the squared residuals of the colours; and for each channel of the pixels with alpha 1
+    the sum of target times rendered colour, and of the rendered colour squared.
     """
-    on_every_core(lambda first, step: _march_parts(bricks, batch, view, errors, first, step))
+    on_every_core(lambda first, step: _march_parts(bricks, batch, view, sums, first, step))
 
 
 # Arrays are passed in tuples and read from there: for an array that is an argument, or a view of another array, each
 # call counts references, and threads wait for each other at every count. The loop over tasks is not a separate kernel:
 # then everything that it calls would be compiled twice.
 @compiled()
-def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: Floats, first: int, step: int) -> None:
+def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats, first: int, step: int) -> None:
     """Process the pixels and the batch rows of every step-th task.
 
     These tasks are spread over the picture, so all cores have equal work.
@@ -108,19 +112,28 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, errors: F
     for task in range(first, tasks, step):
         batch.used[task] = 0
         batch.base[task, :] = UNMET
-        error = 0.0
+        sums[task, :] = 0
         for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
             own.seen[:] = 0
             for ray in range(rays):
                 ends[ray + 1] = _march_ray(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
             for k in range(4):
                 own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
-            error += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
+            sums[task, 0] += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
+            if view.targets[pixel, 3] >= 1:
+                for k in range(3):
+                    target = np.float64(view.targets[pixel, k])
+                    rendered = target - own.seen[k]
+                    sums[task, 1 + k] += target * rendered
+                    sums[task, 4 + k] += rendered * rendered
+            largest = max(abs(own.seen[0]), abs(own.seen[1]), abs(own.seen[2]))
+            if largest > view.most:
+                for k in range(3):
+                    own.seen[k] *= view.most / largest
             for ray in range(rays):
                 if view.distortion > 0:
                     _accumulate_distortion(batch, task, view, own, ends[ray], ends[ray + 1])
                 _accumulate_back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
-        errors[task] = error
 
 
 @compiled(merged=True)

@@ -20,7 +20,7 @@ from nerfbake.kernels.fit.bricks import (
     new_batch,
 )
 from nerfbake.kernels.fit.plan import number_cells, plan_of_solid
-from nerfbake.kernels.fit.rays import FitView, march_view
+from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 
 EYE = np.array([0.4, 0.3, 5.0])
 
@@ -51,16 +51,17 @@ def rays(samples: int) -> Any:
 def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
     """The errors' sum, and the rows (n, 16) added up over tasks."""
     directions, targets = rays(samples)
-    n, errors = len(made.places), np.zeros(tasks)
+    n, sums = len(made.places), np.zeros((tasks, SUMS))
     batch = new_batch(tasks, len(made.slots), n)
-    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0), errors)
+    view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0, np.inf)
+    march_view(made, batch, view, sums)
     total = np.zeros((n, ROW))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
             if base >= 0:
                 start, end = made.first[brick], made.first[brick + 1]
                 total[start:end] += batch.rows[task, base : base + end - start]
-    return errors.sum(), total
+    return sums[:, 0].sum(), total
 
 
 def place_of(made: BrickGrid, cell: int) -> int:
@@ -103,7 +104,8 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     made = bricks()
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
-    march_view(made, batch, FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0), np.zeros(1))
+    view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf)
+    march_view(made, batch, view, np.zeros((1, SUMS)))
     _, rows = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
     assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])
