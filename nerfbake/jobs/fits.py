@@ -265,7 +265,7 @@ def fit_file(
     steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
     if judges.scenery and len(posed.trained.pictures) < _FEW:
         few = f"{len(posed.trained.pictures)} views are few for scenery"
-        steps.say(f"{source.name}: {few}; parts that fewer than three of them show stay empty")
+        steps.say(f"{source.name}: {few}; parts that fewer than three of them show are placed far away")
     steps.say(f"{source.name}: `epochs={schedule}`")
     keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule), posed.trained)
     course = FitRun(posed, schedule, recipe.rays(schedule))

@@ -15,7 +15,7 @@ from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lat
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
 FOG = 0.01  # density per cell width
 WALL = 3.0  # density per cell width of the outermost cells, which show whatever is farther away, such as the sky
-_LEAST = 3  # views that must see a cell
+_LEAST = 3  # views that must see a cell that is not part of the wall
 _CLEAR = 0.25  # of the distance that the cameras look at: no fog starts that close to a camera
 _CELL_BYTES = 40
 
@@ -84,6 +84,11 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
         solid = (counts >= least).reshape(R, R, R)
         if shell:
             solid[R // 4 : R - R // 4, R // 4 : R - R // 4, R // 4 : R - R // 4] = False
+        if shell == SHELLS - 1:  # the wall also shows what only one view sees
+            inside = (slice(1, -1),) * 3
+            wall = (counts >= 1).reshape(R, R, R)
+            wall[inside] = solid[inside]
+            solid = wall
         found.append(solid)
     return np.concatenate(found)
 

@@ -75,5 +75,5 @@ def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureF
     io.save(room / "transforms.json", replace(cameras, cameras=tuple(wrong)), force=True)
     assert run(["fit", str(room), str(tmp_path / "a.npz"), "--epochs", SHORT, "--basis", "SH1"]) == 0
     told = capfd.readouterr().err
-    assert "7 views are few for scenery; parts that fewer than three of them show stay empty" in told
+    assert "7 views are few for scenery; parts that fewer than three of them show are placed far away" in told
     assert re.search(r"a poor fit; pictures of a single colour have \d+\.\d\d dB; check that the poses belong", told)

@@ -173,8 +173,8 @@ def brightened(views: Views, gains: Any) -> Views:
 
 
 def test_gains_of_pictures_with_other_exposures_are_found() -> None:
-    posed = cameras(24, 32)
-    gains = np.where(np.arange(24)[:, None] % 3 == 0, [[0.6, 0.7, 0.8]], 0.9)
+    posed = cameras(20, 24)
+    gains = np.where(np.arange(20)[:, None] % 3 == 0, [[0.6, 0.7, 0.8]], 0.9)
     views = brightened(pictures_of(room(), posed), gains)
     long = parse_schedule(str(SCHEDULE).replace("epochs=4", "epochs=8"))
     *_, state = fit_field(views, schedule=long, basis="SH1", exposure=True)
