@@ -156,7 +156,7 @@ def _frames(path: Path, judges: Judges, rounds: int) -> list[Any]:
 
 
 COURSES = ("fast", "balanced", "best")  # presets; a course can also be a number of minutes
-_OVER_TIME = "PSNR over time"
+OVER_TIME = "PSNR over time"
 CURVE = ["fit", "s", "lattice", "cells", "PSNR dB", "of"]
 FITS = ["fit", "s", "PSNR dB", "SSIM", "cells", "MB", "peak MB", "schedule"]
 FIT_NOTES = [
@@ -167,7 +167,7 @@ FIT_NOTES = [
 
 
 class Fit(NamedTuple):
-    """One fit: its preset or minutes, the output of `nerfbake fit --json`, and the peak memory of its process."""
+    """A fit: its preset, minutes or name, the output of `nerfbake fit --json`, and the peak memory of its process."""
 
     course: str
     facts: dict[str, Any]
@@ -209,7 +209,7 @@ def compare_fits(
     }
     tables = [
         Table("Fits, from the written file", FITS, [_fit_row(fit) for fit in fits]),
-        Table(_OVER_TIME, CURVE, [row for fit in fits for row in _curve_rows(fit)]),
+        Table(OVER_TIME, CURVE, [row for fit in fits for row in curve_rows(fit)]),
         PAPER,
         Table(f"Structures of the fit `{fits[-1].course}` (PlenVDB's table 4 for this scene)", COLUMNS, structures),
         MERGING,
@@ -220,7 +220,7 @@ def compare_fits(
 
 def chart_fits(report: Report, suffix: str) -> bytes:
     """Plot PSNR over seconds, with a curve for each fit that ends with its written file."""
-    (rows,) = (table.rows for table in report.tables if table.title == _OVER_TIME)
+    (rows,) = (table.rows for table in report.tables if table.title == OVER_TIME)
     names = dict.fromkeys(row[0] for row in rows)
     curves = {name: [(row[1], float(row[4])) for row in rows if row[0] == name] for name in names}
     return lines(curves, title=report.title, x="CPU seconds / 2", y="PSNR dB", suffix=suffix)
@@ -245,7 +245,7 @@ def _fit_row(fit: Fit) -> list[Any]:
     return [fit.course, facts["cpu_seconds"] / 2, *shown, fit.peak / 1e6, facts["epochs"]]
 
 
-def _curve_rows(fit: Fit) -> list[list[Any]]:
+def curve_rows(fit: Fit) -> list[list[Any]]:
     """Return the points of the fit's curve, and the written file as the last point."""
     points = [(point["seconds"], point["resolution"], point["cells"], point["psnr"]) for point in fit.facts["curve"]]
     last = points[-1][1:3] if points else (None, None)

@@ -66,6 +66,11 @@ class Scenes:
         return self.data / "nerf_synthetic" / "chair"
 
     @property
+    def captures(self) -> Path:
+        """The folder with captures as people take them: plush, photographs of a phone; mug, with masks."""
+        return self.data / "captures"
+
+    @property
     def stage1(self) -> Path:
         """nerf2mesh's real texture and MLP."""
         return self.data / "nerf2mesh" / "mesh_stage1"

@@ -2,8 +2,9 @@
 
 A module describes its comparison in its docstring. It has
 
-    reports(scenes, *, rounds) -> {stem: reports}     the default of rounds is that of the published figures
-    chart(report, suffix) -> bytes                    if one of its files is a picture
+    reports(scenes, *, rounds) -> {stem: reports}     the default of rounds is that of the published figures; also
+                                                      bytes, the contents of a file that is no report
+    chart(report, suffix) -> bytes                    if one of its files is a chart
 """
 
 from __future__ import annotations
@@ -36,24 +37,31 @@ SUITE = (
     Benchmark("outputs", ("outputs.md",)),
     Benchmark("batch", ("batch.md",)),
     Benchmark("fit", ("fit.md", "fit.svg")),
+    Benchmark("captures", ("captures.md", "captures.svg", "captures_views.png")),
     Benchmark("inputs", ("inputs.md",)),
     Benchmark("atlas", ("atlas.md", "atlas.png")),
     Benchmark("view", ("view.md",)),
     Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),
 )
 
+UNPUBLISHED = {"captures_views.png"}  # shows photographs that are not this project's
+
 
 def run(benchmark: Benchmark, scenes: Scenes, **options: Any) -> dict[str, bytes]:
     """Return the contents of the benchmark's files by name. Raises NerfbakeError if a scene or a program is missing."""
     module = import_module(f"benchmarks.{benchmark.name}")
     before = os.getloadavg()[0]
-    found: dict[str, list[Report]] = module.reports(scenes, **options)
+    found: dict[str, list[Report] | bytes] = module.reports(scenes, **options)
     load_average = f"{before:.2f} before, {os.getloadavg()[0]:.2f} after"
     made = {"load average": load_average, "made by": f"`python -m benchmarks {benchmark.name}`"}
     files = {}
     for name in benchmark.files:
         stem, _, kind = name.partition(".")
-        reports = [report._replace(head={**report.head, **made}) for report in found[stem]]
+        content = found[stem]
+        if isinstance(content, bytes):
+            files[name] = content
+            continue
+        reports = [report._replace(head={**report.head, **made}) for report in content]
         if kind in WRITERS:
             files[name] = document(reports, kind).encode()
         else:

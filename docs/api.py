@@ -38,7 +38,10 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
         "stages.scene_to_field stages.octree_to_brick_field stages.octree_to_lattice stages.lattice_to_image"
         " stages.field_to_importance",
     ),
-    "Cameras and photographs": (nerfbake, "scene.camera scene.views scene.held_out stages.scene_to_cameras"),
+    "Cameras and photographs": (
+        nerfbake,
+        "scene.camera scene.views scene.held_out stages.scene_to_cameras stages.shapes_to_image",
+    ),
     "Fitting": (
         nerfbake,
         "stages.views_to_field stages.views_to_hull stages.views_to_error stages.pictures_to_views"

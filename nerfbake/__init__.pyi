@@ -66,6 +66,8 @@ from .stages.scene_to_field import round_to_bytes as round_to_bytes
 from .stages.scene_to_page import view as view
 from .stages.scene_to_summary import summarise_scene as summarise_scene
 from .stages.scenes_to_comparison import compare_scenes as compare_scenes
+from .stages.shapes_to_image import orbit_room as orbit_room
+from .stages.shapes_to_image import render_room as render_room
 from .stages.shapes_to_n3tree import sample_n3tree as sample_n3tree
 from .stages.shapes_to_stage1 import sample_stage1 as sample_stage1
 from .stages.specular_to_atlas import bake_atlas as bake_atlas

@@ -37,8 +37,9 @@ from nerfbake.errors import NerfbakeError
 def measure_process(*command: str | Path, environment: Mapping[str, str] | None = None, keep: bool = False) -> Result:
     """Measure a command. The peak is that of its whole process, the interpreter included.
 
-    environment: variables in addition to the current ones. keep: facts["stdout"] contains its standard output. Raises
-    NerfbakeError with the last line of its standard error if it fails.
+    environment: variables in addition to the current ones. facts["worked"]: CPU seconds of all its processes. keep:
+    facts["stdout"] contains its standard output. Raises NerfbakeError with the last line of its standard error if it
+    fails.
     """
     variables = {**_compiled_modules(), **(environment or {})}
     result = measure(run_command, command=[str(word) for word in command], environment=variables, keep=keep)
@@ -50,7 +51,7 @@ def measure_process(*command: str | Path, environment: Mapping[str, str] | None 
 def run_command(command: list[str], environment: dict[str, str], keep: bool) -> Work:
     """The work of running the command, with its output discarded or kept; called in the child process."""
 
-    def run() -> tuple[int, str]:
+    def run() -> tuple[int, float, str]:
         with tempfile.TemporaryFile() as words, tempfile.TemporaryFile() as printed:
             stdout = printed if keep else subprocess.DEVNULL
             process = subprocess.Popen(command, stdout=stdout, stderr=words, env={**os.environ, **environment})
@@ -61,9 +62,9 @@ def run_command(command: list[str], environment: dict[str, str], keep: bool) -> 
                 last = words.read().decode(errors="replace").strip().rpartition("\n")[2]
                 raise NerfbakeError(f"{' '.join(command)} exited with {process.returncode}: {last}")
             printed.seek(0)
-            return resident_bytes(usage), printed.read().decode()
+            return resident_bytes(usage), usage.ru_utime + usage.ru_stime, printed.read().decode()
 
-    return Work(run, lambda found: dict(zip(("peak", "stdout"), found, strict=True)))
+    return Work(run, lambda found: dict(zip(("peak", "worked", "stdout"), found, strict=True)))
 
 
 @cache

@@ -71,17 +71,20 @@ def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> Non
 @click.option(
     "--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Width and height in pixels."
 )
+@click.option("--room", is_flag=True, help="Photograph a table in a textured room, with scenery on all sides.")
 @seed
 @click.option("--force", is_flag=True, help="Replace files in OUT_DIR that have the same names.")
 @max_memory
 @console_options
 def capture(target: str, console: Console, **options: Any) -> None:
-    """Write photographs of shiny shapes with cameras.
+    """Write synthetic photographs with cameras.
 
-    Writes OUT_DIR with pictures from all sides, and their cameras in transforms.json.
+    Writes OUT_DIR with pictures of shiny shapes from all sides, and their cameras in transforms.json. With --room, the
+    pictures show a table in a room, as photographs from a phone do.
 
     \b
       nerfbake sample capture photographs && nerfbake info photographs
+      nerfbake sample capture --room room && nerfbake fit room room.npz
     """
 
     from nerfbake.jobs.samples import write_sample_capture

@@ -31,6 +31,13 @@ RESAMPLE = (
     type=Resolution(),
     help="Voxels along each axis, 1 to 4096.  [default: the finest of a tree; twice that of a lattice]",
 )
+@click.option(
+    "--box",
+    type=click.Choice(["inner", "all"]),
+    default="inner",
+    show_default=True,
+    help="Part of a scene with scenery: its inner cube, or all of it.",
+)
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
     "--layout",
@@ -67,6 +74,7 @@ def svo(source: Source, target: Target, console: Console, **options: Any) -> Non
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake svo ckpt.npz chair.svo.pb --basis SH16 --min-psnr 40
+      nerfbake svo phone.npz phone.svo.pb --box all
       nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
     """
 

@@ -15,11 +15,13 @@ from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.scene.volume import Volume
 
 if TYPE_CHECKING:
     from nerfbake.stages.n3tree_to_octree import Resample
+
+Size = int | tuple[int, int, int]
 
 
 def bake_octree(
@@ -27,6 +29,7 @@ def bake_octree(
     target: AnyTarget,
     *,
     resolution: int | tuple[int, int, int] | None = None,
+    box: Literal["inner", "all"] = "inner",
     resample: Resample = "mean",
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
@@ -42,6 +45,7 @@ def bake_octree(
     Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed. Raises
     NerfbakeError; errors that depend on the arguments alone are raised before anything is read.
 
+    box       part of a scene with scenery: inner: its inner cube; all: also the shells around it, at most at 4096^3
     no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
     basis     SH basis of the colours (lattices only); None: SH9
     scale     scale factor for world coordinates (lattices only)
@@ -58,8 +62,14 @@ def bake_octree(
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, LatticeField))
+    scene = source.read(steps, N3Tree, LatticeField)
+    if box == "inner":
+        scene = without_scenery(steps, source, scene)
+    elif isinstance(scene, N3Tree):
+        resolution = _with_scenery(steps, source, scene, resolution)
     if isinstance(scene, LatticeField):
+        if box != "inner":
+            raise UsageError("`box` has no effect on a lattice, which has no shells; allowed: with a PlenOctree")
         if resample != "mean":
             raise UsageError("`resample` has no effect on a lattice, which has no leaves; allowed: with a PlenOctree")
         scene = scene if scale is None else scene.scaled(scale)
@@ -83,6 +93,27 @@ def bake_octree(
     with target.writing(steps, octree, no_child=no_child) as written:
         judge_output(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
     return octree
+
+
+def _with_scenery(steps: Steps, source: Source, tree: N3Tree, resolution: Size | None) -> Size | None:
+    """Return the resolution of the whole cube, at most the largest of an octree; print what the inner cube gets of it.
+
+    A tree without scenery keeps its resolution.
+    """
+    if tree.shells == 1:
+        return resolution
+    with source.blamed(steps, "reading the tree"):
+        finest = tree.resolution
+    size = min(finest, MAX_SIZE) if resolution is None else resolution
+    times = 1 << (tree.shells - 1)
+    inner = f"{_told(size, times)} of them in the inner cube of {finest // times}^3"
+    steps.say(f"{source.name}: uses all of the scene: {_told(size, 1)} voxels, {inner}")
+    return size
+
+
+def _told(size: Size, times: int) -> str:
+    edges = (size,) * 3 if isinstance(size, int) else size
+    return "x".join(f"{edge / times:g}" for edge in edges)
 
 
 def bake_lod(

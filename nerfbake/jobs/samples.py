@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnyTarget, FolderTarget, as_target
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.scene.camera import Cameras
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.image import Image
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.scene_to_cameras import scatter_cameras
 from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.shapes_to_image import orbit_room, render_room
 from nerfbake.stages.shapes_to_n3tree import sample_n3tree
 from nerfbake.stages.shapes_to_stage1 import sample_stage1
 
@@ -64,14 +67,16 @@ def write_sample_capture(
     *,
     frames: int = 24,
     edge: int = 200,
+    room: bool = False,
     seed: int = 0,
     force: bool = False,
     steps: Steps = SILENT,
 ) -> Cameras:
-    """Write photographs of shiny shapes from all sides and return their cameras. This is `nerfbake sample capture`.
+    """Write photographs of a synthetic scene and return their cameras. This is `nerfbake sample capture`.
 
-    Reads nothing. Writes NNNN.png with alpha, edge x edge pixels of 2 x 2 rays each, and transforms.json to `folder`.
-    seed: as in sample_n3tree(). force: replace existing files. Raises NerfbakeError.
+    Reads nothing. Writes NNNN.png, edge x edge pixels of 2 x 2 rays each, and transforms.json to `folder`: shiny shapes
+    from all sides, with alpha. room: instead a table in a textured room from an arc around it, without alpha.
+    seed: as in sample_n3tree(), or as in render_room(). force: replace existing files. Raises NerfbakeError.
 
     >>> print(write_sample_capture("capture", frames=3, edge=32))
     3 cameras
@@ -81,13 +86,23 @@ def write_sample_capture(
     folder = Path(folder)
     paths = [folder / f"{i:04d}.png" for i in range(frames)]
     io.require_room([str(path) for path in (*paths, folder / CAMERAS)], force=force)
-    with steps.phase("building the tree"):
-        field = build_field(sample_n3tree(seed=seed))
-        cameras = scatter_cameras(field, frames=frames, edge=edge, zoom=ZOOM).chosen(samples=SAMPLES)
+    cameras, render = _room(frames, edge, seed) if room else _shapes(frames, edge, seed, steps)
     for path, camera in zip(paths, cameras.cameras, strict=True):
         with steps.phase(f"rendering {camera.name}"):
-            image = render_field(field, camera, background=None, samples=SAMPLES)
+            image = render(camera)
         io.save(path, image, force=force, parents=True)
     io.save(folder / CAMERAS, cameras, force=force)
     steps.say(f"{folder}: {cameras} and their photographs, {edge}x{edge} pixels")
     return cameras
+
+
+def _shapes(frames: int, edge: int, seed: int, steps: Steps) -> tuple[Cameras, Callable[[Camera], Image]]:
+    with steps.phase("building the tree"):
+        field = build_field(sample_n3tree(seed=seed))
+        cameras = scatter_cameras(field, frames=frames, edge=edge, zoom=ZOOM).chosen(samples=SAMPLES)
+    return cameras, lambda camera: render_field(field, camera, background=None, samples=SAMPLES)
+
+
+def _room(frames: int, edge: int, seed: int) -> tuple[Cameras, Callable[[Camera], Image]]:
+    cameras = orbit_room(frames=frames, width=edge, height=edge).chosen(samples=SAMPLES)
+    return cameras, lambda camera: render_room(camera, seed=seed, samples=SAMPLES)

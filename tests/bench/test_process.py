@@ -21,6 +21,8 @@ def test_seconds_and_peak_are_those_of_the_command_alone() -> None:
     assert idle.peak < 80 << 20
     assert 78 << 20 < filled.peak < 160 << 20
     assert len(parent) == 200 << 20
+    assert idle.facts["worked"] < 0.3
+    assert python("while __import__('time').process_time() < 0.3: pass").facts["worked"] >= 0.3
 
 
 def test_the_command_sees_the_variables_that_it_is_given_and_keeps_its_compiled_modules() -> None:

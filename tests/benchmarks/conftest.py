@@ -8,15 +8,27 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks import scenes as suite_scenes
 from benchmarks.scenes import Sample, Scenes
-from nerfbake import build_field, orbit_cameras, render_field, sample_n3tree, sample_stage1, save
+from nerfbake import (
+    Cameras,
+    build_field,
+    orbit_cameras,
+    orbit_room,
+    render_field,
+    render_room,
+    sample_n3tree,
+    sample_stage1,
+    save,
+)
 from nerfbake.bench.measure import Result, Work, measure_here, seconds_of
 from nerfbake.io import save_folder
+from tests.support.captures import Rig, write_colmap_binary, write_llff
 from tests.support.forks import Forks
-from tests.support.photographs import write_scene
+from tests.support.photographs import write_picture, write_scene
 
 EDGE = 16  # voxels an axis, pixels and texels
 
@@ -38,7 +50,29 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for camera in views.cameras:
         save(chairs / "views" / f"{camera.name}.png", render_field(field, camera))
     save_folder(folder / "nerf2mesh" / "mesh_stage1", sample_stage1(resolution=EDGE))
+    _write_captures(folder / "captures")
     return folder
+
+
+def _write_captures(folder: Path) -> None:
+    """Write plush, eight photographs of the sample room with a COLMAP model, and mug, the sample scene with masks."""
+    room = orbit_room(frames=8, width=240, height=180)
+    plush = write_colmap_binary(folder / "plush", _rig(room))
+    for i, camera in enumerate(room.cameras):
+        write_picture(plush / "images" / f"r_{i}.png", render_room(camera, samples=2).pixels)
+    field = build_field(sample_n3tree(resolution=EDGE))
+    orbit = orbit_cameras(field, frames=8, width=48, height=48)
+    mug = write_llff(folder / "mug", _rig(orbit))
+    for i, camera in enumerate(orbit.cameras):
+        image = render_field(field, camera, background=None)
+        write_picture(mug / "images" / f"r_{i}.JPG", image.over((0.5, 0.5, 0.5)).pixels)
+        write_picture(mug / "masks" / f"r_{i}.png", (255 * image.alpha).astype(np.uint8))
+
+
+def _rig(cameras: Cameras) -> Rig:
+    first = cameras.cameras[0]
+    poses = np.array([camera.pose for camera in cameras.cameras])
+    return Rig(first.width, first.height, first.fx, first.fy, first.cx, first.cy, poses)
 
 
 @pytest.fixture
@@ -77,7 +111,8 @@ def commands_as_forks(forks: Forks, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert (python, module) == (sys.executable, ["-m", "nerfbake"])
         done, seconds = seconds_of(lambda: forks.run(tuple(map(str, command[3:])), tmp_path, b""))
         assert done.returncode == 0, done.stderr
-        return Result(seconds, peak=1, facts={"stdout": done.stdout.decode()} if keep else {})
+        facts = {"stdout": done.stdout.decode()} if keep else {}
+        return Result(seconds, peak=1, facts={**facts, "worked": seconds})
 
-    for module in ("benchmarks.fit", "benchmarks.inputs", "benchmarks.view"):
+    for module in ("benchmarks.captures", "benchmarks.fit", "benchmarks.inputs", "benchmarks.view"):
         monkeypatch.setattr(f"{module}.measure_process", measured)

@@ -6,17 +6,19 @@ import ast
 import subprocess
 import sys
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image as Pillow
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, fit, inputs, outputs, svo, view, wires
-from benchmarks.aims import FINER, FIT, INPUTS, VIEW
+from benchmarks import atlas, captures, fit, inputs, outputs, svo, view, wires
+from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, VIEW
 from benchmarks.browser import SWIFTSHADER
 from benchmarks.scenes import SAMPLES, Scenes
-from benchmarks.suite import RESULTS, SUITE, run
+from benchmarks.suite import RESULTS, SUITE, UNPUBLISHED, run
 from benchmarks.view import CHOSEN, OCTREE
 from nerfbake.bench.access.readers import READERS
 from nerfbake.bench.atlas import AtlasMethod
@@ -27,6 +29,7 @@ from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
 from tests.support.outputs import read_output
 
+SHORT = ("--epochs", "cells=32,scale=2,epochs=2,density=0.05/cells=32,epochs=2,split=0.3", "--basis", "SH1")
 SHARED = {"__init__", "__main__", "aims", "browser", "scenes", "suite"}
 
 
@@ -61,8 +64,10 @@ def test_every_module_of_the_suite_is_in_its_table() -> None:
 
 
 def test_every_published_file_is_made_by_one_benchmark() -> None:
-    made = [file for benchmark in SUITE for file in benchmark.files]
-    assert sorted(made) == sorted(path.name for path in RESULTS.iterdir())
+    made = {file for benchmark in SUITE for file in benchmark.files}
+    assert made - UNPUBLISHED == {path.name for path in RESULTS.iterdir()} - UNPUBLISHED
+    ignored = (REPOSITORY / ".gitignore").read_text().split()
+    assert all(f"/benchmarks/results/{name}" in ignored for name in UNPUBLISHED)
 
 
 def test_there_is_one_stopwatch() -> None:
@@ -213,6 +218,37 @@ def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("commands_as_forks")
+def test_captures(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(captures, "ROWS", tuple(row._replace(options=SHORT) for row in captures.ROWS[3:]))
+    monkeypatch.setattr(captures, "ALONE", captures.ALONE._replace(options=SHORT))
+    monkeypatch.setattr(captures, "ROOM_FRAMES", 8)
+    monkeypatch.setattr(captures, "ROOM_EDGE", 32)
+    files = small("captures", scenes)
+    found = tables(files, "captures.md")
+    fits = found["Fits, from the written file"]
+    assert [row[0] for row in fits] == [*(row.name for row in captures.ROWS), captures.ALONE.name]
+    assert all(8 < float(row[5]) <= float(row[4]) < 60 for row in fits)  # the worst and the mean
+    assert [row[0] for row in found["From the photographs of plush alone"]] == ["poses", "fit", "view", "together"]
+    (poses,) = found["Poses of the photographs of plush"]
+    assert poses[:2] == ["8", "8"]
+    assert float(poses[-1]) < 1
+    assert len(found["Aims"]) == 2 + 2 * len(CAPTURES) + 2 + 1
+    assert [row[0] for row in found["Depths of the room"]] == ["0000"]
+    assert b"mug 432x432" in files["captures.svg"]
+    with Pillow.open(BytesIO(files["captures_views.png"])) as sheet:
+        assert sheet.size == (4 * 240 + 3 * 4, 180 + 24 + 32 + 180 + 3 * 4)
+
+
+def test_captures_that_are_missing_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(captures, "ROWS", captures.ROWS[:1])
+    found = tables(small("captures", Scenes(tmp_path / "nowhere", tmp_path)), "captures.md")
+    assert [row[0] for row in found["Fits, from the written file"]] == ["plush 504x378, fast: not there"]
+    assert [row[0] for row in found["From the photographs of plush alone"]] == ["poses: not there"]
+    assert {row[-1] for row in found["Aims"]} == {"no"}
+
+
+@pytest.mark.long
 def test_outputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     some = [output for output in outputs.OUTPUTS if output[0] in ("half.svo.npz", "half.svo.npz.zst")]
     monkeypatch.setattr(outputs, "OUTPUTS", some)
@@ -284,6 +320,6 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, batch, fit, inputs, atlas, view, compress"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, batch, fit, captures, inputs, atlas, view, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"

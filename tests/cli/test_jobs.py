@@ -108,8 +108,8 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         lambda out: jobs.write_sample_n3tree(f"{out}.npz", resolution=8),
     ),
     "sample capture": (
-        ["OUT", "--frames", "2", "--edge", "32"],
-        lambda out: jobs.write_sample_capture(out, frames=2, edge=32),
+        ["OUT", "--frames", "2", "--edge", "32", "--room"],
+        lambda out: jobs.write_sample_capture(out, frames=2, edge=32, room=True),
     ),
     "sample nerf2mesh": (
         ["OUT", "--resolution", "32"],

@@ -26,6 +26,9 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
         (["octree", "a.svo.pb"], 2, "has no file extension for a PlenOctree"),
         (["nerf2mesh", "in", "--resolution", "8"], 1, "resolution is 8; allowed: 16 to 8192 texels"),
         (["nerf2mesh", "in", "--max-memory", "1MB"], 1, "textures of 512x512 needs 44.0 MiB"),
+        (["capture", "-", "--room"], 2, "stdout takes one file; allowed: a folder"),
+        (["capture", "in", "--room", "--frames", "1"], 2, "1 is not in the range 2<=x<=1000"),
+        (["capture", "in", "--room", "--max-memory", "1MB"], 1, "a picture of 400x400 pixels needs 47.3 MiB"),
     ],
 )
 def test_what_goes_wrong_is_one_line(

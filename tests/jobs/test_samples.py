@@ -7,9 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import Cameras, Image, N3Tree, Stage1, build_field, load, render_field, sample_n3tree
+from nerfbake import (
+    Cameras,
+    Image,
+    N3Tree,
+    Stage1,
+    build_field,
+    load,
+    orbit_room,
+    render_field,
+    render_room,
+    sample_n3tree,
+)
 from nerfbake.errors import OutputError, UsageError
-from nerfbake.jobs import write_sample_capture, write_sample_n3tree, write_sample_stage1
+from nerfbake.jobs import FitOptions, fit_file, write_sample_capture, write_sample_n3tree, write_sample_stage1
+
+SHORT = (
+    "cells=32,scale=2,epochs=8,density=0.03..0.015,colour=0.5..0.3,rays=1,split=0,prune=0.03/"
+    "cells=64,scale=1,epochs=6,density=0.025..0.01,colour=0.5..0.2,rays=1,prune=0.03"
+)
 
 
 def test_a_tree_is_what_was_written(tmp_path: Path) -> None:
@@ -40,3 +56,33 @@ def test_a_capture_has_the_photographs_that_its_cameras_took(tmp_path: Path) -> 
         write_sample_capture(tmp_path, frames=3, edge=24)
     with pytest.raises(UsageError, match="a folder"):
         write_sample_capture("-")
+
+
+def test_photographs_of_the_room_are_opaque_and_show_it_through_their_cameras(tmp_path: Path) -> None:
+    write_sample_capture(tmp_path / "a", frames=3, edge=24, room=True, seed=4)
+    cameras = load(tmp_path / "a", Cameras)
+    assert cameras.samples == 2
+    for camera, made in zip(cameras.cameras, orbit_room(frames=3, width=24, height=24).cameras, strict=True):
+        np.testing.assert_allclose(camera.pose, made.pose, atol=1e-12)
+        image = load(tmp_path / "a" / f"{camera.name}.png", Image)
+        assert image.background is not None  # no alpha
+        truth = render_room(camera, seed=4, samples=2).colour
+        assert np.abs(image.colour - truth).max() <= 0.5 / 255 + 1e-6
+    write_sample_capture(tmp_path / "b", frames=3, edge=24, room=True, seed=4)
+    first, again = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in "ab")
+    assert len(first) == 4
+    assert first == again
+
+
+@pytest.mark.slow
+def test_the_room_is_fitted_with_everything_around_the_table(tmp_path: Path) -> None:
+    room, scene = tmp_path / "room", tmp_path / "room.npz"
+    cameras = write_sample_capture(room, frames=32, edge=64, room=True).cameras
+    fitted = fit_file(str(room), str(scene), recipe=FitOptions(epochs=SHORT, basis="SH1"))
+    assert len(fitted.views) == 4
+    assert min(view.psnr for view in fitted.views) > 22
+    field = build_field(load(scene, N3Tree))
+    for camera in cameras[::8]:
+        true, found = render_room(camera).depth, render_field(field, camera).depth
+        assert np.median(np.abs(found / true - 1)) < 0.2
+        assert (found > 0.5 * true).mean() > 0.9  # no fog is in front of the camera

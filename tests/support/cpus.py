@@ -23,6 +23,7 @@ from typing import Any
 COMMANDS = """
 sample octree scene.npz --resolution 64 --basis SH16
 sample nerf2mesh mesh --resolution 96
+sample capture room --room --frames 2 --edge 64
 svo scene.npz full.svo.pb
 svo scene.npz mean.svo.npz --resolution 40x30x20 --layout compact
 svo scene.npz half.svo.npz --resolution 32 --dtype float16
