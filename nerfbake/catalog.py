@@ -100,6 +100,8 @@ FORMATS = (
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh"),
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
+    Format("ply", "Splats", ".ply", "splat.ply", "Gaussian splats (3DGS)"),
+    Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)"),
 )
 
 # encode() returns file names with their bytes, and decode() takes them. A scene is written as the first writable kind
@@ -146,6 +148,7 @@ NOUNS = {
     "Page": "a page to look around in",
     "QuantisedOctree": "a compressed octree",
     "SparseVoxelOctree": "an octree",
+    "Splats": "Gaussian splats",
     "Stage1": "a stage-1 folder",
     "Volume": "a volume",
 }

@@ -21,6 +21,7 @@ from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes, joined_meshes, vertex_box
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import SpecularField, Stage1
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume, edges_of
@@ -253,7 +254,35 @@ def summary_of_picture(picture: Image | Depth) -> dict[str, Any]:
     }
 
 
-Known = N3Tree | LatticeField | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth
+def summary_of_splats(splats: Splats) -> dict[str, Any]:
+    """Return the count, SH degree, boxes of the centres, and value ranges.
+
+    inner_box holds 98 % of the centres along each axis: single splats often lie far outside. Scales are standard
+    deviations in world units.
+    """
+    inner = np.percentile(splats.means, [1, 99], axis=0)
+    arrays = (splats.means, splats.scales, splats.quats, splats.opacity, splats.sh)
+    return {
+        "kind": "Gaussian splats",
+        "splats": splats.n,
+        "dropped_rows": splats.dropped,
+        "sh_degree": splats.degree,
+        "antialiased": splats.antialiased,
+        "world_box": _numbers(np.stack([splats.means.min(axis=0), splats.means.max(axis=0)])),
+        "inner_box": _numbers(inner),
+        "ranges": {
+            "scale": extremes(splats.scales).range(),
+            "opacity": extremes(splats.opacity[:, None]).range(),
+            "dc": extremes(splats.sh[:, 0]).range(),
+            "higher": extremes(splats.sh[:, 1:].reshape(splats.n, -1)).range() if splats.B > 1 else None,
+        },
+        "bytes_in_memory": sum(array.nbytes for array in arrays),
+    }
+
+
+Known = (
+    N3Tree | LatticeField | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth | Splats
+)
 
 
 def summarise_scene(scene: Known) -> dict[str, Any]:
@@ -262,7 +291,7 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     For trees: kind, basis, resolution, nodes and leaves by level, world box, value ranges and size in memory. For a
     lattice field also colours, densities and notes on ignored data. For a volume the same per grid, and the file's kind
     of checksum. For a mesh triangles, pieces and colours. For cameras pictures, lenses and positions. For stage 1 and
-    atlases textures, maps and errors.
+    atlases textures, maps and errors. For splats counts, boxes and ranges.
 
     Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None.
 
@@ -285,6 +314,8 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
         return summary_of_atlas(scene)
     if isinstance(scene, Image | Depth):
         return summary_of_picture(scene)
+    if isinstance(scene, Splats):
+        return summary_of_splats(scene)
     return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
 
 

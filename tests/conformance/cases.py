@@ -11,12 +11,13 @@ from tests.conformance import (
     n3trees,
     octrees,
     pictures,
+    splats,
     volumes,
     voxels,
 )
 
 CASES = [
     case
-    for family in (octrees, voxels, compressed, n3trees, volumes, pictures, cameras, meshes, atlases, lattices)
+    for family in (octrees, voxels, compressed, n3trees, volumes, pictures, cameras, meshes, splats, atlases, lattices)
     for case in family.cases()
 ]

@@ -34,7 +34,7 @@ def packed_by(path: str) -> dict[str, str]:
     """The versions of what decides how a file of this name is packed; {} where nothing does but nerfbake."""
     name = PurePath(path).name
     found = {}
-    if name.endswith(".zst"):
+    if name.endswith((".zst", ".spz")):
         found["zstd"] = ".".join(map(str, zstandard.ZSTD_VERSION))
     if name.endswith(PICTURES):
         found["pillow"] = f"{PIL.__version__} with zlib {features.version('zlib')}"
@@ -69,6 +69,16 @@ def _pictures(data: bytes) -> Any:
         return file.mode if file.format == "PNG" else file.info.get("loop"), [
             (frame.size, np.asarray(frame).tobytes(), shown) for frame, shown in frames
         ]
+
+
+def _streams(data: bytes) -> Any:
+    """The header of a .spz, and what its streams hold."""
+    sizes = struct.unpack_from(f"<{2 * data[15]}Q", data, 32)
+    found, at = [], 32 + 16 * data[15]
+    for packed in sizes[::2]:
+        found.append(zstandard.ZstdDecompressor().decompressobj().decompress(data[at : at + packed]))
+        at += packed
+    return data[:32], found, len(data) - at
 
 
 def _depth(data: bytes) -> Any:
@@ -116,6 +126,7 @@ _UNPACK: dict[str, Callable[[bytes], Any]] = {
     ".gif": _pictures,
     ".html": _page,
     ".glb": _glb,
+    ".spz": _streams,
     "_deflate.svoq": _numbers,
     "_zip.vdb": _plain("vdb"),
     "_zip.nvdb": _plain("nvdb"),

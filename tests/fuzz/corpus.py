@@ -37,6 +37,7 @@ from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
 from tests.support.snerg import snerg, snerg_folder
+from tests.support.splats import gzip_spz, packed_ply, splats
 from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
@@ -72,6 +73,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         "Volume": lambda: _volumes(name),
         "N3Tree": _n3trees,
         "Meshes": lambda: _meshes(name),
+        "Splats": lambda: _splats(name),
         "LatticeField": lambda: _lattices(name),
     }
     if scene in makers:
@@ -217,6 +219,15 @@ def _meshes(name: str) -> Iterator[bytes]:
     yield _encoded(name, Meshes((flat,)))
     if name == "glb":
         yield _encoded(name, Meshes((replace(flat, texture=texture(6, 5)), coloured)))
+
+
+def _splats(name: str) -> Iterator[bytes]:
+    yield _encoded(name, splats(5))
+    yield _encoded(name, splats(3, degree=0))
+    if name == "ply":
+        yield packed_ply(splats(300, degree=1))
+    else:
+        yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))
 
 
 def _pictures(scene: str) -> Iterator[Any]:

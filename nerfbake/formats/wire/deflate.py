@@ -15,6 +15,7 @@ from collections.abc import Iterable
 import deflate as libdeflate
 from zlib_ng import zlib_ng
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 
 SHORT_LEVEL = 1  # libdeflate: on the chair's densities level 6 saves 2 % and takes a tenth to a third longer
@@ -62,6 +63,18 @@ def inflate(packed: memoryview, size: int, what: str) -> bytes | bytearray:
     except libdeflate.DeflateError:
         return _diagnosed(packed, size, what)
     return data if len(data) == size else _diagnosed(packed, size, what)
+
+
+def gunzip(packed: memoryview, most: int, what: str) -> bytes:
+    """Return the first `most` bytes of a gzip stream, or all if it has fewer. Raises InvalidFile, MemoryLimit."""
+    if most > MAX_INFLATION * len(packed) + 64:
+        found = f"declares {most:,} bytes from {len(packed):,}"
+        raise InvalidFile(Problem(what, found, f"{MAX_INFLATION} times as many, deflate's bound"))
+    memory.require(what, most)
+    try:
+        return zlib_ng.decompressobj(wbits=31).decompress(packed, most)
+    except zlib_ng.error as error:  # type: ignore[misc]  # an exception, although its stub does not declare it so
+        raise InvalidFile(Problem(what, f"is damaged ({error})", "a whole gzip stream")) from None
 
 
 def _diagnosed(packed: memoryview, size: int, what: str) -> bytes:

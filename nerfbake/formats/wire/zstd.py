@@ -56,6 +56,23 @@ def decompress(view: memoryview) -> memoryview:
     return memoryview(out).toreadonly()
 
 
+def decompress_exactly(view: memoryview, size: int, what: str) -> bytes:
+    """Return the `size` bytes of one frame. Raises InvalidFile if it has fewer or more, or is damaged; MemoryLimit."""
+    if size > _BLOCK * (len(view) // 4):  # a block of one repeated byte takes four
+        found = f"declares {size:,} bytes from {len(view):,}"
+        raise InvalidFile(Problem(what, found, f"{_BLOCK // 4:,} times as many, zstd's bound"))
+    memory.require(what, size + MAX_WINDOW)
+    reader = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW).stream_reader(view)
+    try:
+        data = reader.read(size + 1)
+    except zstandard.ZstdError as error:
+        raise InvalidFile(Problem(what, f"is damaged ({error})", "a whole zstd frame")) from None
+    if len(data) != size:
+        more = "more than " if len(data) > size else ""
+        raise InvalidFile(Problem(what, f"holds {more}{min(len(data), size):,} bytes", f"{size:,} exactly"))
+    return data
+
+
 class _Frame(NamedTuple):
     """The sizes that a frame declares in bytes, and where to split it so that no part decompresses beyond _PIECE."""
 

@@ -1,0 +1,278 @@
+r"""Read Gaussian splats from .ply files (3DGS, 2DGS, Mip-Splatting, PlayCanvas' compressed kind); write 3DGS.
+
+    ply\n format binary_little_endian 1.0\n comment ...\n element NAME COUNT\n property TYPE NAME\n ... end_header\n
+    rows of the first element | rows of the second | ...
+
+3DGS: element `vertex` with x y z, f_dc_0..2, f_rest_0.. (all red, all green, all blue), opacity (logit), scale_0..2
+(natural logarithm), rot_0..3 (w first, of any length), found by name in any order.
+
+Compressed: element `chunk` with the bounds of 256 splats each, `vertex` with four uint, `sh` with bytes.
+
+    packed_position, packed_scale  31 [x 11 | y 10 | z 11] 0, between the chunk's bounds; scales are logarithms
+    packed_rotation                31 [which 2 | a 10 | b 10 | c 10] 0, the largest of w x y z is left out
+    packed_color                   31 [r 8 | g 8 | b 8 | opacity 8] 0
+
+Source: graphdeco-inria/gaussian-splatting (save_ply); playcanvas/splat-transform (read-ply, decompress-ply).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.kernels.maths.elementary import exp, log, sigmoid
+from nerfbake.scene.splats import Splats, splats_of_rows
+
+Floats = npt.NDArray[np.float64]
+SH0 = 0.28209479177387814  # the first basis function
+_HEADER = 1 << 16  # bytes
+_END = b"end_header\n"
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
+    "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_DIGITS = 18  # of a count: it fits in 64 bits
+_REST = (0, 9, 24, 45)  # numbers of f_rest at degree 0 to 3
+_CHUNK = 256  # splats
+_ROWS = 1 << 16  # written at a time
+_LEAST, _MOST = 1e-30, 1 - 2.0**-24  # opacities and scales as they are written: their logits and logarithms are finite
+_FLAT = 100  # a splat of 2DGS is 1/100 as thick as its smaller axis
+_ALLOWED = "a whole binary .ply of Gaussian splats"
+_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
+_SCALE_BOUNDS = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
+_COLOUR_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_NEEDED = [
+    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"),
+    *(f"rot_{k}" for k in range(4)),
+]
+
+
+class _Element(NamedTuple):
+    name: str
+    rows: int
+    properties: list[tuple[str, str]]  # name and NumPy type
+    lists: bool
+
+
+def recognise(view: memoryview) -> bool:
+    """Return True for the first line of a .ply."""
+    return bytes(view[:4]) in (b"ply\n", b"ply\r")
+
+
+def decode(view: memoryview) -> Splats:
+    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit.
+
+    2DGS has two scales; the third becomes 1/100 of the smaller one. Mip-Splatting's filter is applied.
+    """
+    elements, comments, order, at = _header(view)
+    tables = {}
+    for element in elements:
+        if element.lists and element.rows:
+            break
+        dtype = np.dtype([(name, order + kind) for name, kind in element.properties])
+        if element.rows * dtype.itemsize > len(view) - at:
+            found = f"declares {element.rows:,} rows of {dtype.itemsize} bytes, with {len(view) - at:,} bytes left"
+            raise InvalidFile(Problem(f"element {element.name}", found, _ALLOWED))
+        if dtype.itemsize:
+            tables[element.name] = np.frombuffer(view, dtype, element.rows, at)
+        at += element.rows * dtype.itemsize
+    names = {name for element in elements if element.name == "vertex" for name, _ in element.properties}
+    if not names & {*_PACKED, "f_dc_0"}:
+        kind = "a mesh" if any(element.name == "face" for element in elements) else "a point cloud"
+        raise InvalidFile(Problem("the .ply", f"is {kind}", "Gaussian splats, with f_dc_0 and opacity"))
+    if "vertex" not in tables:
+        raise InvalidFile(Problem("element vertex", "follows an element with lists", _ALLOWED))
+    rows = tables["vertex"]
+    memory.require("the splats", len(rows) * 2 * 8 * (12 + 3 * 16))
+    antialiased = any(comment in ("SplatRenderMode: mip", "antialiased 1") for comment in comments)
+    if "packed_position" in names:
+        return _unpacked(tables, antialiased)
+    return _plain(rows, antialiased)
+
+
+def _header(view: memoryview) -> tuple[list[_Element], list[str], str, int]:
+    """Return the elements, the comments, the byte order, and the offset of the first row. Raises InvalidFile."""
+    head = bytes(view[:_HEADER]).replace(b"\r\n", b" \n")  # of the same length
+    end = head.find(b"\nend_header")
+    stop = head.find(b"\n", end + 1)
+    if not recognise(view) or end < 0 or stop < 0:
+        raise InvalidFile(Problem("the header", f"does not end within {_HEADER:,} bytes", _ALLOWED))
+    elements: list[_Element] = []
+    comments, order = [], ""
+    for line in head[:end].decode("latin-1").split("\n")[1:]:
+        match line.split():
+            case ["format", kind, _] if kind in _ORDERS:
+                order = _ORDERS[kind]
+            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) <= _DIGITS:
+                if name in [element.name for element in elements]:
+                    raise InvalidFile(Problem("the header", f"has element {name[:40]!r} twice", "each name once"))
+                elements.append(_Element(name, int(count), [], False))
+            case ["property", "list", _, _, _] if elements:
+                elements[-1] = elements[-1]._replace(lists=True)
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1].properties.append((name, _TYPES[kind]))
+            case ["comment" | "obj_info", *words]:
+                comments.append(" ".join(words))
+            case [] | [""]:
+                pass
+            case _:
+                raise InvalidFile(Problem("the header", f"has the line {line.strip()[:60]!r}", _ALLOWED))
+    if not order:
+        raise InvalidFile(Problem("the header", "names no format", " or ".join(_ORDERS)))
+    for element in elements:
+        names = [name for name, _ in element.properties]
+        if len(set(names)) < len(names):
+            raise InvalidFile(Problem(f"element {element.name[:40]}", "has a property twice", "each name once"))
+    return elements, comments, order, stop + 1
+
+
+def _columns(rows: npt.NDArray[Any], names: list[str], where: str) -> Floats:
+    """Return the properties of these names, (rows, names). Raises InvalidFile."""
+    known = rows.dtype.names or ()
+    if missing := [name for name in names if name not in known]:
+        raise InvalidFile(Problem(f"element {where}", f"has no property {missing[0]}", ", ".join(names)))
+    columns = np.empty((len(rows), len(names)), np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a number that is not finite, as any other
+        for k, name in enumerate(names):
+            columns[:, k] = rows[name]
+    return columns
+
+
+def _rest(rows: npt.NDArray[Any], where: str) -> tuple[list[str], int]:
+    """Return the names of the higher coefficients, and how many there are of each colour. Raises InvalidFile."""
+    count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
+    if count not in _REST:
+        found = f"has {count} properties f_rest"
+        raise InvalidFile(Problem(f"element {where}", found, ", ".join(map(str, _REST))))
+    return [f"f_rest_{k}" for k in range(count)], count // 3
+
+
+def _with_rest(dc: Floats, rest: Floats, each: int) -> Floats:
+    """Return the coefficients (n, B, 3) of the first (n, 3) and the higher ones, which are stored colour by colour."""
+    return np.concatenate([dc[:, None], rest.reshape(len(dc), 3, each).swapaxes(1, 2)], axis=1)
+
+
+def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
+    found = _columns(rows, _NEEDED, "vertex")
+    means, dc, logits, scales, quats = found[:, :3], found[:, 3:6], found[:, 6], _exp(found[:, 7:9]), found[:, 9:]
+    known = rows.dtype.names or ()
+    if "scale_2" in known:
+        third = _exp(_columns(rows, ["scale_2"], "vertex"))
+    else:
+        third = scales.min(axis=1, keepdims=True) / _FLAT
+    scales = np.concatenate([scales, third], axis=1)
+    opacity = np.where(np.isfinite(logits), sigmoid(logits), np.nan)
+    if "filter_3D" in known:
+        width = _columns(rows, ["filter_3D"], "vertex")
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            grown = np.sqrt(scales * scales + width * width)
+            opacity = opacity * (scales / grown).prod(axis=1)
+        scales = grown
+    names, each = _rest(rows, "vertex")
+    sh = _with_rest(dc, _columns(rows, names, "vertex"), each)
+    return splats_of_rows(means, scales, quats, opacity, sh, antialiased=antialiased)
+
+
+def _exp(logarithms: Floats) -> Floats:
+    """e^x, and NaN for infinite x: a row with a number that is not finite is dropped."""
+    return np.where(np.isfinite(logarithms), exp(logarithms), np.nan)
+
+
+def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:
+    rows, chunks = tables["vertex"], tables.get("chunk")
+    n = len(rows)
+    if any(name not in (rows.dtype.names or ()) or rows.dtype[name].kind != "u" for name in _PACKED):
+        raise InvalidFile(Problem("element vertex", "lacks a packed property", "uint " + ", ".join(_PACKED)))
+    if chunks is None or len(chunks) != -(-n // _CHUNK):
+        found = f"has {0 if chunks is None else len(chunks):,} rows"
+        raise InvalidFile(Problem("element chunk", found, f"{-(-n // _CHUNK):,}, one for {_CHUNK} splats"))
+    position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in _PACKED)
+    of = np.arange(n) // _CHUNK
+
+    def between(names: list[str], shares: Floats) -> Floats:
+        bounds = _columns(chunks, names, "chunk")[of]
+        low, high = bounds[:, :3], bounds[:, 3:]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(low + (high - low) * shares)
+
+    shares = _shares(colour, (24, 16, 8, 0), (8, 8, 8, 8))
+    rgb, opacity = shares[:, :3], shares[:, 3]
+    if "min_r" in (chunks.dtype.names or ()):
+        rgb = between(_COLOUR_BOUNDS, rgb)
+    rest, each = np.empty((n, 0)), 0
+    if (coded := tables.get("sh")) is not None:
+        names, each = _rest(coded, "sh")
+        codes = _columns(coded, names, "sh")
+        if len(coded) != n or any(coded.dtype[name] != np.uint8 for name in names):
+            raise InvalidFile(Problem("element sh", f"has {len(coded):,} rows", f"{n:,} rows of uchar"))
+        rest = np.where(codes == 0, -4.0, np.where(codes == 255, 4.0, ((codes + 0.5) / 256 - 0.5) * 8))
+    return splats_of_rows(
+        between(_BOUNDS, _shares(position, (21, 11, 0), (11, 10, 11))),
+        _exp(between(_SCALE_BOUNDS, _shares(scale, (21, 11, 0), (11, 10, 11)))),
+        _rotations(rotation),
+        opacity,
+        _with_rest((rgb - 0.5) / SH0, rest, each),
+        antialiased=antialiased,
+    )
+
+
+def _shares(words: npt.NDArray[np.uint32], shifts: tuple[int, ...], bits: tuple[int, ...]) -> Floats:
+    """Return the fields of each word as 0..1, (n, fields)."""
+    parts = [(words >> shift & (1 << b) - 1) / ((1 << b) - 1) for shift, b in zip(shifts, bits, strict=True)]
+    return np.stack(parts, axis=1)
+
+
+def _rotations(words: npt.NDArray[np.uint32]) -> Floats:
+    """Return the quaternions (n, 4), w first."""
+    three = (_shares(words, (20, 10, 0), (10, 10, 10)) - 0.5) * np.sqrt(2)
+    largest = np.sqrt(np.maximum(0, 1 - (three * three).sum(axis=1)))
+    return with_largest(three, largest, (words >> 30).astype(np.int64))
+
+
+def with_largest(three: Floats, largest: Floats, which: npt.NDArray[np.int64]) -> Floats:
+    """Return (n, 4): the three components in their order, with the largest one inserted at the index `which`."""
+    quats = np.empty((len(three), 4))
+    rows = np.arange(len(three))
+    for k in range(3):
+        quats[rows, k + (k >= which)] = three[:, k]
+    quats[rows, which] = largest
+    return quats
+
+
+def encode(scene: Splats) -> Iterator[bytes]:
+    """Encode splats as 3DGS: float, little endian. Raises InvalidScene for SH of degree 4.
+
+    Opacities below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these.
+    """
+    if scene.degree > 3:
+        raise InvalidScene(Problem("sh", f"has degree {scene.degree}", "0 to 3 in a .ply"))
+    scene.require_usable()
+    each = scene.B - 1
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    names += [f"f_rest_{k}" for k in range(3 * each)]
+    names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    comment = "comment SplatRenderMode: mip\n" if scene.antialiased else ""
+    head = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {scene.n}\n"
+    yield (head + "".join(f"property float {name}\n" for name in names)).encode() + _END
+    for start in range(0, scene.n, _ROWS):
+        part = slice(start, start + _ROWS)
+        opacity = np.clip(scene.opacity[part].astype(np.float64), _LEAST, _MOST)
+        means, sh = scene.means[part], scene.sh[part]
+        columns = (
+            means,
+            np.zeros_like(means),
+            sh[:, 0],
+            sh[:, 1:].swapaxes(1, 2).reshape(len(sh), 3 * each),
+            (log(opacity) - log(1 - opacity))[:, None],
+            log(np.maximum(scene.scales[part].astype(np.float64), _LEAST)),
+            scene.quats[part],
+        )
+        yield np.concatenate(columns, axis=1).astype("<f4").tobytes()

@@ -1,0 +1,206 @@
+r"""Read Gaussian splats from .spz files (versions 1 to 4), and write version 4.
+
+    0     4        8   12     13    14    15       16          20       32
+    "NGSP"|version |n  |degree|bits |flags|streams |toc offset |12 x 0  | extensions | toc | streams   version 4
+    "NGSP"|version |n  |degree|bits |flags|0       | attributes                                        1 to 3, in gzip
+
+toc: two u64 for each stream, its packed and unpacked size. A stream is zstd; the empty ones are left out.
+
+    positions  3 x 24 bits, signed, / 2^bits (version 1: 3 x float16)
+    alphas     u8 / 255
+    colours    (u8 / 255 - 1/2) / 0.15, the first SH coefficients
+    scales     e^(u8 / 16 - 10)
+    rotations  31 [which of x y z w 2 | sign 1, size 9 | sign 1, size 9 | sign 1, size 9] 0, size / 511 / sqrt 2
+               (versions 1 and 2: x y z as u8 / 127.5 - 1, w at least 0)
+    sh         (u8 - 128) / 128, coefficient by coefficient, red green blue inside
+
+A file's y is up and its z points back; y and z change their signs here, and so do quaternions and SH.
+
+Source: nianticlabs/spz (load-spz.cc).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.splat.ply import with_largest
+from nerfbake.formats.wire.deflate import gunzip
+from nerfbake.formats.wire.zstd import compress, decompress_exactly
+from nerfbake.kernels.maths.elementary import exp, log
+from nerfbake.scene.splats import BASES, Splats, splats_of_rows
+
+Floats = npt.NDArray[np.float64]
+_MAGIC = b"NGSP"
+_GZIP = b"\x1f\x8b"
+_HEAD = struct.Struct("<4sIIBBBB")
+_WHOLE_HEAD = 32  # bytes in version 4
+_PARTS = ("positions", "alphas", "colours", "scales", "rotations", "sh")
+_ANTIALIASED = 1
+_MOST_BITS = 23  # fractional bits
+_LARGEST = (1 << 23) - 1
+_LEAST = 1e-30  # scale whose logarithm is taken for 0
+_MIRRORED = np.array([1.0, -1.0, -1.0])
+_ALLOWED = "a whole .spz"
+
+
+def _signs(B: int) -> Floats:
+    """(B,): the sign of each coefficient if y and z change theirs: - for odd in y (m < 0), - for odd in z."""
+    degrees = [(degree, m) for degree in range(BASES.index(B) + 1) for m in range(-degree, degree + 1)]
+    return np.array([(-1.0 if m < 0 else 1.0) * (-1) ** (degree - abs(m)) for degree, m in degrees])
+
+
+def recognise(view: memoryview) -> bool:
+    """Return True for the magic number, in the clear or in gzip."""
+    if bytes(view[:2]) == _GZIP:
+        try:
+            return gunzip(view[:4096], 4, "gzip") == _MAGIC
+        except InvalidFile:
+            return False
+    return bytes(view[:4]) == _MAGIC
+
+
+def decode(view: memoryview) -> Splats:
+    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit. Extensions are ignored."""
+    in_gzip = bytes(view[:2]) == _GZIP
+    head = gunzip(view, _HEAD.size, "the .spz") if in_gzip else bytes(view[: _HEAD.size])
+    if len(head) < _HEAD.size or head[:4] != _MAGIC:
+        raise InvalidFile(Problem("the .spz", "has no whole header", _ALLOWED))
+    _, version, n, degree, bits, flags, streams = _HEAD.unpack(head)
+    if version not in ((1, 2, 3) if in_gzip else (4,)):
+        raise InvalidFile(Problem("version", f"is {version}", "1 to 3 in gzip, or 4"))
+    if degree >= len(BASES):
+        raise InvalidFile(Problem("the SH degree", f"is {degree}", "0 to 4"))
+    if bits > 24:
+        raise InvalidFile(Problem("the fractional bits", f"are {bits}", "0 to 24"))
+    B = BASES[degree]
+    sizes = [n * each for each in (6 if version == 1 else 9, 1, 3, 3, 4 if version >= 3 else 3, 3 * (B - 1))]
+    if not n:
+        raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    if in_gzip:
+        whole = memoryview(gunzip(view, _HEAD.size + sum(sizes), "the .spz"))[_HEAD.size :]
+        if len(whole) < sum(sizes):
+            found = f"holds {len(whole):,} bytes of attributes"
+            raise InvalidFile(Problem("the .spz", found, f"{sum(sizes):,} for {n:,} splats"))
+        ends = np.cumsum(sizes)
+        parts = [whole[int(end) - size : int(end)] for size, end in zip(sizes, ends, strict=True)]
+    else:
+        parts = _streams(view, streams, sizes)
+    memory.require("the splats", n * 2 * 8 * (11 + 3 * B))
+    positions, alphas, colours, scales, rotations, coefficients = (np.frombuffer(part, np.uint8) for part in parts)
+    rest = (coefficients.reshape(n, B - 1, 3) - 128.0) / 128
+    dc = (colours.reshape(n, 1, 3) / 255 - 0.5) / 0.15
+    quats = _rotations(rotations.view("<u4")) if version >= 3 else _first_rotations(rotations.reshape(n, 3))
+    return splats_of_rows(
+        (_halves(positions) if version == 1 else _positions(positions) / 2.0**bits) * _MIRRORED,
+        exp(scales.reshape(n, 3) / 16 - 10),
+        quats[:, [3, 0, 1, 2]] * [1, *_MIRRORED],
+        alphas / 255,
+        np.concatenate([dc, rest], axis=1) * _signs(B)[:, None],
+        antialiased=bool(flags & _ANTIALIASED),
+    )
+
+
+def _streams(view: memoryview, count: int, sizes: list[int]) -> list[memoryview]:
+    """Return the streams of version 4, with empty ones for those that are left out. Raises InvalidFile, MemoryLimit."""
+    filled = [size for size in sizes if size]
+    if count != len(filled):
+        raise InvalidFile(Problem("the .spz", f"has {count} streams", f"{len(filled)}"))
+    toc = int.from_bytes(view[16:20], "little")
+    at = toc + 16 * count
+    if toc < _WHOLE_HEAD or at > len(view):
+        raise InvalidFile(Problem("the table of streams", f"is at byte {toc:,} of {len(view):,}", _ALLOWED))
+    lengths = [int(length) for length in np.frombuffer(view, "<u8", 2 * count, toc)]
+    found = []
+    for name, size in zip(_PARTS, sizes, strict=True):
+        if not size:
+            found.append(memoryview(b""))
+            continue
+        packed, unpacked = lengths[:2]
+        del lengths[:2]
+        if unpacked != size:
+            raise InvalidFile(Problem(f"stream {name}", f"declares {unpacked:,} bytes", f"{size:,}"))
+        if packed > len(view) - at:
+            raise InvalidFile(Problem(f"stream {name}", f"declares {packed:,} packed bytes", f"{len(view) - at:,}"))
+        found.append(memoryview(decompress_exactly(view[at : at + packed], size, f"stream {name}")))
+        at += packed
+    return found
+
+
+def _positions(data: npt.NDArray[np.uint8]) -> Floats:
+    """Return whole numbers (n, 3) of 24 bits: the top byte of a 32-bit one repeats the sign."""
+    parts = data.reshape(-1, 3).astype(np.int32)
+    whole = parts[:, 0] | parts[:, 1] << 8 | parts[:, 2] << 16
+    return (whole - ((whole & 1 << 23) << 1)).reshape(-1, 3).astype(np.float64)
+
+
+def _halves(data: npt.NDArray[np.uint8]) -> Floats:
+    with np.errstate(invalid="ignore"):
+        # The product makes signalling NaNs quiet, so that later arithmetic prints no warning.
+        return data.view("<f2").reshape(-1, 3).astype(np.float64) * 1.0
+
+
+def _rotations(words: npt.NDArray[np.uint32]) -> Floats:
+    """Return the quaternions (n, 4), x y z w."""
+    fields = np.stack([words >> shift & 1023 for shift in (20, 10, 0)], axis=1).astype(np.int64)
+    three = np.where(fields & 512, -1.0, 1.0) * (fields & 511) / 511 * np.sqrt(0.5)
+    largest = np.sqrt(np.maximum(0, 1 - (three * three).sum(axis=1)))
+    return with_largest(three, largest, (words >> 30).astype(np.int64))
+
+
+def _first_rotations(data: npt.NDArray[np.uint8]) -> Floats:
+    three = data / 127.5 - 1
+    return np.concatenate([three, np.sqrt(np.maximum(0, 1 - (three * three).sum(axis=1, keepdims=True)))], axis=1)
+
+
+def encode(scene: Splats) -> Iterator[bytes]:
+    """Encode splats in version 4, with as many fractional bits as the farthest mean allows, and 8 bits for SH.
+
+    Raises InvalidScene for means beyond 2^23.
+    """
+    scene.require_usable()
+    n, B = scene.n, scene.B
+    far = float(np.abs(scene.means).max())
+    if far > _LARGEST:
+        raise InvalidScene(Problem("means", f"reach {far:g}", f"{_LARGEST:,} in a .spz"))
+    bits = next(bits for bits in range(_MOST_BITS, -1, -1) if far * 2.0**bits <= _LARGEST)
+    memory.require("the .spz", n * 8 * (11 + 3 * B))
+    whole = np.rint(scene.means * (_MIRRORED * 2.0**bits)).astype("<i4")
+    sh = scene.sh * _signs(B)[:, None]
+    arrays = (
+        whole.view(np.uint8).reshape(n, 3, 4)[..., :3],
+        _bytes(scene.opacity.astype(np.float64) * 255),
+        _bytes((sh[:, 0] * 0.15 + 0.5) * 255),
+        _bytes((log(np.maximum(scene.scales.astype(np.float64), _LEAST)) + 10) * 16),
+        _words(scene.quats[:, [1, 2, 3, 0]] * [*_MIRRORED, 1]),
+        _bytes(sh[:, 1:] * 128 + 128),
+    )
+    parts = [array.tobytes() for array in arrays if array.size]
+    packed = [b"".join(compress([part])) for part in parts]
+    flags = _ANTIALIASED if scene.antialiased else 0
+    yield _HEAD.pack(_MAGIC, 4, n, scene.degree, bits, flags, len(parts)) + struct.pack("<I12x", _WHOLE_HEAD)
+    for part, stream in zip(parts, packed, strict=True):
+        yield struct.pack("<QQ", len(stream), len(part))
+    yield from packed
+
+
+def _bytes(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
+    codes: npt.NDArray[np.uint8] = np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    return codes
+
+
+def _words(quats: Floats) -> npt.NDArray[np.uint32]:
+    """Return the words (n,) of quaternions (n, 4), x y z w."""
+    rows, which = np.arange(len(quats)), np.abs(quats).argmax(axis=1)
+    quats = np.where(quats[rows, which] < 0, -1.0, 1.0)[:, None] * quats
+    words: npt.NDArray[np.uint32] = which.astype(np.uint32)
+    for k in range(3):
+        value = quats[rows, k + (k >= which)]
+        size = np.clip(np.rint(np.abs(value) * (511 * np.sqrt(2))), 0, 511).astype(np.uint32)
+        words = words << 10 | (value < 0).astype(np.uint32) << 9 | size
+    return words.astype("<u4", copy=False)

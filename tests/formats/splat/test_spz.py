@@ -1,0 +1,169 @@
+"""Splats from .spz: all four versions, judged by gaussforge."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import struct
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerfbake import Splats, load, save
+from nerfbake.errors import InvalidScene, NerfbakeError
+from nerfbake.formats.splat import spz
+from nerfbake.formats.wire.zstd import compress
+from tests.formats.splat.test_ply import assert_same, columns_of, converted
+from tests.support.hostile import damaged, refused_as_it_is
+from tests.support.splats import gzip_spz, splats
+
+# Terms of the SH whose sign changes if y and z change theirs, up to degree 3.
+SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+
+
+def written(scene: Splats) -> bytes:
+    return b"".join(spz.encode(scene))
+
+
+def turned(scene: Splats) -> Splats:
+    """The same splats with y and z in the opposite direction: what programs that keep a .spz's axes read."""
+    return Splats(
+        scene.means * np.array([1, -1, -1], np.float32),
+        scene.scales,
+        scene.quats * np.array([1, 1, -1, -1], np.float32),
+        scene.opacity,
+        scene.sh * SIGNS[: scene.B, None],
+        scene.antialiased,
+    )
+
+
+def assert_near(found: Splats, scene: Splats, *, place: float = 1e-6) -> None:
+    """As near as the format's steps are."""
+    np.testing.assert_allclose(found.means, scene.means, atol=place)
+    np.testing.assert_allclose(np.log(found.scales), np.log(scene.scales), atol=0.5 / 16 + 1e-5)
+    np.testing.assert_allclose(found.opacity, scene.opacity, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(found.sh[:, 0], scene.sh[:, 0], atol=0.5 / 255 / 0.15 + 1e-5)
+    np.testing.assert_allclose(found.sh[:, 1:], scene.sh[:, 1:], atol=0.5 / 128 + 1e-6)
+    assert found.antialiased == scene.antialiased
+
+
+def assert_same_turns(found: Splats, scene: Splats, least: float) -> None:
+    assert np.abs((found.quats * scene.quats).sum(axis=1)).min() > least
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_there_and_back(degree: int, tmp_path: Path) -> None:
+    scene = splats(70, degree=degree, antialiased=degree == 1)
+    save(tmp_path / "a.spz", scene)
+    found = load(tmp_path / "a.spz", Splats)
+    assert_near(found, scene)
+    assert_same_turns(found, scene, 1 - 1e-5)
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_the_first_versions_are_read(version: int, tmp_path: Path) -> None:
+    scene = splats(40, antialiased=True)
+    (tmp_path / "a.spz").write_bytes(gzip_spz(scene, version))
+    found = load(tmp_path / "a.spz", Splats)
+    assert_near(found, turned(scene), place=2e-3 if version == 1 else 2e-4)
+    assert_same_turns(found, turned(scene), 1 - (1e-5 if version == 3 else 1e-2))
+
+
+def test_what_was_read_is_written_without_further_loss() -> None:
+    once = spz.decode(memoryview(written(splats(200, degree=3))))
+    again = spz.decode(memoryview(written(once)))
+    assert_same(again, once, atol=2e-3)
+    assert np.array_equal(again.means, once.means)
+    assert np.array_equal(again.sh, once.sh)
+
+
+def test_a_large_scene_keeps_its_far_splats() -> None:
+    scene = splats(5)
+    scene.means[0] = 5_000_000
+    np.testing.assert_allclose(spz.decode(memoryview(written(scene))).means, scene.means, atol=0.5)
+    scene.means[0] = 1e7
+    with pytest.raises(InvalidScene, match=r"means reach 1e\+07; allowed: 8,388,607 in a \.spz"):
+        written(scene)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_gaussforge_reads_what_we_write(degree: int) -> None:
+    """It keeps the file's axes."""
+    scene = splats(60, degree=degree)
+    data = written(scene)
+    assert_same(columns_of(converted(data, "spz")), turned(spz.decode(memoryview(data))), atol=1e-5)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_gaussforge_reads_the_first_versions_as_we_do(version: int) -> None:
+    data = gzip_spz(splats(60), version)
+    assert_same(columns_of(converted(data, "spz")), turned(spz.decode(memoryview(data))), atol=1e-5)
+
+
+# -- hostile files ---------------------------------------------------------------------------------------------
+SOUND = written(splats(3, degree=1))
+
+
+def header(version: int, n: int, degree: int = 0, bits: int = 12, streams: int = 0) -> bytes:
+    return struct.pack("<4sIIBBBB", b"NGSP", version, n, degree, bits, 0, streams)
+
+
+def bombed(n: int) -> bytes:
+    """Version 4 whose first stream holds a gigabyte of zeros."""
+    bomb = b"".join(compress([bytes(1 << 24)] * 64))
+    toc = struct.pack("<QQ", len(bomb), 9 * n) + struct.pack("<QQ", 0, 0) * 4
+    return header(4, n, streams=5) + struct.pack("<I12x", 32) + toc + bomb
+
+
+LIES: dict[str, tuple[bytes, str]] = {
+    "2^32 in gzip": (gzip.compress(header(3, 2**32 - 1)), "declares 85,899,345,"),
+    "2^32 in zstd": (
+        header(4, 2**32 - 1, streams=5)
+        + struct.pack("<I12x", 32)
+        + b"".join(struct.pack("<QQ", 4, each * (2**32 - 1)) for each in (9, 1, 3, 3, 4)),
+        "stream positions declares",
+    ),
+    "a zstd bomb": (bombed(1000), "stream positions holds more than 9,000 bytes; allowed: 9,000 exactly"),
+    "another size": (
+        bombed(1000).replace(struct.pack("<Q", 9000), struct.pack("<Q", 1 << 30)),
+        "declares 1,073,741,824",
+    ),
+    "degree 255": (SOUND[:12] + b"\xff" + SOUND[13:], "the SH degree is 255; allowed: 0 to 4"),
+    "bits 255": (SOUND[:13] + b"\xff" + SOUND[14:], "the fractional bits are 255; allowed: 0 to 24"),
+    "version 5": (SOUND[:4] + b"\5" + SOUND[5:], "version is 5; allowed: 1 to 3 in gzip, or 4"),
+    "version 4 in gzip": (gzip.compress(SOUND), "version is 4; allowed: 1 to 3 in gzip, or 4"),
+    "no rows": (SOUND[:8] + bytes(4) + SOUND[12:], "have no rows"),
+    "streams": (SOUND[:15] + b"\xff" + SOUND[16:], "has 255 streams; allowed: 6"),
+    "toc": (SOUND[:16] + b"\xff" * 4 + SOUND[20:], "the table of streams is at byte 4,294,967,295"),
+    "a long stream": (SOUND[:32] + b"\xff" * 8 + SOUND[40:], "stream positions declares 18,446,744,073,709,551,615"),
+    "too few": (gzip.compress(header(3, 10) + bytes(100)), "holds 100 bytes of attributes; allowed: 200"),
+    "cut gzip": (gzip_spz(splats(9), 3)[:60], "holds"),
+    "cut": (SOUND[:20], "the table of streams"),
+    "no header": (SOUND[:9], "has no whole header"),
+    "a signalling NaN": (gzip.compress(header(1, 1) + b"\1\x7c" * 8), "have 1 row of 1 that cannot be drawn"),
+    "NaN": (gzip.compress(header(1, 1) + b"\xff" * 16), "have 1 row of 1 that cannot be drawn"),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_lying_spz_is_one_line(lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content, told = LIES[lie]
+    assert told in refused_as_it_is(tmp_path / "bad.spz", content, capsys)
+
+
+def test_no_more_of_a_gzip_bomb_is_unpacked_than_its_count_tells() -> None:
+    turn = struct.pack("<I", 3 << 30)
+    bomb = gzip.compress(header(3, 3) + bytes(3 * 16) + turn * 3 + bytes(1 << 28))
+    tracemalloc.start()
+    assert spz.decode(memoryview(bomb)).n == 3
+    assert tracemalloc.get_traced_memory()[1] < 1 << 24
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("scene", [SOUND, gzip_spz(splats(9, degree=1), 2)], ids=["4", "2"])
+def test_a_damaged_spz_is_read_or_refused(scene: bytes) -> None:
+    for _, broken in damaged(scene, flips=300):
+        with contextlib.suppress(NerfbakeError):
+            spz.decode(memoryview(broken))

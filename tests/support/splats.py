@@ -1,0 +1,109 @@
+"""Splats by seed, and files of them as other programs write them: PlayCanvas' compressed .ply, and .spz 1 to 3."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+
+import numpy as np
+
+from nerfbake import Splats
+
+CHUNK = 256
+
+
+def splats(n: int, *, degree: int = 2, seed: int = 0, antialiased: bool = False) -> Splats:
+    random = np.random.default_rng(seed)
+    quats = random.normal(size=(n, 4))
+    arrays = (
+        random.normal(size=(n, 3)),
+        np.exp(random.normal(size=(n, 3)) - 4),
+        quats / np.sqrt((quats * quats).sum(axis=1, keepdims=True)),
+        random.uniform(0.05, 0.95, n),
+        random.uniform(-0.7, 0.7, (n, (degree + 1) ** 2, 3)),
+    )
+    means, scales, turns, opacity, sh = (array.astype(np.float32) for array in arrays)
+    return Splats(means, scales, turns, opacity, sh, antialiased)
+
+
+def ply_text(elements: dict[str, tuple[int, list[str]]], order: str = "little") -> bytes:
+    """A header. elements: by name the count and the properties, as `float x`."""
+    lines = ["ply", f"format binary_{order}_endian 1.0"]
+    for name, (count, properties) in elements.items():
+        lines += [f"element {name} {count}", *(f"property {each}" for each in properties)]
+    return "\n".join([*lines, "end_header\n"]).encode()
+
+
+def packed_ply(scene: Splats) -> bytes:
+    """PlayCanvas' compressed kind, with bounds of colours and SH in bytes."""
+    n, each = scene.n, scene.B - 1
+    chunks, words = [], []
+    for start in range(0, n, CHUNK):
+        part = slice(start, start + CHUNK)
+        columns = (scene.means[part], np.log(scene.scales[part]), scene.sh[part, 0] * 0.28209479 + 0.5)
+        shares = []
+        for values in columns:
+            low, high = values.min(axis=0), values.max(axis=0)
+            chunks.append([low, high])
+            shares.append((values - low) / np.maximum(high - low, 1e-9))
+        place, size = (_packed(share, (11, 10, 11)) for share in shares[:2])
+        colour = _packed(np.concatenate([shares[2], scene.opacity[part, None]], axis=1), (8, 8, 8, 8))
+        words.append(np.stack([place, _smallest_three(scene.quats[part]), size, colour], axis=1))
+    kinds = (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))
+    bounds_of = [f"float {end}_{kind}{axis}" for kind, axes in kinds for end in ("min", "max") for axis in axes]
+    header = ply_text({
+        "chunk": (len(words), bounds_of),
+        "vertex": (n, [f"uint packed_{name}" for name in ("position", "rotation", "scale", "color")]),
+        "sh": (n, [f"uchar f_rest_{k}" for k in range(3 * each)]),
+    })  # fmt: skip
+    rest = np.clip((scene.sh[:, 1:].swapaxes(1, 2) / 8 + 0.5) * 256, 0, 255).astype(np.uint8)
+    bounds = np.array(chunks, "<f4").tobytes()
+    return header + bounds + np.concatenate(words).astype("<u4").tobytes() + rest.tobytes()
+
+
+def _packed(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    words = np.zeros(len(shares), np.uint32)
+    for share, count in zip(shares.T, bits, strict=True):
+        words = words << count | np.rint(share * ((1 << count) - 1)).astype(np.uint32)
+    return words
+
+
+def _smallest_three(quats: np.ndarray) -> np.ndarray:
+    words = []
+    for quat in quats:
+        which = int(np.abs(quat).argmax())
+        three = np.delete(quat * (-1 if quat[which] < 0 else 1), which)
+        codes = np.rint((three / np.sqrt(2) + 0.5) * 1023).astype(int)
+        words.append(which << 30 | int(codes[0]) << 20 | int(codes[1]) << 10 | int(codes[2]))
+    return np.array(words, np.uint32)
+
+
+def gzip_spz(scene: Splats, version: int, *, bits: int = 12) -> bytes:
+    """Version 1 to 3, in the file's own axes: nothing is turned."""
+    n = scene.n
+    whole = np.rint(scene.means * 2.0**bits).astype("<i4")
+    places = scene.means.astype("<f2") if version == 1 else whole.view(np.uint8).reshape(n, 3, 4)[..., :3]
+    turns = scene.quats[:, 1:] * np.where(scene.quats[:, :1] < 0, -1, 1)
+    codes = [
+        scene.opacity * 255,
+        (scene.sh[:, 0] * 0.15 + 0.5) * 255,
+        (np.log(scene.scales) + 10) * 16,
+        (turns + 1) * 127.5,
+    ]
+    parts = [np.clip(np.rint(each), 0, 255).astype(np.uint8).tobytes() for each in codes]
+    if version == 3:
+        parts[3] = b"".join(struct.pack("<I", _signed_three(quat)) for quat in scene.quats)
+    parts.append(np.clip(np.rint(scene.sh[:, 1:] * 128 + 128), 0, 255).astype(np.uint8).tobytes())
+    head = struct.pack("<4sIIBBBB", b"NGSP", version, n, scene.degree, bits, int(scene.antialiased), 0)
+    return gzip.compress(head + places.tobytes() + b"".join(parts), mtime=0)
+
+
+def _signed_three(quat: np.ndarray) -> int:
+    turn = [float(part) for part in (*quat[1:], quat[0])]
+    which = max(range(4), key=lambda k: abs(turn[k]))
+    word = which
+    for k, part in enumerate(turn):
+        if k != which:
+            part = -part if turn[which] < 0 else part
+            word = word << 10 | (part < 0) << 9 | round(abs(part) * 2**0.5 * 511)
+    return word
