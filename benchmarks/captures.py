@@ -179,10 +179,10 @@ def _capture(row: Row, scenes: Scenes, folder: Path) -> Path:
         return given
     shutil.copytree(given, made, ignore=shutil.ignore_patterns("images", "masks"))
     for path in (*given.glob("images/*"), *given.glob("masks/*")):
-        own = made / path.relative_to(given).with_suffix(".png")
+        own = made / path.relative_to(given)  # the cameras name the pictures with their extensions
         own.parent.mkdir(exist_ok=True)
         with Pillow.open(path) as picture:
-            picture.reduce(row.shrink).save(own)
+            picture.reduce(row.shrink).save(own, format="PNG")
     return made
 
 

@@ -49,6 +49,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     ),
     "Volumes": (nerfbake, "scene.volume scene.vdb stages.octree_to_vdb stages.brick_field_to_vdb stages.vdb_to_vdb"),
     "Meshes and atlases": (nerfbake, "scene.mesh scene.atlas scene.stage1"),
+    "Gaussian splats": (nerfbake, "scene.splats"),
     "Baking atlases": (
         nerfbake,
         "stages.stage1_to_atlas stages.specular_to_atlas stages.specular_to_clusters stages.shapes_to_stage1"
@@ -62,7 +63,8 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Comparisons and facts": (nerfbake, "scene.comparison stages.scenes_to_comparison stages.scene_to_summary"),
     "Pages": (
         nerfbake,
-        "scene.page stages.scene_to_page stages.field_to_page_field stages.stage1_to_page_surface",
+        "scene.page stages.scene_to_page stages.field_to_page_field stages.n3tree_to_page_shells"
+        " stages.stage1_to_page_surface",
     ),
     "Jobs: from files to files": (jobs, "jobs batch"),
 }

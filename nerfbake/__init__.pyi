@@ -24,6 +24,7 @@ from .scene.page import PageField as PageField
 from .scene.page import PageSurface as PageSurface
 from .scene.quantised_octree import QuantisedOctree as QuantisedOctree
 from .scene.radiance_field import RadianceField as RadianceField
+from .scene.splats import Splats as Splats
 from .scene.stage1 import SpecularField as SpecularField
 from .scene.stage1 import Stage1 as Stage1
 from .scene.vdb import IndexGrid as IndexGrid
@@ -46,6 +47,7 @@ from .stages.lattice_to_image import render_lattice as render_lattice
 from .stages.lattice_to_octree import build_octree_from_lattice as build_octree_from_lattice
 from .stages.meshes_to_image import render_meshes as render_meshes
 from .stages.n3tree_to_octree import build_octree as build_octree
+from .stages.n3tree_to_page_shells import build_page_shells as build_page_shells
 from .stages.octree_to_brick_field import build_bricks as build_bricks
 from .stages.octree_to_compression import compress_octree as compress_octree
 from .stages.octree_to_compression import quantise_octree as quantise_octree

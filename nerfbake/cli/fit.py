@@ -71,7 +71,8 @@ def photograph_options(function: Command) -> Command:
         "--masks",
         metavar="DIR",
         type=Reads(),
-        help="Folder with a mask NAME.png for each picture, white where the object is.",
+        help="Folder with a mask NAME.png for each picture, white where the object is; with --scenery keep, white "
+        "where the picture is used.",
     )
     @click.option(
         "--test",

@@ -21,7 +21,7 @@ from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice
-from nerfbake.jobs.lattices import sample_lattice, without_scenery
+from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import page_views
@@ -43,6 +43,7 @@ from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
 from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.field_to_page_field import build_page_field, round_field
 from nerfbake.stages.n3tree_to_octree import build_octree
+from nerfbake.stages.n3tree_to_page_shells import build_page_shells
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scene_to_field import build_field, build_field_from_page, round_to_bytes
@@ -180,7 +181,7 @@ def view_file(
                 which turns slowly, and min_psnr is measured on 8 views around it
     truth       a folder with a photograph NAME.png for each of the cameras, to measure the loss of the compression on;
                 None: it is predicted
-    min_psnr    lowest allowed mean PSNR of the written page against `source`, in dB; None: no limit
+    min_psnr    lowest allowed mean PSNR of the written page against `source`, in dB, without scenery; None: no limit
     samples     rays along each edge of a pixel of these pictures; None: from the cameras, else 1
     title       title of the page; None: the name of the source without its extension
     background  sRGB in 0..1; None: light or dark, following the browser's setting
@@ -205,7 +206,7 @@ def view_file(
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        content, scene, held_out = _read(steps, source, wish, choice)
+        content, scene, held_out, scenery = _read(steps, source, wish, choice)
         if stage1 is not None and not isinstance(scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
@@ -218,7 +219,7 @@ def view_file(
             made = surface_page(steps, source, scene, stage1, look)
             file.write(steps, made)
             return made
-        shown = _framed(steps, source, scene, mesh, look)
+        shown = _framed(steps, source, scene, scenery, mesh, look)
         if data == "exact" or isinstance(scene, Volume):
             made = _exact(steps, source, shown)
         elif content is not None and not wish.anew:
@@ -255,19 +256,22 @@ class _Shown(NamedTuple):
     cover: Image
     beside: PageExtras
     look: PageLook
+    turns: bool
+    around: tuple[PageField, ...]
 
     def page(self, content: Any) -> Page:
-        title, cameras, background, lookup = self.look
-        turns = cameras is None
-        return Page(content, self.field, self.views, self.cover, title, turns, background, lookup, *self.beside)
+        title, _, background, lookup = self.look
+        look = title, self.turns, background, lookup
+        return Page(content, self.field, self.views, self.cover, *look, *self.beside, self.around)
 
 
 def _read(
     steps: Steps, source: Source, wish: _Wish, choice: GridChoice
-) -> tuple[memoryview | None, Any, HeldOut | None]:
+) -> tuple[memoryview | None, Any, HeldOut | None, N3Tree | None]:
     """Read the source. Return the bytes of an already compressed file, the scene, and the pixels of photographs.
 
-    A PlenOctree that is going to be compressed is returned as an octree.
+    A PlenOctree that is going to be compressed is returned as an octree. Of a scene with scenery, the inner cube is
+    returned, and at last the whole scene.
     """
     fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
     read = source.read_with_format(steps, *fields, Stage1, BakedAtlas)
@@ -278,22 +282,34 @@ def _read(
             raise UsageError(f"{source.name} is a volume, which cannot be compressed; allowed: `data=exact`")
         if wish.data is None:
             steps.say(f"{source.name}: volumes are not compressed, so the page carries its values in float16")
-    scene = without_scenery(steps, source, scene)
+    scenery = scene if isinstance(scene, N3Tree) and scene.shells > 1 else None
+    if scenery is not None:
+        with source.blamed(steps, "reading the inner cube"):
+            scene = scenery.inner_cube()
     if wish.data != "exact" and isinstance(scene, N3Tree):
         with source.blamed(steps, "building the octree"):
-            return None, build_octree(scene), scene.held_out
-    return read.data, scene, None
+            return None, build_octree(scene), scene.held_out, scenery
+    return read.data, scene, None, scenery
 
 
-def _framed(steps: Steps, source: Source, scene: Any, mesh: PlacedMesh | None, look: PageLook) -> _Shown:
-    """Return the field of a scene with the cameras of the page and its cover picture."""
+def _framed(
+    steps: Steps, source: Source, scene: Any, scenery: N3Tree | None, mesh: PlacedMesh | None, look: PageLook
+) -> _Shown:
+    """Return the field of a scene with the cameras of the page, its cover picture and the shells around it.
+
+    scenery: the whole scene, if `scene` is its inner cube. Its page has the cameras of its held-out photographs, since
+    no direction is up, and walls stand around it.
+    """
+    posed = scenery.held_out.cameras if scenery is not None and scenery.held_out is not None else None
     with source.blamed(steps, "building the field"):
         field = build_field(scene)
-    views, first = page_views(steps, field, look.cameras, name=source.name)
+        whole = field if scenery is None else build_field(scenery)
+        around = () if scenery is None else build_page_shells(scenery)
+    views, first = page_views(steps, field, look.cameras, posed, name=source.name)
     with source.blamed(steps, "rendering the cover"):
         beside = PageExtras.of(mesh)
-        cover = beside.render(field, first, background=look.background, lookup=look.lookup)
-    return _Shown(field, views, cover, beside, look)
+        cover = beside.render(whole, first, background=look.background, lookup=look.lookup)
+    return _Shown(field, views, cover, beside, look, look.cameras is None and posed is None, around)
 
 
 def _exact(steps: Steps, source: Source, shown: _Shown) -> Page:
@@ -325,8 +341,16 @@ def _compressed(
         options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
         if wish.goal == LEAST_LOSS:
             with suppress(BudgetMissed):  # the octree has too many leaves to fit at any precision
-                return compress_octree(octree, max_size=_MOST_BYTES, **options)
+                return compress_octree(octree, max_size=_MOST_BYTES - _shells_size(shown, form), **options)
         return compress_octree(octree, **options)
+
+
+def _shells_size(shown: _Shown, form: catalog.Format) -> int:
+    """Return the size in bytes of the shells around a scene, without the base64 of the page."""
+    if not shown.around:
+        return 0
+    size = form.load_packed_module().coded_size
+    return 3 * (size(shown.page(b"")) - size(shown._replace(around=()).page(b""))) // 4
 
 
 def _field_of(path: str) -> RadianceField:

@@ -60,14 +60,20 @@ def views_of(
     return read_cameras(steps, cameras).chosen(size=size, samples=samples)
 
 
-def page_views(steps: Steps, scene: Any, cameras: str | None, *, name: str) -> tuple[Cameras, Camera]:
+def page_views(
+    steps: Steps, scene: Any, cameras: str | None, posed: Cameras | None = None, *, name: str
+) -> tuple[Cameras, Camera]:
     """Return the cameras of a page, from views_of(), and the camera of its cover picture.
 
-    The cover is square: it shows what the first camera sees along its shorter edge.
+    posed: the cameras without a capture; None: an orbit. The cover is square: it shows what the first camera sees along
+    its shorter edge.
     """
     from nerfbake.scene.page import COVER
 
-    views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER)
+    if cameras is None and posed is not None:
+        views = posed
+    else:
+        views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER)
     first = views.cameras[0]
     focal = first.fx * COVER / min(first.width, first.height)
     return views, Camera(COVER, COVER, focal, first.pose, first.name)

@@ -203,6 +203,7 @@ class Page(CompactRepr):
     lookup   the initial setting, as in render_field()
     meshes   triangles shown with a field, in its world; (): none, or those of a PageSurface
     composite  the initial setting for field and meshes, as in render_field_and_meshes()
+    around   fields of the shells around the inner cube, of one resolution, from the innermost one; (): no scenery
 
     >>> from nerfbake import Page, build_field, build_page_field, orbit_cameras, render_field, sample_n3tree
     >>> field = build_field(sample_n3tree(resolution=16))
@@ -222,6 +223,7 @@ class Page(CompactRepr):
     lookup: Lookup = "nearest"
     meshes: tuple[Mesh, ...] = ()
     composite: Composite = "stop"
+    around: tuple[PageField, ...] = ()
 
     def __post_init__(self) -> None:
         width, height = self.cover.size
@@ -230,6 +232,8 @@ class Page(CompactRepr):
         if (self.field is None) != isinstance(self.content, PageSurface):
             found = "is missing" if self.field is None else "is present"
             raise InvalidScene(Problem("the field", found, "a field for voxels, none for triangles"))
+        if len({shell.top.shape for shell in self.around}) > 1:
+            raise InvalidScene(Problem("the shells", "have grids of several sizes", "one size"))
         if self.meshes and self.field is None:
             raise InvalidScene(
                 Problem("the meshes", "are combined with a surface", "meshes with a field, or a surface alone")

@@ -65,7 +65,7 @@ def resolved(cells: BrickCells, views: Views) -> Bits:
     found = np.zeros(cells.n, bool)
     for camera in views.cameras.cameras:
         away = np.sqrt(np.square(centre - camera.pose[:3, 3]).sum(axis=1))
-        found |= (width * max(camera.fx, camera.fy) > away) & _sees(camera, centre, width)
+        found |= (width * max(camera.fx, camera.fy) > away) & sees(camera, centre, width)
     return found
 
 
@@ -78,7 +78,7 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
     for shell in range(SHELLS):
         centre, counts = low[shell] + steps * size[shell], np.zeros(R**3, np.int32)
         for camera in views.cameras.cameras:
-            counts += _sees(camera, centre, width[shell])
+            counts += sees(camera, centre, width[shell])
             away = np.square(centre - camera.pose[:3, 3]).sum(axis=1)
             counts[away < clear * clear] = -len(views.pictures)
         solid = (counts >= least).reshape(R, R, R)
@@ -93,7 +93,7 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
     return np.concatenate(found)
 
 
-def _sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
+def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
     """Return which cells (n,) around these centres may touch the camera's frustum. The lens counts as a pinhole."""
     along = rotate(centre - camera.pose[:3, 3], np.ascontiguousarray(camera.pose[:3, :3].T))
     depth, reach = -along[:, 2], 0.87 * np.asarray(width)  # half a cell's diagonal

@@ -37,6 +37,6 @@ def test_pictures_are_averaged_and_everything_else_is_copied(tmp_path: Path) -> 
     scenes = Scenes(tmp_path, tmp_path / "made")
     made = captures._capture(Row("", "plush", 2, ()), scenes, scenes.folder)
     assert (made / "sparse" / "0" / "cameras.bin").read_bytes() == b"cameras"
-    with Pillow.open(made / "images" / "a.png") as picture:
+    with Pillow.open(made / "images" / "a.PNG") as picture:
         assert_allclose(np.asarray(picture), pixels.reshape(2, 2, 3, 2, 3).mean(axis=(1, 3)), atol=0.51)
     assert captures._capture(Row("", "plush", 1, ()), scenes, scenes.folder) == plush

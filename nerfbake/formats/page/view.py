@@ -8,7 +8,8 @@ is visible before the scene is decoded, the facts (JSON, read by the script), an
             texels the lower bytes of all rows, then their upper bytes
     surface none of these
 
-followed by the triangles, if any, as packed by triangles.py in this folder.
+followed by the arrays of each shell around the inner cube, if any, and by the triangles, if any, as packed by
+triangles.py in this folder.
 
 The scripts are concatenated in the order of _SCRIPTS into one scope. They are not modules: a page that is opened from a
 file cannot import modules, and a bundler would need Node wherever nerfbake runs. TypeScript checks them as one program.
@@ -48,6 +49,7 @@ _SCRIPTS = (
     "field.js",
     "bytes.js",
     "levels.js",
+    "shells.js",
     "carried.js",
     "triangles.js",
     "picture.js",
@@ -58,16 +60,22 @@ _SCRIPTS = (
     "viewer.js",
     "main.js",
 )
-_SHADERS = ("field.glsl", "march.glsl", "smooth.glsl", "shown.glsl")
+_SHADERS = ("field.glsl", "march.glsl", "smooth.glsl", "shells.glsl", "shown.glsl")
 _THUMBNAIL = 200, 64  # og:image: pixels an edge (the minimum that sites require), and colours
 _NEAREST = 0.1  # minimum distance of a pivot from its camera, in radii of the scene
 
 
 def encode(page: Page) -> Iterator[bytes]:
     """Yield the page in pieces."""
-    content = _data(page.content)
-    data = base64.b64encode(content + pack_triangles(page))
-    head, tail = _document(page, {"length": len(data), **_facts(page), **triangle_facts(page, at=len(content))})
+    streams = [_data(content) for content in (page.content, *page.around)]
+    ends = np.cumsum([len(stream) for stream in streams]).tolist()
+    data = base64.b64encode(b"".join(streams) + pack_triangles(page))
+    around = [
+        {**_array_facts(shell), "at": start, "end": end}
+        for shell, start, end in zip(page.around, ends, ends[1:], strict=False)
+    ]
+    beside = {"around": around} if around else {}
+    head, tail = _document(page, {"length": len(data), **_facts(page), **beside, **triangle_facts(page, at=ends[-1])})
     yield head.encode()
     yield data
     yield tail.encode()
@@ -91,7 +99,7 @@ def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
     if found is None:
         raise InvalidFile("is not a complete page of a scene; allowed: a page that `nerfbake view` writes")
     facts = json.loads(found[1])
-    data = base64.b64decode(found[2])[: facts.get("triangles", {}).get("at")]
+    data = base64.b64decode(found[2])[: (facts.get("around") or [facts.get("triangles", {})])[0].get("at")]
     if facts["kind"] == "svoq":
         return svoq.decode(memoryview(data))
     cells, leaves, rows, T = int(np.prod(facts["shape"])), facts["leaves"], facts["rows"], facts["texels"]
@@ -177,9 +185,20 @@ def _field_facts(content: Any, field: RadianceField) -> dict[str, Any]:
         "densityUnit": density_unit(float(field.values[:, -1].max())),
     }
     if isinstance(content, PageField):
-        facts |= {"rows": len(content.texels), "leaves": len(content.blocks) // 8}
-        facts["size"] = content.top.nbytes + content.blocks.nbytes + content.texels.nbytes
+        facts |= _array_facts(content)
     return facts
+
+
+def _array_facts(content: PageField) -> dict[str, Any]:
+    return {
+        "texels": texels_of(content.basis),
+        "shape": content.top.shape,
+        "place": content.place.tolist(),
+        "densityUnit": content.density_unit,
+        "rows": len(content.texels),
+        "leaves": len(content.blocks) // 8,
+        "size": content.top.nbytes + content.blocks.nbytes + content.texels.nbytes,
+    }
 
 
 def _view(camera: Camera, centre: npt.NDArray[np.float64], radius: float) -> dict[str, Any]:

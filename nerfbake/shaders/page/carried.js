@@ -11,14 +11,15 @@ class Carried {
     this.packed = null;
   }
 
-  // The packed bytes of the field, and of the triangles that follow it.
+  // The packed bytes of the field, of the shells around it, and of the triangles that follow.
   async bytes() {
     if (!this.packed) {
       this.packed = await this.run(bytesOf(this.text), 0, 0.1);
       this.text = null;
     }
-    const at = this.facts.triangles?.at ?? this.packed.length;
-    return { field: this.packed.subarray(0, at), triangles: this.packed.subarray(at) };
+    const { triangles, around = [] } = this.facts, end = triangles?.at ?? this.packed.length;
+    const shells = around.map((shell) => this.packed.subarray(shell.at, shell.end));
+    return { field: this.packed.subarray(0, around[0]?.at ?? end), shells, triangles: this.packed.subarray(end) };
   }
 
   // The triangles for a Picture; null if there are none.
@@ -37,6 +38,15 @@ class Carried {
     return this.run(arraysOf(raw, this.facts), 0.5, 0.9);
   }
 
+  // The arrays of each shell around the inner cube.
+  async shells() {
+    const { shells } = await this.bytes(), found = [];
+    for (const [i, facts] of this.facts.around.entries()) {
+      found.push(await this.run(arraysOf(await inflated(shells[i], facts.size, () => null), facts), 0.94, 0.95));
+    }
+    return found;
+  }
+
   // The arrays for a Picture at a level of detail, where 2^steps voxels along an edge become one; null if there is no
   // field.
   async level(steps) {
@@ -46,6 +56,7 @@ class Carried {
       facts = coarserFacts(this.facts, steps);
       arrays = await this.run(coarser(arrays, this.facts, facts, steps), 0.9, 0.95);
     }
+    if (facts.around) arrays = withShells(arrays, facts, await this.shells());
     if (facts.kind === "svoq") Object.assign(arrays, await this.run(inBytes(arrays.texels, facts.texels), 0.95, 1), { texels: null });
     return { ...arrays, facts };
   }

@@ -86,7 +86,8 @@ class Controls {
       viewer.move((camera) => (shiftKey ? camera.pan((x * edge) / 12, (y * edge) / 12, edge) : camera.orbit(-x * 0.12, y * 0.12)));
     } else if (key === "+" || key === "=") viewer.move((camera) => camera.zoom(1 / 1.15));
     else if (key === "-" || key === "_") viewer.move((camera) => camera.zoom(1.15));
-    else if (key === "[" || key === "]") viewer.next(key === "[" ? -1 : 1);
+    else if (key === "n" || key === "N") viewer.next(1);
+    else if (key === "p" || key === "P") viewer.next(-1);
     else if (key >= "1" && key <= "5") viewer.show(Object.keys(MODES)[Number(key) - 1]);
     else if (key === "r" || key === "R") viewer.reset();
     else if (key === "f" || key === "F") fullScreen();

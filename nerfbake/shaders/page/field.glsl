@@ -1,12 +1,13 @@
 #version 300 es
 // March a ray per pixel through a PageField (nerfbake/scene/page.py describes its arrays). This part has the inputs,
 // the basis functions and the lookup of a voxel. march.glsl and smooth.glsl march the ray, shown.glsl computes the
-// picture.
+// picture, and shells.glsl combines the parts of a ray in the inner cube and in the shells around it.
 //
 // The page inserts these definitions before the first line of code:
 //   GROUPS   groups of four basis functions after the first one: 0, 1, 2, 4 or 6
 //   BASE     the first basis function; 1 for RGBA
 //   TEXELS   texels in a row of colours, 1 + 3 GROUPS
+//   SHELLS   shells around the inner cube; 0: no scenery. AROUND: top cells along an edge of a shell's cube
 //   MESHES   1: the page has triangles, drawn by mesh.glsl; 0: it has none
 //   SMOOTH   1: trilinear lookup, march() of smooth.glsl; 0: nearest lookup, march() of march.glsl
 //   NORMALS  1: mode is SLOPE
@@ -41,6 +42,14 @@ uniform int rays;           // rays along an edge of a pixel
 uniform int mode;           // what to show: one of the modes below
 uniform vec2 range;         // of depth, in world units
 uniform vec2 aim;           // PICK: the pixel to measure
+
+#if SHELLS
+uniform isampler3D around;     // like `top`, for each shell's cube, one after the other along x
+uniform vec4 frames[SHELLS];   // voxels of a shell's cube = xyz + w * voxels of the inner cube
+uniform bool alone;            // true: only the inner cube is drawn
+int shell = 0;                 // the cube that is marched: 0 is the inner cube
+float partFrom, partTo;        // the part of the ray in it: distances from the origin, in world units
+#endif
 
 #if MESHES
 uniform sampler2D meshColour;      // colour of each ray's triangle
@@ -165,10 +174,17 @@ vec3 sigmoid(vec3 sum) {
   return 1.0 / (1.0 + exp(-sum));
 }
 
+int topAt(ivec3 cell) {
+#if SHELLS
+  if (shell > 0) return texelFetch(around, cell + ivec3((shell - 1) * AROUND, 0, 0), 0).r;
+#endif
+  return texelFetch(top, cell, 0).r;
+}
+
 // The row at a voxel, or -1; and a cube around the voxel with the same contents: its lowest corner and its edge.
 int look(ivec3 voxel, out ivec3 corner, out int edge) {
   ivec3 cell = voxel >> 3;
-  int here = texelFetch(top, cell, 0).r;
+  int here = topAt(cell);
   if (here < 0) {
     int away = -here - 1;
     corner = (cell - away) << 3;
@@ -201,7 +217,11 @@ int look(ivec3 voxel, out ivec3 corner, out int edge) {
 }
 
 bool outside(ivec3 voxel) {
-  return any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, textureSize(top, 0) * 8));
+  ivec3 cells = textureSize(top, 0);
+#if SHELLS
+  if (shell > 0) cells = ivec3(AROUND);
+#endif
+  return any(lessThan(voxel, ivec3(0))) || any(greaterThanEqual(voxel, cells * 8));
 }
 
 // The row at any voxel; -1 in empty space and outside the grid.

@@ -21,15 +21,29 @@ bool enter(vec3 along, float shift, out Way way) {
   // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
   way.d = d = mix(d, vec3(1e-12), lessThan(abs(d), vec3(1e-12)));
   way.inverse = 1.0 / d;
-  vec3 one = (boxLow - origin) * way.inverse, other = (boxHigh - origin) * way.inverse;
+  vec3 from = origin, low = boxLow, high = boxHigh;
+#if SHELLS
+  if (shell > 0) {
+    from = frames[shell - 1].xyz + frames[shell - 1].w * origin;
+    scale *= frames[shell - 1].w;
+    low = vec3(0.0);
+    high = vec3(8 * AROUND);
+  }
+#endif
+  vec3 one = (low - from) * way.inverse, other = (high - from) * way.inverse;
   vec3 near = min(one, other), away = max(one, other);
   way.start = max(max(near.x, near.y), max(near.z, 0.0));
-  way.end = min(min(away.x, stop * scale), min(away.y, away.z)) - way.start;
+  float last = stop;
+#if SHELLS
+  way.start = max(way.start, partFrom * scale);
+  last = min(last, partTo);
+#endif
+  way.end = min(min(away.x, last * scale), min(away.y, away.z)) - way.start;
   way.upward = vec3(greaterThan(d, vec3(0.0)));
-  way.from = origin - shift + way.start * d;
+  way.from = from - shift + way.start * d;
   way.unit = 1.0 / scale;
-  way.low = floor(boxLow - shift);
-  way.high = ceil(boxHigh - shift) - 1.0;
+  way.low = floor(low - shift);
+  way.high = ceil(high - shift) - 1.0;
   if (way.end <= 0.0) return false;
   face(normalize(toAxes * world));
   return true;
@@ -64,13 +78,13 @@ vec3 slopeAt(ivec3 voxel) {
 }
 #endif
 
-Found march(vec3 along) {
-  Found found = Found(vec3(0.0), 0.0, 0.0, 0);
+// March a ray through one cube: add what it meets to `found`, and multiply its transmittance `through`.
+void marchCube(vec3 along, inout Found found, inout float through) {
   Way way;
-  if (!enter(along, 0.0, way)) return found;
+  if (!enter(along, 0.0, way)) return;
   ivec3 next = ivec3(clamp(floor(way.from), way.low, way.high)), voxel, corner;
   int row, edge, axis;
-  float t = 0.0, through = 1.0, near;
+  float t = 0.0, near;
   for (bool inside = true; inside && through >= cut;) {
     // Cross all empty cubes first: neighbouring rays wait for each other, and the code below the loop costs most.
     do {
@@ -93,7 +107,5 @@ Found march(vec3 along) {
       through *= kept;
     }
   }
-  found.alpha = 1.0 - through;
-  return found;
 }
 #endif

@@ -3,6 +3,7 @@
 const MODES = { colour: 0, first: 1, depth: 2, normals: 5, steps: 3, pick: 4 };
 const CUT = 1e-4; // the transmittance below which a ray ends, as in `nerfbake render`
 const CUTOUT = 0.5; // the same for an opaque cutout
+const AROUND_UNIT = 4; // the texture unit of the shells' grids
 const UNCLIPPED = [[0, 0, 0], [1, 1, 1]];
 
 const CORNERS = "#version 300 es\nvoid main() {\n  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1);\n}";
@@ -54,7 +55,8 @@ class Picture {
     if (!programs[name]) {
       const groups = (facts.texels - 1) / 3, base = facts.basis === "RGBA" ? "1.0" : "0.28209479177387814";
       const switches = { BYTES: facts.kind === "svoq", SMOOTH: smoothly, NORMALS: normals, MESHES: !!facts.triangles };
-      const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, ...switches };
+      const shells = { SHELLS: facts.around?.length ?? 0, AROUND: facts.around?.[0].shape[0] ?? 0 };
+      const defines = { GROUPS: groups, BASE: base, TEXELS: facts.texels, ...shells, ...switches };
       const lines = Object.entries(defines).map(([key, value]) => `#define ${key} ${typeof value === "boolean" ? Number(value) : value}\n`).join("");
       const fragment = shader.replace("#version 300 es\n", "#version 300 es\n" + lines);
       programs[name] = { built: begun(gl, CORNERS, fragment), linked: false, names: {}, constants: null };
@@ -78,7 +80,7 @@ class Picture {
   }
 
   // Upload a level of detail that Carried.level() returned. Its arrays are not needed afterwards.
-  upload({ top, blocks, texels, bytes, densities, lows, widths, facts }) {
+  upload({ top, around, blocks, texels, bytes, densities, lows, widths, facts }) {
     const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE), T = facts.texels, colours = bytes ?? texels;
     const [X, Y, Z] = facts.shape, across = Math.floor(most / T), rows = colours.length / (4 * T);
     const blockBits = Math.min(12, 31 - Math.clz32(most)), lines = Math.ceil(rows / across);
@@ -87,15 +89,13 @@ class Picture {
       throw new Error("this scene is larger than what this device's graphics can hold");
     }
     this.facts = facts;
-    // The grid is z-fastest, and a texture is x-fastest. The shader indexes x, y, z like the page, so transpose the
-    // grid here.
-    const turned = new Int32Array(top.length);
-    for (let x = 0, i = 0; x < X; x++) {
-      for (let y = 0; y < Y; y++) for (let z = 0; z < Z; z++) turned[(z * Y + y) * X + x] = top[i++];
-    }
     this.texture(0, gl.TEXTURE_3D);
-    gl.texStorage3D(gl.TEXTURE_3D, 1, gl.R32I, X, Y, Z);
-    gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, X, Y, Z, gl.RED_INTEGER, gl.INT, turned);
+    this.fillGrid(top, X, Y, Z);
+    if (around) {
+      const [A] = facts.around[0].shape;
+      this.texture(AROUND_UNIT, gl.TEXTURE_3D);
+      this.fillGrid(around, A * facts.around.length, A, A);
+    }
     this.texture(1, gl.TEXTURE_2D);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, 1 << blockBits, blockLines);
     this.fill(1 << blockBits, blocks, 4, gl.RGBA_INTEGER, gl.UNSIGNED_INT);
@@ -120,6 +120,7 @@ class Picture {
       rowsAcross: (at) => gl.uniform1i(at, across),
       densityUnit: (at) => gl.uniform1f(at, facts.densityUnit),
       worldToVoxels: (at) => gl.uniformMatrix3fv(at, true, place),
+      ...(around ? { around: (at) => gl.uniform1i(at, AROUND_UNIT), frames: (at) => gl.uniform4fv(at, framesOf(facts)) } : {}),
     };
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("this device's graphics have too little memory for this scene");
   }
@@ -131,6 +132,16 @@ class Picture {
     gl.bindTexture(kind, (this.textures[unit] = gl.createTexture()));
     gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  }
+
+  // Upload a grid, which is z-fastest. A texture is x-fastest, and the shader indexes x, y, z like the page.
+  fillGrid(grid, X, Y, Z) {
+    const { gl } = this, turned = new Int32Array(grid.length);
+    for (let x = 0, i = 0; x < X; x++) {
+      for (let y = 0; y < Y; y++) for (let z = 0; z < Z; z++) turned[(z * Y + y) * X + x] = grid[i++];
+    }
+    gl.texStorage3D(gl.TEXTURE_3D, 1, gl.R32I, X, Y, Z);
+    gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, X, Y, Z, gl.RED_INTEGER, gl.INT, turned);
   }
 
   // Upload texels of `channels` numbers each, line by line; the last line may be incomplete.
@@ -174,6 +185,7 @@ class Picture {
     const farthest = away + (mode === "pick" && triangles ? triangles.reachFrom(facts) : facts.radius);
     gl.uniform2f(this.uniform("range"), Math.max(away - facts.radius, 0), farthest);
     gl.uniform2fv(this.uniform("aim"), aim);
+    if (facts.around) gl.uniform1i(this.uniform("alone"), clip === UNCLIPPED ? 0 : 1);
     return farthest;
   }
 

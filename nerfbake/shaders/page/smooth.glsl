@@ -29,15 +29,14 @@ vec3 slopeOf(vec4 c[8], vec3 f) {
   return vec3(x, mix(here.x - here.z, here.y - here.w, f.z), mix(here.x - here.y, here.z - here.w, f.y));
 }
 
-Found march(vec3 along) {
-  Found found = Found(vec3(0.0), 0.0, 0.0, 0);
+void marchCube(vec3 along, inout Found found, inout float through) {
   Way way;
   // Positions count from the centre of the first voxel.
-  if (!enter(along, 0.5, way)) return found;
+  if (!enter(along, 0.5, way)) return;
   ivec3 next = ivec3(clamp(floor(way.from), way.low, way.high)), cube, lower;
   vec4 corners[8];
   int width, axis, shared, came = -1;  // the axis along which the cube before this one shares corners; -1: none
-  float t = 0.0, through = 1.0, near;
+  float t = 0.0, near;
   for (bool inside = true; inside && through >= cut;) {
     do {
       found.steps++;
@@ -77,7 +76,5 @@ Found march(vec3 along) {
       }
     }
   }
-  found.alpha = 1.0 - through;
-  return found;
 }
 #endif
