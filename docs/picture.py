@@ -3,21 +3,25 @@
 python docs/picture.py              rewrites docs/octree.png: the sample scene as an octree, and cut at coarser levels
 python docs/picture.py chair        rewrites docs/chair.png: the real chair in four files; prints their sizes and PSNR
 python docs/picture.py page         rewrites docs/page.png: the page of the chair in Chromium, its options open
+python docs/picture.py capture      rewrites docs/capture.png: a room from photographs; prints the PSNR of its views
 """
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image as Pillow
 
 from benchmarks.scenes import DATA
 from nerfbake import (
     Cameras,
     Image,
+    N3Tree,
     build_field,
     build_octree,
     cut_octree,
@@ -31,6 +35,7 @@ from nerfbake import (
 
 LEVELS = (8, 7, 6, 5)
 CHAIR, CAPTURE = DATA / "plenoctree/chair/chair_sh9.npz", DATA / "nerf_synthetic/chair"
+PHONE, PHONE_VIEWS = DATA / "captures/plush", (0, 1, 5, 10)
 VIEW, CLOSER = 5, 1.3  # which of the test views is shown, and how much larger
 
 
@@ -77,6 +82,25 @@ def draw_page() -> None:
             seen.page.screenshot(path=Path(__file__).with_name("page.png"))
 
 
+def draw_capture() -> None:
+    """Held-out views of a toy in a room, fitted to photographs of a phone."""
+    with tempfile.TemporaryDirectory() as folder:
+        phone, scene = Path(folder) / "phone", Path(folder) / "scene.npz"
+        shutil.copytree(PHONE / "sparse", phone / "sparse")
+        (phone / "images").mkdir()
+        for path in (PHONE / "images").iterdir():
+            with Pillow.open(path) as photograph:
+                photograph.reduce(2).save(phone / "images" / path.name, format="PNG")
+        fitted = jobs.fit_file(phone, scene, recipe=jobs.FitOptions(preset="fast"))
+        print(f"{fitted.worked / 2:.0f} seconds on two cores, {fitted.psnr:.2f} dB")
+        print(*(f"{view.name} {view.psnr:.2f} dB" for view in fitted.views), sep="\n")
+        tree = load(scene, N3Tree)
+        assert tree.held_out is not None
+        cameras = tree.held_out.cameras.cameras
+        field = build_field(tree)
+        _save("capture.png", [render_field(field, cameras[i].resized(420, 315), samples=2) for i in PHONE_VIEWS])
+
+
 def _save(name: str, pictures: list[Image]) -> None:
     parts = ("colour", "alpha", "depth")
     colour, alpha, depth = (np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in parts)
@@ -84,4 +108,4 @@ def _save(name: str, pictures: list[Image]) -> None:
 
 
 if __name__ == "__main__":
-    {"chair": draw_chair, "page": draw_page}.get("".join(sys.argv[1:]), draw_levels)()
+    {"chair": draw_chair, "page": draw_page, "capture": draw_capture}.get("".join(sys.argv[1:]), draw_levels)()
