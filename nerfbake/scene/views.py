@@ -54,7 +54,7 @@ class Views(Scene):
 
     def __str__(self) -> str:
         return plural(len(self.pictures), "picture") + (
-            " with alpha" if self.masked else " with scenery" if self.scenery else ""
+            " with scenery" if self.scenery else " with alpha" if self.masked else ""
         )
 
     def take(self, numbers: Sequence[int]) -> Views:

@@ -42,7 +42,7 @@ def build_views(
     alpha, and no background was given. rough: alpha comes from masks that may cut off parts of the object.
 
     Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery that is not to be kept,
-    and for pictures that show only background or have no pixel that is used.
+    for pictures that show only background, and for a picture that has no pixel that is used.
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras, build_views
@@ -62,6 +62,7 @@ def build_views(
     masked = any(int(pixels[..., 3].min()) < 255 for pixels in kept)
     posed = replace(cameras, cameras=tuple(fitting))
     if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(kept)):
+        _require_used(posed, kept)
         return Views(posed, tuple(kept), background or _mean(kept), masked, True)
     behind = (background or WHITE) if masked else _plain_background(kept, background)
     views = Views(posed, tuple(kept), behind, masked, rough=rough and masked)
@@ -69,6 +70,14 @@ def build_views(
         found = "show nothing but the background"
         raise InvalidScene(Problem("the pictures", found, "an object in front of it in at least one picture"))
     return views
+
+
+def _require_used(cameras: Cameras, pictures: list[Pixels]) -> None:
+    """Raise InvalidScene if a picture with scenery has no pixel that is used."""
+    for camera, pixels in zip(cameras.cameras, pictures, strict=True):
+        if int(pixels[..., 3].max()) < 255:
+            place = f"picture {camera.picture or camera.name}"
+            raise InvalidScene(Problem(place, "has no pixel with alpha 255", "a mask that is white somewhere"))
 
 
 def _resized(camera: Camera, pixels: Pixels) -> Camera:
@@ -117,14 +126,12 @@ def _is_plain(pictures: list[Pixels]) -> bool:
 
 
 def _mean(pictures: list[Pixels]) -> Colour:
-    """Return the mean colour of all pixels with alpha 255. Raises InvalidScene if there are none."""
+    """Return the mean colour of all pixels with alpha 255."""
     sums, count = np.zeros(3), 0
     for pixels in pictures:
         used = pixels[..., 3] == 255
         sums += pixels[used, :3].sum(axis=0, dtype=np.int64)
         count += int(np.count_nonzero(used))
-    if not count:
-        raise InvalidScene(Problem("the pictures", "have no pixel with alpha 255", "masks that are white somewhere"))
     red, green, blue = (sums / (255 * count)).tolist()
     return red, green, blue
 

@@ -43,8 +43,8 @@ def plain_psnr(views: Views) -> float:
     """
     found = []
     for number in range(len(views.pictures)):
-        truth = views.photograph(number).astype(np.float64)
-        found.append(psnr(np.broadcast_to(truth.mean(axis=(0, 1)), truth.shape), truth))
+        truth = views.photograph(number)[views.used(number)].astype(np.float64)
+        found.append(psnr(np.broadcast_to(truth.mean(axis=0), truth.shape), truth))
     return sum(found) / len(found)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import Camera, Cameras, HeldOut, N3Tree, build_field, render_field
+from nerfbake import Camera, Cameras, HeldOut, N3Tree, Page, build_field, build_page_field, render_field
+from nerfbake.formats.page.view import encode
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.stages._basis_functions import basis_at
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
@@ -89,6 +90,10 @@ def test_empty_shells_have_no_rows(shells: int) -> None:
     empty = build_page_shells(replace(tree, data=data))
     assert [len(shell.texels) for shell in empty] == [0, 0]
     assert (empty[shells - 2].top < 0).all()
+    field = build_field(tree.inner_cube())
+    cover = render_field(field, Camera(8, 8, 8.0, np.eye(4), "a"))
+    page = Page(build_page_field(field), field, Cameras((Camera(8, 8, 8.0, np.eye(4)),)), cover, around=empty)
+    assert b'"around"' in b"".join(encode(page))
 
 
 def test_a_tree_without_scenery_has_no_shells() -> None:

@@ -83,7 +83,7 @@ def test_scenery_is_kept_where_the_pictures_show_it() -> None:
     assert not build_views(cameras(), [plain]).scenery
     assert build_views(cameras(), [plain], scenery="keep").scenery
     assert not build_views(cameras(), [spot(12, 9)]).scenery
-    with pytest.raises(InvalidScene, match="the pictures have no pixel with alpha 255; allowed: masks that are white"):
+    with pytest.raises(InvalidScene, match="has no pixel with alpha 255; allowed: a mask that is white"):
         build_views(cameras(), [pixels // 2], scenery="keep")
     used = build_views(cameras(), [spot(12, 9)], scenery="keep")
     np.testing.assert_array_equal(used.used(0), spot(12, 9)[..., 3] == 255)

@@ -19,6 +19,7 @@ from nerfbake.scene.schedule import parse_schedule, scenery_schedule
 from nerfbake.stages._bricks import cells_of_solid, field_of_cells
 from nerfbake.stages._fit_state import FitState
 from nerfbake.stages._ray_targets import ray_targets
+from nerfbake.stages.views_to_error import plain_psnr
 from tests.support.brick_fields import BOX, some_shelled_field, some_shells
 
 WHITE = (1.0, 1.0, 1.0)
@@ -204,6 +205,7 @@ def test_ignored_pixels_have_no_effect() -> None:
         states.append(state.cells.bricks.values)
         errors.append(measured(state, masked))
     assert_array_equal(states[0], states[1])
+    assert plain_psnr(masked) > plain_psnr(replace(masked, masked=False, scenery=False))
     assert errors[0][2].psnr == errors[1][2].psnr
 
 

@@ -216,8 +216,8 @@ def _data(content: Any) -> bytes:
     if not isinstance(content, PageField):
         return b"".join(svoq.encode(content))
     rows = len(content.texels)
-    halves = np.ascontiguousarray(content.texels.reshape(rows, -1).T).astype("<f2")
-    planes = halves.view(np.uint8).reshape(-1, rows, 2).transpose(0, 2, 1)
+    halves = np.ascontiguousarray(content.texels.reshape(rows, 4 * texels_of(content.basis)).T).astype("<f2")
+    planes = halves.view(np.uint8).reshape(len(halves), rows, 2).transpose(0, 2, 1)
     whole = (content.top.astype("<i4", copy=False), content.blocks.astype("<u4", copy=False))  # the grid may be large
     return deflate_whole(
         [
