@@ -66,8 +66,7 @@ def test_every_module_of_the_suite_is_in_its_table() -> None:
 def test_every_published_file_is_made_by_one_benchmark() -> None:
     made = {file for benchmark in SUITE for file in benchmark.files}
     assert made - UNPUBLISHED == {path.name for path in RESULTS.iterdir()} - UNPUBLISHED
-    ignored = (REPOSITORY / ".gitignore").read_text().split()
-    assert all(f"/benchmarks/results/{name}" in ignored for name in UNPUBLISHED)
+    assert "/benchmarks/results/captures_views.png" in (REPOSITORY / ".gitignore").read_text().split()
 
 
 def test_there_is_one_stopwatch() -> None:
