@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -20,6 +21,7 @@ from nerfbake.io.reading import is_picture
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.kernels.parallel import cores
 from nerfbake.scene.camera import Cameras
 
 CAMERAS, MODEL = "transforms.json", "sparse/0"  # the outputs, in the folder of the photographs
@@ -28,6 +30,9 @@ LEAST = 3  # pictures of a model
 MAX_SEED = 2**31 - 1
 _PICTURES = "images"
 _EXTRA = "pip install 'nerfbake[poses]'"
+_COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
+_ENDS = {"models", "missing", "unread", "failed"}  # what the last line of the process says
+_TRACE = ("@", "***", "PC:")  # how pycolmap begins the lines of a stack trace
 _ADVICE = "sharp pictures of a textured scene that does not move, each of which shows two thirds of the one before"
 
 
@@ -81,7 +86,7 @@ def find_poses(
         sequential = len(names) > MOST_EXHAUSTIVE
     with _model_folder(folder, force) as part:
         request = {"pictures": str(place), "groups": groups, "work": str(part / "work"), "model": str(part)}
-        found = _run(steps, source.name, {**request, "sequential": sequential, "seed": seed, "threads": _threads()})
+        found = _run(steps, source.name, {**request, "sequential": sequential, "seed": seed, "threads": cores()})
         _require_model(steps, source.name, found["models"], len(names))
         io.save(folder / CAMERAS, _cameras(part, "" if place == folder else f"{_PICTURES}/"), force=force)
     result = PosesResult(source.path, len(names), found["models"][0], found["points"], found["error"])
@@ -165,12 +170,6 @@ def _model_folder(folder: Path, force: bool) -> Iterator[Path]:
             target.parent.rmdir()
 
 
-def _threads() -> int:
-    """The number of threads that the environment allows, as for kernels; -1: one for each core."""
-    allowed = os.environ.get("NUMBA_NUM_THREADS", "")
-    return int(allowed) if allowed.isdecimal() and int(allowed) > 0 else -1
-
-
 def _cameras(model: Path, prefix: str) -> Cameras:
     """Return the cameras of a COLMAP model. Each name is the path of the picture, which is written as file_path."""
     cameras = io.load(model, Cameras)
@@ -192,7 +191,26 @@ def _require_model(steps: Steps, name: str, models: list[int], pictures: int) ->
 
 
 def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
-    """Run pycolmap in a process of its own and return its last line. Raises NerfbakeError."""
+    """Run pycolmap in a process of its own, twice if it crashes, and return its last line. Raises NerfbakeError."""
+    event, ended = _run_once(steps, request)
+    if ended:
+        steps.say(f"{name}: warning: pycolmap crashed with {ended}; it runs once more, with one thread")
+        shutil.rmtree(request["work"], ignore_errors=True)
+        event, ended = _run_once(steps, {**request, "work": f"{request['work']}-again", "threads": 1})
+    if "models" in event:
+        return event
+    if "missing" in event:
+        raise UsageError(Problem("pycolmap", f"cannot be imported ({event['missing']})", _EXTRA), source=name)
+    if "unread" in event:
+        picture = str(Path(request["pictures"]) / event["unread"])
+        raise InvalidFile("cannot be read by pycolmap; allowed: a PNG or a JPEG of 8 bits", source=picture)
+    if "failed" in event:
+        raise NerfbakeError(f"pycolmap failed: {event['failed']}", source=name)
+    raise NerfbakeError(f"pycolmap crashed twice, the second time with {ended}", source=name)
+
+
+def _run_once(steps: Steps, request: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """Return the last line of the process, and how it ended if that line is not an end."""
     event: dict[str, Any] = {}
     with tempfile.TemporaryFile() as words:
         with _process(request, words) as process, ExitStack() as step:
@@ -206,25 +224,21 @@ def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
                     progress.report(event["share"])
             code = process.wait()
         words.seek(0)
-        last = words.read().decode(errors="replace").strip().rpartition("\n")[2]
-    if "models" in event:
-        return event
-    if "missing" in event:
-        raise UsageError(Problem("pycolmap", f"cannot be imported ({event['missing']})", _EXTRA), source=name)
-    if "unread" in event:
-        picture = str(Path(request["pictures"]) / event["unread"])
-        raise InvalidFile("cannot be read by pycolmap; allowed: a PNG or a JPEG of 8 bits", source=picture)
-    if "failed" in event:
-        raise NerfbakeError(f"pycolmap failed: {event['failed']}", source=name)
+        lines = [line.strip() for line in words.read().decode(errors="replace").splitlines()]
+    if _ENDS & event.keys():
+        return event, ""
     ended = f"signal {-code}" if code < 0 else f"exit code {code}"
-    raise NerfbakeError(f"pycolmap ended with {ended}{last and f': {last}'}", source=name)
+    said = [line for line in lines if line and not line.startswith(_TRACE)]
+    return event, f"{ended}: {said[-1]}" if said else ended
 
 
 @contextmanager
 def _process(request: Mapping[str, Any], words: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """Start the process; kill it if the block fails, also after Ctrl-C. -P ignores the working directory."""
-    command = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words) as process:
+    """Start the process; kill it if the block fails, also after Ctrl-C."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # the process multiplies in threads of its own
+    with subprocess.Popen(
+        _COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, env=environment
+    ) as process:
         try:
             assert process.stdin is not None
             with suppress(BrokenPipeError):  # it has crashed already

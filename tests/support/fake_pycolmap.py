@@ -15,6 +15,18 @@ pathlib.Path(__file__).with_name("started").write_text(str(os.getpid()))
 time.sleep(60)
 """
 
+CRASHES_ONCE = """
+import os, pathlib, signal, sys
+place = pathlib.Path(__file__)
+crashed = place.with_name("crashed")
+if not crashed.exists():
+    crashed.touch()
+    os.kill(os.getpid(), signal.SIGBUS)
+sys.path.remove(str(place.parent))
+del sys.modules["pycolmap"]
+import pycolmap  # the real one
+"""
+
 
 def write_pycolmap(folder: Path, code: str) -> dict[str, str]:
     """Write the module to a folder; return the environment in which it is found."""
