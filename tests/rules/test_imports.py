@@ -56,6 +56,7 @@ OWN_LIBRARY = {
     "formats/wire/picture": {"PIL"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
+    "jobs/_matching": {"numpy"},  # in the process of pycolmap, which must not load kernels
     "jobs/_pycolmap": {"pycolmap"},
     "stages/scene_to_summary": {"trimesh"},
 }
