@@ -178,7 +178,7 @@ def view_file(
                 goal nor truth is given
     choice      the grids of a volume
     cameras     a capture to look from, and to measure min_psnr on; None: the page opens with the front of the scene,
-                which turns slowly, and min_psnr is measured on 8 views around it
+                and min_psnr is measured on 8 views around it
     truth       a folder with a photograph NAME.png for each of the cameras, to measure the loss of the compression on;
                 None: it is predicted
     min_psnr    lowest allowed mean PSNR of the written page against `source`, in dB, without scenery; None: no limit
@@ -339,9 +339,10 @@ def _compressed(
     options = wish.goal.options | wish.photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
         options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
-        if wish.goal == LEAST_LOSS:
+        most = _MOST_BYTES - _shells_size(shown, form)
+        if wish.goal == LEAST_LOSS and most > 0:
             with suppress(BudgetMissed):  # the octree has too many leaves to fit at any precision
-                return compress_octree(octree, max_size=_MOST_BYTES - _shells_size(shown, form), **options)
+                return compress_octree(octree, max_size=most, **options)
         return compress_octree(octree, **options)
 
 

@@ -49,8 +49,10 @@ def test_the_page_shows_the_scenery_as_render_does(browser: Browser, scene: Path
             wanted = render_field(field, camera).pixels.astype(np.float64)
             assert wanted.std() > 5
             assert decibels(seen.pixels(camera).astype(np.float64), wanted) > 60
-        # A crop box shows a part of the inner cube alone.
+        # A crop box shows a part of the inner cube alone; one that is opened again shows the scenery, too.
         outside = cameras().cameras[3]
+        opened = seen.pixels(outside, clip=[[0, 0, 0], [1, 1, 1]])
+        np.testing.assert_array_equal(opened, seen.pixels(outside))
         alone = seen.pixels(outside, clip=[[0, 0, 0], [1, 1, 0.5]]).astype(np.float64)
         assert (alone == 255).mean() > (seen.pixels(outside) == 255).mean()
 
@@ -65,6 +67,13 @@ def test_n_and_p_step_through_the_photographs_cameras(browser: Browser, scene: P
         for key, number in (("n", 1), ("n", 2), ("p", 1), ("p", 0), ("p", 3)):
             seen.page.keyboard.press(key)
             np.testing.assert_allclose(seen.ask("nerfbake.camera.pose"), cameras().cameras[number].pose, atol=1e-6)
+
+
+def test_scenery_may_take_more_than_a_page_usually_has(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.jobs.pages._MOST_BYTES", 1)
+    target = scene.with_name("e.html")
+    assert len(jobs.view_file(str(scene), str(target)).around) == 2
+    assert target.exists()
 
 
 def test_a_compressed_page_has_its_scenery_too(browser: Browser, scene: Path) -> None:

@@ -185,7 +185,8 @@ class Picture {
     const farthest = away + (mode === "pick" && triangles ? triangles.reachFrom(facts) : facts.radius);
     gl.uniform2f(this.uniform("range"), Math.max(away - facts.radius, 0), farthest);
     gl.uniform2fv(this.uniform("aim"), aim);
-    if (facts.around) gl.uniform1i(this.uniform("alone"), clip === UNCLIPPED ? 0 : 1);
+    const whole = clip[0].every((part) => part <= 0) && clip[1].every((part) => part >= 1);
+    if (facts.around) gl.uniform1i(this.uniform("alone"), whole ? 0 : 1);
     return farthest;
   }
 
