@@ -69,6 +69,21 @@ def test_n_and_p_step_through_the_photographs_cameras(browser: Browser, scene: P
             np.testing.assert_allclose(seen.ask("nerfbake.camera.pose"), cameras().cameras[number].pose, atol=1e-6)
 
 
+def test_distances_to_the_scenery_are_measured(browser: Browser, scene: Path) -> None:
+    page_file = scene.with_name("f.html")
+    jobs.view_file(str(scene), str(page_file), data="exact")
+    field = build_field(build_n3tree(some_shelled_field(), dtype="float32"))
+    with browser.opened(page_file) as seen:
+        seen.wait_until_ready()
+        focal = 100 * seen.ask("nerfbake.lens.focal")
+        image = render_field(field, Camera(200, 200, focal, cameras().cameras[0].pose, ""))
+        far = np.argwhere((image.depth > 3) & (image.alpha > 0.5))  # the inner cube is nearer
+        assert len(far) > 100
+        for y, x in far[:: len(far) // 20].tolist():
+            found = seen.ask("([x, y]) => nerfbake.distanceAt(x, y)", [x + 0.5, y + 0.5])
+            assert found == pytest.approx(image.depth[y, x], rel=0.02)
+
+
 def test_scenery_may_take_more_than_a_page_usually_has(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.jobs.pages._MOST_BYTES", 1)
     target = scene.with_name("e.html")

@@ -182,7 +182,9 @@ class Picture {
     gl.uniform3fv(this.uniform("boxLow"), clip[0].map(at));
     gl.uniform3fv(this.uniform("boxHigh"), clip[1].map(at));
     const away = Math.hypot(...position.map((value, axis) => value - facts.centre[axis]));
-    const farthest = away + (mode === "pick" && triangles ? triangles.reachFrom(facts) : facts.radius);
+    // Depths are shown in the range of the inner cube, but measured wherever something is drawn.
+    const longest = triangles ? triangles.reachFrom(facts) : facts.around ? diagonalOf(facts) : facts.radius;
+    const farthest = away + (mode === "pick" ? longest : facts.radius);
     gl.uniform2f(this.uniform("range"), Math.max(away - facts.radius, 0), farthest);
     gl.uniform2fv(this.uniform("aim"), aim);
     const whole = clip[0].every((part) => part <= 0) && clip[1].every((part) => part >= 1);

@@ -28,3 +28,9 @@ function framesOf(facts) {
     return [...place.map((row, axis) => row[3] - factor * facts.place[axis][3]), factor];
   });
 }
+
+// The diagonal of the outermost cube, in world units: nothing in it is farther apart.
+function diagonalOf({ around }) {
+  const { place, shape } = around[around.length - 1];
+  return (Math.sqrt(3) * 8 * shape[0]) / Math.hypot(...place[0].slice(0, 3));
+}
