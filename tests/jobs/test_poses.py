@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image as Pillow
 
+from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
 from nerfbake.jobs import PosesResult, find_poses, poses
 from tests.conftest import REPOSITORY
@@ -55,22 +56,6 @@ def photographs(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def aligned(source: Array, target: Array) -> Array:
-    """The source points after the similarity that brings them closest to the target (Umeyama, 1991)."""
-    centre, aim = source.mean(axis=0), target.mean(axis=0)
-    U, S, Vt = np.linalg.svd((target - aim).T @ (source - centre))
-    sign = np.array([1, 1, np.linalg.det(U @ Vt)])
-    scale = (S * sign).sum() / ((source - centre) ** 2).sum()
-    moved: Array = (source - centre) @ (U * sign @ Vt).T * scale + aim
-    return moved
-
-
-def largest_error(source: Array, target: Array) -> float:
-    """The largest distance between two sets of points after a similarity, as a share of the target's spread."""
-    spread = np.linalg.norm(target - target.mean(axis=0), axis=1).max()
-    return float(np.linalg.norm(aligned(source, target) - target, axis=1).max() / spread)
-
-
 def positions_of(cameras: Cameras) -> Array:
     return np.array([camera.pose[:3, 3] for camera in cameras.cameras])
 
@@ -91,19 +76,11 @@ def refused(folder: Path | str, **options: Any) -> str:
     return line
 
 
-def test_the_similarity_is_undone_and_an_error_is_found() -> None:
-    target = np.random.default_rng(0).normal(size=(6, 3))
-    turned = 3 * target @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) + 5
-    assert largest_error(turned, target) < 1e-12
-    turned[0, 0] += 1
-    assert largest_error(turned, target) > 0.01
-
-
 @pytest.mark.slow
 def test_the_cameras_are_where_they_were(found: Found) -> None:
     cameras = load(found.places[0], Cameras)
     assert [camera.picture for camera in cameras.cameras] == [f"{i:04d}.png" for i in range(FRAMES)]
-    assert largest_error(positions_of(cameras), found.positions) < 0.01
+    assert position_errors(positions_of(cameras), found.positions).max() < 0.01
     (first, *_) = cameras.cameras
     assert (first.width, first.height) == (WIDTH, HEIGHT)
     assert first.fx == pytest.approx(FOCAL, rel=0.02)
@@ -188,7 +165,7 @@ def test_many_pictures_give_the_same_bytes_on_any_number_of_threads(
         outputs.append([(folder / "sparse" / "0" / name).read_bytes() for name in MODEL_FILES])
     assert outputs[0] == outputs[1]
     cameras = load(folder, Cameras)
-    assert largest_error(positions_of(cameras), found.positions) < 0.01
+    assert position_errors(positions_of(cameras), found.positions).max() < 0.01
     lens = cameras.cameras[0].lens
     assert lens is not None
     assert all(lens.p)  # not only k1 is fitted
@@ -396,4 +373,4 @@ def test_photographs_of_a_phone_agree_with_a_given_model(data: Path, tmp_path: P
     cameras = load(tmp_path, Cameras)
     assert [Path(camera.picture).name for camera in cameras.cameras] == names
     known = np.array([given[name].pose[:3, 3] for name in names])
-    assert largest_error(positions_of(cameras), known) < 0.03
+    assert position_errors(positions_of(cameras), known).max() < 0.03
