@@ -276,6 +276,7 @@ def summary_of_splats(splats: Splats) -> dict[str, Any]:
             "dc": extremes(splats.sh[:, 0]).range(),
             "higher": extremes(splats.sh[:, 1:].reshape(splats.n, -1)).range() if splats.B > 1 else None,
         },
+        "notes": list(splats.notes) or None,
         "bytes_in_memory": sum(array.nbytes for array in arrays),
     }
 

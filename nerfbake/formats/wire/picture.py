@@ -3,6 +3,8 @@
 Sizes are checked in the header before anything is inflated, and Pillow's errors become InvalidFile. Textures are PNG or
 JPEG with 8-bit RGB. Photographs are PNG or JPEG with 8-bit sRGB and straight alpha.
 
+Data in pictures are lossless WebP.
+
 COLMAP, instant-ngp and nerfstudio estimate poses on the pixels as stored, so the EXIF orientation is ignored. The poses
 of some captures were estimated on pictures that had been rotated upright. There the width of the camera is the height
 of the stored picture; only then is the picture rotated.
@@ -69,6 +71,37 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False) -> np
         if image.mode != "RGB":
             raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
         return np.asarray(image)
+
+
+def decode_lossless_webp(view: memoryview, name: str, most: int) -> npt.NDArray[np.uint8]:
+    """Decode a picture of data to (H, W, 4) uint8; alpha is 255 if the file has none.
+
+    most: pixels that it may have, checked before Pillow opens the file, because libwebp allocates the picture then.
+    Raises InvalidFile, MemoryLimit.
+    """
+    width, height = _webp_size(bytes(view[:_WEBP_HEAD]))
+    if not 0 < width * height <= most:
+        found = f"declares {width:,}x{height:,} pixels" if width else "is not a lossless WebP"
+        raise InvalidFile(Problem(name, found, f"a lossless WebP of at most {most:,} pixels"))
+    with opened(view, name, "WEBP", bytes_per_pixel=12) as picture:
+        if picture.size != (width, height) or getattr(picture, "n_frames", 1) > 1:
+            raise InvalidFile(Problem(name, f"has a size of {picture.size}, or frames", f"{width:,}x{height:,}, once"))
+        return np.asarray(picture.convert("RGBA"))
+
+
+_WEBP_HEAD = 64  # bytes: of the file, VP8X, and the start of VP8L
+
+
+def _webp_size(head: bytes) -> tuple[int, int]:
+    """Width and height in the header of a lossless WebP; (0, 0) for other files."""
+    if len(head) < 30 or head[:4] != b"RIFF" or head[8:12] != b"WEBP":
+        return 0, 0
+    if head[12:16] == b"VP8X":
+        return 1 + int.from_bytes(head[24:27], "little"), 1 + int.from_bytes(head[27:30], "little")
+    if head[12:16] != b"VP8L":
+        return 0, 0
+    bits = int.from_bytes(head[21:25], "little")
+    return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
 
 
 def encode_texture(texels: npt.NDArray[np.uint8]) -> bytes:
