@@ -29,7 +29,8 @@ def one_splat(**changes: object) -> Splats:
         "sh": np.array([[[0.5, -0.5, -0.5]]]) / SH0,
     }
     arrays.update(changes)  # type: ignore[arg-type]
-    return Splats(*(np.asarray(value, np.float32) for value in arrays.values()))
+    means, scales, quats, opacity, sh = (np.asarray(value, np.float32) for value in arrays.values())
+    return Splats(means, scales, quats, opacity, sh)
 
 
 def ring(number: int = 0, **changes: object) -> Camera:

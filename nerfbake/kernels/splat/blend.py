@@ -37,7 +37,7 @@ LEAST_TRANSMITTANCE = 1e-4  # a pixel is closed before the splat that would leav
 PIXELS = EDGE * EDGE
 LANES = 8  # pixels of a row that are always computed together
 _CHECK = 16  # splats after which a tile is checked for open pixels
-# PicturePlanes of a tile's state, PIXELS numbers each, in one array: at constant distances, the compiler need not check that
+# Planes of a tile's state, PIXELS numbers each, in one array: at constant distances, the compiler need not check that
 # they do not overlap. LIVE is the transmittance, or 0 for a closed pixel; LEFT is the transmittance.
 LIVE, LEFT, TILE_RED, TILE_GREEN, TILE_BLUE, FAR, ACROSS, DOWN = (np.uint64(PIXELS * k) for k in range(8))
 PLANES = 8
