@@ -36,6 +36,9 @@ class Format(NamedTuple):
     def load_volume_module(self) -> contract.VolumeFormat:
         return cast(contract.VolumeFormat, self.load_module())
 
+    def load_splat_module(self) -> contract.SplatFormat:
+        return cast(contract.SplatFormat, self.load_module())
+
     def load_packed_module(self) -> contract.PackedFormat:
         return cast(contract.PackedFormat, self.load_module())
 
