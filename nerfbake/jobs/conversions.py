@@ -98,6 +98,14 @@ def convert_splats(
     small  store them as small as the format allows
 
     SH bands that the format cannot store are left out. Raises NerfbakeError.
+
+    >>> import numpy as np
+    >>> places, turns = np.eye(3, dtype=np.float32), np.eye(4, dtype=np.float32)[:3]
+    >>> grey = np.zeros((3, 1, 3), np.float32)
+    >>> splats = nerfbake.Splats(places, places + 1, turns, np.full(3, 0.5, np.float32), grey)
+    >>> _ = nerfbake.save("splats.ply", splats)
+    >>> print(convert_splats("splats.ply", "splats.spz"))
+    3 splats of SH degree 0
     """
     from nerfbake.stages.splats_to_loss import measure_splats
 
