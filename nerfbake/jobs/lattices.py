@@ -159,7 +159,7 @@ def _lost(lattice: LatticeField, field: RadianceField) -> tuple[float, float]:
 
 
 def print_notes(steps: Steps, source: Source, scene: Any) -> None:
-    """Print notes on the contents of a file of a lattice or of splats that were left out."""
-    if isinstance(scene, LatticeField | Splats):
+    """Print notes on the contents of a file that were left out or changed."""
+    if isinstance(scene, LatticeField | N3Tree | Splats):
         for note in scene.notes:
             steps.say(f"{source.name}: {note}")
