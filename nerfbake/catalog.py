@@ -36,6 +36,9 @@ class Format(NamedTuple):
     def load_volume_module(self) -> contract.VolumeFormat:
         return cast(contract.VolumeFormat, self.load_module())
 
+    def load_splat_module(self) -> contract.SplatFormat:
+        return cast(contract.SplatFormat, self.load_module())
+
     def load_packed_module(self) -> contract.PackedFormat:
         return cast(contract.PackedFormat, self.load_module())
 
@@ -97,6 +100,7 @@ FORMATS = (
     Format("vdb", "Volume", ".vdb", "volume.openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "volume.nanovdb", "NanoVDB grid"),
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
+    Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh"),
     Format("glb", "Splats", ".glb", "splat.glb", "Gaussian splats in glTF 2.0"),

@@ -31,8 +31,8 @@ Command = Callable[..., Any]
 ALL = "all"
 
 
-def grid_options(function: Command) -> Command:
-    """Add --grid and --up; pass the command `choice`, a GridChoice."""
+def grid_options(function: Command, *, splats: bool = False) -> Command:
+    """Add --grid and --up; pass the command `choice`, a GridChoice. splats: --up applies to splats, too."""
 
     @click.option(
         "--grid",
@@ -44,8 +44,9 @@ def grid_options(function: Command) -> Command:
     )
     @click.option(
         "--up",
-        type=click.Choice(["y", "z"]),
-        help="Up axis of the volume. y: the volume is rotated so that y becomes z.",
+        type=click.Choice(["y", "z", "-y", "-z", "x", "-x"] if splats else ["y", "z"]),
+        help="Up axis of the volume. y: the volume is rotated so that y becomes z."
+        + (" Or the axis of splats that points up: it becomes the up axis of OUT." if splats else ""),
     )
     @functools.wraps(function)
     def command(*args: object, grids: tuple[str, ...], up: str | None, **others: object) -> object:

@@ -15,6 +15,7 @@ from .compressions import CompressionGoal as CompressionGoal
 from .compressions import GroundTruth as GroundTruth
 from .compressions import compress_file as compress_file
 from .conversions import convert_file as convert_file
+from .conversions import convert_splats as convert_splats
 from .conversions import split_volume as split_volume
 from .descriptions import describe_file as describe_file
 from .files import FolderTarget as FolderTarget

@@ -24,6 +24,7 @@ _BREAKERS: dict[str, Breaker] = {
     "npz": break_zip,
     "tar": break_torch,
     "th": break_torch,
+    "pt": break_torch,
     "svo.pb": break_protobuf,
     "json": break_json,
     "jsonl": break_json_lines,

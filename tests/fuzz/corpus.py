@@ -47,6 +47,7 @@ from tests.support.splats import (
     splats,
     text_ply,
 )
+from tests.support.svraster import svraster_file, voxels
 from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
@@ -80,7 +81,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
         "Volume": lambda: _volumes(name),
-        "N3Tree": _n3trees,
+        "N3Tree": lambda: _voxels() if name == "pt" else _n3trees(),
         "Meshes": lambda: _meshes(name),
         "Splats": lambda: _splats(name),
         "LatticeField": lambda: _lattices(name),
@@ -181,6 +182,12 @@ def _n3trees() -> Iterator[bytes]:
     yield archive(svox(n3tree(splits=[(0, (2, 1, 0))], N=3, dtype=np.float32)), deflated=False)
     yield archive(quantised(), deflated=False)
     yield _encoded("npz", n3tree(held_out=held_out()))
+
+
+def _voxels() -> Iterator[bytes]:
+    """Checkpoints of SVRaster."""
+    yield svraster_file(voxels(depth=3))
+    yield svraster_file(voxels(1, depth=3, outside=2, degree=0), quantised=True)
 
 
 def _lattices(name: str) -> Iterator[bytes]:

@@ -25,6 +25,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
+from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.splats import Splats, splats_of_rows
 
 Floats = npt.NDArray[np.float64]
@@ -35,6 +36,7 @@ _REST = (0, 9, 24, 45)  # numbers of f_rest at degree 0 to 3
 _CHUNK = 256  # splats
 _ROWS = 1 << 16  # written at a time
 _LEAST, _MOST = 1e-30, 1 - 2.0**-24  # opacities and scales as they are written: their logits and logarithms are finite
+_LARGEST = MAX_WORLD / 1.000005  # scale as it is written: the rounding of its logarithm does not exceed MAX_WORLD
 _FLAT = 100  # a splat of 2DGS is 1/100 as thick as its smaller axis
 _BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 _SCALE_BOUNDS = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
@@ -193,7 +195,7 @@ def with_largest(three: Floats, largest: Floats, which: npt.NDArray[np.int64]) -
 def encode(scene: Splats) -> Iterator[bytes]:
     """Encode splats as 3DGS: float, little endian. Raises InvalidScene for SH of degree 4.
 
-    Opacities below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these.
+    Opacities below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these, and scales above _LARGEST, too.
     """
     if scene.degree > MOST_DEGREE:
         raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {MOST_DEGREE} in a .ply"))
@@ -215,7 +217,7 @@ def encode(scene: Splats) -> Iterator[bytes]:
             sh[:, 0],
             sh[:, 1:].swapaxes(1, 2).reshape(len(sh), 3 * each),
             (log(opacity) - log(1 - opacity))[:, None],
-            log(np.maximum(scene.scales[part].astype(np.float64), _LEAST)),
+            log(np.clip(scene.scales[part].astype(np.float64), _LEAST, _LARGEST)),
             scene.quats[part],
         )
         yield np.concatenate(columns, axis=1).astype("<f4").tobytes()

@@ -69,10 +69,10 @@ def test_there_and_back(degree: int, tmp_path: Path) -> None:
     assert_same(scene, load(tmp_path / "a.ply", Splats))
 
 
-def test_opaque_and_invisible_splats_come_back() -> None:
+def test_opaque_invisible_tiny_and_huge_splats_come_back() -> None:
     scene = splats(4)
     scene.opacity[:] = [0, 1, 0.5, 1]
-    scene.scales[0] = 0
+    scene.scales[0], scene.scales[1] = 0, 1e15
     assert_same(scene, ply.decode(memoryview(written(scene))), atol=1e-7)
 
 
