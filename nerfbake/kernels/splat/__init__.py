@@ -1,1 +1,1 @@
-"""Gaussian splats as arrays: their densities in a grid of voxels, and their pictures."""
+"""Gaussian splats: projection, sorting, blending, and their gradients."""
