@@ -1,14 +1,19 @@
-"""The box around splats, without those that lie far outside."""
+"""Choose the splats of a scene: the box around them without those that lie far outside, and their up axis."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Points
-from nerfbake.scene.splats import Splats
+from nerfbake.scene.splats import Splats, Up
 
 OPACITY_MIN = 1 / 255  # pictures of splats leave out what is thinner
+_FROM_Y_DOWN = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])  # x right, z forward to x right, z up
 _STRAYS = 0.01  # share of the splats at each end of an axis that do not count as the middle
 _BEYOND = 0.5  # widths of the middle by which the box may reach beyond it, at each end
 _REACH = 3  # standard deviations of a usual splat around the centres
@@ -22,21 +27,60 @@ def inner_box(splats: Splats, *, opacity_min: float = OPACITY_MIN) -> Points:
     that are larger than the scene, so the box reaches around the others' centres by the usual size of a splat. Raises
     InvalidScene if no splat has this opacity.
     """
-    held = splats.opacity >= opacity_min
-    if not held.any():
-        found = f"have opacities up to {splats.opacity.max():.3g}"
-        raise InvalidScene(Problem("the splats", found, f"an opacity of {opacity_min:.3g} or more"))
+    held = _opaque(splats, opacity_min)
     centres = splats.means[held].astype(np.float64)
-    largest = np.sort(splats.scales[held].max(axis=1))
     ordered = np.sort(centres, axis=0)
     strays = int(_STRAYS * len(ordered))
     low, high = ordered[strays], ordered[-1 - strays]
     inside = (np.abs(centres - (low + high) / 2) <= (0.5 + _BEYOND) * (high - low)).all(axis=1)
     kept = centres[inside] if inside.any() else centres
-    reach = _REACH * float(largest[len(largest) // 2])
+    reach = _usual_reach(splats, held)
     return np.stack([kept.min(axis=0) - reach, kept.max(axis=0) + reach])
 
 
-def inside_box(splats: Splats, box: Points) -> int:
-    """Return the number of splats whose centre is in a box."""
-    return int(np.count_nonzero(((splats.means >= box[0]) & (splats.means <= box[1])).all(axis=1)))
+def whole_box(splats: Splats, *, opacity_min: float = OPACITY_MIN) -> Points:
+    """Return the lowest and highest corner (2, 3) of the box around all centres, and a usual splat around them."""
+    held = _opaque(splats, opacity_min)
+    centres, reach = splats.means[held].astype(np.float64), _usual_reach(splats, held)
+    return np.stack([centres.min(axis=0) - reach, centres.max(axis=0) + reach])
+
+
+class SplatCut(NamedTuple):
+    """splats: those that are kept, in their order. outside, thin: the number of the others, by the reason."""
+
+    splats: Splats
+    outside: int
+    thin: int
+
+
+def cut_splats(splats: Splats, box: Points, *, opacity_min: float = OPACITY_MIN) -> SplatCut:
+    """Return the splats of this opacity whose centre is in a box. Raises InvalidScene if none is."""
+    opaque = splats.opacity >= opacity_min
+    kept = opaque & ((splats.means >= box[0]) & (splats.means <= box[1])).all(axis=1)
+    if not kept.any():
+        corners = ", ".join(f"{value:.4g}" for value in box.ravel().tolist())
+        allowed = "a box with centres of splats that are not thinner than `opacity_min`"
+        raise InvalidScene(Problem("the box", f"is {corners}, without a splat", allowed))
+    count, thick = int(np.count_nonzero(kept)), int(np.count_nonzero(opaque))
+    arrays = splats.means, splats.scales, splats.quats, splats.opacity, splats.sh
+    means, scales, quats, opacity, sh = (array[kept] for array in arrays)
+    cut = replace(splats, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh)
+    return SplatCut(cut if count < splats.n else splats, thick - count, splats.n - thick)
+
+
+def with_z_up(splats: Splats, up: Up | None) -> Splats:
+    """Return the splats rotated so that this axis of their world becomes z; None: as they are."""
+    return splats if up in (None, "z") else splats.with_up(up).transformed(_FROM_Y_DOWN)
+
+
+def _opaque(splats: Splats, opacity_min: float) -> npt.NDArray[np.bool_]:
+    held = splats.opacity >= opacity_min
+    if not held.any():
+        found = f"have opacities up to {splats.opacity.max():.3g}"
+        raise InvalidScene(Problem("the splats", found, f"an opacity of {opacity_min:.3g} or more"))
+    return held
+
+
+def _usual_reach(splats: Splats, held: npt.NDArray[np.bool_]) -> float:
+    largest = np.sort(splats.scales[held].max(axis=1))
+    return _REACH * float(largest[len(largest) // 2])

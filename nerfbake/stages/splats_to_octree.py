@@ -80,7 +80,7 @@ def build_octree_from_splats(
     h = float(edges.max()) / resolution
     W, H, D = (int(edge) for edge in np.clip(np.ceil(edges / h - 1e-6), 1, resolution))
     least = _THINNEST if sigma_min is None else sigma_min * h
-    held = splats.opacity >= opacity_min
+    held = (splats.opacity >= opacity_min) & (splats.opacity > 0)
     memory.require("the splats as densities", int(np.count_nonzero(held)) * (_SPLAT_BYTES + 12 * splats.B))
     with progress.part(0, 0.1):
         gaussians, colours = _gaussians(splats, held, corners[0], h)

@@ -14,7 +14,7 @@ from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
 from nerfbake.stages import splats_to_octree
-from nerfbake.stages._splat_box import inner_box, inside_box
+from nerfbake.stages._splat_box import cut_splats, inner_box
 from tests.support.scenes import assert_same_octree
 from tests.support.splats import splats
 
@@ -95,11 +95,11 @@ def test_a_lower_degree_and_half_precision() -> None:
 def test_single_splats_far_away_do_not_widen_the_box() -> None:
     scene = splats(400, degree=0)
     usual = inner_box(scene)
-    assert inside_box(scene, usual) == 400
+    assert cut_splats(scene, usual).splats.n == 400
     scene.means[7], scene.means[9, 1] = 1000, -77
     scene.scales[11] = 80
     box = inner_box(scene)
-    assert inside_box(scene, box) == 398
+    assert cut_splats(scene, box)[1:] == (2, 0)
     assert (np.abs(box - usual) < 0.4).all()
     octree = build_octree_from_splats(scene, resolution=16)
     assert_allclose(octree.origin, box[0])
