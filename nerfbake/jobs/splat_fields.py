@@ -14,6 +14,7 @@ from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.maths.affine import length
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
@@ -101,12 +102,14 @@ def sample_splats(
     those of build_octree_from_splats().
     """
 
+    from nerfbake.stages.scene_to_cameras import scatter_cameras
     from nerfbake.stages.splats_to_octree import build_octree_from_splats
 
     edges = {resolution} if isinstance(resolution, int) else set(resolution or (RESOLUTION,))
     if len(edges) > 1:
         raise UsageError("the voxels of splats are cubes; allowed: one number as `resolution`")
     kept, box = choose_splats(steps, source, splats, options, part)
+    cameras = scatter_cameras(kept, frames=_FRAMES, edge=_EDGE)
     with source.blamed(steps, "filling voxels"):
         octree = build_octree_from_splats(
             kept,
@@ -114,11 +117,13 @@ def sample_splats(
             box=box,
             opacity_min=0,
             sigma_min=sigma_min,
+            pixel=pixel_of(cameras, box),
             basis=basis,
             layout=layout,
             dtype=dtype,
         )
-    octree = _refitted(steps, source, octree, kept, options.epochs)
+    if options.epochs:
+        octree = _refitted(steps, source, octree, kept, cameras, options.epochs)
     with source.blamed(steps, "measuring the loss"):
         decibels = _measured(kept, octree)
     voxels = f"{'x'.join(map(str, octree.size))} voxels"
@@ -127,24 +132,26 @@ def sample_splats(
 
 
 def _refitted(
-    steps: Steps, source: Source, octree: SparseVoxelOctree, splats: Splats, epochs: int
+    steps: Steps, source: Source, octree: SparseVoxelOctree, splats: Splats, cameras: Cameras, epochs: int
 ) -> SparseVoxelOctree:
-    """Return the octree with values fitted to pictures of the splats from all sides."""
-    if not epochs:
-        return octree
-
+    """Return the octree with values fitted to pictures of the splats."""
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
     from nerfbake.stages.brick_field_to_octree import fill_octree
     from nerfbake.stages.octree_to_brick_field import build_bricks
-    from nerfbake.stages.scene_to_cameras import scatter_cameras
 
     with source.blamed(steps, "rendering pictures of the splats"):
-        posed = splat_views(splats, scatter_cameras(splats, frames=_FRAMES, edge=_EDGE))
+        posed = splat_views(splats, cameras)
     with source.blamed(steps, "fitting the voxels to them"):
         count = epochs * _FRAMES
         for done, state in enumerate(refit_bricks(build_bricks(octree), posed, epochs=epochs)):
             progress.report(done / count, f"epoch {state.epoch + 1} of {epochs}")
         return fill_octree(octree, state.field())
+
+
+def pixel_of(cameras: Cameras, box: Points) -> float:
+    """Return the edge of a pixel in world units, in the middle of a box."""
+    camera, middle = cameras.cameras[0], box.mean(axis=0)
+    return length(camera.pose[:3, 3] - middle) / camera.fx
 
 
 def splat_views(splats: Splats, cameras: Cameras) -> Views:

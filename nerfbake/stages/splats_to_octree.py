@@ -26,6 +26,9 @@ from nerfbake.stages._half import cast_values
 from nerfbake.stages._splat_box import OPACITY_MIN, inner_box
 
 _THINNEST = 0.001  # optical depth of a voxel below which it is empty
+# Variance that a pixel adds to a splat, in squared pixels. It is 0.3 in pictures of splats, but voxels and the pixels of
+# their pictures blur as well. A real scene at 256^3 in pictures of 400x400: 29.1 dB with 0, 32.4 with 0.08, 30.5 with 0.3.
+_WIDER = 0.08
 _PAIRS = 1 << 23  # splats of bricks that are listed at a time
 _CHUNK = 32  # bricks that a core processes before it takes the next ones
 _FITTED = 1 << 16  # voxels whose colours are converted at a time
@@ -41,6 +44,7 @@ def build_octree_from_splats(
     box: Sequence[float] | Points | None = None,
     opacity_min: float = OPACITY_MIN,
     sigma_min: float | None = None,
+    pixel: float = 0.0,
     basis: str | None = None,
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
@@ -51,6 +55,8 @@ def build_octree_from_splats(
     box          lowest and highest corner (2, 3) in the world; None: inner_box(). What is outside is left out
     opacity_min  splats that are thinner are left out
     sigma_min    voxels of a lower density (1/world unit) are empty; None: those with an optical depth below 0.001
+    pixel        edge of a pixel, in world units at the splats, of the pictures that the octree is to look like: they
+                 blur splats by about a pixel, which makes thin ones wider. 0: splats have their own width
     basis        SH1 to SH25 of the colours; None: the degree of the splats
 
     In pictures of splats, the opacity of a splat is the same in every direction. In a density it is not, so the optical
@@ -83,7 +89,7 @@ def build_octree_from_splats(
     held = (splats.opacity >= opacity_min) & (splats.opacity > 0)
     memory.require("the splats as densities", int(np.count_nonzero(held)) * (_SPLAT_BYTES + 12 * splats.B))
     with progress.part(0, 0.1):
-        gaussians, colours = _gaussians(splats, held, corners[0], h)
+        gaussians, colours = _gaussians(splats, held, corners[0], h, pixel)
     with progress.part(0.1, 0.8):
         cells, values = _filled(gaussians, colours, (W, H, D), least)
     if not len(cells):
@@ -95,9 +101,12 @@ def build_octree_from_splats(
     return memory.kept(octree_of_blocks(blocks, data, frame))
 
 
-def _gaussians(splats: Splats, held: Bits, low: Floats, h: float) -> tuple[Gaussians, Singles]:
+def _gaussians(splats: Splats, held: Bits, low: Floats, h: float, pixel: float) -> tuple[Gaussians, Singles]:
     """Return these splats in voxels, and their colours (n, 3 B), channel by channel."""
-    found = gaussians_of(splats.means[held], splats.scales[held], splats.quats[held], splats.opacity[held], low, h)
+    scales = splats.scales[held]
+    if pixel > 0 and not splats.antialiased:  # the blur of antialiased splats keeps their mass, as that of a voxel
+        scales = np.sqrt(scales * scales + np.float32(_WIDER * pixel * pixel))
+    found = gaussians_of(splats.means[held], scales, splats.quats[held], splats.opacity[held], low, h)
     colours = np.ascontiguousarray(splats.sh[held].transpose(0, 2, 1)).reshape(-1, 3 * splats.B)
     return found, colours
 
