@@ -26,9 +26,9 @@ from nerfbake.stages._half import cast_values
 from nerfbake.stages._splat_box import OPACITY_MIN, inner_box
 
 _THINNEST = 0.001  # optical depth of a voxel below which it is empty
-# Variance that a pixel adds to a splat, in squared pixels. It is 0.3 in pictures of splats, but voxels and the pixels of
-# their pictures blur as well. A real scene at 256^3, in pictures of 400x400: 29.1 dB with 0, 32.4 with 0.08, 30.5 with
-# 0.3.
+# Variance that a pixel adds to a splat, in squared pixels. It is 0.3 in pictures of splats, but voxels and the pixels
+# of their pictures blur as well. A real scene at 256^3, in pictures of 400x400: 29.1 dB with 0, 32.4 with 0.08, 30.5
+# with 0.3.
 _WIDER = 0.08
 _PAIRS = 1 << 23  # splats of bricks that are listed at a time
 _CHUNK = 32  # bricks that a core processes before it takes the next ones

@@ -122,8 +122,10 @@ def require_like(
         assert type(found) is type(expected) or type(found) is float, place
 
 
-def form_named(name: str) -> AnyFormat:
-    return next(form for form in (*catalog.FORMATS, *catalog.FOLDERS) if form.name == name)
+def form_named(name: str, scene: str | None = None) -> AnyFormat:
+    """The format of this name; scene: of this scene type, where two have the name."""
+    forms = (*catalog.FORMATS, *catalog.FOLDERS)
+    return next(form for form in forms if form.name == name and scene in (None, form.scene))
 
 
 def floats(array: Any) -> Any:

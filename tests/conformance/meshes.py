@@ -47,7 +47,7 @@ def cases() -> Iterator[Case]:
     painted = told({**SQUARE, "uvs": None}, colours=COLOURS)
     textured = [told(SQUARE, texture=TEXTURE, colours=COLOURS), told(TRIANGLE, texture=TEXTURE)]
     turned = [{**each, "positions": [[x, z, -y] for x, y, z in each["positions"]]} for each in (painted, flat)]
-    obj, glb = form_named("obj"), form_named("glb")
+    obj, glb = form_named("obj"), form_named("glb", "Meshes")
     about = "Meshes, each with a material of its own."
     for name, plain, files, found in (
         ("mapped", [mapped, told(TRIANGLE)], {"mapped.obj": (obj, {})}, None),

@@ -37,7 +37,16 @@ from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
 from tests.support.snerg import snerg, snerg_folder
-from tests.support.splats import gzip_spz, packed_ply, splats
+from tests.support.splats import (
+    gzip_spz,
+    packed_ply,
+    sog_files,
+    sog_levels,
+    sog_zip,
+    splat_rows,
+    splats,
+    text_ply,
+)
 from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
@@ -57,7 +66,7 @@ STATE = "state"  # of a batch that has run
 def names() -> list[str]:
     """The readable formats, the kinds of folders, the checkpoint of a fit, and the lines and the state of a batch."""
     forms = [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
-    return [*forms, CHECKPOINT, LINES, STATE]
+    return [*dict.fromkeys(forms), CHECKPOINT, LINES, STATE]
 
 
 @cache
@@ -67,7 +76,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         return tuple(_checkpoints())
     if name == LINES:
         return (_JOBS.encode(), _JOBS.replace("\n", "\r\n").encode())
-    scene = next(form.scene for form in catalog.FORMATS if form.name == name)
+    scenes = [form.scene for form in catalog.FORMATS if form.name == name]
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
         "Volume": lambda: _volumes(name),
@@ -76,9 +85,9 @@ def files_of(name: str) -> tuple[bytes, ...]:
         "Splats": lambda: _splats(name),
         "LatticeField": lambda: _lattices(name),
     }
-    if scene in makers:
-        return tuple(makers[scene]())
-    return tuple(_encoded(name, each) for each in _pictures(scene))
+    if scenes[0] in makers:
+        return tuple(data for scene in scenes for data in makers[scene]())
+    return tuple(_encoded(name, each) for each in _pictures(scenes[0]))
 
 
 @cache
@@ -91,6 +100,7 @@ def folders_of(name: str) -> tuple[Files, ...]:
         "plenvdb": _plenvdbs,
         "merf": _merfs,
         "snerg": _snergs,
+        "sog_folder": _sogs,
         STATE: _states,
     }
     return tuple(makers[name]() if name in makers else _captures(name))
@@ -106,7 +116,8 @@ def sound(name: str) -> tuple[bytes, ...] | tuple[Files, ...]:
 
 
 def _encoded(name: str, scene: Any, **options: Any) -> bytes:
-    module = next(form.load_module() for form in catalog.FORMATS if form.name == name)
+    forms = {form.written or form.scene: form for form in catalog.FORMATS if form.name == name}
+    module = forms[type(scene).__name__].load_module()
     return b"".join(module.encode(scene, **options))
 
 
@@ -222,12 +233,26 @@ def _meshes(name: str) -> Iterator[bytes]:
 
 
 def _splats(name: str) -> Iterator[bytes]:
+    if name == "splat":
+        yield splat_rows(splats(5))
+        return
+    if name == "sog":
+        yield from (sog_zip(files) for files in _sogs())
+        return
     yield _encoded(name, splats(5))
     yield _encoded(name, splats(3, degree=0))
     if name == "ply":
         yield packed_ply(splats(300, degree=1))
-    else:
+        yield text_ply(splats(4, degree=0))
+    elif name == "spz":
         yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))
+
+
+def _sogs() -> Iterator[Files]:
+    """Both versions, and a scene of two levels."""
+    yield sog_files(splats(9, degree=1))
+    yield sog_files(splats(5, degree=0), version=1)
+    yield sog_levels()
 
 
 def _pictures(scene: str) -> Iterator[Any]:

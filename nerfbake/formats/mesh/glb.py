@@ -150,7 +150,7 @@ def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
             raise malformed("extensionsRequired", f"has {str(extension)[:40]}", allowed)
     looks = _Looks(document)
     found: list[Mesh] = []
-    for index, matrix in _placed(document):
+    for index, matrix in placed_meshes(document):
         mesh = document.item("meshes", index)
         for number, primitive in enumerate(_list(mesh, "primitives", f"meshes[{index}]")):
             place = f"meshes[{index}].primitives[{number}]"
@@ -164,7 +164,7 @@ def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
     return tuple(found)
 
 
-def _placed(document: Document) -> Iterator[tuple[Any, Floats]]:
+def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
     """Yield the mesh of each node of the scene, and its transform to the scene."""
     nodes = _list(document.root, "nodes", "JSON")
     if len(nodes) > MAX_NODES:
@@ -357,11 +357,16 @@ def encode_glb(parts: list[MeshPart], generator: str, *, up: Literal["y", "z"] =
         **{name: entries for name, entries in body.lists.items() if entries},
         "buffers": [{"byteLength": body.size}],
     }
+    return [*opening_of(document, body.size), *body.pieces]
+
+
+def opening_of(document: dict[str, Any], body_size: int) -> list[bytes]:
+    """Return what stands before the bytes of the binary chunk: the header, and the document as the JSON chunk."""
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + body.size
+    total = 12 + 8 + len(text) + 8 + body_size
     head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
-    return [head, text, struct.pack("<I4s", body.size, b"BIN\0"), *body.pieces]
+    return [head, text, struct.pack("<I4s", body_size, b"BIN\0")]
 
 
 class _Body:

@@ -100,14 +100,14 @@ def _with_rest(dc: Floats, rest: Floats, each: int) -> Floats:
 
 def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
     found = _columns(rows, _NEEDED, "vertex")
-    means, dc, logits, scales, quats = found[:, :3], found[:, 3:6], found[:, 6], _exp(found[:, 7:9]), found[:, 9:]
+    means, dc, logits, scales, quats = found[:, :3], found[:, 3:6], found[:, 6], exp_or_nan(found[:, 7:9]), found[:, 9:]
     known = rows.dtype.names or ()
     if "scale_2" in known:
-        third = _exp(_columns(rows, ["scale_2"], "vertex"))
+        third = exp_or_nan(_columns(rows, ["scale_2"], "vertex"))
     else:
         third = scales.min(axis=1, keepdims=True) / _FLAT
     scales = np.concatenate([scales, third], axis=1)
-    opacity = np.where(np.isfinite(logits), sigmoid(logits), np.nan)
+    opacity = sigmoid_or_nan(logits)
     if "filter_3D" in known:
         width = _columns(rows, ["filter_3D"], "vertex")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -119,9 +119,14 @@ def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
     return splats_of_rows(means, scales, quats, opacity, sh, antialiased=antialiased)
 
 
-def _exp(logarithms: Floats) -> Floats:
+def exp_or_nan(logarithms: Floats) -> Floats:
     """e^x, and NaN for infinite x: a row with a number that is not finite is dropped."""
     return np.where(np.isfinite(logarithms), exp(logarithms), np.nan)
+
+
+def sigmoid_or_nan(logits: Floats) -> Floats:
+    """1 / (1 + e^-x), and NaN for infinite x."""
+    return np.where(np.isfinite(logits), sigmoid(logits), np.nan)
 
 
 def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:
@@ -154,7 +159,7 @@ def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:
         rest = np.where(codes == 0, -4.0, np.where(codes == 255, 4.0, ((codes + 0.5) / 256 - 0.5) * 8))
     return splats_of_rows(
         between(_BOUNDS, _shares(position, (21, 11, 0), (11, 10, 11))),
-        _exp(between(_SCALE_BOUNDS, _shares(scale, (21, 11, 0), (11, 10, 11)))),
+        exp_or_nan(between(_SCALE_BOUNDS, _shares(scale, (21, 11, 0), (11, 10, 11)))),
         _rotations(rotation),
         opacity,
         _with_rest((rgb - 0.5) / SH0, rest, each),

@@ -13,7 +13,7 @@ from nerfbake import Splats, load, save
 from nerfbake.errors import InvalidScene, NerfbakeError
 from nerfbake.formats.splat import ply
 from tests.support.hostile import damaged, refused_as_it_is
-from tests.support.splats import packed_ply, ply_text, splats
+from tests.support.splats import packed_ply, ply_text, splats, text_ply
 
 NAMES = ("means", "scales", "quats", "opacity", "sh")
 
@@ -37,14 +37,6 @@ def respelled(data: bytes, dtype: str, order: str, *, without: tuple[str, ...] =
     kind = {"f4": "float", "f8": "double"}[dtype]
     text = ply_text({"vertex": (len(table), [f"{kind} {names[k]}" for k in kept])}, order)
     return text + table[:, kept].astype({"little": "<", "big": ">"}[order] + dtype).tobytes()
-
-
-def text(scene: Splats) -> bytes:
-    """The same rows as text."""
-    header, _, rows = written(scene).partition(b"end_header\n")
-    table = np.frombuffer(rows, "<f4").reshape(scene.n, -1)
-    lines = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in table)
-    return header.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + lines.encode()
 
 
 def listed(data: bytes, faces: bytes, rows: int = 9) -> bytes:
@@ -103,11 +95,11 @@ def test_any_order_type_and_endian(dtype: str, order: str) -> None:
 @pytest.mark.parametrize("ends", [b"\n", b"\r\n"])
 def test_text_is_read(ends: bytes) -> None:
     scene = splats(20, degree=1)
-    assert_same(ply.decode(memoryview(text(scene).replace(b"\n", ends))), scene)
+    assert_same(ply.decode(memoryview(text_ply(scene).replace(b"\n", ends))), scene)
     face = b"element face 2\nproperty list uchar int v\n"
-    before = text(scene).replace(b"element vertex", face + b"element vertex")
+    before = text_ply(scene).replace(b"element vertex", face + b"element vertex")
     assert_same(ply.decode(memoryview(before.replace(b"end_header\n", b"end_header\n3 0 1 2\n2 0 1\n"))), scene)
-    assert_same(ply.decode(memoryview(text(scene)[:-1])), scene)
+    assert_same(ply.decode(memoryview(text_ply(scene)[:-1])), scene)
 
 
 def test_lists_before_the_splats_are_skipped() -> None:
@@ -216,14 +208,14 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no text": (SOUND.replace(b"binary_little_endian", b"ascii"), "element vertex "),
     "octlevel": (SOUND.replace(b" nx\n", b" octlevel\n"), "holds SVRaster's voxels; allowed: Gaussian splats"),
     "2^32 rows of text": (
-        text(splats(1)).replace(b"vertex 1", b"vertex 4294967296"),
+        text_ply(splats(1)).replace(b"vertex 1", b"vertex 4294967296"),
         "4,294,967,296 rows, with 1 lines left",
     ),
     "words": (
-        text(splats(1)).replace(b"\n0.", b"\nnone ", 1).replace(b"\n-0.", b"\nnone ", 1),
+        text_ply(splats(1)).replace(b"\n0.", b"\nnone ", 1).replace(b"\n-0.", b"\nnone ", 1),
         "has text that is not a number",
     ),
-    "fewer numbers": (text(splats(2)).replace(b" ", b" ", 1)[:-30] + b"\n", "element vertex has "),
+    "fewer numbers": (text_ply(splats(2)).replace(b" ", b" ", 1)[:-30] + b"\n", "element vertex has "),
     "endless lists": (listed(SOUND, b"\xff" * 9), "element face has a list of 255 entries"),
     "lists of many lengths": (listed(SOUND, bytes(range(200)) * 900, rows=150_000), "with lists of different lengths"),
     "lists of splats": (SOUND.replace(b"property float nx", b"property list uchar int nx"), "element vertex has lists"),
