@@ -301,7 +301,7 @@ def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Con
     fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats
     read = source.read_with_format(steps, *fields, Stage1, BakedAtlas)
     if isinstance(read.scene, Splats):
-        options = UPRIGHT if wish.photographs.cameras is None else USUAL
+        options = UPRIGHT if wish.judges.cameras is None else USUAL
         octree, splats = sample_splats(steps, source, read.scene, options=options)
         choice.of(steps, source, octree)
         return _Content(None, octree, splats=splats)

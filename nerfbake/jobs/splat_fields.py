@@ -15,7 +15,6 @@ from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
-from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.splats import Splats, Up
@@ -73,12 +72,8 @@ def choose_splats(
         else:
             box = world_box(part)
         cut = cut_splats(turned, box, opacity_min=least)
-    if cut.outside:
-        corners = ",".join(f"{value:.4g}" for value in box.ravel().tolist())
-        outside = f"{plural(cut.outside, 'splat')} of {splats.n:,} outside the box {corners}"
-        steps.say(f"{source.name}: leaves out {outside}")
-    if cut.thin:
-        steps.say(f"{source.name}: leaves out {plural(cut.thin, 'splat')} of an opacity below {least:.2g}")
+    for note in cut.notes:
+        steps.say(f"{source.name}: {note}")
     return cut.splats, box
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.soundness import plural
 from nerfbake.scene.splats import Splats, Up
 
 OPACITY_MIN = 1 / 255  # pictures of splats leave out what is thinner
@@ -46,11 +47,10 @@ def whole_box(splats: Splats, *, opacity_min: float = OPACITY_MIN) -> Points:
 
 
 class SplatCut(NamedTuple):
-    """splats: those that are kept, in their order. outside, thin: the number of the others, by the reason."""
+    """splats: those that are kept, in their order. notes: what was left out, a line for each reason."""
 
     splats: Splats
-    outside: int
-    thin: int
+    notes: tuple[str, ...]
 
 
 def cut_splats(splats: Splats, box: Points, *, opacity_min: float = OPACITY_MIN) -> SplatCut:
@@ -65,7 +65,13 @@ def cut_splats(splats: Splats, box: Points, *, opacity_min: float = OPACITY_MIN)
     arrays = splats.means, splats.scales, splats.quats, splats.opacity, splats.sh
     means, scales, quats, opacity, sh = (array[kept] for array in arrays)
     cut = replace(splats, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh)
-    return SplatCut(cut if count < splats.n else splats, thick - count, splats.n - thick)
+    notes = []
+    if count < thick:
+        corners = ",".join(f"{value:.4g}" for value in box.ravel().tolist())
+        notes.append(f"leaves out {plural(thick - count, 'splat')} of {splats.n:,} outside the box {corners}")
+    if thick < splats.n:
+        notes.append(f"leaves out {plural(splats.n - thick, 'splat')} of an opacity below {opacity_min:.2g}")
+    return SplatCut(cut if notes else splats, tuple(notes))
 
 
 def with_z_up(splats: Splats, up: Up | None) -> Splats:
