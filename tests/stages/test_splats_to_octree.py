@@ -45,14 +45,14 @@ def test_an_opaque_ball_is_as_opaque_as_in_pictures_of_splats() -> None:
 def test_a_pixel_makes_splats_wider_but_not_thinner() -> None:
     scene = ball(0.5, np.zeros((1, 1, 3)), radius=0.1)
     box = np.array([[-1.0] * 3, [1.0] * 3])
-    own, wider = (build_octree_from_splats(scene, resolution=32, box=box, pixel=pixel) for pixel in (0.0, 1.0))
+    own, wider = (build_octree_from_splats(scene, resolution=32, box=box, pixel=pixel) for pixel in (0.0, 0.5))
     depths = [
         octree.sample([[x, 1 / 32, 1 / 32] for x in (np.arange(32) - 15.5) / 16])[:, -1] for octree in (own, wider)
     ]
     assert np.count_nonzero(depths[1]) > 2 * np.count_nonzero(depths[0])
     assert_allclose(depths[1].sum(), depths[0].sum(), rtol=0.2)  # the voxel blurs the smaller one sideways
     assert depths[1].sum() > depths[0].sum()
-    same = build_octree_from_splats(replace(scene, antialiased=True), resolution=32, box=box, pixel=1.0)
+    same = build_octree_from_splats(replace(scene, antialiased=True), resolution=32, box=box, pixel=0.5)
     assert_same_octree(same, own)
 
 
