@@ -24,6 +24,7 @@ from nerfbake.jobs.grids import AS_IT_IS, GridChoice
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
+from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import page_views
 from nerfbake.scene.atlas import BakedAtlas
@@ -38,6 +39,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.page import Page, PageField
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
@@ -172,8 +174,9 @@ def view_file(
 ) -> Page:
     """Write a page that shows a scene in any browser and return it. This is `nerfbake view`.
 
-    The scene is a PlenOctree, an octree, a volume, a lattice field, or a folder with a mesh: nerf2mesh's stage 1 or an
-    atlas. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
+    The scene is a PlenOctree, an octree, a volume, a lattice, splats, or a folder with a mesh: nerf2mesh's stage 1
+    or an atlas. The page of splats shows the octree that bake_octree() makes of them, with -y up unless there are
+    cameras. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
     `target`.rejected if min_psnr is missed. Without a target, writes a temporary page and opens it in the browser.
 
     data        compressed: the data of compress_file(); exact: float16; None: exact for a volume, else compressed
@@ -214,7 +217,7 @@ def view_file(
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        content, scene, held_out, scenery = _read(steps, source, wish, choice)
+        content, scene, held_out, scenery, splats = _read(steps, source, wish, choice)
         if stage1 is not None and not isinstance(scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
@@ -241,8 +244,9 @@ def view_file(
                 steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
             made = shown.page(found.quantised)
         with file.writing(steps, made) as written:
+            judged = shown.field if splats is None else splats
             judge_output(
-                written.path, shown.field, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
+                written.path, judged, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
             )
     return made
 
@@ -274,16 +278,33 @@ class _Shown(NamedTuple):
         return Page(content, self.field, self.views, self.cover, *look, *self.beside, self.around, self.photographs)
 
 
-def _read(
-    steps: Steps, source: Source, wish: _Wish, choice: GridChoice
-) -> tuple[memoryview | None, Any, HeldOut | None, N3Tree | None]:
-    """Read the source. Return the bytes of an already compressed file, the scene, and the pixels of photographs.
+class _Content(NamedTuple):
+    """What was read.
 
-    A PlenOctree that is going to be compressed is returned as an octree. Of a scene with scenery, the inner cube is
-    returned, and at last the whole scene.
+    data      the bytes of an already compressed file
+    scene     a PlenOctree that is going to be compressed, and splats, are octrees here; of a scene with scenery, this
+              is the inner cube
+    held_out  the pixels of photographs
+    scenery   the whole scene, if it has scenery
+    splats    those that the octree shows
     """
-    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
+
+    data: memoryview | None
+    scene: Any
+    held_out: HeldOut | None = None
+    scenery: N3Tree | None = None
+    splats: Splats | None = None
+
+
+def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Content:
+    """Read the source."""
+    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats
     read = source.read_with_format(steps, *fields, Stage1, BakedAtlas)
+    if isinstance(read.scene, Splats):
+        options = UPRIGHT if wish.judges.cameras is None else USUAL
+        octree, splats = sample_splats(steps, source, read.scene, options=options)
+        choice.of(steps, source, octree)
+        return _Content(None, octree, splats=splats)
     scene = sample_lattice(steps, source, read.scene) if isinstance(read.scene, LatticeField) else read.scene
     scene = choice.of(steps, source, scene)
     if isinstance(scene, Volume):
@@ -297,8 +318,8 @@ def _read(
             scene = scenery.inner_cube()
     if wish.data != "exact" and isinstance(scene, N3Tree):
         with source.blamed(steps, "building the octree"):
-            return None, build_octree(scene), scene.held_out, scenery
-    return read.data, scene, None, scenery
+            return _Content(None, build_octree(scene), scene.held_out, scenery)
+    return _Content(read.data, scene, None, scenery)
 
 
 def _framed(
