@@ -15,8 +15,8 @@ from nerfbake.kernels.fit import colours
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.surface.gbuffer import gbuffer
 from nerfbake.kernels.surface.motion import (
-    Blocks,
     Eye,
+    FaceEquations,
     Solid,
     add_rims,
     add_smoothness,
@@ -78,7 +78,7 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
         size = np.sqrt((facing * facing).sum(axis=1))[:, None]
         facing = np.divide(facing, size, out=np.zeros_like(facing), where=size > 0)
         solid = Solid(positions, vertex_normals(positions, faces), faces, facing, edges, beside)
-        blocks = Blocks(np.zeros((len(faces), 6)), np.zeros((len(faces), 3)))
+        blocks = FaceEquations(np.zeros((len(faces), 6)), np.zeros((len(faces), 3)))
         with progress.part(turn / rounds, (turn + 1) / rounds):
             for view in progress.each(range(turn % every, len(views.pictures), every)):
                 _add_view(solid, mesh, texture, views, view, blocks)
@@ -94,7 +94,9 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
     return memory.kept(replace(mesh, positions=positions[number].astype(np.float32)))
 
 
-def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, view: int, blocks: Blocks) -> None:
+def _add_view(
+    solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, view: int, blocks: FaceEquations
+) -> None:
     """Add the equations of one picture."""
     full = views.cameras.cameras[view]
     scale = max(1, max(full.width, full.height) // _PIXELS)

@@ -40,7 +40,7 @@ class Solid(NamedTuple):
     beside: Ints
 
 
-class Blocks(NamedTuple):
+class FaceEquations(NamedTuple):
     """The normal equations, face by face."""
 
     left: Floats
@@ -133,7 +133,7 @@ def _covered(triangle: npt.NDArray[np.int32], column: float, row: float) -> int:
 
 @compiled()
 def add_rims(
-    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], alpha: Singles, weight: float, blocks: Blocks
+    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], alpha: Singles, weight: float, blocks: FaceEquations
 ) -> None:
     """Add one equation for each edge on the rim of the mesh, whose residual is in pixels.
 
@@ -232,7 +232,9 @@ def _slot(i: int, j: int) -> int:
 
 
 @compiled(merged=True)
-def _add_pair(blocks: Blocks, face: int, i: int, j: int, ja: float, jb: float, residual: float, w: float) -> None:
+def _add_pair(
+    blocks: FaceEquations, face: int, i: int, j: int, ja: float, jb: float, residual: float, w: float
+) -> None:
     blocks.left[face, _slot(i, i)] += w * ja * ja
     blocks.left[face, _slot(j, j)] += w * jb * jb
     blocks.left[face, _slot(i, j)] += w * ja * jb
@@ -241,7 +243,7 @@ def _add_pair(blocks: Blocks, face: int, i: int, j: int, ja: float, jb: float, r
 
 
 @compiled()
-def add_smoothness(faces: Faces, weight: float, still: float, blocks: Blocks) -> None:
+def add_smoothness(faces: Faces, weight: float, still: float, blocks: FaceEquations) -> None:
     """Ask the vertices of each edge to move alike, and, with the weight `still`, each one to stay."""
     for f in range(len(faces)):
         for i in range(3):
@@ -250,7 +252,7 @@ def add_smoothness(faces: Faces, weight: float, still: float, blocks: Blocks) ->
 
 
 @compiled()
-def solve_offsets(faces: Faces, count: int, blocks: Blocks, rounds: int) -> Floats:
+def solve_offsets(faces: Faces, count: int, blocks: FaceEquations, rounds: int) -> Floats:
     """The offsets (count,) that solve the normal equations, by conjugate gradients with a diagonal preconditioner."""
     offset, rest, diagonal = np.zeros(count), np.zeros(count), np.zeros(count)
     for f in range(len(faces)):
@@ -351,7 +353,7 @@ def add_texels(
     weights: Singles,
     image: Singles,
     weight: float,
-    blocks: Blocks,
+    blocks: FaceEquations,
 ) -> None:
     """Add one equation for each pixel and channel: the texture that shows there should have the photograph's colour.
 
