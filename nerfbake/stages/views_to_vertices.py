@@ -25,7 +25,7 @@ from nerfbake.kernels.surface.motion import (
     limit_offsets,
     solve_offsets,
 )
-from nerfbake.kernels.surface.triangles import face_normals, vertex_normals
+from nerfbake.kernels.surface.triangles import face_normals, untangled, vertex_normals
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
@@ -41,6 +41,7 @@ _SOLVER = 60  # most steps of the solver
 _MOST = 0.5  # of the mean length of a vertex's edges: how far it may move in one round
 _LEAST_COSINE = 0.5  # between a face's normals before and after a round
 _HALVINGS = 6
+_UNTANGLING = 5  # most rounds, after small turns have added up
 _FACE_BYTES, _PIXEL_BYTES = 400, 220
 
 
@@ -90,7 +91,7 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
         add_smoothness(faces, _SMOOTH * mean, _STILL * mean, blocks)
         offset = solve_offsets(faces, len(positions), blocks, _SOLVER)
         limit_offsets(solid, offset, _MOST, _LEAST_COSINE, _HALVINGS)
-        positions = positions + offset[:, None] * solid.normals
+        positions = untangled(positions + offset[:, None] * solid.normals, faces, _UNTANGLING)
     return memory.kept(replace(mesh, positions=positions[number].astype(np.float32)))
 
 
