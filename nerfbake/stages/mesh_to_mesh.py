@@ -56,4 +56,4 @@ def _without_doubles(faces: Faces) -> Faces:
     whole = (keys[:, 0] != keys[:, 1]) & (keys[:, 1] != keys[:, 2])
     faces, keys = faces[whole], keys[whole]
     _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[times == 1])]
+    return np.asarray(faces[np.sort(first[times == 1])])

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from nerfbake import Cameras, Mesh, Meshes, Views, move_vertices, render_meshes
@@ -36,8 +37,8 @@ def seen(mesh: Mesh, cameras: tuple[Camera, ...]) -> Views:
     return Views(Cameras(cameras), tuple(pictures), (1.0, 1.0, 1.0), True)
 
 
-def radii(mesh: Mesh) -> np.ndarray:
-    return np.linalg.norm(mesh.positions, axis=1)
+def radii(mesh: Mesh) -> npt.NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(mesh.positions, axis=1))
 
 
 @pytest.mark.parametrize("scale", [0.95, 1.05])

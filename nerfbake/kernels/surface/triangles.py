@@ -90,7 +90,7 @@ def doubled_areas(positions: Floats, faces: Faces) -> Floats:
     return np.asarray(np.sqrt((normals * normals).sum(axis=1)))
 
 
-def face_normals(positions: Floats, faces: Faces) -> Floats:
+def face_normals(positions: npt.NDArray[Any], faces: Faces) -> Floats:
     """(t, 3) normals, as long as twice the area of the face."""
     a, b, c = (positions[faces[:, k]].astype(np.float64) for k in range(3))
     return np.asarray(np.cross(b - a, c - a), np.float64)
