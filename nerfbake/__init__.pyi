@@ -90,5 +90,6 @@ from .stages.vdb_to_vdb import cast_volume as cast_volume
 from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field
 from .stages.views_to_hull import carve_hull as carve_hull
+from .stages.views_to_texture import fit_texture as fit_texture
 
 __version__: str
