@@ -13,6 +13,7 @@ LONGEST_SUMMARY = 50  # characters
 VERBS = {"bake", "build", "carve", "cast", "cluster", "compare", "compress", "cut", "fill", "fit", "identify", "lower"}
 VERBS |= {
     "measure",
+    "move",
     "orbit",
     "quantise",
     "refit",
@@ -20,11 +21,12 @@ VERBS |= {
     "round",
     "sample",
     "scatter",
+    "simplify",
     "summarise",
     "unwrap",
     "view",
+    "weigh",
 }
-VERBS |= {"weigh"}
 
 
 def test_a_class_name_is_defined_once() -> None:
