@@ -23,6 +23,7 @@ VERBS |= {
     "scatter",
     "simplify",
     "summarise",
+    "unwrap",
     "view",
     "weigh",
 }
