@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def reference_options(function: Command) -> Command:
     """Add --like, --frames and --edge, --views and photograph_options(); pass the command `model`, a RefitTarget."""
 
-    @click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene that OUT is fitted to.")
+    @click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene or splats that OUT is fitted to.")
     @click.option(
         "--frames",
         type=click.IntRange(2, 1000),
@@ -103,7 +103,7 @@ def refit(
 ) -> None:
     """Make a coarse scene look like a finer one.
 
-    Fits the values of the octree or PlenOctree IN to a finer scene (--like) or to photographs (--views). OUT
+    Fits the values of the octree or PlenOctree IN to a finer scene or splats (--like) or to photographs (--views). OUT
     has the same nodes as IN.
 
     \b

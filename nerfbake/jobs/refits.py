@@ -12,12 +12,14 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
+from nerfbake.jobs.splat_fields import splat_views
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.brick_field_to_octree import fill_octree
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 class RefitTarget(NamedTuple):
     """What an octree is fitted to: a finer scene or photographs.
 
-    like    a PlenOctree, an octree or a volume, rendered from all sides
+    like    a PlenOctree, an octree, a volume or splats, rendered from all sides
     frames  number of these pictures; edge: their width and height in pixels
     views   a capture; album: options for its photographs
     """
@@ -58,8 +60,12 @@ class RefitTarget(NamedTuple):
         if self.views is not None:
             return read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
         bigger = Source(str(self.like))
-        scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume)
+        scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume, Splats)
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
+            if isinstance(scene, Splats):
+                around = scatter_cameras(scene, frames=self.frames, edge=self.edge)
+                judges = orbit_cameras(scene, frames=FRAMES, width=self.edge, height=self.edge)
+                return SplitViews(*(splat_views(scene, cameras) for cameras in progress.each((around, judges))))
             field = build_field(scene)
             around = scatter_cameras(field, frames=self.frames, edge=self.edge)
             judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)

@@ -44,7 +44,8 @@ class SplatOptions(NamedTuple):
     def require(self, budget: Budget) -> None:
         """Raise UsageError for cameras in the world that the splats are turned away from."""
         if self.up not in (None, "z") and budget.cameras is not None:
-            raise UsageError("`up` turns the world, in which `cameras` are; allowed: one of them")
+            told = f"splats are turned until {self.up} is z, and `cameras` are not"
+            raise UsageError(f"{told}; allowed: z as the up axis of splats, which keeps their world")
 
     def require_default(self) -> None:
         """Raise UsageError if an option is not the default, for scenes other than splats."""

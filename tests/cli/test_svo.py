@@ -12,6 +12,7 @@ from nerfbake import N3Tree, SparseVoxelOctree, load
 from nerfbake.cli.main import run
 from tests.conftest import Shell
 from tests.support.scenes import assert_same_octree
+from tests.support.splats import ball_of_splats
 
 
 @pytest.mark.usefixtures("tree_file")
@@ -53,6 +54,9 @@ def test_options_of_svo(shell: Shell, tmp_path: Path) -> None:
         (["svo", "a.npz", "b.svo.pb", "--resolution", "4x4"], 2, "'4x4' is not a resolution; allowed: R or WxHxD"),
         (["svo", "a.npz", "b.svo.pb", "--resolution", "4097"], 2, "'4097' is not a resolution"),
         (["svo", "a.npz", "b.svo.pb", "--sigma-min", "nan"], 2, "'--sigma-min': NaN is not allowed; allowed: a number"),
+        (["svo", "a.npz", "b.svo.pb", "--box", "outer"], 2, "'outer' is not a box; allowed: x0,y0,z0,x1,y1,z1"),
+        (["svo", "a.npz", "b.svo.pb", "--box=0,0,0,1,1,1"], 2, "--box of six numbers has no effect on other scenes"),
+        (["svo", "a.npz", "b.svo.pb", "--up", "y"], 2, "--up has no effect on other scenes than splats"),
         (["svo", "a.npz", "b.svo.pb", "--max-memory", "many"], 2, "'many' is not a size; allowed: 4GiB"),
         (["svo", "a.npz", "b.svo.pb", "--max-memory", "100"], 1, "B; allowed: 100 B (--max-memory)"),
     ],
@@ -93,3 +97,17 @@ def test_a_plenoctree_may_be_compressed_too(tmp_path: Path) -> None:
     (tmp_path / "a_poses_bounds.npy").touch()
     assert load(tmp_path / "a.npz.zst", N3Tree).ndc
     assert run(["svo", str(tmp_path / "a.npz.zst"), str(tmp_path / "a.svo.pb"), "-q"]) == 1  # it faces forward
+
+
+def test_options_of_splats(shell: Shell, tmp_path: Path) -> None:
+    nerfbake.save(tmp_path / "a.ply", ball_of_splats())
+    options = ["--resolution", "16", "--box=-2,-2,0,2,2,2", "--opacity-min", "0.5", "--up=-y", "--epochs", "0"]
+    done = shell("svo", "a.ply", "b.svo.npz", *options)
+    assert done.returncode == 0
+    octree = load(tmp_path / "b.svo.npz", SparseVoxelOctree)
+    assert (octree.size, octree.origin.tolist()) == ((16, 16, 8), [-2, -2, 0])
+    [cut, lost, wrote] = done.stderr.decode().splitlines()
+    assert cut.startswith("a.ply: leaves out 1")
+    assert cut.endswith(" of 400 outside the box -2,-2,0,2,2,2")
+    assert lost.startswith("a.ply: in 16x16x8 voxels, ")
+    assert wrote.startswith("b.svo.npz: SH1 octree of 16x16x8")

@@ -11,7 +11,16 @@ from numpy.testing import assert_allclose
 
 from nerfbake import SparseVoxelOctree, Splats, Volume, load, save
 from nerfbake.errors import BudgetMissed, InvalidScene, UsageError
-from nerfbake.jobs import bake_octree, bake_volume, compare_files, compress_file, splat_fields, view_file
+from nerfbake.jobs import (
+    RefitTarget,
+    bake_octree,
+    bake_volume,
+    compare_files,
+    compress_file,
+    refit_file,
+    splat_fields,
+    view_file,
+)
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
@@ -138,6 +147,14 @@ def test_other_commands_read_splats(listener: Listener, monkeypatch: pytest.Monk
 
 
 @pytest.mark.usefixtures("ball")
+def test_an_octree_is_refitted_to_splats() -> None:
+    bake_octree("ball.ply", "direct.svo.npz", resolution=32, splats=DIRECT)
+    found = refit_file("direct.svo.npz", "fitted.svo.npz", RefitTarget(like="ball.ply", frames=12, edge=64))
+    before, after = found.psnr
+    assert after > before + 1
+
+
+@pytest.mark.usefixtures("ball")
 def test_options_without_effect_are_refused() -> None:
     save("a.npz", n3tree())
     with pytest.raises(UsageError, match="`box` of six numbers has no effect on other scenes than splats"):
@@ -154,6 +171,6 @@ def test_options_without_effect_are_refused() -> None:
         bake_octree("ball.ply", "b.svo.npz", scale=2.0)
     with pytest.raises(UsageError, match="the voxels of splats are cubes; allowed: one number as `resolution`"):
         bake_octree("ball.ply", "b.svo.npz", resolution=(16, 16, 8))
-    with pytest.raises(UsageError, match="`up` turns the world, in which `cameras` are"):
+    with pytest.raises(UsageError, match="splats are turned until -y is z, and `cameras` are not"):
         bake_octree("ball.ply", "b.svo.npz", splats=SplatOptions(up="-y"), budget=Budget(20, "cameras.json"))
     assert not Path("b.svo.npz").exists()
