@@ -3,6 +3,7 @@
 python docs/picture.py              rewrites docs/octree.png: the sample scene as an octree, and cut at coarser levels
 python docs/picture.py chair        rewrites docs/chair.png: the real chair in four files; prints their sizes and PSNR
 python docs/picture.py page         rewrites docs/page.png: the page of the chair in Chromium, its options open
+python docs/picture.py splats       rewrites docs/splats.png: splats, and octrees of 256^3 and 512^3 made of them
 python docs/picture.py capture      rewrites docs/capture.png: a room from photographs; prints the PSNR of its views
 """
 
@@ -22,6 +23,7 @@ from nerfbake import (
     Cameras,
     Image,
     N3Tree,
+    Splats,
     build_field,
     build_octree,
     cut_octree,
@@ -29,12 +31,14 @@ from nerfbake import (
     load,
     orbit_cameras,
     render_field,
+    render_splats,
     sample_n3tree,
     save,
 )
 
 LEVELS = (8, 7, 6, 5)
 CHAIR, CAPTURE = DATA / "plenoctree/chair/chair_sh9.npz", DATA / "nerf_synthetic/chair"
+SPLATS = DATA / "splats/biker.spz"
 PHONE, PHONE_VIEWS = DATA / "captures/plush", (0, 1, 5, 10)
 VIEW, CLOSER = 5, 1.3  # which of the test views is shown, and how much larger
 
@@ -101,6 +105,18 @@ def draw_capture() -> None:
         _save("capture.png", [render_field(field, cameras[i].resized(420, 315), samples=2) for i in PHONE_VIEWS])
 
 
+def draw_splats() -> None:
+    """A real scene of splats, and two octrees of it."""
+    splats = load(SPLATS, Splats)
+    camera = orbit_cameras(splats, width=300, height=420).cameras[0]
+    pictures = [render_splats(splats, camera)]
+    with tempfile.TemporaryDirectory() as folder:
+        for resolution in (256, 512):
+            octree = jobs.bake_octree(SPLATS, Path(folder) / f"{resolution}.svo.npz", resolution=resolution)
+            pictures.append(render_field(build_field(octree), camera, samples=2))
+    _save("splats.png", pictures)
+
+
 def _save(name: str, pictures: list[Image]) -> None:
     parts = ("colour", "alpha", "depth")
     colour, alpha, depth = (np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in parts)
@@ -108,4 +124,5 @@ def _save(name: str, pictures: list[Image]) -> None:
 
 
 if __name__ == "__main__":
-    {"chair": draw_chair, "page": draw_page, "capture": draw_capture}.get("".join(sys.argv[1:]), draw_levels)()
+    drawn = {"chair": draw_chair, "page": draw_page, "splats": draw_splats, "capture": draw_capture}
+    drawn.get("".join(sys.argv[1:]), draw_levels)()

@@ -301,7 +301,7 @@ def truth(of: str) -> Callable[[Command], Command]:
 
 
 def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
-    """Add --opacity-min, --epochs and an option for the up axis; pass the command `splats`, a SplatOptions.
+    """Add --opacity-min, --epochs and an option for the up axis; pass the command `splats`, a SplatVoxels.
 
     up: the name of that option; default: its default, None to keep the world of the splats.
     """
@@ -330,10 +330,10 @@ def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
         def command(
             *args: object, opacity_min: float | None, splats_up: Any, epochs: int | None, **others: object
         ) -> object:
-            from nerfbake.jobs.splat_fields import SplatOptions
+            from nerfbake.jobs.splat_fields import SplatVoxels
 
             given = {"opacity_min": opacity_min, "up": splats_up, "epochs": epochs}
-            splats = SplatOptions(**{name: value for name, value in given.items() if value is not None})
+            splats = SplatVoxels(**{name: value for name, value in given.items() if value is not None})
             return function(*args, splats=splats, **others)
 
         return command

@@ -11,7 +11,7 @@ from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
 from nerfbake.jobs.lattices import compact_octree, print_notes, sample_lattice, without_scenery
-from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, Part, SplatOptions, sample_splats
+from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
@@ -32,7 +32,7 @@ def bake_octree(
     *,
     resolution: int | tuple[int, int, int] | None = None,
     box: Part = "inner",
-    splats: SplatOptions = USUAL,
+    splats: SplatVoxels = USUAL,
     resample: Resample = "mean",
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
@@ -211,7 +211,7 @@ def bake_volume(
     sigma_min: float | None = None,
     up: Literal["y", "z"] = "z",
     box: Part = "inner",
-    splats: SplatOptions = UPRIGHT,
+    splats: SplatVoxels = UPRIGHT,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> Volume:

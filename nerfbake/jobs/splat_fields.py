@@ -29,7 +29,7 @@ _JUDGES = 10  # number of other pictures, on which the loss is measured
 Part = Literal["inner", "all"] | tuple[float, ...]
 
 
-class SplatOptions(NamedTuple):
+class SplatVoxels(NamedTuple):
     """How splats become voxels.
 
     opacity_min  splats that are thinner are left out
@@ -54,11 +54,11 @@ class SplatOptions(NamedTuple):
             raise UsageError(f"`{given[0]}` has no effect on other scenes than splats; allowed: with splats")
 
 
-USUAL, UPRIGHT = SplatOptions(), SplatOptions(up="-y")
+USUAL, UPRIGHT = SplatVoxels(), SplatVoxels(up="-y")
 
 
 def choose_splats(
-    steps: Steps, source: Source, splats: Splats, options: SplatOptions, part: Part = "inner"
+    steps: Steps, source: Source, splats: Splats, options: SplatVoxels, part: Part = "inner"
 ) -> tuple[Splats, Points]:
     """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels."""
     for note in splats.notes:
@@ -83,7 +83,7 @@ def sample_splats(
     source: Source,
     splats: Splats,
     *,
-    options: SplatOptions = USUAL,
+    options: SplatVoxels = USUAL,
     part: Part = "inner",
     resolution: int | tuple[int, int, int] | None = None,
     basis: str | None = None,

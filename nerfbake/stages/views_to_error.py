@@ -1,4 +1,4 @@
-"""Radiance field and views -> the error of the field's pictures against the photographs."""
+"""Radiance field or splats, and views -> the error of their pictures against the photographs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ import numpy as np
 from nerfbake import progress
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.picture.metrics import psnr, ssim
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.image import Image
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.splats_to_image import render_splats
 
 _PIXEL_BYTES = 280  # per pixel while two pictures are compared, as in scenes_to_comparison
 
@@ -48,11 +52,11 @@ def plain_psnr(views: Views) -> float:
     return sum(found) / len(found)
 
 
-def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
+def measure_views(scene: RadianceField | Splats, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
     """Render every view over its background, and measure it against its photograph.
 
-    samples: as in render_field(). Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises
-    InvalidScene for lenses that do not cover their pictures, MemoryLimit.
+    samples: as in render_field(); no effect on splats. Errors are on sRGB in 0..1, before rounding to 8 bits, as in
+    compare_scenes(). Raises InvalidScene for lenses that do not cover their pictures, MemoryLimit.
 
     >>> import numpy as np
     >>> from nerfbake import build_field, build_views, measure_views, orbit_cameras, render_field, sample_n3tree
@@ -66,7 +70,7 @@ def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tu
     errors = []
     for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
-        made = render_field(field, camera, background=views.background, samples=samples).colour.astype(np.float64)
+        made = _picture(scene, camera, views.background, samples).colour.astype(np.float64)
         truth, used = views.photograph(i).astype(np.float64), views.used(i)
         made[~used] = truth[~used]
         shown = used if views.scenery else used & ~views.behind(i)
@@ -74,6 +78,14 @@ def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tu
         raw, corrected = (psnr(each[used], truth[used]) for each in (made, alike))
         errors.append(ViewError(camera.name, raw, ssim(made, truth), corrected))
     return tuple(errors)
+
+
+def _picture(
+    scene: RadianceField | Splats, camera: Camera, background: tuple[float, float, float], samples: int
+) -> Image:
+    if isinstance(scene, Splats):
+        return render_splats(scene, camera, background=background)
+    return render_field(scene, camera, background=background, samples=samples)
 
 
 def _gains(made: Floats, truth: Floats) -> Floats:

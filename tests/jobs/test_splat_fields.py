@@ -24,13 +24,13 @@ from nerfbake.jobs import (
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
-from nerfbake.jobs.splat_fields import SplatOptions
+from nerfbake.jobs.splat_fields import SplatVoxels
 from tests.jobs.listener import Listener
 from tests.support.scenes import n3tree
 from tests.support.splats import ball_of_splats
 
 SMALL = ComparedViews(size=(64, 64))
-DIRECT = SplatOptions(epochs=0)
+DIRECT = SplatVoxels(epochs=0)
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_what_is_left_out_is_told(ball: Splats, listener: Listener) -> None:
     with pytest.raises(InvalidScene, match=r"far.ply: the box is 5, 5, 5, 6, 6, 6, without a splat"):
         bake_octree("far.ply", "d.svo.npz", box=(5, 5, 5, 6, 6, 6))
     with pytest.raises(InvalidScene, match=r"far.ply: the splats have opacities up to 0.95"):
-        bake_octree("far.ply", "d.svo.npz", splats=SplatOptions(opacity_min=0.99))
+        bake_octree("far.ply", "d.svo.npz", splats=SplatVoxels(opacity_min=0.99))
 
 
 def colour_at(octree: SparseVoxelOctree, point: list[float]) -> np.ndarray:
@@ -160,9 +160,9 @@ def test_options_without_effect_are_refused() -> None:
     with pytest.raises(UsageError, match="`box` of six numbers has no effect on other scenes than splats"):
         bake_octree("a.npz", "b.svo.npz", box=(0, 0, 0, 1, 1, 1))
     with pytest.raises(UsageError, match="`opacity_min` has no effect on other scenes than splats"):
-        bake_octree("a.npz", "b.svo.npz", splats=SplatOptions(opacity_min=0.5))
+        bake_octree("a.npz", "b.svo.npz", splats=SplatVoxels(opacity_min=0.5))
     with pytest.raises(UsageError, match="`up` has no effect"):
-        bake_octree("a.npz", "b.svo.npz", splats=SplatOptions(up="y"))
+        bake_octree("a.npz", "b.svo.npz", splats=SplatVoxels(up="y"))
     with pytest.raises(UsageError, match="`epochs` has no effect"):
         bake_volume("a.npz", "b.vdb", splats=DIRECT)
     with pytest.raises(UsageError, match="`box` has no effect"):
@@ -172,5 +172,5 @@ def test_options_without_effect_are_refused() -> None:
     with pytest.raises(UsageError, match="the voxels of splats are cubes; allowed: one number as `resolution`"):
         bake_octree("ball.ply", "b.svo.npz", resolution=(16, 16, 8))
     with pytest.raises(UsageError, match="splats are turned until -y is z, and `cameras` are not"):
-        bake_octree("ball.ply", "b.svo.npz", splats=SplatOptions(up="-y"), budget=Budget(20, "cameras.json"))
+        bake_octree("ball.ply", "b.svo.npz", splats=SplatVoxels(up="-y"), budget=Budget(20, "cameras.json"))
     assert not Path("b.svo.npz").exists()
