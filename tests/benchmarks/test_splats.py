@@ -15,6 +15,7 @@ from tests.support.photographs import write_scene
 from tests.support.splats import ball_of_splats
 
 
+@pytest.mark.slow
 def test_every_row_has_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "splats").mkdir()
     save(tmp_path / "splats" / "biker.spz", ball_of_splats())

@@ -12,6 +12,7 @@ from nerfbake import N3Tree, SparseVoxelOctree, build_field, build_octree, load,
 from nerfbake.scene.volume import Volume
 from tests.conftest import Shell
 from tests.support.scenes import assert_same_octree, n3tree
+from tests.support.splats import ball_of_splats
 
 
 @pytest.fixture
@@ -180,3 +181,14 @@ def test_volumes_have_budgets_too(shell: Shell, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.glob("*vdb*")) == ["good.nvdb", "grey.vdb.rejected"]
     # Judged in the octree's own world, although the file stands in another.
     assert shell("vdb", "a.npz", "turned.nvdb", "--grids", "index", "--up", "y", *budget).returncode == 0
+
+
+def test_splats_stand_upright(shell: Shell, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", ball_of_splats())
+    options = ["--resolution", "16", "--epochs", "0", "--box=-2,-2,0,2,2,2"]
+    assert shell("vdb", "a.ply", "b.vdb", *options).returncode == 0
+    assert shell("vdb", "a.ply", "c.vdb", *options, "--in-up", "z").returncode == 0
+    for name, green in (("b.vdb", 0.25), ("c.vdb", 0.5)):  # y of the splats is green, and points down
+        volume = load(tmp_path / name, Volume)
+        dense = volume.grid("density").values[:, 0] > 1
+        assert abs(volume.grid("Cd").values[dense, 1].mean() - green) < 0.06
