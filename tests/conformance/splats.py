@@ -26,7 +26,7 @@ REST = [[[0.5, 0.25, -0.125], [-0.5, 0.0, 0.75], [0.0625, 0.0, -0.25]], [[0.25] 
 
 
 def cases() -> Iterator[Case]:
-    ply, spz = form_named("ply"), form_named("spz")
+    ply, spz = form_named("ply", "Splats"), form_named("spz")
     for name, sh in (("sh0", [[dc] for dc in DC]), ("sh4", [[dc, *rest] for dc, rest in zip(DC, REST, strict=True)])):
         facts: Facts = {**PLAIN, "sh": sh}
         means, scales, quats, opacity, colours = (np.array(facts[name], np.float32) for name in NAMES)

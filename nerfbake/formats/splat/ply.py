@@ -18,27 +18,20 @@ Source: graphdeco-inria/gaussian-splatting (save_ply); playcanvas/splat-transfor
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
 from nerfbake.scene.splats import Splats, splats_of_rows
 
 Floats = npt.NDArray[np.float64]
 SH0 = 0.28209479177387814  # the first basis function
-_HEADER = 1 << 16  # bytes
 _END = b"end_header\n"
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-_TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
-    "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
-    "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
-}  # fmt: skip
-_DIGITS = 18  # of a count: it fits in 64 bits
 _REST = (0, 9, 24, 45)  # numbers of f_rest at degree 0 to 3
 _CHUNK = 256  # splats
 _ROWS = 1 << 16  # written at a time
@@ -55,16 +48,9 @@ _NEEDED = [
 ]
 
 
-class _Element(NamedTuple):
-    name: str
-    rows: int
-    properties: list[tuple[str, str]]  # name and NumPy type
-    lists: bool
-
-
 def recognise(view: memoryview) -> bool:
     """Return True for the first line of a .ply."""
-    return bytes(view[:4]) in (b"ply\n", b"ply\r")
+    return wire.recognise(view)
 
 
 def decode(view: memoryview) -> Splats:
@@ -72,19 +58,20 @@ def decode(view: memoryview) -> Splats:
 
     2DGS has two scales; the third becomes 1/100 of the smaller one. Mip-Splatting's filter is applied.
     """
-    elements, comments, order, at = _header(view)
+    elements, comments, kind, at = wire.parse_header(view, tuple(wire.BINARY), _ALLOWED)
+    order = wire.BINARY[kind]
     tables = {}
     for element in elements:
         if element.lists and element.rows:
             break
-        dtype = np.dtype([(name, order + kind) for name, kind in element.properties])
+        dtype = np.dtype([(name, order + kind) for name, kind in element.numbers])
         if element.rows * dtype.itemsize > len(view) - at:
             found = f"declares {element.rows:,} rows of {dtype.itemsize} bytes, with {len(view) - at:,} bytes left"
             raise InvalidFile(Problem(f"element {element.name}", found, _ALLOWED))
         if dtype.itemsize:
             tables[element.name] = np.frombuffer(view, dtype, element.rows, at)
         at += element.rows * dtype.itemsize
-    names = {name for element in elements if element.name == "vertex" for name, _ in element.properties}
+    names = {name for element in elements if element.name == "vertex" for name, _ in element.numbers}
     if not names & {*_PACKED, "f_dc_0"}:
         kind = "a mesh" if any(element.name == "face" for element in elements) else "a point cloud"
         raise InvalidFile(Problem("the .ply", f"is {kind}", "Gaussian splats, with f_dc_0 and opacity"))
@@ -96,42 +83,6 @@ def decode(view: memoryview) -> Splats:
     if "packed_position" in names:
         return _unpacked(tables, antialiased)
     return _plain(rows, antialiased)
-
-
-def _header(view: memoryview) -> tuple[list[_Element], list[str], str, int]:
-    """Return the elements, the comments, the byte order, and the offset of the first row. Raises InvalidFile."""
-    head = bytes(view[:_HEADER]).replace(b"\r\n", b" \n")  # of the same length
-    end = head.find(b"\nend_header")
-    stop = head.find(b"\n", end + 1)
-    if not recognise(view) or end < 0 or stop < 0:
-        raise InvalidFile(Problem("the header", f"does not end within {_HEADER:,} bytes", _ALLOWED))
-    elements: list[_Element] = []
-    comments, order = [], ""
-    for line in head[:end].decode("latin-1").split("\n")[1:]:
-        match line.split():
-            case ["format", kind, _] if kind in _ORDERS:
-                order = _ORDERS[kind]
-            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) <= _DIGITS:
-                if name in [element.name for element in elements]:
-                    raise InvalidFile(Problem("the header", f"has element {name[:40]!r} twice", "each name once"))
-                elements.append(_Element(name, int(count), [], False))
-            case ["property", "list", _, _, _] if elements:
-                elements[-1] = elements[-1]._replace(lists=True)
-            case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append((name, _TYPES[kind]))
-            case ["comment" | "obj_info", *words]:
-                comments.append(" ".join(words))
-            case [] | [""]:
-                pass
-            case _:
-                raise InvalidFile(Problem("the header", f"has the line {line.strip()[:60]!r}", _ALLOWED))
-    if not order:
-        raise InvalidFile(Problem("the header", "names no format", " or ".join(_ORDERS)))
-    for element in elements:
-        names = [name for name, _ in element.properties]
-        if len(set(names)) < len(names):
-            raise InvalidFile(Problem(f"element {element.name[:40]}", "has a property twice", "each name once"))
-    return elements, comments, order, stop + 1
 
 
 def _columns(rows: npt.NDArray[Any], names: list[str], where: str) -> Floats:
