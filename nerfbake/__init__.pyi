@@ -42,9 +42,11 @@ from .stages.field_to_importance import weigh_leaves as weigh_leaves
 from .stages.field_to_mesh import build_hull as build_hull
 from .stages.field_to_page_field import build_page_field as build_page_field
 from .stages.field_to_page_field import round_field as round_field
+from .stages.field_to_surface import build_surface as build_surface
 from .stages.lattice_to_image import measure_lattice as measure_lattice
 from .stages.lattice_to_image import render_lattice as render_lattice
 from .stages.lattice_to_octree import build_octree_from_lattice as build_octree_from_lattice
+from .stages.mesh_to_mesh import simplify_surface as simplify_surface
 from .stages.meshes_to_image import render_meshes as render_meshes
 from .stages.n3tree_to_octree import build_octree as build_octree
 from .stages.n3tree_to_page_shells import build_page_shells as build_page_shells
