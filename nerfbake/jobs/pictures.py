@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeAlias, Unpack
+from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
 
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
@@ -14,22 +14,28 @@ from nerfbake.jobs.grids import AS_IT_IS, GridChoice
 from nerfbake.jobs.lattices import print_notes, sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
+from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera, Cameras
-from nerfbake.scene.image import Animation, Depth, Image
+from nerfbake.scene.image import WHITE, Animation, Depth, Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
 from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.lattice_to_image import render_lattice
+from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.octree_to_octree import cut_octree
 from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.stage1_to_image import render_stage1
 
-Field: TypeAlias = RadianceField | LatticeField
+Surface: TypeAlias = Meshes | Stage1 | BakedAtlas
+Field: TypeAlias = RadianceField | LatticeField | Surface
 
+_PLAIN = {"transmittance_cut": 1e-4, "lookup": "nearest"}  # the defaults of render_field()
 EDGE = 800  # width and height of the pictures of an orbit, in pixels
 
 
@@ -159,14 +165,14 @@ def render_views(
 ) -> list[str]:
     """Render views of a scene and return the paths of the pictures. This is `nerfbake render`.
 
-    Reads `source` (a PlenOctree, an octree, a volume or a lattice), the cameras and the mesh. Writes `pictures`, with
-    their depth and alpha files. All output paths are checked before the first picture is rendered. Raises
-    NerfbakeError.
+    Reads `source` (a PlenOctree, an octree, a volume, a lattice, a mesh, a stage-1 folder or an atlas), the cameras and
+    the mesh. Writes `pictures`, with their depth and alpha files. All output paths are checked before the first picture
+    is rendered. Raises NerfbakeError.
 
     lod      level of an octree to render
     choice   the grids of a volume
     options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
-             trained it and ignores the lookup
+             trained it and ignores the lookup; triangles have a background alone
 
     >>> render_views("a.npz", "views", ViewSelection(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
@@ -194,12 +200,14 @@ def render_views(
 
 
 def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, alone: bool) -> Field:
-    """Return the field of a scene, built once for the cameras and all pictures.
+    """Return the field of a scene, built once for the cameras and all pictures, or its triangles.
 
     alone: there is no mesh in the pictures. A lattice is then returned unchanged, otherwise it becomes an octree.
     """
-    others = () if lod is not None else (N3Tree, Volume, LatticeField)
+    others = () if lod is not None else (N3Tree, Volume, LatticeField, *((Meshes, Stage1, BakedAtlas) if alone else ()))
     scene = choice.of(steps, source, source.read(steps, *others, SparseVoxelOctree))
+    if isinstance(scene, Meshes | Stage1 | BakedAtlas):
+        return scene
     if isinstance(scene, LatticeField):
         if alone:
             print_notes(steps, source, scene)
@@ -214,6 +222,13 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
 
 def _renderer(field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions) -> Callable[..., Image]:
     """Return the function that renders a camera. A lattice has its own lookup, so that option is dropped."""
+    if isinstance(field, Meshes | Stage1 | BakedAtlas):
+        without = {name: value for name, value in options.items() if name != "background" and value != _PLAIN[name]}
+        if without:
+            names = " and ".join(f"`{name}`" for name in without)
+            raise UsageError(f"there is no effect of {names} on triangles; allowed: with a field")
+        render: Any = render_meshes if isinstance(field, Meshes) else render_stage1
+        return partial(render, field, samples=samples, background=options.get("background", WHITE))
     if isinstance(field, LatticeField):
         if "lookup" in options:
             del options["lookup"]
