@@ -1,0 +1,92 @@
+"""Vertices moved to where pictures show them, from a ball of the wrong size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from nerfbake import Cameras, Mesh, Meshes, Views, move_vertices, render_meshes
+from nerfbake.errors import InvalidScene
+from nerfbake.kernels.surface.triangles import face_normals
+from nerfbake.scene.camera import Camera, Lens
+from tests.support.meshes import camera, sphere
+
+BALL = sphere(16, 32)
+
+
+def around(size: int = 96) -> tuple[Camera, ...]:
+    return tuple(
+        camera(size, size, 4.0, azimuth, elevation)
+        for elevation in (-1.2, -0.4, 0.4, 1.2)
+        for azimuth in np.arange(6) + elevation
+    )
+
+
+@cache
+def ball_views() -> Views:
+    return seen(BALL, around())
+
+
+def seen(mesh: Mesh, cameras: tuple[Camera, ...]) -> Views:
+    meshes = Meshes((mesh,))
+    pictures = [render_meshes(meshes, view, background=None, samples=3).pixels for view in cameras]
+    return Views(Cameras(cameras), tuple(pictures), (1.0, 1.0, 1.0), True)
+
+
+def radii(mesh: Mesh) -> np.ndarray:
+    return np.linalg.norm(mesh.positions, axis=1)
+
+
+@pytest.mark.parametrize("scale", [0.95, 1.05])
+def test_a_ball_of_the_wrong_size_becomes_that_of_the_pictures(scale: float) -> None:
+    wrong = replace(BALL, positions=BALL.positions * np.float32(scale))
+    moved = move_vertices(wrong, ball_views(), rounds=3)
+    assert np.abs(radii(moved) - 1).mean() < 0.2 * abs(scale - 1)
+    np.testing.assert_array_equal(moved.faces, wrong.faces)
+
+
+def test_a_ball_of_the_right_size_stays() -> None:
+    moved = move_vertices(BALL, ball_views())
+    assert np.abs(radii(moved) - 1).max() < 0.015  # half a pixel
+
+
+def test_rims_are_found_through_a_bent_lens() -> None:
+    lens = Lens("polynomial", (-0.15, 0.02))
+    cameras = tuple(replace(view, lens=lens) for view in around())
+    wrong = replace(BALL, positions=BALL.positions * np.float32(0.95))
+    moved = move_vertices(wrong, seen(BALL, cameras), rounds=3)
+    assert np.abs(radii(moved) - 1).mean() < 0.01
+
+
+def test_no_face_turns_over() -> None:
+    random = np.random.default_rng(0)
+    rough = replace(
+        BALL, positions=BALL.positions * random.uniform(0.9, 1.1, (len(BALL.positions), 1)).astype(np.float32)
+    )
+    moved = move_vertices(rough, ball_views(), rounds=1)
+    before, after = (face_normals(mesh.positions.astype(np.float64), mesh.faces) for mesh in (rough, moved))
+    cosine = (before * after).sum(axis=1) / np.linalg.norm(before, axis=1) / np.linalg.norm(after, axis=1)
+    assert cosine.min() > 0.49
+    assert np.abs(radii(moved) - 1).mean() < np.abs(radii(rough) - 1).mean()
+
+
+def test_vertices_at_one_place_stay_together() -> None:
+    # Every triangle has its own three vertices, as after a cut of the texture everywhere.
+    apart = Mesh(
+        BALL.positions[BALL.faces].reshape(-1, 3) * np.float32(0.95),
+        None,
+        np.arange(3 * len(BALL.faces), dtype=np.uint32).reshape(-1, 3),
+    )
+    whole = replace(BALL, positions=BALL.positions * np.float32(0.95))
+    views = ball_views()
+    moved, expected = move_vertices(apart, views), move_vertices(whole, views)
+    np.testing.assert_array_equal(moved.positions.reshape(-1, 3, 3), expected.positions[expected.faces])
+
+
+def test_pictures_of_nothing_of_the_mesh_are_refused() -> None:
+    away = replace(BALL, positions=BALL.positions + np.array([0, 0, 100], np.float32))
+    with pytest.raises(InvalidScene, match="show nothing that can be compared with the mesh"):
+        move_vertices(away, ball_views())
