@@ -172,8 +172,8 @@ def view_file(
 ) -> Page:
     """Write a page that shows a scene in any browser and return it. This is `nerfbake view`.
 
-    The scene is a PlenOctree, an octree, a volume, a lattice field, a mesh, or a folder with one: nerf2mesh's stage 1 or
-    an atlas. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
+    The scene is a PlenOctree, an octree, a volume, a lattice field, a mesh, or a folder with one: nerf2mesh's stage 1
+    or an atlas. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
     `target`.rejected if min_psnr is missed. Without a target, writes a temporary page and opens it in the browser.
 
     data        compressed: the data of compress_file(); exact: float16; None: exact for a volume, else compressed

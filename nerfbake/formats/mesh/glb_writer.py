@@ -5,12 +5,14 @@ meshes are unlit by default, and a mesh may have an octahedral atlas. Any viewer
 labels and features are textures without a standard material slot; their indices and the conventions of the atlas are
 in the material's extras, under "nerfbake_atlas".
 
-Quantised attributes (KHR_mesh_quantization), normalised integers; each vertex starts at a multiple of 4 bytes:
+Quantised attributes (KHR_mesh_quantization); each vertex starts at a multiple of 4 bytes:
 
-    POSITION  x u16 | y u16 | z u16 | 0 u16    0..1 of the longest edge of the box, which the node's matrix restores
-    NORMAL    x i8  | y i8  | z i8  | 0 i8
-    COLOR_0   r u16 | g u16 | b u16 | 0 u16    linear light
-    TEXCOORD  u u16 | v u16                    if all are in 0..1, else two f32
+    POSITION  x u16 | y u16 | z u16 | 0 u16    1/65535 of the longest edge of the box, which the node's matrix restores
+    NORMAL    x i8  | y i8  | z i8  | 0 i8     normalised
+    COLOR_0   r u16 | g u16 | b u16 | 0 u16    normalised, linear light
+    TEXCOORD  u u16 | v u16                    normalised if all are in 0..1, else two f32
+
+Positions are not normalised, because some readers (trimesh) do not divide them.
 
 Coarser levels of detail are nodes outside the scene, to which MSFT_lod refers. They share one file, because that is
 written completely or not at all, and because a viewer without the extension shows the finest level.
@@ -163,9 +165,9 @@ class _Body:
         matrix = None
         if self._quantised:
             low, high = (end(axis=0).astype(np.float64) for end in (positions.min, positions.max))
-            edge = max(float((high - low).max()), 1e-30)
-            positions = np.rint((positions - low) / edge * 0xFFFF).astype(np.uint16)
-            matrix = np.diag([edge, edge, edge, 1.0])
+            step = max(float((high - low).max()), 1e-30) / 0xFFFF
+            positions = np.rint((positions - low) / step).astype(np.uint16)
+            matrix = np.diag([step, step, step, 1.0])
             matrix[:3, 3] = low
         bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
         if matrix is None:
@@ -176,18 +178,18 @@ class _Body:
         normals = vertex_normals(mesh.positions, mesh.faces)
         if not self._quantised:
             return self._accessor(normals, _FLOAT, "VEC3", _VERTICES)
-        return self._integers(np.rint(127 * normals).astype(np.int8), _BYTE)
+        return self._integers(np.rint(127 * normals).astype(np.int8), _BYTE, normalized=True)
 
     def _corners(self, uvs: npt.NDArray[np.float32]) -> int:
         if self._quantised and uvs.min() >= 0 and uvs.max() <= 1:
-            return self._integers(np.rint(uvs.astype(np.float64) * 0xFFFF).astype(np.uint16), _USHORT)
+            return self._integers(np.rint(uvs.astype(np.float64) * 0xFFFF).astype(np.uint16), _USHORT, normalized=True)
         return self._accessor(uvs, _FLOAT, "VEC2", _VERTICES)
 
     def _colours(self, colours: npt.NDArray[np.float32]) -> int:
         light = to_linear(colours)
         if not self._quantised:
             return self._accessor(light, _FLOAT, "VEC3", _VERTICES)
-        return self._integers(np.rint(light.astype(np.float64) * 0xFFFF).astype(np.uint16), _USHORT)
+        return self._integers(np.rint(light.astype(np.float64) * 0xFFFF).astype(np.uint16), _USHORT, normalized=True)
 
     def _indices(self, faces: npt.NDArray[np.uint32], vertices: int) -> int:
         if self._quantised and vertices <= _MOST_SHORT:
@@ -195,7 +197,7 @@ class _Body:
         return self._accessor(faces.reshape(-1), _UINT32, "SCALAR", _INDICES)
 
     def _integers(self, array: npt.NDArray[Any], component: int, **more: Any) -> int:
-        """Add normalised integers (v, 2) or (v, 3), each vertex padded to a multiple of 4 bytes."""
+        """Add integers (v, 2) or (v, 3), each vertex padded to a multiple of 4 bytes. more: of the accessor."""
         self.used.add(_QUANTISED)
         count, columns = array.shape
         width = columns * array.itemsize
@@ -203,7 +205,7 @@ class _Body:
         rows = np.zeros((count, stride // array.itemsize), array.dtype)
         rows[:, :columns] = array
         place = {} if stride == width else {"byteStride": stride}
-        return self._accessor(rows, component, f"VEC{columns}", _VERTICES, place, normalized=True, **more)
+        return self._accessor(rows, component, f"VEC{columns}", _VERTICES, place, **more)
 
     def _texture(self, role: str, content: bytes | memoryview, name: str) -> int:
         start = bytes(content[:4])

@@ -61,6 +61,16 @@ def test_quantised_attributes_come_back_within_half_a_step(up: Any, lit: bool, p
     np.testing.assert_allclose(np.array(back.texture), np.array(moved.texture), atol=0 if picture == "png" else 3)
 
 
+def test_another_program_finds_quantised_meshes_where_they_are(tmp_path: Path) -> None:
+    moved = replace(
+        WRAPPED, positions=(WRAPPED.positions * [1, 3, 0.2] + [5, -7, 0.1]).astype(np.float32), colours=None
+    )
+    save(tmp_path / "a.glb", Meshes((moved,)), quantised=True)
+    found: Any = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    np.testing.assert_allclose(found.vertices, moved.positions, atol=0.51 * 6 / 65535)
+    np.testing.assert_array_equal(found.faces, moved.faces)
+
+
 def test_normals_point_outwards_and_have_no_seam(tmp_path: Path) -> None:
     split = replace(WRAPPED, positions=np.tile(BALL.positions, (2, 1)), uvs=None, texture=None, colours=None)
     split = replace(
