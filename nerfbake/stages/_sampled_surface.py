@@ -13,7 +13,7 @@ from nerfbake.kernels.march.median import march_medians
 from nerfbake.kernels.maths.affine import determinant, inverse, length, rotate
 from nerfbake.kernels.maths.elementary import power
 from nerfbake.kernels.surface.fusion import DepthViews, fuse_depths, sample_opacity
-from nerfbake.kernels.surface.samples import CUBE, EDGE, Top, brick_places, least_along_rays, mark_bricks, spread
+from nerfbake.kernels.surface.samples import CUBE, EDGE, Top, blur, brick_places, least_along_rays, mark_bricks, spread
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.radiance_field import RadianceField
 
@@ -26,6 +26,11 @@ _REACH = 3  # samples around the depths that have a brick
 _DENSE = 0.15  # opacity of a step that supports a surface
 _SUPPORT = 2  # steps: how far a surface may be from what supports it
 _LEVELS = 64
+_HIDDEN = -0.5  # truncations: a sample so far behind what every view sees is inside
+# Of 50 of the chair's training views, silhouettes of 50,000 triangles on 25 others: opacity 34.5 dB, distances 33.9,
+# both 35.0, both smoothed 34.1, both half smoothed 34.9 with a ninth of the folded edges.
+_DISTANCES = 0.4  # weight of the fused distances, beside opacities of 0 to 1
+_BLUR = 0.5
 _BRICK_BYTES = 4 * (CUBE * 4 + 3 + CUBE)
 
 
@@ -83,9 +88,12 @@ def sample_surface(field: RadianceField, cameras: Cameras) -> SampledSurface:
     fuse_depths(places, world, views, _TRUNCATION * width, fused, nearest)
     progress.report(0.7)
     sample_opacity(places, field.cells, field.densities, low, step, width, opacity)
-    mixed = np.where(nearest <= -0.5, np.float32(-1), -opacity)
-    judged = [_judged(top, values, lattice, views, alpha, outside) for values, outside in ((fused, 1.0), (mixed, 0.0))]
-    (_, level), values = min(zip(judged, (fused, mixed), strict=True), key=lambda found: found[0][0])
+    # The distances are smooth, but lose thin parts, because views from both sides vote for empty space there. The
+    # opacities keep them, but are noisy.
+    mixed = np.where(nearest <= _HIDDEN, np.float32(-1), -opacity) + np.float32(_DISTANCES) * fused
+    values = np.empty_like(mixed)
+    blur(top, places, mixed, _BLUR, values)
+    level = _nearest_level(top, values, lattice, views, alpha)
     dense = np.zeros((b, CUBE), bool)
     spread(top, places, opacity >= _DENSE, _SUPPORT, dense)
     return SampledSurface(top, places, values, dense, level, world)
@@ -131,24 +139,20 @@ def _own(views: DepthViews, pictures: Singles, view: int) -> Singles:
     return np.ascontiguousarray(pictures[view, :H, :W])
 
 
-def _judged(
-    top: Top, values: Singles, lattice: Points, views: DepthViews, alpha: Singles, outside: float
-) -> tuple[float, float]:
-    """The least mean squared error of the silhouettes of any level, and that level."""
+def _nearest_level(top: Top, values: Singles, lattice: Points, views: DepthViews, alpha: Singles) -> float:
+    """The level whose silhouettes have the least squared error from the field's own."""
     least, target = [], []
     for view in range(0, len(alpha), -(-len(alpha) // _JUDGES)):
         found = np.empty(views.size[view], np.float32)
-        least_along_rays(top, values, lattice, views.pose[view], views.optics[view], outside, found)
+        least_along_rays(top, values, lattice, views.pose[view], views.optics[view], _DISTANCES, found)
         least.append(found.reshape(-1))
         target.append(_own(views, alpha, view).reshape(-1))
-    return _best_level(np.concatenate(least), np.concatenate(target), outside)
+    return _best_level(np.concatenate(least), np.concatenate(target).astype(np.float64))
 
 
-def _best_level(least: Singles, alpha: Singles, outside: float) -> tuple[float, float]:
-    levels = np.linspace(float(least.min()), outside, _LEVELS + 1)[1:-1]
-    # A ray hits the surface of a level if its least value is below it.
+def _best_level(least: Singles, alpha: Floats) -> float:
+    """least (m,): the smallest value along each ray, which hits the surface of every level above it."""
+    levels = np.linspace(float(least.min()), _DISTANCES, _LEVELS + 1)[1:-1]
     number = np.searchsorted(levels, least, side="left")
-    gain = np.bincount(number, weights=1 - 2 * alpha.astype(np.float64), minlength=len(levels) + 1)
-    error = np.cumsum(gain)[:-1] + np.square(alpha.astype(np.float64)).sum()
-    best = int(np.argmin(error))
-    return float(error[best] / len(alpha)), float(levels[best])
+    error = np.cumsum(np.bincount(number, weights=1 - 2 * alpha, minlength=len(levels) + 1))[:-1]
+    return float(levels[int(np.argmin(error))])

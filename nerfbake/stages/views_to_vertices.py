@@ -15,8 +15,8 @@ from nerfbake.kernels.fit import colours
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.surface.gbuffer import gbuffer
 from nerfbake.kernels.surface.motion import (
+    Equations,
     Eye,
-    FaceEquations,
     Solid,
     add_rims,
     add_smoothness,
@@ -35,7 +35,7 @@ _PIXELS = 400  # along a picture's longer edge, about: pictures are reduced by a
 _VIEWS = 50  # a round
 _RIM_NOISE = 0.3  # pixels
 _COLOUR_NOISE = 0.05  # of 1
-_SMOOTH = 0.3  # of the mean of the equations' diagonal: how much neighbours should move alike
+_SMOOTH = 3.0  # of the mean of the equations' diagonal: how much neighbours should move alike
 _STILL = 0.003  # of the same mean: how much vertices that no picture moves should stay
 _SOLVER = 60  # most steps of the solver
 _MOST = 0.5  # of the mean length of a vertex's edges: how far it may move in one round
@@ -78,7 +78,7 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
         size = np.sqrt((facing * facing).sum(axis=1))[:, None]
         facing = np.divide(facing, size, out=np.zeros_like(facing), where=size > 0)
         solid = Solid(positions, vertex_normals(positions, faces), faces, facing, edges, beside)
-        blocks = FaceEquations(np.zeros((len(faces), 6)), np.zeros((len(faces), 3)))
+        blocks = Equations(np.zeros((len(faces), 6)), np.zeros((len(faces), 3)))
         with progress.part(turn / rounds, (turn + 1) / rounds):
             for view in progress.each(range(turn % every, len(views.pictures), every)):
                 _add_view(solid, mesh, texture, views, view, blocks)
@@ -94,9 +94,7 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
     return memory.kept(replace(mesh, positions=positions[number].astype(np.float32)))
 
 
-def _add_view(
-    solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, view: int, blocks: FaceEquations
-) -> None:
+def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, view: int, blocks: Equations) -> None:
     """Add the equations of one picture."""
     full = views.cameras.cameras[view]
     scale = max(1, max(full.width, full.height) // _PIXELS)

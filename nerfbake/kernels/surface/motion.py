@@ -40,7 +40,7 @@ class Solid(NamedTuple):
     beside: Ints
 
 
-class FaceEquations(NamedTuple):
+class Equations(NamedTuple):
     """The normal equations, face by face."""
 
     left: Floats
@@ -133,7 +133,7 @@ def _covered(triangle: npt.NDArray[np.int32], column: float, row: float) -> int:
 
 @compiled()
 def add_rims(
-    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], alpha: Singles, weight: float, blocks: FaceEquations
+    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], alpha: Singles, weight: float, blocks: Equations
 ) -> None:
     """Add one equation for each edge on the rim of the mesh, whose residual is in pixels.
 
@@ -232,9 +232,7 @@ def _slot(i: int, j: int) -> int:
 
 
 @compiled(merged=True)
-def _add_pair(
-    blocks: FaceEquations, face: int, i: int, j: int, ja: float, jb: float, residual: float, w: float
-) -> None:
+def _add_pair(blocks: Equations, face: int, i: int, j: int, ja: float, jb: float, residual: float, w: float) -> None:
     blocks.left[face, _slot(i, i)] += w * ja * ja
     blocks.left[face, _slot(j, j)] += w * jb * jb
     blocks.left[face, _slot(i, j)] += w * ja * jb
@@ -243,7 +241,7 @@ def _add_pair(
 
 
 @compiled()
-def add_smoothness(faces: Faces, weight: float, still: float, blocks: FaceEquations) -> None:
+def add_smoothness(faces: Faces, weight: float, still: float, blocks: Equations) -> None:
     """Ask the vertices of each edge to move alike, and, with the weight `still`, each one to stay."""
     for f in range(len(faces)):
         for i in range(3):
@@ -252,7 +250,7 @@ def add_smoothness(faces: Faces, weight: float, still: float, blocks: FaceEquati
 
 
 @compiled()
-def solve_offsets(faces: Faces, count: int, blocks: FaceEquations, rounds: int) -> Floats:
+def solve_offsets(faces: Faces, count: int, blocks: Equations, rounds: int) -> Floats:
     """The offsets (count,) that solve the normal equations, by conjugate gradients with a diagonal preconditioner."""
     offset, rest, diagonal = np.zeros(count), np.zeros(count), np.zeros(count)
     for f in range(len(faces)):
@@ -353,7 +351,7 @@ def add_texels(
     weights: Singles,
     image: Singles,
     weight: float,
-    blocks: FaceEquations,
+    blocks: Equations,
 ) -> None:
     """Add one equation for each pixel and channel: the texture that shows there should have the photograph's colour.
 
