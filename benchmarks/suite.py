@@ -39,6 +39,7 @@ SUITE = (
     Benchmark("fit", ("fit.md", "fit.svg")),
     Benchmark("captures", ("captures.md", "captures.svg", "captures_views.png")),
     Benchmark("inputs", ("inputs.md",)),
+    Benchmark("splats", ("splats.md",)),
     Benchmark("atlas", ("atlas.md", "atlas.png")),
     Benchmark("view", ("view.md",)),
     Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),

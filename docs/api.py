@@ -49,6 +49,10 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     ),
     "Volumes": (nerfbake, "scene.volume scene.vdb stages.octree_to_vdb stages.brick_field_to_vdb stages.vdb_to_vdb"),
     "Meshes and atlases": (nerfbake, "scene.mesh scene.atlas scene.stage1"),
+    "Making textured meshes": (
+        nerfbake,
+        "stages.surface_to_charts stages.views_to_texture stages.views_to_specular",
+    ),
     "Gaussian splats": (nerfbake, "scene.splats"),
     "Baking atlases": (
         nerfbake,

@@ -42,9 +42,11 @@ from .stages.field_to_importance import weigh_leaves as weigh_leaves
 from .stages.field_to_mesh import build_hull as build_hull
 from .stages.field_to_page_field import build_page_field as build_page_field
 from .stages.field_to_page_field import round_field as round_field
+from .stages.field_to_surface import build_surface as build_surface
 from .stages.lattice_to_image import measure_lattice as measure_lattice
 from .stages.lattice_to_image import render_lattice as render_lattice
 from .stages.lattice_to_octree import build_octree_from_lattice as build_octree_from_lattice
+from .stages.mesh_to_mesh import simplify_surface as simplify_surface
 from .stages.meshes_to_image import render_meshes as render_meshes
 from .stages.n3tree_to_octree import build_octree as build_octree
 from .stages.n3tree_to_page_shells import build_page_shells as build_page_shells
@@ -77,18 +79,23 @@ from .stages.specular_to_atlas import bake_snapped_maps as bake_snapped_maps
 from .stages.specular_to_clusters import cluster_identifiers as cluster_identifiers
 from .stages.specular_to_clusters import cluster_planes as cluster_planes
 from .stages.specular_to_clusters import identify_colours as identify_colours
+from .stages.splats_to_image import render_splats as render_splats
 from .stages.splats_to_loss import measure_splats as measure_splats
+from .stages.splats_to_octree import build_octree_from_splats as build_octree_from_splats
 from .stages.stage1_to_atlas import bake_stage1 as bake_stage1
 from .stages.stage1_to_atlas import measure_atlas_error as measure_atlas_error
 from .stages.stage1_to_atlas import measure_stage1_error as measure_stage1_error
 from .stages.stage1_to_atlas import weigh_directions as weigh_directions
 from .stages.stage1_to_image import render_stage1 as render_stage1
 from .stages.stage1_to_page_surface import build_page_surface as build_page_surface
+from .stages.surface_to_charts import unwrap_surface as unwrap_surface
 from .stages.vdb_to_octree import build_octree_from_density as build_octree_from_density
 from .stages.vdb_to_octree import build_octree_from_volume as build_octree_from_volume
 from .stages.vdb_to_vdb import cast_volume as cast_volume
 from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field
 from .stages.views_to_hull import carve_hull as carve_hull
+from .stages.views_to_texture import fit_texture as fit_texture
+from .stages.views_to_vertices import move_vertices as move_vertices
 
 __version__: str

@@ -146,6 +146,12 @@ class PhotographFormat(Protocol):
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
 
+    def encode_preview(self, view: memoryview, edge: int, size: tuple[int, int] | None = None, /) -> bytes:
+        """Return the picture as a JPEG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit.
+
+        size: (W, H) of the camera.
+        """
+
 
 class CheckpointFormat(Protocol):
     """The state of an interrupted computation: facts, and arrays by name."""

@@ -21,15 +21,18 @@ from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
 from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.octree_to_octree import cut_octree
 from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.splats_to_image import render_splats
 
-Field: TypeAlias = RadianceField | LatticeField
+Field: TypeAlias = RadianceField | LatticeField | Splats
 
+LEAST_TRANSMITTANCE = 1e-4  # at which the blending of splats ends
 EDGE = 800  # width and height of the pictures of an orbit, in pixels
 
 
@@ -159,14 +162,14 @@ def render_views(
 ) -> list[str]:
     """Render views of a scene and return the paths of the pictures. This is `nerfbake render`.
 
-    Reads `source` (a PlenOctree, an octree, a volume or a lattice), the cameras and the mesh. Writes `pictures`, with
-    their depth and alpha files. All output paths are checked before the first picture is rendered. Raises
-    NerfbakeError.
+    Reads `source` (a PlenOctree, an octree, a volume, a lattice or splats), the cameras and the mesh. Writes
+    `pictures`, with their depth and alpha files. All output paths are checked before the first picture is rendered.
+    Raises NerfbakeError.
 
     lod      level of an octree to render
     choice   the grids of a volume
     options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
-             trained it and ignores the lookup
+             trained it and ignores the lookup. Splats take a background only
 
     >>> render_views("a.npz", "views", ViewSelection(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
@@ -198,8 +201,10 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
 
     alone: there is no mesh in the pictures. A lattice is then returned unchanged, otherwise it becomes an octree.
     """
-    others = () if lod is not None else (N3Tree, Volume, LatticeField)
+    others = () if lod is not None else (N3Tree, Volume, LatticeField, *([Splats] if alone else []))
     scene = choice.of(steps, source, source.read(steps, *others, SparseVoxelOctree))
+    if isinstance(scene, Splats):
+        return scene
     if isinstance(scene, LatticeField):
         if alone:
             print_notes(steps, source, scene)
@@ -213,11 +218,19 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
 
 
 def _renderer(field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions) -> Callable[..., Image]:
-    """Return the function that renders a camera. A lattice has its own lookup, so that option is dropped."""
+    """Return the function that renders a camera.
+
+    A lattice has its own lookup, so that option is dropped. Raises UsageError for options that splats do not have.
+    """
     if isinstance(field, LatticeField):
         if "lookup" in options:
             del options["lookup"]
         return partial(render_lattice, field, samples=samples, **options)  # type: ignore[misc]
+    if isinstance(field, Splats):
+        for name, default in (("lookup", "nearest"), ("transmittance_cut", LEAST_TRANSMITTANCE)):
+            if options.pop(name, default) != default:  # type: ignore[misc]
+                raise UsageError(f"`{name}` has no effect on splats; allowed: for fields")
+        return partial(render_splats, field, samples=samples, **options)  # type: ignore[misc]
     if mesh is None:
         return partial(render_field, field, samples=samples, **options)
     return partial(render_field_and_meshes, field, mesh.read(), how=mesh.how, samples=samples, **options)

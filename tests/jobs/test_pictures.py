@@ -26,6 +26,7 @@ from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
 from nerfbake.jobs import GridChoice, PictureOutputs, PlacedMesh, ViewSelection, render_views
 from tests.jobs.listener import Listener
 from tests.support.meshes import cube
+from tests.support.splats import splats
 
 ALL = ViewSelection(cameras="cameras.json", every=True)
 
@@ -116,3 +117,14 @@ def test_all_names_are_settled_before_the_first_picture(folder: Path) -> None:
     assert [path.name for path in (folder / "views").iterdir()] == ["0002.alpha.png"]
     with pytest.raises(InvalidScene, match=r"^a.svo.pb: level is 9"):
         render_views("a.svo.pb", "b.png", lod=9)
+
+
+def test_splats_are_rendered_and_options_of_fields_are_refused(folder: Path) -> None:
+    save("s.ply", splats(300))
+    assert render_views("s.ply", PictureOutputs("s.png", depth="npy"), ViewSelection(size=(40, 30))) == ["s.png"]
+    assert 4 < load("s.depth.npy", Depth).distance.max() < 40
+    for options in ({"lookup": "trilinear"}, {"transmittance_cut": 0.5}):
+        with pytest.raises(UsageError, match="has no effect on splats"):
+            render_views("s.ply", "t.png", **options)  # type: ignore[arg-type]
+    with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
+        render_views("s.ply", "t.png", mesh=PlacedMesh("a.glb"))

@@ -58,9 +58,11 @@ OWN_LIBRARY = {
     "formats/wire/zstd": {"zstandard"},
     "jobs/_matching": {"numpy"},  # in the process of pycolmap, which must not load kernels
     "jobs/_pycolmap": {"pycolmap"},
+    "stages/mesh_to_mesh": {"fast_simplification"},
     "stages/scene_to_summary": {"trimesh"},
 }
 HEAVY = {
+    "fast_simplification",
     "blosc",
     "deflate",
     "numba",

@@ -11,7 +11,22 @@ from tests.support.source import PACKAGE, modules, public_names_of
 LONGEST_MODULE = 500  # lines
 LONGEST_SUMMARY = 50  # characters
 VERBS = {"bake", "build", "carve", "cast", "cluster", "compare", "compress", "cut", "fill", "fit", "identify", "lower"}
-VERBS |= {"measure", "orbit", "quantise", "refit", "render", "round", "sample", "scatter", "summarise", "view", "weigh"}
+VERBS |= {
+    "measure",
+    "move",
+    "orbit",
+    "quantise",
+    "refit",
+    "render",
+    "round",
+    "sample",
+    "scatter",
+    "simplify",
+    "summarise",
+    "unwrap",
+    "view",
+    "weigh",
+}
 
 
 def test_a_class_name_is_defined_once() -> None:

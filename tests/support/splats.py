@@ -14,6 +14,7 @@ import PIL.Image
 
 from nerfbake import Splats
 from nerfbake.formats.splat import ply
+from nerfbake.kernels.maths.elementary import fibonacci
 
 CHUNK = 256
 
@@ -121,6 +122,24 @@ def _signed_three(quat: np.ndarray) -> int:
             part = -part if turn[which] < 0 else part
             word = word << 10 | (part < 0) << 9 | round(abs(part) * 2**0.5 * 511)
     return word
+
+
+def ball_of_splats(n: int = 400, *, degree: int = 0) -> Splats:
+    """Opaque flat splats on a ball of radius 1, red towards x, green towards y, blue towards z."""
+    places = fibonacci(n)
+    # Half a turn about the axis between z and the normal leads from z to the normal.
+    axes = places + np.array([0, 0, 1 + 1e-9])
+    axes /= np.sqrt((axes * axes).sum(axis=1, keepdims=True))
+    size = 1.5 / np.sqrt(n)
+    sh = np.zeros((n, (degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = places / 2 / 0.28209479
+    return Splats(
+        places.astype(np.float32),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
+        np.concatenate([np.zeros((n, 1)), axes], axis=1).astype(np.float32),
+        np.full(n, 0.95, np.float32),
+        sh,
+    )
 
 
 def splat_rows(scene: Splats) -> bytes:

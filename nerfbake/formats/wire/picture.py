@@ -110,6 +110,18 @@ def encode_texture(texels: npt.NDArray[np.uint8]) -> bytes:
 
 
 _ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF 2.32, table 4
+_UPRIGHT = dict(
+    zip(
+        _QUARTER_TURNS,
+        (
+            Image.Transpose.TRANSPOSE,
+            Image.Transpose.ROTATE_270,
+            Image.Transpose.TRANSVERSE,
+            Image.Transpose.ROTATE_90,
+        ),
+        strict=True,
+    )
+)
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 
 
@@ -127,6 +139,28 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
             memory.require("the picture", 2 * 12 * picture.width * picture.height)
             return np.asarray(ImageOps.exif_transpose(picture.convert("RGBA")))
         return np.asarray(picture.convert("RGBA"))
+
+
+_PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
+
+
+def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = None) -> bytes:
+    """Scale a photograph down to at most `edge` pixels an edge, as JPEG on white. A smaller one keeps its size.
+
+    size: (W, H) of the camera; the picture is rotated as in decode_photograph(). Raises InvalidFile, MemoryLimit.
+    """
+    with opened(view, "the picture", "PNG", "JPEG", bytes_per_pixel=12) as picture:
+        turned = size is not None and _needs_turn(picture, size)
+        picture.draft("RGB", (2 * edge, 2 * edge))  # a JPEG is decoded at a lower resolution, at least this large
+        small = picture.convert("RGBA")
+        small.thumbnail((edge, edge), Image.Resampling.BOX)
+        if turned:
+            small = small.transpose(_UPRIGHT[picture.getexif()[_ORIENTATION]])
+        paper = Image.new("RGB", small.size, (255, 255, 255))
+        paper.paste(small, mask=small.getchannel("A"))
+        file = io.BytesIO()
+        paper.save(file, "JPEG", quality=_PREVIEW_QUALITY)
+        return file.getvalue()
 
 
 def _needs_turn(picture: Image.Image, size: tuple[int, int]) -> bool:

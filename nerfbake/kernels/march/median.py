@@ -1,0 +1,108 @@
+"""Median depths: where a ray has lost half of its light. Rays of a pinhole are made inside the kernel."""
+
+from __future__ import annotations
+
+from math import log
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
+from nerfbake.kernels.march.traversal import compiled_exp_parts, containing_cell, next_cell, shuffled
+
+HALF = log(2)  # the optical depth at which half of the light is left
+_OPAQUE = 7.0  # the optical depth at which a ray ends: 1/1000 of its light is left
+_ROWS = 4  # rows of a picture that a core processes before it takes the next ones
+
+
+@compiled(parallel=True)
+def march_medians(
+    cells: Cells,
+    densities: Singles,
+    box: Floats,
+    place: Floats,
+    pose: Floats,
+    optics: Floats,
+    depth: Singles,
+    alpha: Singles,
+) -> None:
+    """Fill depth (H, W) with the distance, in world units, at which the optical depth is ln 2; inf if it never is.
+
+    Fills alpha (H, W), too. densities (leaves,) per world unit; box (2, 3) in cells; place (3, 4): cells of the world;
+    pose (3, 4): camera to world, OpenGL axes; optics: fx, fy, cx, cy of a pinhole, in pixels.
+    """
+    H, W = depth.shape
+    blocks = (H + _ROWS - 1) // _ROWS
+    for turn in prange(blocks):
+        block = shuffled(turn, blocks)
+        for y in range(block * _ROWS, min((block + 1) * _ROWS, H)):
+            for x in range(W):
+                depth[y, x], alpha[y, x] = _march(cells, densities, box, place, pose, optics, x, y)
+
+
+@compiled()
+def _march(
+    cells: Cells, densities: Singles, box: Floats, place: Floats, pose: Floats, optics: Floats, column: int, row: int
+) -> Any:
+    """The median depth and the alpha of one pixel."""
+    low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
+    high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
+    across, up = (column + 0.5 - optics[2]) / optics[0], -(row + 0.5 - optics[3]) / optics[1]
+    norm = np.sqrt(across * across + up * up + 1)
+    w0 = (pose[0, 0] * across + pose[0, 1] * up - pose[0, 2]) / norm
+    w1 = (pose[1, 0] * across + pose[1, 1] * up - pose[1, 2]) / norm
+    w2 = (pose[2, 0] * across + pose[2, 1] * up - pose[2, 2]) / norm
+    d0 = place[0, 0] * w0 + place[0, 1] * w1 + place[0, 2] * w2
+    d1 = place[1, 0] * w0 + place[1, 1] * w1 + place[1, 2] * w2
+    d2 = place[2, 0] * w0 + place[2, 1] * w1 + place[2, 2] * w2
+    scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    d0, d1, d2, world = d0 / scale, d1 / scale, d2 / scale, 1 / scale
+    e0 = place[0, 0] * pose[0, 3] + place[0, 1] * pose[1, 3] + place[0, 2] * pose[2, 3] + place[0, 3]
+    e1 = place[1, 0] * pose[0, 3] + place[1, 1] * pose[1, 3] + place[1, 2] * pose[2, 3] + place[1, 3]
+    e2 = place[2, 0] * pose[0, 3] + place[2, 1] * pose[1, 3] + place[2, 2] * pose[2, 3] + place[2, 3]
+    start, end = 0.0, np.inf
+    start, end = _clip(box[0, 0] - e0, box[1, 0] - e0, d0, start, end)
+    start, end = _clip(box[0, 1] - e1, box[1, 1] - e1, d1, start, end)
+    start, end = _clip(box[0, 2] - e2, box[1, 2] - e2, d2, start, end)
+    median = np.inf
+    if start >= end:
+        return np.float32(median), np.float32(0)
+    o0, o1, o2 = e0 + start * d0, e1 + start * d1, e2 + start * d2
+    i0 = 1 / d0 if d0 != 0 else np.inf
+    i1 = 1 / d1 if d1 != 0 else np.inf
+    i2 = 1 / d2 if d2 != 0 else np.inf
+    t, end, lost = 0.0, end - start, 0.0
+    x, y, z = containing_cell(o0, low0, high0), containing_cell(o1, low1, high1), containing_cell(o2, low2, high2)
+    while t < end:
+        slot, level = descend(cells, x, y, z)
+        edge = cells.width[level]
+        l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
+        exit0 = ((l0 + edge if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
+        exit1 = ((l1 + edge if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
+        exit2 = ((l2 + edge if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+        ahead = max(min(exit0, exit1, exit2), t)
+        if slot != EMPTY:
+            sigma = np.float64(densities[-2 - slot])
+            own = sigma * (min(ahead, end) - t) * world
+            if lost + own >= HALF and lost < HALF:
+                median = (start + t) * world + (HALF - lost) / sigma
+            lost += own
+            if lost > _OPAQUE:
+                break
+        t = ahead
+        x, y, z, axis = next_cell(l0, l1, l2, edge, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+        if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
+            break
+    whole, rest = compiled_exp_parts(-lost)
+    return np.float32(median), np.float32(1 - (whole + whole * rest))
+
+
+@compiled(merged=True)
+def _clip(low: float, high: float, d: float, start: float, end: float) -> Any:
+    """Clip a ray from start to end to low .. high along one axis, all relative to its origin."""
+    if d == 0:
+        return start, end if low <= 0 < high else -1.0
+    return max(start, min(low / d, high / d)), min(end, max(low / d, high / d))
