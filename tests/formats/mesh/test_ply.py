@@ -16,7 +16,7 @@ from nerfbake import Meshes, Splats, load, save
 from nerfbake.errors import NerfbakeError
 from nerfbake.formats.mesh import ply
 from tests.support.hostile import damaged, refused_as_it_is
-from tests.support.meshes import assert_same_mesh, cube, painted, sphere, square, polygon_ply
+from tests.support.meshes import assert_same_mesh, cube, painted, polygon_ply, sphere, square
 from tests.support.splats import splats
 
 GRADIENT = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
