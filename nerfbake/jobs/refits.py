@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nerfbake import io, progress
@@ -12,20 +11,15 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
-from nerfbake.jobs.splat_fields import splat_views
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import picture_views
 from nerfbake.scene.brick_field import BrickField
-from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
-from nerfbake.scene.views import Views
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.brick_field_to_octree import fill_octree
-from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.octree_to_brick_field import build_bricks
-from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import measure_views
@@ -62,14 +56,10 @@ class RefitTarget(NamedTuple):
         bigger = Source(str(self.like))
         scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume, Splats)
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
-            if isinstance(scene, Splats):
-                around = scatter_cameras(scene, frames=self.frames, edge=self.edge)
-                judges = orbit_cameras(scene, frames=FRAMES, width=self.edge, height=self.edge)
-                return SplitViews(*(splat_views(scene, cameras) for cameras in progress.each((around, judges))))
-            field = build_field(scene)
-            around = scatter_cameras(field, frames=self.frames, edge=self.edge)
-            judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
-            return SplitViews(*(_render_views(field, cameras, samples) for cameras in progress.each((around, judges))))
+            shown = scene if isinstance(scene, Splats) else build_field(scene)
+            around = scatter_cameras(shown, frames=self.frames, edge=self.edge)
+            judges = orbit_cameras(shown, frames=FRAMES, width=self.edge, height=self.edge)
+            return SplitViews(*(picture_views(shown, cameras, samples) for cameras in progress.each((around, judges))))
 
 
 class RefitOptions(NamedTuple):
@@ -157,17 +147,6 @@ def _require(target: Target, no_child: int | None) -> None:
     if target.path == io.STREAM:
         raise UsageError("refit measures the file that it wrote; allowed: an OUT other than '-'")
     target.require("SparseVoxelOctree", no_child=no_child)
-
-
-def _render_views(field: RadianceField, cameras: Cameras, samples: int) -> Views:
-    """Render the pictures of a field."""
-    cameras.require_memory()
-
-    def pictures() -> Iterator[Any]:
-        for camera in progress.each(cameras.cameras):
-            yield render_field(field, camera, background=None, samples=samples).pixels
-
-    return build_views(cameras, pictures())
 
 
 def _fit(

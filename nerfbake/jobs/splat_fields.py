@@ -5,20 +5,20 @@ Jobs that read PlenOctrees and octrees use sample_splats() to read splats, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from nerfbake import progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
+from nerfbake.jobs.views import picture_views
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.splats import Splats, Up
-from nerfbake.scene.views import Views, world_box
+from nerfbake.scene.views import world_box
 from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, inner_box, whole_box, with_z_up
 
 RESOLUTION = 256  # voxels along the longest edge, by default
@@ -136,7 +136,7 @@ def _refitted(
     from nerfbake.stages.octree_to_brick_field import build_bricks
 
     with source.blamed(steps, "rendering pictures of the splats"):
-        posed = splat_views(splats, cameras)
+        posed = picture_views(splats, cameras, 1)
     with source.blamed(steps, "fitting the voxels to them"):
         count = epochs * _FRAMES
         for done, state in enumerate(refit_bricks(build_bricks(octree), posed, epochs=epochs)):
@@ -148,20 +148,6 @@ def pixel_of(cameras: Cameras, box: Points) -> float:
     """Return the edge of a pixel in world units, in the middle of a box."""
     camera, middle = cameras.cameras[0], box.mean(axis=0)
     return length(camera.pose[:3, 3] - middle) / camera.fx
-
-
-def splat_views(splats: Splats, cameras: Cameras) -> Views:
-    """Render pictures of splats, to which a field can be fitted. Raises NerfbakeError."""
-    from nerfbake.stages.pictures_to_views import build_views
-    from nerfbake.stages.splats_to_image import render_splats
-
-    cameras.require_memory()
-
-    def pictures() -> Iterator[Any]:
-        for camera in progress.each(cameras.cameras):
-            yield render_splats(splats, camera, background=None).pixels
-
-    return build_views(cameras, pictures())
 
 
 def _measured(splats: Splats, octree: SparseVoxelOctree) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import struct
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from nerfbake import Meshes, Splats, load, save
 from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError
@@ -191,6 +193,18 @@ def test_what_is_not_as_usual_is_noted() -> None:
 def test_degree_4_is_refused() -> None:
     with pytest.raises(InvalidScene, match=r"sh has degree 4; allowed: 0 to 3 in a \.glb"):
         written(splats(2, degree=4))
+
+
+def test_trimesh_shows_the_splats_as_coloured_points() -> None:
+    """Any reader of glTF without the extension: the container is sound, and the fallback is there."""
+    scene = splats(40, degree=1)
+    loaded: Any = trimesh.load(io.BytesIO(written(scene)), file_type="glb")
+    (points,) = loaded.geometry.values()
+    np.testing.assert_allclose(points.vertices, scene.flipped().means, atol=1e-6)
+    shown = np.clip(scene.sh[:, 0] * 0.28209479 + 0.5, 0, 1)
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(points.colors[:, :3], linear * 255, atol=0.51)
+    np.testing.assert_allclose(points.colors[:, 3], scene.opacity * 255, atol=0.51)
 
 
 # -- hostile files ---------------------------------------------------------------------------------------------
