@@ -12,7 +12,6 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
-from nerfbake.jobs.views import picture_views
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Cameras
@@ -131,6 +130,7 @@ def _refitted(
     steps: Steps, source: Source, octree: SparseVoxelOctree, splats: Splats, cameras: Cameras, epochs: int
 ) -> SparseVoxelOctree:
     """Return the octree with values fitted to pictures of the splats."""
+    from nerfbake.jobs.views import picture_views
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
     from nerfbake.stages.brick_field_to_octree import fill_octree
     from nerfbake.stages.octree_to_brick_field import build_bricks
