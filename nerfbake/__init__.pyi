@@ -89,9 +89,11 @@ from .stages.stage1_to_atlas import weigh_directions as weigh_directions
 from .stages.stage1_to_image import render_stage1 as render_stage1
 from .stages.stage1_to_page_surface import build_page_surface as build_page_surface
 from .stages.surface_to_charts import unwrap_surface as unwrap_surface
+from .stages.texture_to_vertices import colour_vertices as colour_vertices
 from .stages.vdb_to_octree import build_octree_from_density as build_octree_from_density
 from .stages.vdb_to_octree import build_octree_from_volume as build_octree_from_volume
 from .stages.vdb_to_vdb import cast_volume as cast_volume
+from .stages.views_to_error import measure_silhouettes as measure_silhouettes
 from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field
 from .stages.views_to_hull import carve_hull as carve_hull

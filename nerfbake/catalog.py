@@ -29,6 +29,7 @@ class Format(NamedTuple):
     packed: bool = False  # the format is compressed already, so .zst is rejected
     written: str = ""  # name of the scene type that encode() takes, if it differs from `scene`
     writable: bool = True  # False: files of other programs, which are only read; there is no encode()
+    spread: tuple[str, ...] = ()  # extensions of the files that may be written beside it; see contract.SpreadFormat
 
     def load_module(self) -> contract.FileFormat:
         return cast(contract.FileFormat, import_module(f"nerfbake.formats.{self.module}"))
@@ -41,6 +42,9 @@ class Format(NamedTuple):
 
     def load_packed_module(self) -> contract.PackedFormat:
         return cast(contract.PackedFormat, self.load_module())
+
+    def load_spread_module(self) -> contract.SpreadFormat:
+        return cast(contract.SpreadFormat, self.load_module())
 
     def load_page_module(self) -> contract.PageFormat:
         return cast(contract.PageFormat, self.load_module())
@@ -102,9 +106,10 @@ FORMATS = (
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
-    Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh"),
+    Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh", beside=True, spread=(".mtl", ".png", ".jpg")),
     Format("glb", "Splats", ".glb", "splat.glb", "Gaussian splats in glTF 2.0"),
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
+    Format("ply", "Meshes", ".ply", "mesh.ply", "PLY mesh with vertex colours"),
     Format("ply", "Splats", ".ply", "splat.ply", "Gaussian splats (3DGS)"),
     Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)"),
     Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)", writable=False),

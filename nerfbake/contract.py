@@ -99,6 +99,16 @@ class SplatFormat(FileFormat, Protocol):
     MOST_DEGREE: int  # of the spherical harmonics that it can store
 
 
+class SpreadFormat(FileFormat, Protocol):
+    """A format whose scenes may need further files beside their own: a mesh with its materials and textures."""
+
+    def encode_files(self, scene: Any, stem: str, /, **options: Any) -> Iterable[tuple[str, Iterable[Piece]]]:
+        """Return extension and bytes of each file, the scene's own file first.
+
+        stem: the name of the file without its extension, which all of them share and by which they refer to each other.
+        """
+
+
 class PackedFormat(FileFormat, Protocol):
     """A compressed format, for which the compressor searches the parameters that give a file size."""
 

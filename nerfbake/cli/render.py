@@ -132,7 +132,7 @@ def mesh_options(function: Command) -> Command:
     """Add --mesh, --mesh-up and --composite; pass the command `mesh`, a PlacedMesh or None."""
 
     @click.option(
-        "--mesh", type=Reads(), help="An .obj or .glb with opaque triangles, in the scene's world coordinates."
+        "--mesh", type=Reads(), help="A .glb, .obj or .ply with opaque triangles, in the scene's world coordinates."
     )
     @click.option(
         "--mesh-up",
@@ -188,8 +188,8 @@ def mesh_options(function: Command) -> Command:
 def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, console: Console, **options: Any) -> None:
     """Render pictures or a turntable.
 
-    Renders the PlenOctree, octree or volume IN as PNG or as an animated GIF. A density without colours is rendered
-    grey.
+    Renders the PlenOctree, octree, volume or mesh IN as PNG or as an animated GIF. A density without colours is
+    rendered grey. A mesh is a .glb, .obj or .ply, a stage-1 folder of nerf2mesh or an atlas.
 
     \b
       nerfbake render chair.npz --out chair.png

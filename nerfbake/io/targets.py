@@ -116,6 +116,36 @@ def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
 
 
 @contextmanager
+def replacing_files(target: Path, names: Sequence[str], *, force: bool) -> Iterator[Path]:
+    """A new folder for a file and those beside it, `names`, which replace existing ones if the block succeeds.
+
+    They are replaced one by one, the target last, so that it never refers to a file that is missing. The folder becomes
+    TARGET.rejected if the block raises BudgetMissed, and is deleted after any other error.
+    """
+    beside = [name for name in names if name != target.name]
+    for path in (target, *(target.with_name(name) for name in beside)):
+        require_absent(path, force=force)
+        if not _is_regular(path):
+            raise OutputError("is not a regular file; allowed: a file, with others beside it", source=str(path))
+    rejected = rejected_path(target)
+    _sweep(target)
+    with _locked_part(target, folder=True) as part:
+        try:
+            yield part
+            for name in (*beside, target.name):
+                _keep_mode(part / name, target.with_name(name))
+                (part / name).replace(target.with_name(name))
+        except BudgetMissed:
+            require_no_folder(rejected, force=force)
+            if rejected.is_dir():
+                shutil.rmtree(rejected)
+            shutil.move(part, rejected)
+            raise
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
 def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
     """A new folder that replaces the target if the block succeeds.
 

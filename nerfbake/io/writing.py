@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -21,7 +21,7 @@ from nerfbake.catalog import (
 from nerfbake.errors import OutputError, UsageError
 from nerfbake.io.sources import STREAM, blame
 from nerfbake.io.streams import write_stdout
-from nerfbake.io.targets import replacing_file, replacing_folder
+from nerfbake.io.targets import replacing_file, replacing_files, replacing_folder
 
 
 def save(
@@ -56,7 +56,7 @@ class PendingFile(NamedTuple):
     """An output that is on disk, but not yet at the target's path.
 
     path   path of the file or folder that replaces the target when the block ends
-    sizes  bytes of each file by name; the name of a single file is ''
+    sizes  bytes of each file by name; the name of a single file is '', of one that is written beside it its extension
     """
 
     path: str
@@ -85,6 +85,13 @@ def saving(
     """
     form = format_for(target, type(scene).__name__, to=to)
     form.require_options(options)
+    if form.spread and str(target) != STREAM and not form.suffix.endswith(COMPRESSED):
+        stem = Path(target).name[: -len(form.suffix)] if to is None else Path(target).stem
+        files = list(form.load_spread_module().encode_files(scene, stem, **options))
+        if len(files) > 1:
+            with _saving_files(Path(target), stem, files, force=force, parents=parents) as saved:
+                yield saved
+            return
     pieces = form.load_module().encode(scene, **options)
     if form.suffix.endswith(COMPRESSED):
         pieces = load_compression().compress(pieces)
@@ -98,6 +105,21 @@ def saving(
             with open(path, "wb") as file:
                 size = _write_all(file, pieces)
             yield PendingFile(str(path), {"": size})
+
+
+@contextmanager
+def _saving_files(
+    target: Path, stem: str, files: Sequence[tuple[str, Iterable[bytes | memoryview]]], *, force: bool, parents: bool
+) -> Iterator[PendingFile]:
+    """saving() of a scene whose first file refers to the others, which stand beside it."""
+    names = [target.name, *(stem + ending for ending, _ in files[1:])]
+    with blame(str(target), OutputError):
+        if parents:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        with replacing_files(target, names, force=force) as folder:
+            sizes = _write_files(folder, [(name, pieces) for name, (_, pieces) in zip(names, files, strict=True)])
+            endings = ["", *(ending for ending, _ in files[1:])]
+            yield PendingFile(str(folder / target.name), dict(zip(endings, sizes.values(), strict=True)))
 
 
 def save_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> dict[str, int]:

@@ -1,6 +1,6 @@
 """Write interactive web pages of fields and meshes, or open temporary pages in the user's browser.
 
-A page shows a field, a field with a mesh beside it, a stage-1 folder of nerf2mesh, or an atlas baked from one.
+A page shows a field, a field with a mesh beside it, a mesh, a stage-1 folder of nerf2mesh, or an atlas baked from one.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
 from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.field_to_page_field import build_page_field, round_field
+from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.n3tree_to_page_shells import build_page_shells
 from nerfbake.stages.octree_to_compression import compress_octree
@@ -126,8 +127,10 @@ class PageExtras(NamedTuple):
         return render_field_and_meshes(field, meshes, view, how=self.composite, **options)
 
 
-def surface_page(steps: Steps, source: Source, scene: Stage1 | BakedAtlas, stage1: str | None, look: PageLook) -> Page:
-    """Make the page of a stage-1 folder or an atlas. stage1: for an atlas, a folder whose MLP is also shown.
+def surface_page(
+    steps: Steps, source: Source, scene: Stage1 | BakedAtlas | Meshes, stage1: str | None, look: PageLook
+) -> Page:
+    """Make the page of meshes, a stage-1 folder or an atlas. stage1: for an atlas, a folder whose MLP is also shown.
 
     Raises NerfbakeError.
     """
@@ -139,7 +142,8 @@ def surface_page(steps: Steps, source: Source, scene: Stage1 | BakedAtlas, stage
         surface = build_page_surface(scene, stage1=mlp)
     views, first = page_views(steps, scene, look.cameras, name=source.name)
     with source.blamed(steps, "rendering the cover"):
-        cover = render_stage1(scene, first, background=look.background)
+        render = render_meshes if isinstance(scene, Meshes) else render_stage1
+        cover = render(scene, first, background=look.background)  # type: ignore[arg-type]
     return Page(surface, None, views, cover, look.title, turns=look.cameras is None, background=look.background)
 
 
@@ -174,9 +178,9 @@ def view_file(
 ) -> Page:
     """Write a page that shows a scene in any browser and return it. This is `nerfbake view`.
 
-    The scene is a PlenOctree, an octree, a volume, a lattice, splats, or a folder with a mesh: nerf2mesh's stage 1
-    or an atlas. The page of splats shows the octree that bake_octree() makes of them, with -y up unless there are
-    cameras. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
+    The scene is a PlenOctree, an octree, a volume, a lattice, splats, a mesh, or a folder with a mesh: nerf2mesh's
+    stage 1 or an atlas. The page of splats shows the octree that bake_octree() makes of them, with -y up unless there
+    are cameras. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
     `target`.rejected if min_psnr is missed. Without a target, writes a temporary page and opens it in the browser.
 
     data        compressed: the data of compress_file(); exact: float16; None: exact for a volume, else compressed
@@ -221,7 +225,7 @@ def view_file(
         if stage1 is not None and not isinstance(scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
-        if isinstance(scene, Stage1 | BakedAtlas):
+        if isinstance(scene, Stage1 | BakedAtlas | Meshes):
             if mesh or wish.anew or photographs or min_psnr is not None:
                 raise UsageError(
                     f"{source.name} contains triangles, for which a goal, `truth`, `photographs`, `min_psnr` and "
@@ -299,7 +303,7 @@ class _Content(NamedTuple):
 def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Content:
     """Read the source."""
     fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats
-    read = source.read_with_format(steps, *fields, Stage1, BakedAtlas)
+    read = source.read_with_format(steps, *fields, Meshes, Stage1, BakedAtlas)
     if isinstance(read.scene, Splats):
         options = UPRIGHT if wish.judges.cameras is None else USUAL
         octree, splats = sample_splats(steps, source, read.scene, options=options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nerfbake import io, progress
@@ -13,17 +12,13 @@ from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import picture_views
 from nerfbake.scene.brick_field import BrickField
-from nerfbake.scene.camera import Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.scene.views import Views
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.brick_field_to_octree import fill_octree
-from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.octree_to_brick_field import build_bricks
-from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import measure_views
@@ -63,7 +58,7 @@ class RefitTarget(NamedTuple):
             field = build_field(scene)
             around = scatter_cameras(field, frames=self.frames, edge=self.edge)
             judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
-            return SplitViews(*(_render_views(field, cameras, samples) for cameras in progress.each((around, judges))))
+            return SplitViews(*(picture_views(field, cameras, samples) for cameras in progress.each((around, judges))))
 
 
 class RefitOptions(NamedTuple):
@@ -151,17 +146,6 @@ def _require(target: Target, no_child: int | None) -> None:
     if target.path == io.STREAM:
         raise UsageError("refit measures the file that it wrote; allowed: an OUT other than '-'")
     target.require("SparseVoxelOctree", no_child=no_child)
-
-
-def _render_views(field: RadianceField, cameras: Cameras, samples: int) -> Views:
-    """Render the pictures of a field."""
-    cameras.require_memory()
-
-    def pictures() -> Iterator[Any]:
-        for camera in progress.each(cameras.cameras):
-            yield render_field(field, camera, background=None, samples=samples).pixels
-
-    return build_views(cameras, pictures())
 
 
 def _fit(

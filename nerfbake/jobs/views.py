@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
-from nerfbake import io
+from nerfbake import io, progress
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.stages.scene_to_cameras import orbit_cameras
+
+if TYPE_CHECKING:
+    from nerfbake.scene.radiance_field import RadianceField
+    from nerfbake.scene.views import Views
 
 
 def read_cameras(steps: Steps, path: str) -> Cameras:
@@ -58,6 +63,20 @@ def views_of(
             orbit = orbit_cameras(scene, frames=frames, width=width, height=height)
         return orbit.chosen(samples=samples)
     return read_cameras(steps, cameras).chosen(size=size, samples=samples)
+
+
+def picture_views(field: RadianceField, cameras: Cameras, samples: int) -> Views:
+    """Render pictures of a field, with alpha, to which something else is fitted."""
+    from nerfbake.stages.field_to_image import render_field
+    from nerfbake.stages.pictures_to_views import build_views
+
+    cameras.require_memory()
+
+    def pictures() -> Iterator[Any]:
+        for camera in progress.each(cameras.cameras):
+            yield render_field(field, camera, background=None, samples=samples).pixels
+
+    return build_views(cameras, pictures())
 
 
 def page_views(

@@ -101,6 +101,8 @@ def require_few(count: int) -> None:
 class Meshes(Scene):
     """All meshes of a file, one for each material.
 
+    coarser: levels of detail of a single mesh, with fewer triangles each; nothing but a .glb stores them
+
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes
     >>> mesh = Mesh(np.eye(3, dtype=np.float32), None, np.array([[0, 1, 2]], np.uint32))
@@ -109,11 +111,14 @@ class Meshes(Scene):
     """
 
     meshes: tuple[Mesh, ...]
+    coarser: tuple[Mesh, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.meshes:
             raise InvalidScene(Problem("the mesh", "has no faces", "at least one triangle"))
         require_few(len(self.meshes))
+        if self.coarser and len(self.meshes) > 1:
+            raise InvalidScene(Problem("levels of detail", f"belong to {len(self.meshes):,} meshes", "a single mesh"))
 
     def with_up(self, up: Literal["y", "z"]) -> Meshes:
         """The same meshes, rotated so that the y axis, which is up in glTF, becomes the axis `up`.

@@ -143,9 +143,9 @@ def texels_of(basis: Basis) -> int:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PageSurface(CompactRepr):
-    """A mesh for each cascade, and what is added to its diffuse colour: an atlas, an MLP, or a choice of both.
+    """A mesh for each cascade, and what is added to its diffuse colour: nothing, an atlas, an MLP, or a choice of both.
 
-    meshes   with texture coordinates, and the diffuse colour as their texture
+    meshes   with an atlas or an MLP: with texture coordinates, and the diffuse colour as their texture
     atlases  one per cascade, all of one method; none: ()
     fields   feature textures with the MLP that they share, one per cascade; none: ()
 
@@ -168,14 +168,12 @@ class PageSurface(CompactRepr):
                 raise InvalidScene(Problem(f"the {name}", found, allowed))
         if len({atlas.method for atlas in self.atlases}) > 1:
             raise InvalidScene(Problem("the atlases", "are of several methods", "one for all cascades"))
-        if not (self.atlases or self.fields):
-            raise InvalidScene(Problem("the surface", "has neither atlas nor MLP", "one of them, or both"))
 
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)
         ways = [str(atlas) for atlas in self.atlases[:1]]
         ways += [f"MLP 6-{field.w0.shape[1]}-3" for field in self.fields[:1]]
-        return f"{plural(triangles, 'triangle')}, {', '.join(ways)}"
+        return ", ".join([plural(triangles, "triangle"), *ways])
 
     @property
     def highlights(self) -> tuple[str, ...]:

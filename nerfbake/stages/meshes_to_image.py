@@ -17,13 +17,19 @@ _AMBIENT = np.float32(0.25)  # fraction of the colour where a surface is viewed 
 
 
 def render_meshes(
-    scene: Meshes, camera: Camera, *, background: tuple[float, float, float] | None = WHITE, samples: int = 1
+    scene: Meshes,
+    camera: Camera,
+    *,
+    background: tuple[float, float, float] | None = WHITE,
+    samples: int = 1,
+    lit: bool = True,
 ) -> Image:
     """Render opaque, two-sided triangles as seen by a camera, over a background (None: transparent).
 
     Textures are interpolated bilinearly and not lit. A mesh without a texture is grey, or has its vertex colours, and
-    is lit from the camera. Alpha is 0 or 1 for a ray, and depth is the distance along it. With one ray per pixel,
-    edges are not smoothed; samples x samples rays are averaged as in render_field().
+    is lit from the camera; lit=False: its colours are radiance, and are shown as they are. Alpha is 0 or 1 for a ray,
+    and depth is the distance along it. With one ray per pixel, edges are not smoothed; samples x samples rays are
+    averaged as in render_field().
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes, orbit_cameras, render_meshes
@@ -34,18 +40,20 @@ def render_meshes(
     """
 
     def rendered(part: Camera) -> Image:
-        return shade_surfaces(scene.meshes, part, lambda _, hits: surface_colours(hits), background)
+        return shade_surfaces(scene.meshes, part, lambda _, hits: surface_colours(hits, lit=lit), background)
 
     return supersampled(rendered, camera, samples)
 
 
-def surface_colours(hits: Hits) -> npt.NDArray[np.float32]:
+def surface_colours(hits: Hits, *, lit: bool = True) -> npt.NDArray[np.float32]:
     """Return sRGB colours (m, 3) in 0..1. The only part that depends on the view is the headlight."""
     mesh = hits.mesh
     if mesh.texture is not None:
         colours = bilinear(mesh.texture, hits.uvs)
         return colours if mesh.colours is None else colours * hits.mixed(mesh.colours)
     colours = np.full((len(hits.faces), 3), GREY) if mesh.colours is None else hits.mixed(mesh.colours)
+    if not lit:
+        return colours
     a, b, c = (mesh.positions[mesh.faces[hits.faces, corner]].astype(np.float64) for corner in range(3))
     across = np.cross(b - a, c - a)
     length = np.linalg.norm(across, axis=1)

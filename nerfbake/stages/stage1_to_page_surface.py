@@ -1,10 +1,11 @@
-"""nerf2mesh stage 1, an atlas, or both -> the meshes, textures and MLPs that a page displays."""
+"""nerf2mesh stage 1, an atlas, both, or plain meshes -> the meshes, textures and MLPs that a page displays."""
 
 from __future__ import annotations
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.atlas import BakedAtlas
+from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.page import PageSurface
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.stage1_to_image import surfaces
@@ -12,8 +13,8 @@ from nerfbake.stages.stage1_to_image import surfaces
 _COPIES = 4  # copies of all data while a page is written: the arrays, their bytes, compressed, in base64
 
 
-def build_page_surface(scene: Stage1 | BakedAtlas, *, stage1: Stage1 | None = None) -> PageSurface:
-    """Return the scene's meshes with all data for their highlights.
+def build_page_surface(scene: Stage1 | BakedAtlas | Meshes, *, stage1: Stage1 | None = None) -> PageSurface:
+    """Return the scene's meshes with all data for their highlights, if it has any.
 
     stage1: for an atlas, the scene that it was baked from, for a page that displays both. Raises InvalidScene if a mesh
     or its diffuse texture is missing, or if the two do not belong to the same scene; MemoryLimit.
@@ -24,7 +25,7 @@ def build_page_surface(scene: Stage1 | BakedAtlas, *, stage1: Stage1 | None = No
     >>> build_page_surface(atlas, stage1=stage1).highlights
     ('kmeans', 'mlp_constants', 'mlp_textures')
     """
-    meshes = surfaces(scene)
+    meshes = scene.meshes if isinstance(scene, Meshes) else surfaces(scene)
     atlases = scene.atlases if isinstance(scene, BakedAtlas) else ()
     fields = scene.fields if isinstance(scene, Stage1) else stage1.fields if stage1 else ()
     if atlases and fields:

@@ -1,7 +1,9 @@
-"""Radiance field and views -> the error of the field's pictures against the photographs."""
+"""Radiance field or meshes, and views -> the error of their pictures against the photographs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +11,14 @@ import numpy as np
 from nerfbake import progress
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.picture.metrics import psnr, ssim
+from nerfbake.scene.image import Image
+from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.stage1_to_image import render_stage1
 
 _PIXEL_BYTES = 280  # per pixel while two pictures are compared, as in scenes_to_comparison
 
@@ -48,11 +55,12 @@ def plain_psnr(views: Views) -> float:
     return sum(found) / len(found)
 
 
-def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
+def measure_views(scene: RadianceField | Meshes | Stage1, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
     """Render every view over its background, and measure it against its photograph.
 
-    samples: as in render_field(). Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises
-    InvalidScene for lenses that do not cover their pictures, MemoryLimit.
+    Vertex colours of meshes are shown as they are, without light. samples: as in render_field(). Errors are on sRGB in
+    0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that do not cover their
+    pictures, MemoryLimit.
 
     >>> import numpy as np
     >>> from nerfbake import build_field, build_views, measure_views, orbit_cameras, render_field, sample_n3tree
@@ -63,10 +71,10 @@ def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tu
     True
     """
     views.cameras.require_covered()
-    errors = []
+    render, errors = _renderer(scene), []
     for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
-        made = render_field(field, camera, background=views.background, samples=samples).colour.astype(np.float64)
+        made = render(camera, background=views.background, samples=samples).colour.astype(np.float64)
         truth, used = views.photograph(i).astype(np.float64), views.used(i)
         made[~used] = truth[~used]
         shown = used if views.scenery else used & ~views.behind(i)
@@ -74,6 +82,36 @@ def measure_views(field: RadianceField, views: Views, *, samples: int = 1) -> tu
         raw, corrected = (psnr(each[used], truth[used]) for each in (made, alike))
         errors.append(ViewError(camera.name, raw, ssim(made, truth), corrected))
     return tuple(errors)
+
+
+def _renderer(scene: RadianceField | Meshes | Stage1) -> Callable[..., Image]:
+    if isinstance(scene, Meshes):
+        return partial(render_meshes, scene, lit=False)
+    return partial(render_stage1 if isinstance(scene, Stage1) else render_field, scene)  # type: ignore[arg-type]
+
+
+def measure_silhouettes(scene: RadianceField | Meshes, views: Views) -> tuple[float, ...]:
+    """Return for each view the intersection over union of the scene's silhouette and the photograph's, 0 to 1.
+
+    The silhouettes have the pixels with an alpha of 1/2 or more; those of photographs without alpha, the pixels that
+    differ from the background. It is 1 if both are empty. Raises InvalidScene for lenses that do not cover their
+    pictures, MemoryLimit.
+
+    >>> from nerfbake import Meshes, build_views, measure_silhouettes, orbit_cameras, render_meshes, sample_stage1
+    >>> torus = Meshes(sample_stage1(resolution=16).meshes)
+    >>> cameras = orbit_cameras(torus, width=16, height=12)
+    >>> pictures = [render_meshes(torus, camera, background=None).pixels for camera in cameras.cameras]
+    >>> measure_silhouettes(torus, build_views(cameras, pictures))
+    (1.0,)
+    """
+    views.cameras.require_covered()
+    render, found = _renderer(scene), []
+    for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
+        made = render(camera).alpha >= 0.5
+        truth = views.pictures[i][..., 3] >= 128 if views.masked else ~views.behind(i)
+        either = int((made | truth).sum())
+        found.append(int((made & truth).sum()) / either if either else 1.0)
+    return tuple(found)
 
 
 def _gains(made: Floats, truth: Floats) -> Floats:

@@ -60,7 +60,7 @@ def test_a_hull_goes_through_pipes(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "code", "said"),
     [
-        ("hull a.npz a.ply", 2, "'a.ply' has no file extension for a mesh; allowed: .obj, .glb, or --to"),
+        ("hull a.npz a.stl", 2, "'a.stl' has no file extension for a mesh; allowed: .obj, .glb, .ply, or --to"),
         ("hull a.npz a.obj --up z", 2, "obj"),
         ("hull a.npz a.glb --level 13", 2, "'--level'"),
         ("hull empty.npz a.glb", 1, "empty.npz: the field has no leaf with a density; allowed: at least one"),

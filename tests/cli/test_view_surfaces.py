@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake import Stage1, bake_stage1, load, sample_n3tree, save
+from nerfbake.cli.main import run
 from nerfbake.io import save_folder
 from tests.conftest import Shell
 from tests.support.atlas_scenes import stage1_folder
@@ -75,3 +76,14 @@ def test_a_mesh_beside_a_field(shell: Shell, tmp_path: Path) -> None:
     done = shell("view", "a.npz", "b.html", "--mesh", "none.glb", "--data", "exact")
     assert (done.returncode, done.stderr.decode()) == (1, "error: none.glb: No such file or directory\n")
     assert not (tmp_path / "b.html").exists()
+
+
+def test_a_mesh_becomes_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save("a.glb", painted(), quantised=True, image="webp")
+    for name in ("b.html", "c.html"):
+        assert run(["view", "a.glb", name]) == 0
+    page = Path("b.html").read_text()
+    assert '"highlights": ["none"]' in page
+    assert "All of the scene is in this file: 26 triangles." in page
+    assert Path("c.html").read_text() == page

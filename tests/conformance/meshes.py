@@ -1,4 +1,4 @@
-"""Meshes as .obj and .glb: plain ones, painted ones, with textures, with another axis up."""
+"""Meshes as .obj, .glb and .ply: plain ones, painted ones, with textures, with another axis up."""
 
 from __future__ import annotations
 
@@ -45,15 +45,24 @@ def mesh(plain: Facts) -> Mesh:
 def cases() -> Iterator[Case]:
     mapped, flat = told(SQUARE), told({**TRIANGLE, "uvs": None})
     painted = told({**SQUARE, "uvs": None}, colours=COLOURS)
+    fractions = [[1.0, 0.0, 0.2], [0.4, 0.0, 0.0], [0.0, 1.0, 1.0], [0.8, 0.6, 0.2]]  # multiples of 1/255
+    coloured = told({**SQUARE, "uvs": None}, colours=fractions)
     textured = [told(SQUARE, texture=TEXTURE, colours=COLOURS), told(TRIANGLE, texture=TEXTURE)]
+    # Fifths of the longest edge, and so multiples of 1/65535 of it.
+    fifths = {"positions": [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.2, 0.4], [0.0, 1.2, 0.4]]}
+    fifths["uvs"] = [[0.0, 1.0], [1.0, 1.0], [1.0, 0.2], [0.0, 0.2]]
+    whole = told({**SQUARE, **fifths}, texture=TEXTURE)
     turned = [{**each, "positions": [[x, z, -y] for x, y, z in each["positions"]]} for each in (painted, flat)]
-    obj, glb = form_named("obj"), form_named("glb", "Meshes")
+    obj, glb, ply = form_named("obj"), form_named("glb", "Meshes"), form_named("ply", "Meshes")
     about = "Meshes, each with a material of its own."
     for name, plain, files, found in (
         ("mapped", [mapped, told(TRIANGLE)], {"mapped.obj": (obj, {})}, None),
         ("plain", [flat], {"plain.obj": (obj, {}), "plain.glb": (glb, {})}, None),
+        ("triangle", [flat], {"triangle.ply": (ply, {})}, None),
+        ("bytes", [coloured], {"bytes.ply": (ply, {})}, None),
         ("painted", [painted], {"painted.obj": (obj, {}), "painted.glb": (glb, {})}, None),
         ("textured", textured, {"textured.glb": (glb, {})}, None),
+        ("quantised", [whole], {"quantised.glb": (glb, {"quantised": True, "lit": True})}, None),
         ("z_up", [painted, flat], {"z_up.glb": (glb, {"up": "z"})}, turned),
     ):
         scene = Meshes(tuple(map(mesh, plain)))

@@ -42,7 +42,7 @@ LEFT = math.sqrt(1 - 3 * HALF * HALF)
 
 
 def cases() -> Iterator[Case]:
-    ply, spz, glb = form_named("ply"), form_named("spz"), form_named("glb", "Splats")
+    ply, spz, glb = form_named("ply", "Splats"), form_named("spz"), form_named("glb", "Splats")
     for name, sh in (("sh0", [[dc] for dc in DC]), ("sh4", [[dc, *rest] for dc, rest in zip(DC, REST, strict=True)])):
         facts: Facts = {**PLAIN, "sh": sh}
         scene = scene_of(facts)

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image as Pillow
 
 from nerfbake import build_octree, build_vdb, sample_n3tree, save
-from nerfbake.formats.mesh.glb import MeshPart, encode_glb
+from nerfbake.formats.mesh.glb_writer import MeshPart, encode_glb
 from nerfbake.formats.wire import zstd
 from nerfbake.scene.image import Depth
 from nerfbake.scene.mesh import Mesh

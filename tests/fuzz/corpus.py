@@ -30,7 +30,7 @@ from tests.support import captures
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
-from tests.support.meshes import cube, square
+from tests.support.meshes import cube, polygon_ply, square
 from tests.support.n3trees import archive, held_out, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
@@ -77,7 +77,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         return tuple(_checkpoints())
     if name == LINES:
         return (_JOBS.encode(), _JOBS.replace("\n", "\r\n").encode())
-    scenes = [form.scene for form in catalog.FORMATS if form.name == name]
+    scenes = [form.scene for form in catalog.FORMATS if form.name == name and form.readable]
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
         "Volume": lambda: _volumes(name),
@@ -86,9 +86,8 @@ def files_of(name: str) -> tuple[bytes, ...]:
         "Splats": lambda: _splats(name),
         "LatticeField": lambda: _lattices(name),
     }
-    if scenes[0] in makers:
-        return tuple(data for scene in scenes for data in makers[scene]())
-    return tuple(_encoded(name, each) for each in _pictures(scenes[0]))
+    pictures = (_encoded(name, each) for scene in scenes if scene not in makers for each in _pictures(scene))
+    return (*(each for scene in scenes if scene in makers for each in makers[scene]()), *pictures)
 
 
 @cache
@@ -117,9 +116,10 @@ def sound(name: str) -> tuple[bytes, ...] | tuple[Files, ...]:
 
 
 def _encoded(name: str, scene: Any, **options: Any) -> bytes:
-    forms = {form.written or form.scene: form for form in catalog.FORMATS if form.name == name}
-    module = forms[type(scene).__name__].load_module()
-    return b"".join(module.encode(scene, **options))
+    forms = [form for form in catalog.FORMATS if form.name == name]
+    wanted = type(scene).__name__
+    form = next((form for form in forms if wanted in (form.scene, form.written)), forms[0])
+    return b"".join(form.load_module().encode(scene, **options))
 
 
 def _octrees(name: str) -> Iterator[bytes]:
@@ -236,7 +236,11 @@ def _meshes(name: str) -> Iterator[bytes]:
     yield _encoded(name, Meshes((plain, coloured)))
     yield _encoded(name, Meshes((flat,)))
     if name == "glb":
-        yield _encoded(name, Meshes((replace(flat, texture=texture(6, 5)), coloured)))
+        textured = replace(flat, texture=texture(6, 5))
+        yield _encoded(name, Meshes((textured, coloured)))
+        yield _encoded(name, Meshes((textured,), (textured,)), quantised=True, lit=True, image="webp")
+    if name == "ply":
+        yield polygon_ply([(0, 1, 2), (0, 2, 3, 1)])
 
 
 def _splats(name: str) -> Iterator[bytes]:

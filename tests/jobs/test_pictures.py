@@ -14,15 +14,21 @@ from nerfbake import (
     Image,
     Meshes,
     N3Tree,
+    Stage1,
     build_field,
     build_octree,
     build_vdb,
     cut_octree,
     load,
+    orbit_cameras,
     render_field,
+    render_meshes,
+    render_stage1,
+    sample_stage1,
     save,
 )
 from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
+from nerfbake.io import save_folder
 from nerfbake.jobs import GridChoice, PictureOutputs, PlacedMesh, ViewSelection, render_views
 from tests.jobs.listener import Listener
 from tests.support.meshes import cube
@@ -125,6 +131,35 @@ def test_splats_are_rendered_and_options_of_fields_are_refused(folder: Path) -> 
     assert 4 < load("s.depth.npy", Depth).distance.max() < 40
     for options in ({"lookup": "trilinear"}, {"transmittance_cut": 0.5}):
         with pytest.raises(UsageError, match="has no effect on splats"):
-            render_views("s.ply", "t.png", **options)  # type: ignore[arg-type]
+            render_views("s.ply", "t.png", **options)
     with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
         render_views("s.ply", "t.png", mesh=PlacedMesh("a.glb"))
+
+
+def test_triangles_are_rendered_as_any_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    stage1 = sample_stage1(resolution=16)
+    textured = Meshes(tuple(mesh for mesh in stage1.meshes if mesh is not None))
+    save("a.glb", textured, quantised=True)
+    save_folder("stage1", stage1)
+    shots = ViewSelection(size=(24, 24), samples=2)
+    for name, scene in (("a.glb", load("a.glb", Meshes)), ("stage1", load("stage1", Stage1))):
+        render_views(name, PictureOutputs(f"{name}.png", depth="npy"), shots, background=(0, 0, 0))
+        (camera,) = orbit_cameras(scene, width=24, height=24).cameras
+        render = render_meshes if isinstance(scene, Meshes) else render_stage1
+        wanted = render(scene, camera, samples=2, background=(0, 0, 0))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(load(f"{name}.png", Image).pixels, wanted.pixels)
+        assert Path(f"{name}.depth.npy").exists()
+
+
+def test_what_has_no_effect_on_triangles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save("a.obj", Meshes((cube(),)))
+    with pytest.raises(UsageError, match="`lookup` has no effect on triangles; allowed: with a field"):
+        render_views("a.obj", "a.png", lookup="trilinear")
+    with pytest.raises(UsageError, match=r"a\.obj is not a volume"):
+        render_views("a.obj", "a.png", choice=GridChoice(("density",)))
+    for more in ({"lod": 2}, {"mesh": PlacedMesh("a.obj")}):
+        with pytest.raises(NerfbakeError, match="holds a mesh; allowed: "):
+            render_views("a.obj", "a.png", **more)
+    assert list(tmp_path.glob("*.png")) == []

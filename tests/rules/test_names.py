@@ -12,6 +12,7 @@ LONGEST_MODULE = 500  # lines
 LONGEST_SUMMARY = 50  # characters
 VERBS = {"bake", "build", "carve", "cast", "cluster", "compare", "compress", "cut", "fill", "fit", "identify", "lower"}
 VERBS |= {
+    "colour",
     "measure",
     "move",
     "orbit",

@@ -35,6 +35,12 @@ def test_without_a_texture_a_surface_is_lit_from_the_camera() -> None:
     np.testing.assert_array_equal(bright, bright[0])
 
 
+def test_radiance_at_vertices_is_shown_without_light() -> None:
+    painted = replace(square(), colours=np.full((4, 3), (0.2, 0.6, 1), np.float32))
+    for view in (straight_down(4, 4), camera(4, 4, elevation=0.2)):
+        np.testing.assert_allclose(render_meshes(Meshes((painted,)), view, lit=False).colour[2, 2], [0.2, 0.6, 1])
+
+
 def test_vertex_colours_are_mixed() -> None:
     colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]], np.float32)
     image = render_meshes(Meshes((replace(square(half=1.0), colours=colours),)), straight_down(401, 401, 400.0))

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from nerfbake import BakedAtlas, PageSurface, Stage1, bake_stage1, build_page_surface, load, memory_limit
+from nerfbake import BakedAtlas, Stage1, bake_stage1, build_page_surface, load, memory_limit
 from nerfbake.errors import InvalidScene, MemoryLimit
 from tests.support.atlas_scenes import field, stage1_folder
+from tests.support.meshes import painted
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +43,12 @@ def test_parts_that_do_not_fit_are_refused(stage1: Stage1) -> None:
     surface = build_page_surface(stage1)
     with pytest.raises(InvalidScene, match="the feature textures are 2; allowed: 1, one for each mesh"):
         replace(surface, fields=surface.fields * 2)
-    with pytest.raises(InvalidScene, match="the surface has neither atlas nor MLP"):
-        PageSurface(surface.meshes)
+
+
+def test_plain_meshes_have_no_highlights() -> None:
+    surface = build_page_surface(painted())
+    assert (len(surface.meshes), surface.highlights) == (3, ())
+    assert str(surface) == "26 triangles"
 
 
 def test_a_surface_asks_for_the_memory_of_its_page(stage1: Stage1) -> None:

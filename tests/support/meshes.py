@@ -77,3 +77,15 @@ def straight_down(width: int = 5, height: int = 3, focal: float = 4.0, z: float 
     pose = np.eye(4)
     pose[2, 3] = z
     return Camera(width, height, focal, pose)
+
+
+def polygon_ply(polygons: list[tuple[int, ...]]) -> bytes:
+    """A .ply in text, of these polygons over the corners of a tetrahedron, with colours and a property of no use."""
+    corners = ["0 0 0 255 0 0", "1 0 0 0 255 0", "0 1 0 0 0 255", "0 0 1 51 102 204"]
+    columns = [f"property float {axis}" for axis in "xyz"] + [
+        f"property uchar {name}" for name in ("red", "green", "blue")
+    ]
+    head = ["ply", "format ascii 1.0", "comment by hand", "element vertex 4", *columns, f"element face {len(polygons)}"]
+    head += ["property uchar flags", "property list uchar int vertex_indices", "end_header"]
+    faces = [" ".join(map(str, (7, len(polygon), *polygon))) for polygon in polygons]
+    return "\n".join([*head, *corners, *faces, ""]).encode()

@@ -25,7 +25,7 @@ import numpy.typing as npt
 import PIL
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.mesh.glb import MeshPart, encode_glb
+from nerfbake.formats.mesh.glb_writer import MeshPart, encode_glb
 from nerfbake.formats.mesh.surface import decode_surface, encode_surface
 from nerfbake.formats.wire.json import number, parse_object
 from nerfbake.formats.wire.json import whole as whole_number

@@ -4,32 +4,29 @@
 
 The reader returns the meshes of the default scene, in the scene's coordinates. It reads nothing outside the file.
 
-The writer keeps the coordinates of the field. If the up axis is not glTF's y, the nodes rotate the meshes. Textured
-meshes are unlit, and a mesh may have an octahedral atlas. Any viewer shows the diffuse texture. Atlas, labels and
-features are textures without a standard material slot; their indices and the conventions of the atlas are in the
-material's extras, under "nerfbake_atlas".
+The writer is in glb_writer.py. Of a file with levels of detail (MSFT_lod), the finest is read.
 
-Source: glTF 2.0, sections 3.6 and 4.4.
+Source: glTF 2.0, sections 3.6 and 4.4; KHR_mesh_quantization, EXT_texture_webp, MSFT_lod.
 """
 
 from __future__ import annotations
 
-import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.mesh.glb_writer import encode_glb, parts_of
 from nerfbake.formats.wire.json import parse_object
-from nerfbake.formats.wire.picture import decode_texture, encode_texture
+from nerfbake.formats.wire.picture import Coding, decode_texture
 from nerfbake.kernels.maths.affine import compose, determinant, transform_points
 from nerfbake.kernels.maths.elementary import cast
-from nerfbake.kernels.picture.metrics import from_linear, to_linear
+from nerfbake.kernels.picture.metrics import from_linear
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
 
 _COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
@@ -123,10 +120,10 @@ def _chunks(view: memoryview) -> tuple[memoryview, memoryview]:
 
 
 _MATERIALS = "KHR_materials_"  # prefix of extensions that only change the reflection of light, which is ignored
-_KNOWN = "KHR_mesh_quantization"
+_KNOWN = ("KHR_mesh_quantization", "EXT_texture_webp")
 # Extensions that do not affect triangles and their colours: lights, animation, audio and metadata.
 _BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
-_BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld"}
+_BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld", "MSFT_lod"}
 MAX_NODES = 50_000
 _MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -144,9 +141,10 @@ def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
     for extension in _list(document.root, "extensionsRequired", "JSON"):
         if not (
             isinstance(extension, str)
-            and (extension.startswith(_MATERIALS) or extension == _KNOWN or extension in _BESIDE)
+            and (extension.startswith(_MATERIALS) or extension in _KNOWN or extension in _BESIDE)
         ):
-            allowed = f"{_KNOWN}, {_MATERIALS}*, and extensions that change no triangle, such as KHR_lights_punctual"
+            known = f"{', '.join(_KNOWN)}, {_MATERIALS}*"
+            allowed = f"{known}, and extensions that change no triangle, such as KHR_lights_punctual"
             raise malformed("extensionsRequired", f"has {str(extension)[:40]}", allowed)
     looks = _Looks(document)
     found: list[Mesh] = []
@@ -290,16 +288,25 @@ class _Looks:
         return replace(mesh, uvs=uvs, texture=texture, colours=colours)
 
     def _texture(self, index: Any) -> npt.NDArray[np.uint8]:
-        source = whole(self._document.item("textures", index), "source", f"textures[{index}]")
+        source = _source(self._document.item("textures", index), f"textures[{index}]")
         if source not in self._textures:
             image, place = self._document.item("images", source), f"images[{source}]"
             if "uri" in image:
                 raise malformed(place, "is in another file", "pictures inside the .glb")
             content = self._document.view(image.get("bufferView"))
-            texture = decode_texture(content, place, any_mode=True)
+            texture = decode_texture(content, place, any_mode=True, webp=True)
             memory.hold(place, texture.nbytes)
             self._textures[source] = texture
         return self._textures[source]
+
+
+def _source(texture: dict[str, Any], place: str) -> int:
+    """Return the picture of a texture: its PNG or JPEG, or else its WebP."""
+    extensions = texture.get("extensions", {})
+    webp = extensions.get("EXT_texture_webp") if isinstance(extensions, dict) else None
+    if "source" not in texture and isinstance(webp, dict):
+        return whole(webp, "source", f"{place}.extensions.EXT_texture_webp")
+    return whole(texture, "source", place)
 
 
 def _colour(factor: Any, place: str) -> Floats:
@@ -319,128 +326,23 @@ def _list(entry: dict[str, Any], key: str, place: str) -> list[Any]:
     return found
 
 
-_FLOAT, _UINT32 = 5126, 5125
-_VERTICES, _INDICES = 34962, 34963
-_NEAREST, _LINEAR, _CLAMP, _REPEAT = 9728, 9729, 33071, 10497
-_TURNS: dict[str, dict[str, Any]] = {"y": {}, "z": {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}}
-_SAMPLERS = {"diffuse": 0, "atlas": 1, "labels": 2, "features": 2}
-
-
-class MeshPart(NamedTuple):
-    """A mesh, its PNG or JPEG textures by role ('diffuse', 'atlas', 'labels', 'features'), and its extras."""
-
-    name: str
-    mesh: Mesh
-    textures: Mapping[str, bytes | memoryview]
-    extras: Mapping[str, Any] | None = None
-
-
-def encode_glb(parts: list[MeshPart], generator: str, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:
-    """Return the file in chunks.
-
-    up: the up axis of the positions. glTF's is y; for "z" the nodes map (x, y, z) to (x, z, -y).
-    """
-    body = _Body()
-    for part in parts:
-        body.add(part)
-    document = {
-        "asset": {"version": "2.0", "generator": generator},
-        "extensionsUsed": ["KHR_materials_unlit"],
-        "scene": 0,
-        "scenes": [{"nodes": list(range(len(parts)))}],
-        "nodes": [{"name": part.name, "mesh": i, **_TURNS[up]} for i, part in enumerate(parts)],
-        "samplers": [
-            {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _REPEAT, "wrapT": _REPEAT},
-            {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP},
-            {"magFilter": _NEAREST, "minFilter": _NEAREST, "wrapS": _REPEAT, "wrapT": _REPEAT},
-        ],
-        **{name: entries for name, entries in body.lists.items() if entries},
-        "buffers": [{"byteLength": body.size}],
-    }
-    return [*opening_of(document, body.size), *body.pieces]
-
-
-def opening_of(document: dict[str, Any], body_size: int) -> list[bytes]:
-    """Return what stands before the bytes of the binary chunk: the header, and the document as the JSON chunk."""
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + body_size
-    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
-    return [head, text, struct.pack("<I4s", body_size, b"BIN\0")]
-
-
-class _Body:
-    """The binary chunk, and the JSON lists that refer to it."""
-
-    def __init__(self) -> None:
-        self.pieces: list[bytes | memoryview] = []
-        self.size = 0
-        names = ("meshes", "materials", "textures", "images", "accessors", "bufferViews")
-        self.lists: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-
-    def add(self, part: MeshPart) -> None:
-        textures = {role: self._texture(role, content, part.name) for role, content in part.textures.items()}
-        surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
-        material = {"name": part.name, "pbrMetallicRoughness": surface, "doubleSided": True}
-        if textures:
-            material["extensions"] = {"KHR_materials_unlit": {}}
-        if "diffuse" in textures:
-            surface["baseColorTexture"] = {"index": textures.pop("diffuse")}
-        if part.extras is not None:
-            material["extras"] = {"nerfbake_atlas": {**part.extras, "textures": textures}}
-        positions = part.mesh.positions
-        bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
-        attributes = {"POSITION": self._accessor(positions, _FLOAT, "VEC3", _VERTICES, **bounds)}
-        if part.mesh.uvs is not None:
-            attributes["TEXCOORD_0"] = self._accessor(part.mesh.uvs, _FLOAT, "VEC2", _VERTICES)
-        if part.mesh.colours is not None:
-            attributes["COLOR_0"] = self._accessor(to_linear(part.mesh.colours), _FLOAT, "VEC3", _VERTICES)
-        primitive = {
-            "attributes": attributes,
-            "indices": self._accessor(part.mesh.faces.reshape(-1), _UINT32, "SCALAR", _INDICES),
-            "material": self._append("materials", material),
-        }
-        self._append("meshes", {"name": part.name, "primitives": [primitive]})
-
-    def _texture(self, role: str, content: bytes | memoryview, name: str) -> int:
-        kind = "image/png" if bytes(content[:4]) == b"\x89PNG" else "image/jpeg"
-        view = self._append("bufferViews", self._view(content))
-        image = self._append("images", {"name": f"{name} {role}", "bufferView": view, "mimeType": kind})
-        return self._append("textures", {"sampler": _SAMPLERS[role], "source": image})
-
-    def _accessor(self, array: npt.NDArray[Any], component: int, kind: str, target: int, **more: Any) -> int:
-        content = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
-        view = self._append("bufferViews", {**self._view(content), "target": target})
-        entry = {"bufferView": view, "componentType": component, "count": len(array), "type": kind, **more}
-        return self._append("accessors", entry)
-
-    def _view(self, content: bytes | memoryview) -> dict[str, Any]:
-        view = {"buffer": 0, "byteOffset": self.size, "byteLength": len(content)}
-        padding = bytes(-len(content) % 4)
-        self.pieces += [content, padding]
-        self.size += len(content) + len(padding)
-        return view
-
-    def _append(self, name: str, entry: dict[str, Any]) -> int:
-        self.lists[name].append(entry)
-        return len(self.lists[name]) - 1
-
-
 def recognise(view: memoryview) -> bool:
     """Return True for glTF's magic number."""
     return bytes(view[:4]) == b"glTF"
 
 
-def encode(scene: Meshes, *, up: Literal["y", "z"] = "y") -> list[bytes | memoryview]:
-    """Encode meshes. up: the up axis of the scene; glTF's is y."""
-    return encode_glb([_part(number, mesh) for number, mesh in enumerate(scene.meshes)], "nerfbake", up=up)
+def encode(
+    scene: Meshes,
+    *,
+    up: Literal["y", "z"] = "y",
+    lit: bool = False,
+    image: Coding = "png",
+    quantised: bool = False,
+) -> list[bytes | memoryview]:
+    """Encode meshes. Options as in encode_glb() and parts_of()."""
+    return encode_glb(parts_of(scene, image), "nerfbake", up=up, lit=lit, quantised=quantised)
 
 
 def decode(view: memoryview) -> Meshes:
     """Read meshes. Raises InvalidFile for invalid files or external data, InvalidScene for invalid mesh values."""
     return Meshes(decode_glb(view))
-
-
-def _part(number: int, mesh: Mesh) -> MeshPart:
-    textures = {} if mesh.texture is None else {"diffuse": encode_texture(mesh.texture)}
-    return MeshPart(f"mesh {number}", mesh, textures)

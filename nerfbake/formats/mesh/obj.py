@@ -6,16 +6,18 @@ Indices start at 1 and count through the whole file. Negative indices count back
 before it. A \ at the end of a line joins it with the next line, and # starts a comment. All other statements are
 ignored. The parser works on whole columns at a time.
 
-Coordinates are those of the field. Materials and textures of .obj files are in separate files, which are neither read
-nor written; .glb files contain their textures.
+Coordinates are those of the field. Materials and textures stand in files beside the .obj: `mtllib NAME` names the
+library, see mtl.py. A textured mesh is written as three files, because other programs look for them there: NAME.obj,
+NAME.mtl and NAME.png. A mesh without texture is one file.
 """
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,9 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.mesh.mtl import Materials, encode_mtl
+from nerfbake.formats.wire.picture import encode_picture
+from nerfbake.kernels.surface.fans import fan
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
 
 _PER_BYTE = 8  # bytes of memory per byte of text while it is parsed
@@ -38,8 +43,8 @@ Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
 
-def decode_obj(view: memoryview, name: str) -> tuple[Mesh, ...]:
-    """Parse the meshes, one for each material. Polygons become triangle fans.
+def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | None = None) -> tuple[Mesh, ...]:
+    """Parse the meshes, one for each material. Polygons become triangle fans. beside: the files of the same folder.
 
     Vertices with several texture coordinates are split, and unused vertices are dropped. Colours are used only if every
     vertex has one, texture coordinates only if every corner of a mesh has one. Raises InvalidFile, InvalidScene for
@@ -54,8 +59,13 @@ def decode_obj(view: memoryview, name: str) -> tuple[Mesh, ...]:
         ends = np.flatnonzero(np.diff(corners.material[order], append=-1)) + 1
         require_few(len(ends))
         parts = np.split(order, ends[:-1])
-        # In the order in which materials first occur in the file.
-        return tuple(_mesh(corners, part, points, colours, places) for part in sorted(parts, key=lambda part: part[0]))
+        known, materials = text.material_names(), Materials(text.library(), beside)
+        found = []
+        for part in sorted(parts, key=lambda part: part[0]):  # in the order in which materials first occur in the file
+            mesh = _mesh(corners, part, points, colours, places)
+            texture = None if mesh.uvs is None else materials.texture(known[corners.material[part[0]]])
+            found.append(mesh if texture is None else replace(mesh, texture=texture))
+        return tuple(found)
 
 
 class _Corners(NamedTuple):
@@ -158,13 +168,9 @@ class _Text:
         slashes -= np.repeat(slashes[starts], widths)  # a corner starts with a digit or a sign
         vertex = self._indices(split, slashes, 0, starts, line, lines, b"v", vertices)
         place = self._indices(split, slashes, 1, starts, line, lines, b"vt", places)
-        # The triangles of a polygon: its first corner, with each pair of consecutive other corners.
-        triangles = np.repeat(counts - 2, counts - 2)
         polygon = np.repeat(np.arange(len(counts)), counts - 2)
-        step = np.arange(len(triangles)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
-        first = (np.cumsum(counts) - counts)[polygon]
-        fan = np.stack([first, first + step + 1, first + step + 2], axis=1)
-        return _Corners(vertex[fan], place[fan], self._materials(lines)[polygon])
+        corner = fan(np.cumsum(counts) - counts, counts)
+        return _Corners(vertex[corner], place[corner], self._materials(lines)[polygon])
 
     def _indices(
         self,
@@ -193,15 +199,25 @@ class _Text:
         found[have] = index
         return found
 
+    def library(self) -> bytes | None:
+        """Return the name of the first library of materials, if there is one."""
+        return next(iter(self._rests(b"mtllib")), None)
+
+    def material_names(self) -> list[bytes]:
+        """Return the names of the materials in the order of their numbers. The first is used before any is named."""
+        return [b"", *dict.fromkeys(self._rests(b"usemtl"))]
+
+    def _rests(self, word: bytes) -> list[bytes]:
+        """Return what follows this word on each of its lines."""
+        lines = self.lines(word)
+        places = zip(self._starts[lines] + len(word), self._ends[lines], strict=True)
+        return [self._bytes[start:end].tobytes().strip() for start, end in places]
+
     def _materials(self, lines: Ints) -> Ints:
         """Return the material number of each of these lines, (faces,)."""
-        uses = self.lines(b"usemtl")
-        numbers: dict[bytes, int] = {}
-        named = [
-            numbers.setdefault(self._bytes[start:end].tobytes().strip(), 1 + len(numbers))
-            for start, end in zip(self._starts[uses] + 6, self._ends[uses], strict=True)
-        ]
-        return np.array([0, *named])[np.searchsorted(uses, lines)]
+        numbers = {name: number for number, name in enumerate(self.material_names()[1:], 1)}
+        named = [numbers[name] for name in self._rests(b"usemtl")]
+        return np.array([0, *named])[np.searchsorted(self.lines(b"usemtl"), lines)]
 
     def _behind_words(self, lines: Ints) -> bytes:
         """Return these lines without their first word, each with its line break."""
@@ -228,14 +244,15 @@ def _tokens(text: bytes) -> tuple[Ints, Ints]:
     return starts, np.searchsorted(np.flatnonzero(bytes_ == ord("\n")), starts)
 
 
-def encode_obj(meshes: Sequence[Mesh], material: str | None = None) -> Iterator[bytes]:
-    """Yield the meshes as text. material: an .mtl file with `defaultMat`, which all meshes then use."""
-    if material:
-        yield f"mtllib {material}\nusemtl defaultMat\n".encode()
+def encode_obj(meshes: Sequence[Mesh], library: str | None = None, materials: Sequence[str] = ()) -> Iterator[bytes]:
+    """Yield the meshes as text. library: an .mtl file; materials: the name of each mesh's material in it."""
+    if library:
+        yield f"mtllib {library}\n".encode("utf-8", "surrogateescape")
+    names = materials or ([f"mesh_{number}" for number in range(len(meshes))] if len(meshes) > 1 else [])
     vertex, corner = 1, 1  # both count from 1 through the whole file
     for number, mesh in enumerate(meshes):
-        if not material and len(meshes) > 1:
-            yield f"usemtl mesh_{number}\n".encode()
+        if names:
+            yield f"usemtl {names[number]}\n".encode()
         points = mesh.positions if mesh.colours is None else np.concatenate([mesh.positions, mesh.colours], axis=1)
         yield _lines("v" + " %.7g" * points.shape[1], points)
         faces = mesh.faces.astype(np.int64)
@@ -264,13 +281,50 @@ def recognise(view: memoryview) -> bool:
     return b"\0" not in head and _KEYWORD.search(head) is not None
 
 
-def encode(scene: Meshes) -> Iterator[bytes]:
-    """Encode meshes. Raises InvalidScene for meshes with textures."""
+def encode(scene: Meshes, *, image: Literal["png", "jpeg"] = "png") -> Iterator[bytes]:
+    """Encode meshes without textures. Raises InvalidScene for textures, which encode_files() writes, and for levels.
+
+    image: the coding of the textures.
+    """
     if any(mesh.texture is not None for mesh in scene.meshes):
-        raise InvalidScene(Problem("the mesh", "has a texture", "meshes without textures, or .glb"))
+        raise InvalidScene(
+            Problem("the mesh", "has a texture", "meshes without textures, .glb, or an .obj on the disk")
+        )
+    _require_one_level(scene)
     return encode_obj(scene.meshes)
 
 
-def decode(view: memoryview) -> Meshes:
-    """Parse meshes. Raises InvalidFile for invalid text or no faces, InvalidScene for invalid mesh values."""
-    return Meshes(decode_obj(view, "the mesh"))
+def encode_files(
+    scene: Meshes, stem: str, *, image: Literal["png", "jpeg"] = "png"
+) -> Iterator[tuple[str, Iterable[bytes]]]:
+    """Yield the extension and the bytes of each file whose name is `stem` with an extension, the .obj first.
+
+    A mesh without texture is an .obj alone. Raises InvalidScene for levels of detail.
+    """
+    _require_one_level(scene)
+    textures = [mesh.texture for mesh in scene.meshes]
+    if all(texture is None for texture in textures):
+        yield ".obj", encode_obj(scene.meshes)
+        return
+    ending = {"png": ".png", "jpeg": ".jpg"}[image]
+    pictures = [ending if len(textures) == 1 else f"_{number}{ending}" for number in range(len(textures))]
+    names = [f"mesh_{number}" for number in range(len(textures))]
+    yield ".obj", encode_obj(scene.meshes, f"{stem}.mtl", names)
+    used = [None if each is None else stem + name for each, name in zip(textures, pictures, strict=True)]
+    yield ".mtl", [encode_mtl(list(zip(names, used, strict=True)))]
+    for texture, name in zip(textures, pictures, strict=True):
+        if texture is not None:
+            yield name, [encode_picture(texture, image)]
+
+
+def _require_one_level(scene: Meshes) -> None:
+    if scene.coarser:
+        raise InvalidScene(Problem("the mesh", f"has {1 + len(scene.coarser)} levels of detail", "one, or .glb"))
+
+
+def decode(view: memoryview, *, beside: Mapping[str, memoryview] | None = None) -> Meshes:
+    """Parse meshes. Raises InvalidFile for invalid text or no faces, InvalidScene for invalid mesh values.
+
+    beside: the files of the same folder, with materials and textures.
+    """
+    return Meshes(decode_obj(view, "the mesh", beside))

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
+from nerfbake.formats.mesh.mtl import encode_mtl
 from nerfbake.formats.mesh.obj import decode_obj, encode_obj
 from nerfbake.formats.wire.picture import decode_texture, encode_texture
 from nerfbake.scene.mesh import Mesh, joined_meshes
 from nerfbake.scene.stage1 import diffuse_name
 
-_MTL = "newmtl defaultMat\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\nmap_Kd {}\n"
+_MATERIAL = "defaultMat"
 
 
 def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None:
@@ -34,7 +35,7 @@ def encode_surface(
     """Yield the files by name. Yields nothing if there is no mesh or if `files` already contains it."""
     if mesh is None or f"mesh_{cascade}.obj" in files:
         return
-    yield f"mesh_{cascade}.obj", encode_obj([mesh], f"mesh_{cascade}.mtl")
-    yield f"mesh_{cascade}.mtl", [_MTL.format(f"feat0_{cascade}.png").encode()]
+    yield f"mesh_{cascade}.obj", encode_obj([mesh], f"mesh_{cascade}.mtl", [_MATERIAL])
+    yield f"mesh_{cascade}.mtl", [encode_mtl([(_MATERIAL, f"feat0_{cascade}.png")])]
     if mesh.texture is not None:
         yield f"feat0_{cascade}.png", [encode_texture(mesh.texture)]

@@ -26,7 +26,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.formats.mesh.glb import Document, malformed, opening_of, placed_meshes
+from nerfbake.formats.mesh.glb import Document, malformed, placed_meshes
+from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
 from nerfbake.kernels.picture.metrics import to_linear
 from nerfbake.scene.splats import BASES, Splats, join_splats, splats_of_rows

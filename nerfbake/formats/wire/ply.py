@@ -1,4 +1,4 @@
-r"""Read the elements of .ply files: binary in both byte orders, and text.
+r"""Read the header and the elements of .ply files, of splats and of meshes: binary in both byte orders, and text.
 
     ply\n format FORMAT 1.0\n comment ...\n element NAME COUNT\n property TYPE NAME\n
     property list TYPE TYPE NAME\n ... end_header\n | rows of the first element | rows of the second | ...
@@ -21,8 +21,8 @@ from nerfbake.errors import InvalidFile, Problem
 
 Table = npt.NDArray[Any]
 _HEADER = 1 << 16  # bytes
-_TEXT = ""
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": _TEXT}
+TEXT = "ascii"
+ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
@@ -33,20 +33,38 @@ _FEW = 1 << 17  # rows with lists of different lengths that are skipped one by o
 _ALLOWED = "a whole .ply"
 
 
-class _Property(NamedTuple):
+class Property(NamedTuple):
+    """A property of an element. kind: its NumPy type; counts: that of a list's length, None for a single number."""
+
     name: str
-    kind: str  # NumPy type
-    counted: str = ""  # of a list, the NumPy type of its length
+    kind: str
+    counts: str | None = None
 
 
-class _Element(NamedTuple):
+class Element(NamedTuple):
+    """An element with its number of rows."""
+
     name: str
     rows: int
-    properties: list[_Property]
+    properties: list[Property]
 
     @property
     def lists(self) -> bool:
-        return any(each.counted for each in self.properties)
+        return any(each.counts for each in self.properties)
+
+    @property
+    def numbers(self) -> list[tuple[str, str]]:
+        """Name and NumPy type of each property that is not a list."""
+        return [(each.name, each.kind) for each in self.properties if not each.counts]
+
+
+class Header(NamedTuple):
+    """The elements, the comments, the format (TEXT or one of ORDERS), and the offset of the first row."""
+
+    elements: list[Element]
+    comments: list[str]
+    kind: str
+    end: int
 
 
 class Ply(NamedTuple):
@@ -72,10 +90,10 @@ def parse(view: memoryview, *wanted: str) -> Ply:
 
     Other elements are skipped. A wanted element must not have lists.
     """
-    elements, comments, order, at = _header(view)
+    elements, comments, kind, at = parse_header(view)
     found = {element.name: [each.name for each in element.properties] for element in elements}
     tables: dict[str, Table] = {}
-    rows = _Text(view, at) if order == _TEXT else _Binary(view, at, order)
+    rows = _Text(view, at) if kind == TEXT else _Binary(view, at, ORDERS[kind])
     last = max((i for i, element in enumerate(elements) if element.name in wanted), default=-1)
     for element in elements[: last + 1]:
         if element.name not in wanted:
@@ -87,41 +105,41 @@ def parse(view: memoryview, *wanted: str) -> Ply:
     return Ply(found, comments, tables)
 
 
-def _header(view: memoryview) -> tuple[list[_Element], list[str], str, int]:
-    """Return the elements, the comments, the byte order, and the offset of the first row. Raises InvalidFile."""
+def parse_header(view: memoryview) -> Header:
+    """Parse the header. Raises InvalidFile."""
     head = bytes(view[:_HEADER]).replace(b"\r\n", b" \n")  # of the same length
     end = head.find(b"\nend_header")
     stop = head.find(b"\n", end + 1)
     if not recognise(view) or end < 0 or stop < 0:
         raise InvalidFile(Problem("the header", f"does not end within {_HEADER:,} bytes", _ALLOWED))
-    elements: list[_Element] = []
+    elements: list[Element] = []
     comments: list[str] = []
-    order = None
+    found = ""
     for line in head[:end].decode("latin-1").split("\n")[1:]:
         match line.split():
-            case ["format", kind, _] if kind in _ORDERS:
-                order = _ORDERS[kind]
+            case ["format", kind, _] if kind == TEXT or kind in ORDERS:
+                found = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) <= _DIGITS:
                 if name in [element.name for element in elements]:
                     raise InvalidFile(Problem("the header", f"has element {name[:40]!r} twice", "each name once"))
-                elements.append(_Element(name, int(count), []))
-            case ["property", "list", counted, kind, name] if elements and {counted, kind} <= _TYPES.keys():
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[counted]))
+                elements.append(Element(name, int(count), []))
+            case ["property", "list", counts, kind, name] if elements and {counts, kind} <= _TYPES.keys():
+                elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[counts]))
             case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+                elements[-1].properties.append(Property(name, _TYPES[kind]))
             case ["comment" | "obj_info", *words]:
                 comments.append(" ".join(words))
             case []:
                 pass
             case _:
                 raise InvalidFile(Problem("the header", f"has the line {line.strip()[:60]!r}", _ALLOWED))
-    if order is None:
-        raise InvalidFile(Problem("the header", "names no format", " or ".join(_ORDERS)))
+    if not found:
+        raise InvalidFile(Problem("the header", "names no format", " or ".join((*ORDERS, TEXT))))
     for element in elements:
         names = [each.name for each in element.properties]
         if len(set(names)) < len(names):
             raise InvalidFile(Problem(f"element {element.name[:40]}", "has a property twice", "each name once"))
-    return elements, comments, order, stop + 1
+    return Header(elements, comments, found, stop + 1)
 
 
 class _Binary:
@@ -130,7 +148,7 @@ class _Binary:
     def __init__(self, view: memoryview, at: int, order: str) -> None:
         self._view, self._at, self._order = view, at, order
 
-    def table(self, element: _Element) -> Table:
+    def table(self, element: Element) -> Table:
         dtype = np.dtype([(each.name, self._order + each.kind) for each in element.properties])
         size = element.rows * dtype.itemsize
         if size > len(self._view) - self._at:
@@ -140,13 +158,13 @@ class _Binary:
         self._at += size
         return table
 
-    def skip(self, element: _Element) -> None:
+    def skip(self, element: Element) -> None:
         if not element.lists:
             self.table(element)
         elif element.rows:
             self._skip_lists(element)
 
-    def _skip_lists(self, element: _Element) -> None:
+    def _skip_lists(self, element: Element) -> None:
         start = self._at
         fields, size = self._row(element, start)
         dtype = np.dtype(fields)
@@ -162,15 +180,15 @@ class _Binary:
         for _ in range(element.rows):
             self._at += self._row(element, self._at)[1]
 
-    def _row(self, element: _Element, at: int) -> tuple[list[tuple[str, str]], int]:
+    def _row(self, element: Element, at: int) -> tuple[list[tuple[str, str]], int]:
         """The fields of the row at this offset, and its bytes. Raises InvalidFile."""
         fields, size = [], 0
         for k, each in enumerate(element.properties):
-            if each.counted:
-                dtype = np.dtype(self._order + each.counted)
+            if each.counts:
+                dtype = np.dtype(self._order + each.counts)
                 raw = bytes(self._view[at + size : at + size + dtype.itemsize])
                 length = int(np.frombuffer(raw, dtype)[0]) if len(raw) == dtype.itemsize and dtype.kind in "iu" else -1
-                fields.append((f"length{k}", self._order + each.counted))
+                fields.append((f"length{k}", self._order + each.counts))
                 fields.append((f"list{k}", f"V{max(length, 0) * np.dtype(each.kind).itemsize}"))
                 size += dtype.itemsize + length * np.dtype(each.kind).itemsize
                 if length < 0 or at + size > len(self._view):
@@ -200,7 +218,7 @@ class _Text:
         self._starts = np.concatenate([[0], ends + 1])
         self._line = 0
 
-    def skip(self, element: _Element) -> None:
+    def skip(self, element: Element) -> None:
         left = len(self._starts) - 1 - self._line
         if element.rows > left:
             raise InvalidFile(
@@ -210,7 +228,7 @@ class _Text:
             )
         self._line += element.rows
 
-    def table(self, element: _Element) -> Table:
+    def table(self, element: Element) -> Table:
         first = self._line
         self.skip(element)
         text = self._text[self._starts[first] : self._starts[self._line]]

@@ -84,6 +84,7 @@ def flatten(positions: Floats, beside: Coords, *, least: float) -> Flat:
         _absorb(normals, length, beside, seeds, least, owner)
         laid = _lay(positions, normals, length, beside, seeds, least, owner, laid, chart, corners)
     alone = np.flatnonzero(chart == NONE).astype(np.int32)
+    owner[:] = NONE  # those that are laid already have numbers of another list of seeds
     owner[alone] = np.arange(len(alone))
     _lay(positions, normals, length, beside, alone, least, owner, laid, chart, corners)
     return Flat(chart, corners)

@@ -13,7 +13,7 @@ import pytest
 
 from nerfbake import Meshes, load, render_meshes, save
 from nerfbake.formats.mesh import glb as meshes_glb
-from tests.support.meshes import camera, cube, mesh
+from tests.support.meshes import camera, cube, mesh, sphere
 from tests.support.vdb_readers import tool, tree, volume
 
 _SCRIPT = """
@@ -104,6 +104,50 @@ def test_volume_and_mesh_of_one_scene_stand_in_one_place_in_blender(tmp_path: Pa
     np.testing.assert_allclose(boxes["MESH"], [*low, *high], atol=1e-3)
     # Blender's box of a volume goes from the first sample to the last: half a voxel less on each side.
     np.testing.assert_allclose(boxes["VOLUME"], [*(low + step / 2), *(high - step / 2)], atol=1e-3)
+
+
+_LOOKS = """
+import bpy, sys
+import numpy
+numpy.bool = bool  # Debian's Blender 3.4 asks its importer's NumPy for an alias that 1.24 dropped
+folder = sys.argv[-1]
+for name in ("a.glb", "a.obj", "a.ply"):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if name == "a.glb":
+        bpy.ops.import_scene.gltf(filepath=folder + "/" + name)
+    elif name == "a.obj":
+        bpy.ops.wm.obj_import(filepath=folder + "/" + name, forward_axis="Y", up_axis="Z")
+    else:
+        bpy.ops.import_mesh.ply(filepath=folder + "/" + name)
+    (thing,) = (each for each in bpy.context.scene.objects if each.type == "MESH")
+    corners = [thing.matrix_world @ type(thing.location)(corner) for corner in thing.bound_box]
+    low, high = ([end(corner[axis] for corner in corners) for axis in range(3)] for end in (min, max))
+    pictures = [list(image.size) for image in bpy.data.images if image.has_data or image.size[0]]
+    colours = len(thing.data.color_attributes)
+    print("LOOK", name, len(thing.data.polygons), pictures, colours, *(f"{x:.4f}" for x in low + high), sep="|")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.tools
+@pytest.mark.skipif(shutil.which("blender") is None, reason="no blender: `make tools` installs it")
+@pytest.mark.skipif(os.environ.get("NERFBAKE_BLENDER") == "0", reason="left out: NERFBAKE_BLENDER=0")
+def test_blender_opens_textured_meshes_where_they_are(tmp_path: Path) -> None:
+    ball = sphere(12, 16)
+    ball = replace(ball, positions=(ball.positions * [1, 2, 0.5] + [3, 4, 5]).astype(np.float32))
+    uvs = ((ball.positions[:, :2] - [2, 2]) / [2, 4]).clip(0, 1).astype(np.float32)
+    textured = replace(ball, uvs=uvs, texture=np.full((16, 8, 3), (200, 120, 40), np.uint8))
+    save(tmp_path / "a.glb", Meshes((textured,)), up="z", quantised=True, image="jpeg")
+    save(tmp_path / "a.obj", Meshes((textured,)))
+    save(tmp_path / "a.ply", Meshes((replace(ball, colours=np.full((len(ball.positions), 3), 0.5, np.float32)),)))
+    (tmp_path / "look.py").write_text(_LOOKS)
+    said = tool("blender", "--background", "--factory-startup", "--python", tmp_path / "look.py", "--", str(tmp_path))
+    looks = [line.split("|")[1:] for line in said.splitlines() if line.startswith("LOOK")]
+    assert [look[0] for look in looks] == ["a.glb", "a.obj", "a.ply"]
+    for name, triangles, pictures, colours, *corners in looks:
+        assert int(triangles) == len(ball.faces)
+        assert (pictures, colours) == (("[]", "1") if name == "a.ply" else ("[[8, 16]]", "0"))
+        np.testing.assert_allclose(np.array(corners, float), [2, 2, 4.5, 4, 6, 5.5], atol=1e-3)
 
 
 def test_a_mesh_that_was_turned_for_gltf_comes_back() -> None:

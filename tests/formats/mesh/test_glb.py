@@ -7,6 +7,7 @@ import copy
 import json
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,101 @@ def test_glb_there_and_back(tmp_path: Path) -> None:
     back = load(tmp_path / "a.glb", Meshes)
     for one, other in zip(painted().meshes, back.meshes, strict=True):
         assert_same_mesh(one, other, atol=1e-6)  # colours go through linear light
+
+
+BALL = sphere(8, 12)
+WRAPPED = replace(
+    BALL,
+    uvs=((BALL.positions[:, :2] + 1) / 2).astype(np.float32),
+    texture=np.full((16, 8, 3), (200, 120, 40), np.uint8),
+    colours=np.clip(BALL.positions, 0, 1),
+)
+
+
+def parts(content: bytes) -> tuple[dict[str, Any], bytes]:
+    size = int.from_bytes(content[12:16], "little")
+    return json.loads(content[20 : 20 + size]), content[28 + size :]
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("lit", [False, True])
+@pytest.mark.parametrize("picture", ["png", "jpeg", "webp"])
+def test_quantised_attributes_come_back_within_half_a_step(up: Any, lit: bool, picture: Any, tmp_path: Path) -> None:
+    moved = replace(WRAPPED, positions=(WRAPPED.positions * [1, 3, 0.2] + [5, -7, 0.1]).astype(np.float32))
+    save(tmp_path / "a.glb", Meshes((moved,)), up=up, lit=lit, quantised=True, image=picture)
+    (back,) = load(tmp_path / "a.glb", Meshes).with_up(up).meshes
+    np.testing.assert_allclose(back.positions, moved.positions, atol=0.51 * 6 / 65535)
+    np.testing.assert_allclose(back.require_uvs(), moved.require_uvs(), atol=0.51 / 65535)
+    np.testing.assert_allclose(
+        np.array(back.colours), np.array(moved.colours), atol=13 * 0.51 / 65535
+    )  # the slope of sRGB near 0
+    np.testing.assert_array_equal(back.faces, moved.faces)
+    np.testing.assert_allclose(np.array(back.texture), np.array(moved.texture), atol=0 if picture == "png" else 3)
+
+
+def test_another_program_finds_quantised_meshes_where_they_are(tmp_path: Path) -> None:
+    moved = replace(
+        WRAPPED, positions=(WRAPPED.positions * [1, 3, 0.2] + [5, -7, 0.1]).astype(np.float32), colours=None
+    )
+    save(tmp_path / "a.glb", Meshes((moved,)), quantised=True)
+    found: Any = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    np.testing.assert_allclose(found.vertices, moved.positions, atol=0.51 * 6 / 65535)
+    np.testing.assert_array_equal(found.faces, moved.faces)
+
+
+def test_normals_point_outwards_and_have_no_seam(tmp_path: Path) -> None:
+    split = replace(WRAPPED, positions=np.tile(BALL.positions, (2, 1)), uvs=None, texture=None, colours=None)
+    split = replace(
+        split,
+        faces=BALL.faces + np.uint32(len(BALL.positions)) * (np.arange(len(BALL.faces)) % 2)[:, None].astype(np.uint32),
+    )
+    for quantised in (False, True):
+        save(tmp_path / "a.glb", Meshes((split,)), lit=True, quantised=quantised, force=True)
+        found = glb_format.Document(memoryview((tmp_path / "a.glb").read_bytes()))
+        index = found.root["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
+        normals = found.accessor(index, ("VEC3",))
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=0.01)
+        assert ((normals * split.positions).sum(axis=1) > 0.98).all()
+        first, second = np.split(normals, 2)
+        np.testing.assert_array_equal(first, second)
+
+
+def test_quantisation_halves_the_geometry_and_more() -> None:
+    ball = sphere(64, 128)
+    scene = Meshes((replace(ball, uvs=np.clip((ball.positions[:, :2] + 1) / 2, 0, 1)),))
+    plain, small = (len(b"".join(glb_format.encode(scene, quantised=quantised))) for quantised in (False, True))
+    assert small < 0.55 * plain
+
+
+def test_coordinates_beyond_the_texture_stay_floats() -> None:
+    scene = Meshes((replace(WRAPPED, uvs=WRAPPED.require_uvs() * 3),))
+    (back,) = decoded(b"".join(glb_format.encode(scene, quantised=True))).meshes
+    np.testing.assert_array_equal(back.uvs, WRAPPED.require_uvs() * 3)
+
+
+def test_a_viewer_without_levels_of_detail_shows_the_finest(tmp_path: Path) -> None:
+    coarse = (sphere(5, 8), sphere(3, 4))
+    save(tmp_path / "a.glb", Meshes((WRAPPED,), coarse), quantised=True)
+    whole, _ = parts((tmp_path / "a.glb").read_bytes())
+    assert whole["nodes"][0]["extensions"] == {"MSFT_lod": {"ids": [1, 2]}}
+    assert (whole["scenes"], "MSFT_lod" in whole["extensionsUsed"]) == ([{"nodes": [0]}], True)
+    assert "MSFT_lod" not in whole["extensionsRequired"]
+    (back,) = load(tmp_path / "a.glb", Meshes).meshes
+    np.testing.assert_array_equal(back.faces, WRAPPED.faces)
+    found: Any = trimesh.load(tmp_path / "a.glb", process=False)
+    assert [len(mesh.faces) for mesh in found.geometry.values()] == [len(WRAPPED.faces)] or len(
+        found.graph.nodes_geometry
+    ) == 1
+    with pytest.raises(NerfbakeError, match="levels of detail belong to 3 meshes; allowed: a single mesh"):
+        Meshes(painted().meshes, coarse)
+
+
+def test_many_vertices_need_long_indices() -> None:
+    for rings, component in ((510, 5123), (514, 5125)):
+        content = b"".join(glb_format.encode(Meshes((sphere(rings, 128),)), quantised=True))
+        whole, _ = parts(content)
+        assert whole["accessors"][1]["componentType"] == component
+        np.testing.assert_array_equal(decoded(content).meshes[0].faces, sphere(rings, 128).faces)
 
 
 def test_another_writers_glb_with_turned_and_scaled_parts(tmp_path: Path) -> None:
@@ -143,12 +239,12 @@ def accessor(**changes: Any) -> dict[str, Any]:
     return {"accessors": [document()["accessors"][0] | changes, document()["accessors"][1]]}
 
 
-def image(**entry: Any) -> dict[str, Any]:
+def image(textures: Any = None, **entry: Any) -> dict[str, Any]:
     material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
     uvs = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC2"}
     return {
         "materials": [material],
-        "textures": [{"source": 0}],
+        "textures": textures or [{"source": 0}],
         "images": [entry],
         "accessors": [*document()["accessors"], uvs],
         "meshes": primitive(material=0, attributes={"POSITION": 0, "TEXCOORD_0": 2}),
@@ -193,6 +289,15 @@ LIES: dict[str, tuple[bytes, str]] = {
     "another file": (glb(document(buffers=[{"uri": "/etc/passwd"}]), BODY), "is in another file"),
     "a picture elsewhere": (glb(document(**image(uri="file:///etc/passwd")), BODY), "images[0] is in another file"),
     "no picture": (glb(document(**image(bufferView=0)), BODY), "images[0] cannot be read"),
+    "WebP by no number": (
+        glb(document(**image([{"extensions": {"EXT_texture_webp": {"source": "x"}}}], bufferView=0)), BODY),
+        "textures[0].extensions.EXT_texture_webp.source is x",
+    ),
+    "WebP that is none": (
+        glb(document(**image([{"extensions": {"EXT_texture_webp": {"source": 0}}}], bufferView=0)), BODY),
+        "images[0] cannot be read",
+    ),
+    "no source": (glb(document(**image([{"extensions": 5}], bufferView=0)), BODY), "textures[0].source is None"),
     "Draco": (glb(document(extensionsRequired=["KHR_draco_mesh_compression"]), BODY), "has KHR_draco_mesh"),
     "required by number": (glb(document(extensionsRequired=5), BODY), "JSON.extensionsRequired is a int"),
     "a corner too many": (glb(document(), BODY[:-8] + b"\x09\0" * 4), "mesh faces[0, 0] is 9; allowed: a"),
@@ -232,9 +337,11 @@ def test_a_mesh_that_many_nodes_show_stays_within_max_memory() -> None:
 
 def test_a_damaged_glb_is_read_or_refused(tmp_path: Path) -> None:
     save(tmp_path / "a.glb", painted())
-    for _, broken in damaged((tmp_path / "a.glb").read_bytes(), flips=200):
-        with contextlib.suppress(NerfbakeError):
-            glb_format.decode(memoryview(broken))
+    save(tmp_path / "b.glb", Meshes((WRAPPED,), (BALL,)), quantised=True, lit=True, image="webp")
+    for name in ("a.glb", "b.glb"):
+        for _, broken in damaged((tmp_path / name).read_bytes(), flips=200):
+            with contextlib.suppress(NerfbakeError):
+                glb_format.decode(memoryview(broken))
 
 
 ODD: tuple[Any, ...] = (None, True, -1, 7, 1e300, 10**30, "x", [], [None], [[0]], {}, {"x": 0}, float("nan"))
@@ -253,9 +360,7 @@ def with_odd_values(value: Any) -> Iterator[Any]:
 
 def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
     save(tmp_path / "a.glb", painted())
-    content = (tmp_path / "a.glb").read_bytes()
-    size = int.from_bytes(content[12:16], "little")
-    whole, body = json.loads(content[20 : 20 + size]), content[28 + size :]
+    whole, body = parts((tmp_path / "a.glb").read_bytes())
     whole["nodes"][0] |= {"children": [], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
     whole["nodes"][1] |= {"matrix": np.eye(4).reshape(-1).tolist()}
     refused = 0

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import trimesh
 
 from nerfbake import Meshes, load, save
-from nerfbake.errors import NerfbakeError
+from nerfbake.errors import BudgetMissed, NerfbakeError, OutputError
 from nerfbake.formats.mesh import obj
+from nerfbake.io import saving
 from tests.support.hostile import damaged, refused_as_it_is
-from tests.support.meshes import assert_same_mesh, cube, painted, square
+from tests.support.meshes import TEXELS, assert_same_mesh, cube, painted, square
 
 
 def test_obj_there_and_back(tmp_path: Path) -> None:
@@ -21,9 +26,95 @@ def test_obj_there_and_back(tmp_path: Path) -> None:
         back = load(tmp_path / "a.obj", Meshes).meshes
         for one, other in zip(scene.meshes, sorted(back, key=lambda m: len(m.faces)), strict=True):
             assert_same_mesh(one, other, atol=0.5 / 255)  # trimesh has vertex colours as bytes
-    with pytest.raises(NerfbakeError, match=r"has a texture; allowed: meshes without textures, or \.glb"):
-        save(tmp_path / "b.obj", painted())
-    assert not (tmp_path / "b.obj").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.obj"]
+
+
+TEXTURED = Meshes((replace(square(half=1.0), texture=TEXELS),))
+
+
+def test_a_texture_stands_beside_its_obj(tmp_path: Path) -> None:
+    size = save(tmp_path / "a toy.obj", TEXTURED)
+    names = ["a toy.mtl", "a toy.obj", "a toy.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert size == sum(path.stat().st_size for path in tmp_path.iterdir())
+    assert_same_mesh(load(tmp_path / "a toy.obj", Meshes).meshes[0], TEXTURED.meshes[0], atol=1e-6)
+    found: Any = trimesh.load(tmp_path / "a toy.obj", process=False)
+    np.testing.assert_array_equal(np.asarray(found.visual.material.image.convert("RGB")), TEXELS)
+    np.testing.assert_allclose(found.visual.uv * [1, -1] + [0, 1], TEXTURED.meshes[0].require_uvs(), atol=1e-6)
+
+
+def test_several_textures_as_jpegs(tmp_path: Path) -> None:
+    plain, _, flat = painted().meshes
+    scene = Meshes((flat, replace(flat, texture=np.full((8, 8, 3), 90, np.uint8)), plain))
+    save(tmp_path / "a.obj", scene, image="jpeg")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mtl", "a.obj", "a_0.jpg", "a_1.jpg"]
+    back = load(tmp_path / "a.obj", Meshes).meshes
+    assert [None if mesh.texture is None else mesh.texture.shape for mesh in back] == [(4, 4, 3), (8, 8, 3), None]
+
+
+def test_nothing_is_replaced_without_force_and_all_of_it_with(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists already"):
+        save(tmp_path / "a.obj", TEXTURED)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    save(tmp_path / "a.obj", TEXTURED, force=True)
+    assert_same_mesh(load(tmp_path / "a.obj", Meshes).meshes[0], TEXTURED.meshes[0], atol=1e-6)
+
+
+def test_a_rejected_obj_keeps_its_texture(tmp_path: Path) -> None:
+    def reject(path: str) -> None:
+        assert load(path, Meshes).meshes[0].texture is not None
+        raise BudgetMissed("bad")
+
+    with pytest.raises(BudgetMissed), saving(tmp_path / "a.obj", TEXTURED) as saved:
+        reject(saved.path)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.obj.rejected"]
+    assert load(tmp_path / "a.obj.rejected" / "a.obj", Meshes).meshes[0].texture is not None
+
+
+def test_a_texture_needs_a_file_with_room_beside_it(tmp_path: Path) -> None:
+    with pytest.raises(NerfbakeError, match=r"has a texture; allowed: .*\.glb, or an \.obj on the disk"):
+        save(tmp_path / "a.obj.zst", TEXTURED)
+    with pytest.raises(NerfbakeError, match=r"has 2 levels of detail; allowed: one, or \.glb"):
+        save(tmp_path / "a.obj", Meshes((cube(),), (cube(),)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("library", "material"),
+    [
+        ("../a.mtl", "map_Kd a.png"),
+        ("gone.mtl", "map_Kd a.png"),
+        ("a.mtl", "map_Kd ../a.png"),
+        ("a.mtl", "map_Kd /etc/passwd.png"),
+        ("a.mtl", "map_Kd gone.png"),
+        ("a.mtl", "map_Kd a.tga"),
+        ("a.mtl", "map_Kd"),
+        ("a.mtl", "map_Kd " + 300 * "x" + ".png"),
+    ],
+)
+def test_a_material_elsewhere_is_ignored(library: str, material: str, tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    for folder in (tmp_path, tmp_path / "below"):  # so that what a wrong name would find is there
+        save(folder / "a.obj", TEXTURED)
+    text = (tmp_path / "below" / "a.obj").read_text()
+    (tmp_path / "below" / "a.obj").write_text(text.replace("mtllib a.mtl", f"mtllib {library}"))
+    (tmp_path / "below" / "a.mtl").write_text(f"newmtl mesh_0\n{material}\n")
+    (tmp_path / "below" / "a.tga").write_bytes(b"no picture")
+    assert load(tmp_path / "below" / "a.obj", Meshes).meshes[0].texture is None
+
+
+def test_options_of_a_map_are_skipped(tmp_path: Path) -> None:
+    save(tmp_path / "a.obj", TEXTURED)
+    (tmp_path / "a.mtl").write_text("newmtl other\nmap_Kd b.png\n\nnewmtl mesh_0\n\tmap_Kd -s 1 1 1 a.png\n")
+    assert load(tmp_path / "a.obj", Meshes).meshes[0].texture is not None
+
+
+def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
+    save(tmp_path / "a.obj", TEXTURED)
+    (tmp_path / "a.png").write_bytes(b"none")
+    with pytest.raises(NerfbakeError, match=r"a\.png cannot be read"):
+        load(tmp_path / "a.obj")
 
 
 LIES: dict[str, tuple[bytes, str]] = {

@@ -199,7 +199,7 @@ SOUND = written(splats(3, degree=1))
 LIES: dict[str, tuple[bytes, str]] = {
     "a mesh": (
         ply_text({"vertex": (0, XYZ), "face": (0, ["list uchar int v"])}),
-        "is a mesh; allowed: Gaussian splats",
+        "element face has no list vertex_indices",
     ),
     "points": (ply_text({"vertex": (1, XYZ)}) + bytes(12), "is a point cloud; allowed: Gaussian splats"),
     "no rows": (SOUND.replace(b"vertex 3", b"vertex 0"), "have no rows; allowed: at least one splat"),
