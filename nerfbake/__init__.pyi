@@ -42,6 +42,7 @@ from .stages.field_to_importance import weigh_leaves as weigh_leaves
 from .stages.field_to_mesh import build_hull as build_hull
 from .stages.field_to_page_field import build_page_field as build_page_field
 from .stages.field_to_page_field import round_field as round_field
+from .stages.field_to_splats import build_splats as build_splats
 from .stages.field_to_surface import build_surface as build_surface
 from .stages.lattice_to_image import measure_lattice as measure_lattice
 from .stages.lattice_to_image import render_lattice as render_lattice
@@ -98,6 +99,7 @@ from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field
 from .stages.views_to_hull import carve_hull as carve_hull
 from .stages.views_to_specular import fit_specular as fit_specular
+from .stages.views_to_splats import fit_splats as fit_splats
 from .stages.views_to_texture import fit_texture as fit_texture
 from .stages.views_to_vertices import move_vertices as move_vertices
 

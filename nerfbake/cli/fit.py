@@ -156,7 +156,7 @@ def fit_options(function: Command) -> Command:
 
 @click.command()
 @click.argument("source", metavar="SOURCE", type=PhotographsPath())
-@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "N3Tree")
+@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree")
 @fit_options
 @photograph_options
 @click.option(

@@ -48,4 +48,8 @@ from .samples import write_sample_capture as write_sample_capture
 from .samples import write_sample_n3tree as write_sample_n3tree
 from .samples import write_sample_stage1 as write_sample_stage1
 from .shaders import write_shaders as write_shaders
+from .splats import SplatsModel as SplatsModel
+from .splats import SplatsOptions as SplatsOptions
+from .splats import SplatsResult as SplatsResult
+from .splats import bake_splats as bake_splats
 from .steps import Steps as Steps

@@ -13,9 +13,11 @@ from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.splat.project import (
     BLUE,
+    COLUMNS,
     DEPTH,
     GREEN,
     HALF_HEIGHT,
+    HALF_WIDTH,
     INVERSE_DET,
     OPACITY,
     REACH,
@@ -35,10 +37,14 @@ from nerfbake.kernels.splat.tiles import EDGE, PAD
 MOST_ALPHA = 0.99
 LEAST_TRANSMITTANCE = 1e-4  # a pixel is closed before the splat that would leave less
 PIXELS = EDGE * EDGE
-LANES = 8  # pixels of a row that are always computed together
-_CHECK = 16  # splats after which a tile is checked for open pixels
+LANES = 8  # columns of a strip: pixels that are always computed together
+STRIPS = EDGE // LANES
+STRIP = LANES * EDGE  # pixels of a strip
+_LONG = 3.0  # pixels: half the height from which an ellipse's rows are computed for each strip
+CHUNK = 32  # splats whose rows are copied at a time, so that the CPU loads them while it computes others
 # Planes of a tile's state, PIXELS numbers each, in one array: at constant distances, the compiler need not check that
-# they do not overlap. LIVE is the transmittance, or 0 for a closed pixel; LEFT is the transmittance.
+# they do not overlap. A plane holds strips of 8 columns, one after the other, so that the pixels of several rows are
+# contiguous. LIVE is the transmittance, or 0 for a closed pixel; LEFT is the transmittance.
 LIVE, LEFT, TILE_RED, TILE_GREEN, TILE_BLUE, FAR, ACROSS, DOWN = (np.uint64(PIXELS * k) for k in range(8))
 PLANES = 8
 
@@ -75,6 +81,7 @@ def _blend(
     rows: Singles, lists: TileLists, columns: int, eye: Eye, places: Floats, out: PicturePlanes, first: int, step: int
 ) -> None:
     state, band = np.empty(PLANES * PIXELS, np.float32), np.empty((EDGE, 2), np.float32)
+    near = np.empty((CHUNK, COLUMNS), np.float32)
     height, width = out.alpha.shape
     even = places.shape[0] == 0
     for tile in range(lists.begin + first, lists.end, step):
@@ -82,10 +89,16 @@ def _blend(
         high, wide = min(EDGE, height - top), min(EDGE, width - start)
         begin_tile(state, band, places, top, start, high, wide)
         begin, end = lists.starts[tile], lists.ends[tile]
-        blend_tile(rows, lists.entries, begin, end, state, band, top, start, high, wide, even)
+        blend_tile(rows, lists.entries, begin, end, state, band, near, top, start, high, wide, even)
         for y in range(high):
             for x in range(wide):
-                _write_pixel(state, y * EDGE + x, top, start, eye, out, top + y, start + x)
+                _write_pixel(state, place_of(y, x), top, start, eye, out, top + y, start + x)
+
+
+@compiled(merged=True)
+def place_of(y: int, x: int) -> int:
+    """Return the place of a pixel in a plane."""
+    return x // LANES * STRIP + y * LANES + x % LANES
 
 
 @compiled()
@@ -113,21 +126,21 @@ def begin_tile(state: Singles, band: Singles, places: Floats, top: int, start: i
 
     Pixels outside the picture are closed. band (EDGE, 2): least and largest y of each row.
     """
-    for at in range(PIXELS):
-        y, x = at // EDGE, at % EDGE
-        inside = y < high and x < wide
-        state[LIVE + at] = f32(1) if inside else f32(0)
-        state[LEFT + at] = f32(1)
-        state[TILE_RED + at] = state[TILE_GREEN + at] = state[TILE_BLUE + at] = state[FAR + at] = f32(0)
-        state[ACROSS + at], state[DOWN + at] = f32(x + 0.5), f32(y + 0.5)
-        if len(places) and inside:
-            state[ACROSS + at] = places[top + y, start + x, 0] - start
-            state[DOWN + at] = places[top + y, start + x, 1] - top
     for y in range(EDGE):
-        band[y, 0], band[y, 1] = state[DOWN + y * EDGE], state[DOWN + y * EDGE]
-        for x in range(min(wide, EDGE)):
-            band[y, 0] = min(band[y, 0], state[DOWN + y * EDGE + x])
-            band[y, 1] = max(band[y, 1], state[DOWN + y * EDGE + x])
+        for x in range(EDGE):
+            at = place_of(y, x)
+            inside = y < high and x < wide
+            state[LIVE + at] = f32(1) if inside else f32(0)
+            state[LEFT + at] = f32(1)
+            state[TILE_RED + at] = state[TILE_GREEN + at] = state[TILE_BLUE + at] = state[FAR + at] = f32(0)
+            state[ACROSS + at], state[DOWN + at] = f32(x + 0.5), f32(y + 0.5)
+            if len(places) and inside:
+                state[ACROSS + at] = places[top + y, start + x, 0] - start
+                state[DOWN + at] = places[top + y, start + x, 1] - top
+        band[y, 0], band[y, 1] = state[DOWN + place_of(y, 0)], state[DOWN + place_of(y, 0)]
+        for x in range(wide):
+            band[y, 0] = min(band[y, 0], state[DOWN + place_of(y, x)])
+            band[y, 1] = max(band[y, 1], state[DOWN + place_of(y, x)])
 
 
 @compiled()
@@ -138,6 +151,7 @@ def blend_tile(
     end: int,
     state: Singles,
     band: Singles,
+    near: Singles,
     top: int,
     start: int,
     high: int,
@@ -145,56 +159,85 @@ def blend_tile(
     even: bool,
 ) -> int:
     """Blend the splats of entries begin .. end. Returns the place of the first entry that no open pixel is left for."""
-    for at in range(begin, end):
-        if (at - begin) % _CHECK == _CHECK - 1 and not is_open(state):
-            return at
-        i = np.uint64(entries[at])
-        x = (rows[i, X] - f32(start)) + rows[i, X_REST]
-        y = (rows[i, Y] - f32(top)) + rows[i, Y_REST]
-        xx, xy, yy, opacity = rows[i, XX], rows[i, XY], rows[i, YY], rows[i, OPACITY]
-        red, green, blue, depth = rows[i, RED], rows[i, GREEN], rows[i, BLUE], rows[i, DEPTH]
-        first_row, last_row = row_range(rows, i, y, high, even)
-        for row in range(first_row, last_row):
-            low, most = column_range(rows, i, x, y, band, row, wide, even)
-            _blend_row(state, row * EDGE + low, row * EDGE + most, x, y, xx, xy, yy, opacity, red, green, blue, depth)
+    for first in range(begin, end, CHUNK):
+        if not is_open(state):
+            return first
+        count = load_chunk(rows, entries, first, end, near)
+        for k in range(count):
+            i = np.uint64(k)
+            x = (near[i, X] - f32(start)) + near[i, X_REST]
+            y = (near[i, Y] - f32(top)) + near[i, Y_REST]
+            xx, xy, yy, opacity = near[i, XX], near[i, XY], near[i, YY], near[i, OPACITY]
+            red, green, blue, depth = near[i, RED], near[i, GREEN], near[i, BLUE], near[i, DEPTH]
+            first_strip, last_strip = strip_range(near, i, x, wide, even)
+            for strip in range(first_strip, last_strip):
+                first_row, last_row = row_range(near, i, x, y, band, strip, high, even)
+                if last_row > first_row:
+                    place = strip * STRIP + first_row * LANES
+                    size = (last_row - first_row) * LANES
+                    _blend_pixels(state, place, size, x, y, xx, xy, yy, opacity, red, green, blue, depth)
     return end
 
 
-@compiled(merged=True)
-def row_range(rows: Singles, i: np.uint64, y: np.float32, high: int, even: bool) -> tuple[int, int]:
-    """Return the range of rows of the tile that a splat at y may reach."""
-    if not even:
-        return 0, high
-    half = rows[i, HALF_HEIGHT] + f32(PAD - 0.5)
-    return int(max(y - half, f32(0))), int(min(y + half, f32(high - 1)) + f32(1))
+@compiled()
+def load_chunk(rows: Singles, entries: npt.NDArray[np.int32], first: int, end: int, near: Singles) -> int:
+    """Copy the rows of the next splats of a tile to `near` (CHUNK, COLUMNS), and return how many."""
+    count = min(CHUNK, end - first)
+    for k in range(count):
+        i = np.uint64(entries[first + k])
+        for column in range(COLUMNS):
+            near[np.uint64(k), column] = rows[i, column]
+    return count
 
 
 @compiled(merged=True)
-def column_range(
-    rows: Singles, i: np.uint64, x: np.float32, y: np.float32, band: Singles, row: int, wide: int, even: bool
-) -> tuple[int, int]:
-    """Return the range of columns of a row that a splat at x, y may reach, in whole LANES."""
+def strip_range(rows: Singles, i: np.uint64, x: np.float32, wide: int, even: bool) -> tuple[int, int]:
+    """Return the range of strips of the tile that a splat at x may reach."""
     if not even:
-        half = rows[i, HALF_HEIGHT] + f32(PAD)
-        return 0, EDGE if band[row, 1] > y - half and band[row, 0] < y + half else 0
-    down = f32(row + 0.5) - y
-    square = rows[i, REACH] * rows[i, XX] - down * down * rows[i, INVERSE_DET]
-    if not square > f32(-1e-3):
-        return 0, 0
-    per = f32(1) / rows[i, XX]
-    middle = x - rows[i, XY] * down * per - f32(0.5)
-    half = sqrt(max(square, f32(0))) * per + f32(PAD)
-    low, most = max(middle - half, f32(0)), min(middle + half, f32(wide - 1))
+        return 0, STRIPS
+    half = rows[i, HALF_WIDTH] + f32(PAD)
+    low, most = max(x - half - f32(0.5), f32(0)), min(x + half - f32(0.5), f32(wide - 1))
     if not low <= most:
         return 0, 0
-    return int(low) // LANES * LANES, int(most) // LANES * LANES + LANES
+    return int(low) // LANES, int(most) // LANES + 1
 
 
 @compiled(merged=True)
-def _blend_row(
+def row_range(
+    rows: Singles, i: np.uint64, x: np.float32, y: np.float32, band: Singles, strip: int, high: int, even: bool
+) -> tuple[int, int]:
+    """Return the range of rows of a strip that a splat at x, y may reach."""
+    half = rows[i, HALF_HEIGHT]
+    low, most = y - half, y + half
+    if not even:
+        first, last = high, 0
+        for row in range(high):
+            if band[row, 1] >= low - f32(PAD) and band[row, 0] <= most + f32(PAD):
+                first, last = min(first, row), row + 1
+        return first, last
+    if half > f32(_LONG):
+        # The ellipse between the first and the last column of the strip: where it is highest and lowest, or at the
+        # column that is nearest to that.
+        left = f32(strip * LANES + 0.5) - x
+        right = left + f32(LANES - 1)
+        xx, xy, yy = rows[i, XX], rows[i, XY], rows[i, YY]
+        highest = -xy / xx * half
+        up, down = min(max(-highest, left), right), min(max(highest, left), right)
+        inverse_det, reach = rows[i, INVERSE_DET], rows[i, REACH] * yy
+        per = f32(1) / yy
+        low = y - (xy * up + sqrt(max(reach - up * up * inverse_det, f32(0)))) * per
+        most = y - (xy * down - sqrt(max(reach - down * down * inverse_det, f32(0)))) * per
+    low, most = max(low - f32(PAD + 0.5), f32(0)), min(most + f32(PAD - 0.5), f32(high - 1))
+    if not low <= most:
+        return 0, 0
+    return int(low), int(most) + 1
+
+
+@compiled(merged=True)
+def _blend_pixels(
     state: Singles,
-    begin: int,
-    end: int,
+    place: int,
+    count: int,
     x: np.float32,
     y: np.float32,
     xx: np.float32,
@@ -208,8 +251,8 @@ def _blend_row(
 ) -> None:
     one, none = f32(1), f32(0)
     # Indices are unsigned: numba checks signed ones for being negative, which prevents vectorisation.
-    first = np.uint64(begin)
-    for k in range(np.uint64(end - begin)):
+    first = np.uint64(place)
+    for k in range(np.uint64(count)):
         at = first + k
         alpha = alpha_at(state[ACROSS + at] - x, state[DOWN + at] - y, xx, xy, yy, opacity)
         live, left = state[LIVE + at], state[LEFT + at]
@@ -255,7 +298,7 @@ def short_exp(x: np.float32) -> np.float32:
 @compiled()
 def is_open(state: Singles) -> bool:
     """Return whether any pixel is open."""
-    most = f32(0)
-    for at in range(PIXELS):
-        most = max(most, state[LIVE + np.uint64(at)])
-    return most > 0
+    count = 0
+    for at in range(np.uint64(PIXELS)):
+        count += np.int64(state[LIVE + at] > f32(0))
+    return count > 0
