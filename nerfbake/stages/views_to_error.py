@@ -1,4 +1,4 @@
-"""Radiance field, splats or meshes, and views -> the error of their pictures against the photographs."""
+"""Radiance field, meshes or splats, and views -> the error of their pictures against the photographs."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
+
+Measured = RadianceField | Meshes | Stage1 | Splats
 
 _PIXEL_BYTES = 280  # per pixel while two pictures are compared, as in scenes_to_comparison
 
@@ -57,9 +59,7 @@ def plain_psnr(views: Views) -> float:
     return sum(found) / len(found)
 
 
-def measure_views(
-    scene: RadianceField | Splats | Meshes | Stage1, views: Views, *, samples: int = 1
-) -> tuple[ViewError, ...]:
+def measure_views(scene: Measured, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
     """Render every view over its background, and measure it against its photograph.
 
     Vertex colours of meshes are shown as they are, without light. samples: as in render_field(); no effect on splats.
@@ -88,11 +88,11 @@ def measure_views(
     return tuple(errors)
 
 
-def _renderer(scene: RadianceField | Splats | Meshes | Stage1) -> Callable[..., Image]:
-    if isinstance(scene, Splats):
-        return partial(render_splats, scene)
+def _renderer(scene: Measured) -> Callable[..., Image]:
     if isinstance(scene, Meshes):
         return partial(render_meshes, scene, lit=False)
+    if isinstance(scene, Splats):
+        return partial(render_splats, scene)
     return partial(render_stage1 if isinstance(scene, Stage1) else render_field, scene)  # type: ignore[arg-type]
 
 

@@ -164,6 +164,8 @@ def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
             convert_file(tmp_path / "a.ply", tmp_path / "b.glb", **options)
     with pytest.raises(UsageError, match="`small` is for splats"):
         convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", small=True)
-    with pytest.raises(NerfbakeError, match="holds Gaussian splats; allowed: an octree"):
+    with pytest.raises(UsageError, match=r"no file extension for Gaussian splats; allowed: \.glb, \.ply, \.spz"):
+        convert_file(tmp_path / "a.ply", tmp_path / "b.splat")
+    with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
         convert_file(tmp_path / "a.ply", tmp_path / "b.svo.npz")
     assert not list(tmp_path.glob("b*"))

@@ -95,7 +95,7 @@ def svraster(scene: Voxels, *, quantised: bool = False) -> dict[str, Any]:
     if quantised:
         found["_geo_grid_pts"] = coded(scene.raw[:, None])
         found["_sh0"] = [coded(scene.sh[:, 0, k, None]) for k in range(3)]
-        found["_shs"] = [coded(scene.sh[:, k]) for k in range(1, 16)]
+        found["_shs"] = [coded(scene.sh[:, k, None]) for k in range(1, 16)]
     return found
 
 

@@ -110,18 +110,21 @@ class _Model:
 
     def coefficients(self, key: str, rows: int, count: int) -> Singles:
         """(rows, count, 3) SH coefficients. In a quantised file they are a list."""
-        value, third = self.root.get(key), (3,)
+        value = self.root.get(key)
         if not self._coded:
-            found = self._decoded(value, key, third if key == "_sh0" else (None, 3)).reshape(-1, count or 1, 3)
+            tables = [self._decoded(value, key, (3,) if key == "_sh0" else (None, 3))]
         elif isinstance(value, list) and len(value) >= (3 if key == "_sh0" else count):
             parts = value[:3] if key == "_sh0" else value[:count]
-            each = [self._decoded(part, key, (1,) if key == "_sh0" else third) for part in parts]
-            found = np.concatenate(each, axis=1).reshape(-1, count, 3)
+            tables = [self._decoded(part, key, (1,) if key == "_sh0" else (1, 3)) for part in parts]
         else:
             raise InvalidFile(Problem(key, "is not a list of codes", f"{count} of them, as `quantized` says"))
-        if len(found) != rows:
-            raise InvalidFile(Problem(key, f"has {len(found):,} rows", f"{rows:,}, as octpath"))
-        return found
+        if wrong := [len(table) for table in tables if len(table) != rows]:
+            raise InvalidFile(Problem(key, f"has {wrong[0]:,} rows", f"{rows:,}, as octpath"))
+        found = np.concatenate(tables, axis=1)
+        if found.size != rows * count * 3:
+            allowed = f"({rows}, {count}, 3)"
+            raise InvalidFile(Problem(key, f"has {found.size:,} numbers", f"{rows * count * 3:,}, of shape {allowed}"))
+        return found.reshape(rows, count, 3)
 
     def _decoded(self, value: Any, key: str, shape: tuple[int | None, ...]) -> Singles:
         if self._coded:

@@ -12,6 +12,7 @@ from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.splat.blend import (
     ACROSS,
+    CHUNK,
     DOWN,
     LANES,
     LEAST_TRANSMITTANCE,
@@ -25,11 +26,12 @@ from nerfbake.kernels.splat.blend import (
     alpha_at,
     begin_tile,
     blend_tile,
+    load_chunk,
     place_of,
     row_range,
     strip_range,
 )
-from nerfbake.kernels.splat.project import BLUE, GREEN, OPACITY, RED, X_REST, XX, XY, Y_REST, YY, X, Y
+from nerfbake.kernels.splat.project import BLUE, COLUMNS, GREEN, OPACITY, RED, X_REST, XX, XY, Y_REST, YY, X, Y
 from nerfbake.kernels.splat.tiles import EDGE
 
 # Columns of the sums. Let G be the change of the error with the exponent of a pixel's Gaussian, and dx, dy the place of
@@ -78,6 +80,7 @@ def _blend_back(
     step: int,
 ) -> None:
     state, band = np.empty(PLANES * PIXELS, np.float32), np.empty((EDGE, 2), np.float32)
+    near = np.empty((CHUNK, COLUMNS), np.float32)
     lanes = np.empty(SUMS * LANES, np.float32)
     height, width = target.pixels.shape[:2]
     even = places.shape[0] == 0
@@ -86,9 +89,9 @@ def _blend_back(
         high, wide = min(EDGE, height - top), min(EDGE, width - start)
         begin_tile(state, band, places, top, start, high, wide)
         begin, end = lists.starts[tile], lists.ends[tile]
-        closed = blend_tile(rows, lists.entries, begin, end, state, band, top, start, high, wide, even)
+        closed = blend_tile(rows, lists.entries, begin, end, state, band, near, top, start, high, wide, even)
         errors[tile] = _begin_back(state, target, top, start, high, wide)
-        _sum_tile(rows, lists.entries, begin, closed, state, band, lanes, top, start, high, wide, even, sums)
+        _sum_tile(rows, lists.entries, begin, closed, state, band, near, lanes, top, start, high, wide, even, sums)
         sums[closed:end] = 0
 
 
@@ -127,6 +130,7 @@ def _sum_tile(
     end: int,
     state: Singles,
     band: Singles,
+    near: Singles,
     lanes: Singles,
     top: int,
     start: int,
@@ -136,25 +140,27 @@ def _sum_tile(
     sums: Singles,
 ) -> None:
     """Write the sums of entries begin .. end, which blend_tile() has blended."""
-    for at in range(begin, end):
-        i = np.uint64(entries[at])
-        x = (rows[i, X] - f32(start)) + rows[i, X_REST]
-        y = (rows[i, Y] - f32(top)) + rows[i, Y_REST]
-        xx, xy, yy, opacity = rows[i, XX], rows[i, XY], rows[i, YY], rows[i, OPACITY]
-        red, green, blue = rows[i, RED], rows[i, GREEN], rows[i, BLUE]
-        for k in range(np.uint64(lanes.size)):
-            lanes[k] = f32(0)
-        first_strip, last_strip = strip_range(rows, i, x, wide, even)
-        for strip in range(first_strip, last_strip):
-            first_row, last_row = row_range(rows, i, x, y, band, strip, high, even)
-            for row in range(first_row, last_row):
-                place = strip * STRIP + row * LANES
-                _sum_row(state, lanes, place, lanes.size // SUMS, x, y, xx, xy, yy, opacity, red, green, blue)
-        for k in range(SUMS):
-            total = f32(0)
-            for lane in range(LANES):
-                total += lanes[np.uint64(k * LANES + lane)]
-            sums[at, k] = total
+    for first in range(begin, end, CHUNK):
+        count = load_chunk(rows, entries, first, end, near)
+        for k in range(count):
+            i = np.uint64(k)
+            x = (near[i, X] - f32(start)) + near[i, X_REST]
+            y = (near[i, Y] - f32(top)) + near[i, Y_REST]
+            xx, xy, yy, opacity = near[i, XX], near[i, XY], near[i, YY], near[i, OPACITY]
+            red, green, blue = near[i, RED], near[i, GREEN], near[i, BLUE]
+            for lane in range(np.uint64(lanes.size)):
+                lanes[lane] = f32(0)
+            first_strip, last_strip = strip_range(near, i, x, wide, even)
+            for strip in range(first_strip, last_strip):
+                first_row, last_row = row_range(near, i, x, y, band, strip, high, even)
+                for row in range(first_row, last_row):
+                    place = strip * STRIP + row * LANES
+                    _sum_row(state, lanes, place, lanes.size // SUMS, x, y, xx, xy, yy, opacity, red, green, blue)
+            for column in range(SUMS):
+                total = f32(0)
+                for lane in range(LANES):
+                    total += lanes[np.uint64(column * LANES + lane)]
+                sums[first + k, column] = total
 
 
 @compiled(merged=True)

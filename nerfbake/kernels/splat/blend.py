@@ -13,6 +13,7 @@ from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.splat.project import (
     BLUE,
+    COLUMNS,
     DEPTH,
     GREEN,
     HALF_HEIGHT,
@@ -40,7 +41,7 @@ LANES = 8  # columns of a strip: pixels that are always computed together
 STRIPS = EDGE // LANES
 STRIP = LANES * EDGE  # pixels of a strip
 _LONG = 3.0  # pixels: half the height from which an ellipse's rows are computed for each strip
-_CHECK = 16  # splats after which a tile is checked for open pixels
+CHUNK = 32  # splats whose rows are copied at a time, so that the CPU loads them while it computes others
 # Planes of a tile's state, PIXELS numbers each, in one array: at constant distances, the compiler need not check that
 # they do not overlap. A plane holds strips of 8 columns, one after the other, so that the pixels of several rows are
 # contiguous. LIVE is the transmittance, or 0 for a closed pixel; LEFT is the transmittance.
@@ -80,6 +81,7 @@ def _blend(
     rows: Singles, lists: TileLists, columns: int, eye: Eye, places: Floats, out: PicturePlanes, first: int, step: int
 ) -> None:
     state, band = np.empty(PLANES * PIXELS, np.float32), np.empty((EDGE, 2), np.float32)
+    near = np.empty((CHUNK, COLUMNS), np.float32)
     height, width = out.alpha.shape
     even = places.shape[0] == 0
     for tile in range(lists.begin + first, lists.end, step):
@@ -87,7 +89,7 @@ def _blend(
         high, wide = min(EDGE, height - top), min(EDGE, width - start)
         begin_tile(state, band, places, top, start, high, wide)
         begin, end = lists.starts[tile], lists.ends[tile]
-        blend_tile(rows, lists.entries, begin, end, state, band, top, start, high, wide, even)
+        blend_tile(rows, lists.entries, begin, end, state, band, near, top, start, high, wide, even)
         for y in range(high):
             for x in range(wide):
                 _write_pixel(state, place_of(y, x), top, start, eye, out, top + y, start + x)
@@ -149,6 +151,7 @@ def blend_tile(
     end: int,
     state: Singles,
     band: Singles,
+    near: Singles,
     top: int,
     start: int,
     high: int,
@@ -156,22 +159,35 @@ def blend_tile(
     even: bool,
 ) -> int:
     """Blend the splats of entries begin .. end. Returns the place of the first entry that no open pixel is left for."""
-    for at in range(begin, end):
-        if (at - begin) % _CHECK == _CHECK - 1 and not is_open(state):
-            return at
-        i = np.uint64(entries[at])
-        x = (rows[i, X] - f32(start)) + rows[i, X_REST]
-        y = (rows[i, Y] - f32(top)) + rows[i, Y_REST]
-        xx, xy, yy, opacity = rows[i, XX], rows[i, XY], rows[i, YY], rows[i, OPACITY]
-        red, green, blue, depth = rows[i, RED], rows[i, GREEN], rows[i, BLUE], rows[i, DEPTH]
-        first_strip, last_strip = strip_range(rows, i, x, wide, even)
-        for strip in range(first_strip, last_strip):
-            first_row, last_row = row_range(rows, i, x, y, band, strip, high, even)
-            if last_row > first_row:
-                place = strip * STRIP + first_row * LANES
-                count = (last_row - first_row) * LANES
-                _blend_pixels(state, place, count, x, y, xx, xy, yy, opacity, red, green, blue, depth)
+    for first in range(begin, end, CHUNK):
+        if not is_open(state):
+            return first
+        count = load_chunk(rows, entries, first, end, near)
+        for k in range(count):
+            i = np.uint64(k)
+            x = (near[i, X] - f32(start)) + near[i, X_REST]
+            y = (near[i, Y] - f32(top)) + near[i, Y_REST]
+            xx, xy, yy, opacity = near[i, XX], near[i, XY], near[i, YY], near[i, OPACITY]
+            red, green, blue, depth = near[i, RED], near[i, GREEN], near[i, BLUE], near[i, DEPTH]
+            first_strip, last_strip = strip_range(near, i, x, wide, even)
+            for strip in range(first_strip, last_strip):
+                first_row, last_row = row_range(near, i, x, y, band, strip, high, even)
+                if last_row > first_row:
+                    place = strip * STRIP + first_row * LANES
+                    size = (last_row - first_row) * LANES
+                    _blend_pixels(state, place, size, x, y, xx, xy, yy, opacity, red, green, blue, depth)
     return end
+
+
+@compiled()
+def load_chunk(rows: Singles, entries: npt.NDArray[np.int32], first: int, end: int, near: Singles) -> int:
+    """Copy the rows of the next splats of a tile to `near` (CHUNK, COLUMNS), and return how many."""
+    count = min(CHUNK, end - first)
+    for k in range(count):
+        i = np.uint64(entries[first + k])
+        for column in range(COLUMNS):
+            near[np.uint64(k), column] = rows[i, column]
+    return count
 
 
 @compiled(merged=True)

@@ -16,7 +16,7 @@ from nerfbake.formats.field import svraster
 from nerfbake.formats.wire.torch_writer import torch_file
 from nerfbake.kernels.march.sh import sh_basis
 from tests.support.hostile import damaged, refused_as_it_is
-from tests.support.svraster import mean_density, svraster_file, voxels
+from tests.support.svraster import coded, mean_density, svraster_file, voxels
 from tests.support.svraster import svraster as checkpoint
 
 
@@ -111,7 +111,7 @@ def test_a_checkpoint_becomes_an_octree(tmp_path: Path) -> None:
 
 # -- hostile files ---------------------------------------------------------------------------------------------
 SCENE = voxels(0, depth=3)
-ROOT = checkpoint(SCENE)
+ROOT, CODED = (checkpoint(SCENE, quantised=each) for each in (False, True))
 
 
 def changed(**changes: Any) -> bytes:
@@ -141,8 +141,13 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no colours": (changed(_sh0=None), "_sh0 is not an array"),
     "fewer colours": (changed(_sh0=ROOT["_sh0"][1:]), "_sh0 has"),
     "not coded": (changed(quantized=True), "has no codebook"),
+    "fewer bands": (changed(_shs=ROOT["_shs"][:, :14]), "_shs has "),
+    "codes of other rows": (
+        torch_file(CODED | {"_sh0": [*CODED["_sh0"][:2], coded(np.arange(3.0)[:, None])]}),
+        "_sh0 has 3 rows",
+    ),
     "a short codebook": (
-        torch_file(checkpoint(SCENE, quantised=True) | {
+        torch_file(CODED | {
             "_geo_grid_pts": {"index": np.full((3, 1), 9, np.uint8), "codebook": np.zeros(9, np.float32)}
         }),
         "_geo_grid_pts.index has uint8 up to 9; allowed: uint8 below 9",
