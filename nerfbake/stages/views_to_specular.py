@@ -29,6 +29,7 @@ _EAGER = 0.7  # of a Gauss-Newton step of a feature
 _KEPT = 0.3  # of the steepness of earlier passes: the MLP has changed since
 _LEAST = 1e-3  # steepness that is added to a texel's
 _SMOOTH = 0.3  # weight of a difference between neighbouring features, in mean steepnesses of a texel
+_SMOOTH_STEPS = 3  # of conjugate gradients, from the features themselves
 _LAST = 2  # rounds that fit the diffuse texture to the features of 8 bits
 _TEXEL_BYTES = 180  # while textures are fitted
 _PIXEL_BYTES = 40
@@ -148,12 +149,11 @@ def _smoothed(features: Singles, steepness: Singles, used: Bits) -> Singles:
     weight = np.asarray(steepness[..., 0] + steepness[..., 1] + steepness[..., 2])
     known = weight > 0
     strength = _SMOOTH * float(np.cumsum(weight[known], dtype=np.float64)[-1]) / max(int(known.sum()), 1)
-    start = texels.fill(features, known)
     matrix = np.zeros((*used.shape, 5), np.float32)
     matrix[..., 0] = weight
     texels.smooth(used, strength, matrix)
-    change = texels.solve(matrix, texels.roughness(start, used, strength), used, 6)
-    return np.asarray(np.clip(start + change, 0, 1), np.float32)
+    change = texels.solve(matrix, texels.roughness(features, used, strength), used, _SMOOTH_STEPS)
+    return np.asarray(np.clip(features + change, 0, 1), np.float32)
 
 
 def _normals(mesh: Mesh, edge: int) -> Singles:
