@@ -285,10 +285,25 @@ def roughness(texels: Singles, used: Bits, strength: float) -> Singles:
     The negative gradient of the term that smooth() adds.
     """
     out = np.zeros_like(texels)
-    for axis in range(2):
-        low = (slice(None),) * axis + (slice(None, -1),)
-        high = (slice(None),) * axis + (slice(1, None),)
-        step = np.where((used[low] & used[high])[..., None], texels[high] - texels[low], f32(0)) * f32(strength)
-        out[low] += step
-        out[high] -= step
+    _roughness(texels, used, f32(strength), out)
     return out
+
+
+@compiled(parallel=True)
+def _roughness(texels: Singles, used: Bits, strength: np.float32, out: Singles) -> None:
+    H, W, C = texels.shape
+    for y in prange(H):
+        for x in range(W):
+            if not used[y, x]:
+                continue
+            for c in range(C):
+                here, total = texels[y, x, c], f32(0)
+                if x > 0 and used[y, x - 1]:
+                    total += texels[y, x - 1, c] - here
+                if x + 1 < W and used[y, x + 1]:
+                    total += texels[y, x + 1, c] - here
+                if y > 0 and used[y - 1, x]:
+                    total += texels[y - 1, x, c] - here
+                if y + 1 < H and used[y + 1, x]:
+                    total += texels[y + 1, x, c] - here
+                out[y, x, c] = strength * total
