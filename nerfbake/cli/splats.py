@@ -94,7 +94,7 @@ def model_options(function: Command) -> Command:
 )
 @model_options
 @click.option(
-    "--epochs", type=click.IntRange(1, 100), default=3, show_default=True, help="Number of passes over the pictures."
+    "--epochs", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of passes over the pictures."
 )
 @click.option(
     "--min-psnr",

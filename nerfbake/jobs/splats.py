@@ -69,7 +69,7 @@ class SplatsOptions(NamedTuple):
     """splats: the largest number of splats. epochs: passes over the pictures. seed: of the order of the pictures."""
 
     splats: int = COUNT
-    epochs: int = 3
+    epochs: int = 4
     seed: int = 0
 
 

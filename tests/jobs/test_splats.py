@@ -20,7 +20,8 @@ MODEL, RECIPE = SplatsModel(frames=4, edge=32), SplatsOptions(splats=200, epochs
 
 
 def test_ctrl_c_writes_the_current_splats(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, seen = views_to_splats.fit_splats, []
+    whole = views_to_splats.fit_splats
+    seen: list[float] = []
 
     def interrupted(*args: Any, **options: Any) -> Iterator[Any]:
         for state in whole(*args, **options):

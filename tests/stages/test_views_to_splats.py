@@ -58,6 +58,8 @@ def test_fitted_splats_are_better_in_other_views_and_sizes(scene: tuple[Splats, 
     assert_array_equal(splats.means, before)  # the input stays as it is
     assert (state.epoch, state.view) == (8, 0)
     assert fitted.antialiased
+    moved = np.abs(fitted.means - state.arrays.means[state.arrays.opacity >= 1 / 255])
+    assert 0 < moved.max() <= fitted.scales.max(axis=1).min() / 64
     assert not fitted.problems()
 
 
