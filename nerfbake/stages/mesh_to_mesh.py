@@ -10,17 +10,18 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Singles
-from nerfbake.kernels.surface.triangles import Faces, compacted
+from nerfbake.kernels.surface.triangles import Faces, compacted, turned_over, untangled
 from nerfbake.scene.mesh import Mesh
 
 _FACE_BYTES = 600  # per face, while edges are collapsed
+_ROUNDS = 30  # of untangling
 
 
 def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
     """Return the surface with at most about `triangles` triangles; a mesh that has so few already stays as it is.
 
-    Texture coordinates, texture and colours are left out. Raises InvalidScene, MemoryLimit.
+    Texture coordinates, texture and colours are left out. Faces that the collapses turned over are untangled, and
+    left out if that fails, as at the rim of a hole. Raises InvalidScene, MemoryLimit.
     Source: Garland and Heckbert, "Surface simplification using quadric error metrics" (1997).
 
     >>> from nerfbake import build_field, build_hull, sample_n3tree, simplify_surface
@@ -40,14 +41,19 @@ def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
             positions.astype(np.float64), faces.astype(np.int32), target_count=triangles
         )
         positions, faces = found[0], found[1].astype(np.uint32)
-    positions, faces = _without_defects(positions.astype(np.float32), faces)
+    faces = _without_doubles(faces)
+    straight = untangled(positions.astype(np.float64), faces, _ROUNDS).astype(np.float32)
+    kept = ~turned_over(straight.astype(np.float64), faces)
+    if not kept.any():
+        raise InvalidScene(Problem("the mesh", "has no face that looks outwards", "a surface"))
+    positions, faces = compacted(straight, faces[kept])
     return memory.kept(Mesh(positions, None, faces))
 
 
-def _without_defects(positions: Singles, faces: Faces) -> tuple[Singles, Faces]:
-    """Drop triangles without an area, and those that have the same corners as another one."""
+def _without_doubles(faces: Faces) -> Faces:
+    """Drop triangles with two equal corners, and both of two with the same three: they are a sheet folded flat."""
     keys = np.sort(faces, axis=1)
     whole = (keys[:, 0] != keys[:, 1]) & (keys[:, 1] != keys[:, 2])
     faces, keys = faces[whole], keys[whole]
     _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    return compacted(positions, faces[np.sort(first[times == 1])])
+    return np.asarray(faces[np.sort(first[times == 1])])

@@ -12,7 +12,7 @@ from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.fit import colours
-from nerfbake.kernels.maths.affine import inverse, rotate
+from nerfbake.kernels.maths.affine import inverse, length, rotate
 from nerfbake.kernels.surface.gbuffer import gbuffer
 from nerfbake.kernels.surface.motion import (
     Equations,
@@ -25,7 +25,7 @@ from nerfbake.kernels.surface.motion import (
     limit_offsets,
     solve_offsets,
 )
-from nerfbake.kernels.surface.triangles import face_normals, vertex_normals
+from nerfbake.kernels.surface.triangles import face_normals, untangled, vertex_normals
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
@@ -41,6 +41,8 @@ _SOLVER = 60  # most steps of the solver
 _MOST = 0.5  # of the mean length of a vertex's edges: how far it may move in one round
 _LEAST_COSINE = 0.5  # between a face's normals before and after a round
 _HALVINGS = 6
+_UNTANGLING = 5  # most rounds, after small turns have added up
+_NEAREST = 1e-6  # world units between a camera and the mesh's middle
 _FACE_BYTES, _PIXEL_BYTES = 400, 220
 
 
@@ -71,7 +73,7 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
     positions = mesh.positions[first].astype(np.float64)
     faces = number[mesh.faces].astype(np.int64)
     edges, beside = edges_of(faces)
-    texture = None if mesh.texture is None or mesh.uvs is None else mesh.texture.astype(np.float32) / np.float32(255)
+    texture = _texture(mesh, views)
     every = -(-len(views.pictures) // _VIEWS)
     for turn in range(rounds):
         facing = face_normals(positions, faces)
@@ -90,14 +92,38 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
         add_smoothness(faces, _SMOOTH * mean, _STILL * mean, blocks)
         offset = solve_offsets(faces, len(positions), blocks, _SOLVER)
         limit_offsets(solid, offset, _MOST, _LEAST_COSINE, _HALVINGS)
-        positions = positions + offset[:, None] * solid.normals
+        positions = untangled(positions + offset[:, None] * solid.normals, faces, _UNTANGLING)
     return memory.kept(replace(mesh, positions=positions[number].astype(np.float32)))
+
+
+def _texture(mesh: Mesh, views: Views) -> Singles | None:
+    """The mesh's texture, (H, W, 3) in 0..1, halved until its texels are about as large as the pictures' pixels."""
+    if mesh.texture is None or mesh.uvs is None:
+        return None
+    texture = mesh.texture.astype(np.float32) / np.float32(255)
+    corners = mesh.uvs[mesh.faces].astype(np.float64) * texture.shape[1::-1]
+    (a, b), (c, d) = (np.moveaxis(corners[:, k] - corners[:, 0], 1, 0) for k in (1, 2))
+    areas = face_normals(mesh.positions, mesh.faces)
+    texels = np.abs(a * d - b * c).sum() / np.sqrt((areas * areas).sum(axis=1)).sum()  # in a square world unit
+    middle = mesh.positions.mean(axis=0, dtype=np.float64)
+    away = [max(length(camera.pose[:3, 3] - middle), _NEAREST) for camera in views.cameras.cameras]
+    pixels = [c.fx / _scale(c) / far for c, far in zip(views.cameras.cameras, away, strict=True)]
+    finest = float(np.median(pixels))  # in a world unit
+    while texels >= (2 * finest) ** 2 and not (texture.shape[0] % 2 or texture.shape[1] % 2):
+        texture = (texture[::2, ::2] + texture[1::2, ::2] + texture[::2, 1::2] + texture[1::2, 1::2]) / np.float32(4)
+        texels /= 4
+    return texture
+
+
+def _scale(camera: Camera) -> int:
+    """How many pixels along an edge are averaged before a picture is compared with the mesh."""
+    return max(1, max(camera.width, camera.height) // _PIXELS)
 
 
 def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, view: int, blocks: Equations) -> None:
     """Add the equations of one picture."""
     full = views.cameras.cameras[view]
-    scale = max(1, max(full.width, full.height) // _PIXELS)
+    scale = _scale(full)
     camera = scaled_camera(full, scale)
     camera.require_memory(_PIXEL_BYTES)
     image = np.empty((camera.height, camera.width, 4), np.float32)
@@ -106,9 +132,9 @@ def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, v
     seen = gbuffer(solid.positions.astype(np.float32), solid.faces.astype(np.uint32), camera.pose, rays)
     optics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     eye = Eye(np.ascontiguousarray(camera.pose[:3]), optics, _plane(camera, rays))
-    if not views.scenery:
-        weight = 1 / (_RIM_NOISE * _RIM_NOISE)
-        add_rims(solid, eye, seen.triangle, np.ascontiguousarray(image[..., 3]), weight, blocks)
+    if not views.scenery and min(camera.width, camera.height) > 1:
+        rest = image[..., 3] - (seen.triangle >= 0).astype(np.float32)
+        add_rims(solid, eye, seen.triangle, rest, 1 / (_RIM_NOISE * _RIM_NOISE), blocks)
     if texture is not None and mesh.uvs is not None:
         weight = 1 / (_COLOUR_NOISE * _COLOUR_NOISE)
         add_texels(solid, mesh.uvs, mesh.faces, texture, eye, seen.triangle, seen.weights, image, weight, blocks)

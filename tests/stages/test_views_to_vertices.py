@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from nerfbake import Cameras, Mesh, Meshes, Views, move_vertices, render_meshes
@@ -36,8 +37,8 @@ def seen(mesh: Mesh, cameras: tuple[Camera, ...]) -> Views:
     return Views(Cameras(cameras), tuple(pictures), (1.0, 1.0, 1.0), True)
 
 
-def radii(mesh: Mesh) -> np.ndarray:
-    return np.linalg.norm(mesh.positions, axis=1)
+def radii(mesh: Mesh) -> npt.NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(mesh.positions, axis=1))
 
 
 @pytest.mark.parametrize("scale", [0.95, 1.05])
@@ -90,3 +91,28 @@ def test_pictures_of_nothing_of_the_mesh_are_refused() -> None:
     away = replace(BALL, positions=BALL.positions + np.array([0, 0, 100], np.float32))
     with pytest.raises(InvalidScene, match="show nothing that can be compared with the mesh"):
         move_vertices(away, ball_views())
+
+
+def striped(scale: float = 1.0) -> Mesh:
+    """A ball with wavy stripes along both angles, as its texture."""
+    ball, (v, u) = sphere(24, 48), (np.mgrid[0:64, 0:128] + 0.5)
+    polar, around = np.pi * v / 64, 2 * np.pi * u / 128
+    waves = [np.sin(8 * polar), np.cos(9 * around) * np.sin(polar), np.sin(6 * polar + 5 * around) * np.sin(polar)]
+    texture = np.rint(127.5 + 100 * np.stack(waves, axis=-1)).astype(np.uint8)
+    # Every corner has its own texture coordinates, so that the seam and the poles need no care.
+    corners = ball.positions[ball.faces].astype(np.float64)
+    turn = np.arctan2(corners[..., 1], corners[..., 0]) / (2 * np.pi)
+    middle = corners.mean(axis=1)
+    centre = np.arctan2(middle[:, 1], middle[:, 0])[:, None] / (2 * np.pi)
+    turn = np.where(np.abs(corners[..., 2]) > 0.999, centre, turn - np.rint(turn - centre))
+    down = np.arccos(np.clip(corners[..., 2], -1, 1)) / np.pi
+    uvs = np.stack([turn, down], axis=-1).reshape(-1, 2).astype(np.float32)
+    faces = np.arange(3 * len(ball.faces), dtype=np.uint32).reshape(-1, 3)
+    return Mesh((corners.reshape(-1, 3) * scale).astype(np.float32), uvs, faces, texture=texture)
+
+
+def test_colours_alone_move_faces_to_where_the_texture_fits() -> None:
+    # Pictures with scenery have no rims: alpha separates only what is used from what is not.
+    views = replace(seen(striped(), around()), scenery=True)
+    moved = move_vertices(striped(0.97), views, rounds=6)
+    assert np.abs(radii(moved) - 1).mean() < 0.01

@@ -94,31 +94,20 @@ def _project(eye: Eye, x: float, y: float, z: float) -> Any:
 
 
 @compiled(merged=True)
-def _mixed(values: Any, i: int, j: int, fy: float, fx: float, channel: int) -> float:
+def _mixed(values: Any, i: int, j: int, fy: float, fx: float, channel: int) -> Any:
     top = values[i, j, channel] * (1 - fx) + values[i, j + 1, channel] * fx
     bottom = values[i + 1, j, channel] * (1 - fx) + values[i + 1, j + 1, channel] * fx
     return top * (1 - fy) + bottom * fy
 
 
 @compiled(merged=True)
-def _alpha_at(alpha: Singles, column: float, row: float) -> float:
-    H, W = alpha.shape
+def _interpolated(values: Singles, column: float, row: float) -> Any:
+    H, W = values.shape
     x, y = min(max(column, 0.0), W - 1.001), min(max(row, 0.0), H - 1.001)
     i, j = int(y), int(x)
     fx, fy = x - j, y - i
-    top = alpha[i, j] * (1 - fx) + alpha[i, j + 1] * fx
-    return top * (1 - fy) + (alpha[i + 1, j] * (1 - fx) + alpha[i + 1, j + 1] * fx) * fy
-
-
-@compiled(merged=True)
-def _covers(triangle: npt.NDArray[np.int32], column: float, row: float) -> float:
-    """The same for what the mesh covers, with one ray a pixel."""
-    H, W = triangle.shape
-    x, y = min(max(column, 0.0), W - 1.001), min(max(row, 0.0), H - 1.001)
-    i, j = int(y), int(x)
-    fx, fy = x - j, y - i
-    top = (triangle[i, j] >= 0) * (1 - fx) + (triangle[i, j + 1] >= 0) * fx
-    return top * (1 - fy) + ((triangle[i + 1, j] >= 0) * (1 - fx) + (triangle[i + 1, j + 1] >= 0) * fx) * fy
+    top = values[i, j] * (1 - fx) + values[i, j + 1] * fx
+    return top * (1 - fy) + (values[i + 1, j] * (1 - fx) + values[i + 1, j + 1] * fx) * fy
 
 
 @compiled(merged=True)
@@ -133,12 +122,13 @@ def _covered(triangle: npt.NDArray[np.int32], column: float, row: float) -> int:
 
 @compiled()
 def add_rims(
-    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], alpha: Singles, weight: float, blocks: Equations
+    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], rest: Singles, weight: float, blocks: Equations
 ) -> None:
     """Add one equation for each edge on the rim of the mesh, whose residual is in pixels.
 
-    Across a rim, alpha (H, W) is summed up: the sum is how far the photograph's rim is outside of the mesh's.
-    triangle (H, W): what the mesh shows, -1 for nothing; weight: of a pixel of length.
+    triangle (H, W): what the mesh shows, -1 for nothing. rest (H, W): the photograph's alpha, less 1 where the mesh
+    shows something; its sum across a rim is how far the photograph's rim is outside of the mesh's. weight: of an
+    equation, for each pixel of an edge's length. The picture has two pixels or more along each edge.
     """
     p, pose, optics = solid.positions, eye.pose, eye.optics
     for e in range(len(solid.edges)):
@@ -181,7 +171,7 @@ def add_rims(
         total = 0.0
         for k in range(steps):
             s = -reach + (k + 0.5) * _STEP
-            total += _alpha_at(alpha, x + s * n0, y + s * n1) - _covers(triangle, x + s * n0, y + s * n1)
+            total += _interpolated(rest, x + s * n0, y + s * n1)
         residual = total * _STEP
         ja = _shift(solid, a, pose, optics, v0, v1, v2, ahead, n0, n1) / 2
         jb = _shift(solid, b, pose, optics, v0, v1, v2, ahead, n0, n1) / 2
@@ -211,7 +201,7 @@ def _shift(
     ahead: float,
     n0: float,
     n1: float,
-) -> float:
+) -> Any:
     """How many pixels a point (v relative to the camera) moves along n if it moves along the normal of a vertex."""
     g0, g1, g2 = solid.normals[vertex, 0], solid.normals[vertex, 1], solid.normals[vertex, 2]
     right = pose[0, 0] * v0 + pose[1, 0] * v1 + pose[2, 0] * v2
@@ -326,7 +316,7 @@ def limit_offsets(solid: Solid, offset: Floats, most: float, least_cosine: float
 
 
 @compiled(merged=True)
-def _turns(solid: Solid, offset: Floats, f: int, least_cosine: float) -> bool:
+def _turns(solid: Solid, offset: Floats, f: int, least_cosine: float) -> Any:
     p, n, faces = solid.positions, solid.normals, solid.faces
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     u0 = (p[b, 0] + offset[b] * n[b, 0]) - (p[a, 0] + offset[a] * n[a, 0])

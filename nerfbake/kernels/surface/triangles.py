@@ -63,13 +63,34 @@ def smoothed(positions: Floats, faces: Faces, rounds: int) -> Floats:
     return moved
 
 
+def turned_over(positions: Floats, faces: Faces) -> Bits:
+    """(t,): the faces that look away from the mean of their corners' normals, and those without an area."""
+    around = vertex_normals(positions, faces)[faces].sum(axis=1)
+    return np.asarray(~((face_normals(positions, faces) * around).sum(axis=1) > 0))
+
+
+def untangled(positions: Floats, faces: Faces, rounds: int) -> Floats:
+    """Move the corners of faces that are turned over to the mean of their neighbours, until no face is."""
+    moved, mean = positions.copy(), np.empty_like(positions)
+    degree = np.bincount(faces.reshape(-1), minlength=len(positions)).astype(np.float64)
+    for _ in range(rounds):
+        over = turned_over(moved, faces)
+        if not over.any():
+            break
+        fixed = np.ones(len(positions), bool)
+        fixed[faces[over]] = False
+        _add_neighbours(moved, faces, mean)
+        _step(moved, mean, degree, fixed, _LAMBDA)
+    return moved
+
+
 def doubled_areas(positions: Floats, faces: Faces) -> Floats:
     """(t,) twice the area of each face."""
     normals = face_normals(positions, faces)
     return np.asarray(np.sqrt((normals * normals).sum(axis=1)))
 
 
-def face_normals(positions: Floats, faces: Faces) -> Floats:
+def face_normals(positions: npt.NDArray[Any], faces: Faces) -> Floats:
     """(t, 3) normals, as long as twice the area of the face."""
     a, b, c = (positions[faces[:, k]].astype(np.float64) for k in range(3))
     return np.asarray(np.cross(b - a, c - a), np.float64)
