@@ -94,6 +94,7 @@ from .stages.views_to_error import measure_silhouettes as measure_silhouettes
 from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field
 from .stages.views_to_hull import carve_hull as carve_hull
+from .stages.views_to_specular import fit_specular as fit_specular
 from .stages.views_to_texture import fit_texture as fit_texture
 from .stages.views_to_vertices import move_vertices as move_vertices
 

@@ -50,35 +50,51 @@ def fit_texture(mesh: Mesh, views: Views, *, edge: int = 2048) -> Mesh:
         memory.hold(f"a texture of {edge}x{edge} texels", _TEXEL_BYTES * edge * edge)
         seen = see(mesh, views, edge)
         used = covered_texels(mesh.require_unwrapped(), mesh.faces, edge, edge)
-        texture = rounded(solve_texels(seen, used)[0])
+        texture = rounded(_solve(seen, used))
     return memory.kept(replace(mesh, texture=texture, colours=None))
 
 
-def solve_texels(seen: Seen, used: Bits) -> tuple[Singles, Singles]:
-    """The colours (edge, edge, 3) of least squares, not cut to 0..1, and the weights (p,) of the pixels."""
-    edge = len(used)
-    at, starts = seen.lookups
-    weights = seen.cover * seen.cover
-    total, found = np.zeros((edge, edge, 3), np.float32), np.zeros((edge, edge, 3), np.float32)
-    texels.spread(at, starts, weights, np.ones_like(seen.targets), total)
-    texels.spread(at, starts, weights, seen.targets, found)
+class DiffuseProblem:
+    """Colours of texels from those of pixels, by least squares with similar neighbours.
+
+    weights (p,) of the pixels. All colours are float32, and those of texels (edge, edge, 3) are not cut to 0..1.
+    """
+
+    def __init__(self, seen: Seen, weights: Singles, used: Bits) -> None:
+        self._lookups, self._weights, self._used = seen.lookups, weights, used
+        self._matrix = np.zeros((*used.shape, 5), np.float32)
+        texels.couple(*seen.lookups, weights, self._matrix)
+        texels.smooth(used, _SMOOTH, self._matrix)
+
+    def improved(self, found: Singles, targets: Singles) -> Singles:
+        """Colours nearer to the solution for the targets (p, 3), starting from others."""
+        rest = np.empty_like(targets)
+        texels.residuals(*self._lookups, found, targets, rest)
+        right = texels.roughness(found, self._used, _SMOOTH)
+        texels.spread(*self._lookups, self._weights, rest, right)
+        return np.asarray(found + texels.solve(self._matrix, right, self._used, _STEPS), np.float32)
+
+
+def mean_texels(seen: Seen, weights: Singles, targets: Singles, used: Bits) -> Singles:
+    """The weighted means of the pixels that show each texel, continued over texels that none shows."""
+    total, found = np.zeros((*used.shape, 3), np.float32), np.zeros((*used.shape, 3), np.float32)
+    texels.spread(*seen.lookups, weights, np.ones_like(targets), total)
+    texels.spread(*seen.lookups, weights, targets, found)
     known = total[..., 0] > _SEEN
-    found = texels.fill(np.asarray(found / np.maximum(total, np.float32(_SEEN)), np.float32), known)
-    del total
+    return texels.fill(np.asarray(found / np.maximum(total, np.float32(_SEEN)), np.float32), known)
+
+
+def _solve(seen: Seen, used: Bits) -> Singles:
+    weights = seen.cover * seen.cover
+    found = mean_texels(seen, weights, seen.targets, used)
     rest = np.empty_like(seen.targets)
-    texels.residuals(at, starts, found, seen.targets, rest)
+    texels.residuals(*seen.lookups, found, seen.targets, rest)
     far = np.sqrt((rest * rest).sum(axis=1))
     weights *= np.minimum(1, np.float32(_DOUBT) / np.maximum(far, np.float32(_DOUBT)))
-    matrix = np.zeros((edge, edge, 5), np.float32)
-    texels.couple(at, starts, weights, matrix)
-    texels.smooth(used, _SMOOTH, matrix)
-    for number in range(_ROUNDS):
-        if number:
-            texels.residuals(at, starts, found, seen.targets, rest)
-        right = texels.roughness(found, used, _SMOOTH)
-        texels.spread(at, starts, weights, rest, right)
-        found += texels.solve(matrix, right, used, _STEPS)
-    return texels.fill(found, used), weights
+    problem = DiffuseProblem(seen, weights, used)
+    for _ in range(_ROUNDS):
+        found = problem.improved(found, seen.targets)
+    return texels.fill(found, used)
 
 
 def rounded(colours: Singles) -> npt.NDArray[np.uint8]:

@@ -46,3 +46,28 @@ def _cover(points: npt.NDArray[np.float64], faces: npt.NDArray[np.uint32], cover
                     inside &= edges[corner, 0] * x + edges[corner, 1] * y + edges[corner, 2] >= -REACH
                 if inside:
                     covered[y, x] = True
+
+
+@compiled()
+def paint(
+    places: npt.NDArray[np.float32],
+    faces: npt.NDArray[np.uint32],
+    values: npt.NDArray[np.float32],
+    out: npt.NDArray[np.float32],
+    known: npt.NDArray[np.bool_],
+) -> None:
+    """Fill the texels whose centre is in a triangle with its value (t, C); places (v, 2) in texel centres."""
+    H, W = known.shape
+    for f in range(len(faces)):
+        a, b, c = places[faces[f, 0]], places[faces[f, 1]], places[faces[f, 2]]
+        left, right = int(np.ceil(min(a[0], b[0], c[0]))), int(np.floor(max(a[0], b[0], c[0])))
+        top, bottom = int(np.ceil(min(a[1], b[1], c[1]))), int(np.floor(max(a[1], b[1], c[1])))
+        for y in range(max(top, 0), min(bottom, H - 1) + 1):
+            for x in range(max(left, 0), min(right, W - 1) + 1):
+                u = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+                v = (c[0] - b[0]) * (y - b[1]) - (c[1] - b[1]) * (x - b[0])
+                w = (a[0] - c[0]) * (y - c[1]) - (a[1] - c[1]) * (x - c[0])
+                if (u >= 0 and v >= 0 and w >= 0) or (u <= 0 and v <= 0 and w <= 0):
+                    known[y, x] = True
+                    for channel in range(out.shape[2]):
+                        out[y, x, channel] = values[f, channel]

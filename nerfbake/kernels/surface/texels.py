@@ -36,8 +36,8 @@ def gather(
     faces: npt.NDArray[np.uint32],
     places: Singles,
     finer: int,
-) -> tuple[Lookups, Ints, npt.NDArray[np.int32]]:
-    """The lookups of a picture, the pixels (p,) that have any, in order, and the first triangle (p,) of each.
+) -> tuple[Lookups, Ints]:
+    """The lookups of a picture, and the pixels (p,) that have any, in order.
 
     triangle (H N, W N) and weights (H N, W N, 3) of finer x finer = N x N rays a pixel, as gbuffer() returns them;
     places (v, 2) of the vertices in texel centres.
@@ -47,9 +47,8 @@ def gather(
     pixels = np.flatnonzero(hits)
     starts = np.concatenate([[0], np.cumsum(hits[pixels])]).astype(np.int32)
     at = np.empty((starts[-1], 2), np.float32)
-    first = np.empty(len(pixels), np.int32)
-    _gather(triangle, weights, faces, places, finer, pixels, starts, at, first)
-    return Lookups(at, starts), pixels, first
+    _gather(triangle, weights, faces, places, finer, pixels, starts, at)
+    return Lookups(at, starts), pixels
 
 
 @compiled(parallel=True)
@@ -62,7 +61,6 @@ def _gather(
     pixels: Ints,
     starts: npt.NDArray[np.int32],
     at: Singles,
-    first: npt.NDArray[np.int32],
 ) -> None:
     W = triangle.shape[1] // finer
     for i in prange(len(pixels)):
@@ -78,8 +76,6 @@ def _gather(
                             + weights[y, x, 1] * places[faces[f, 1], axis]
                             + weights[y, x, 2] * places[faces[f, 2], axis]
                         )
-                    if entry == starts[i]:
-                        first[i] = f
                     entry += 1
 
 
@@ -191,7 +187,7 @@ def solve(matrix: Singles, right: Singles, used: Bits, steps: int) -> Singles:
 
 
 def _total(rows: Floats) -> float:
-    return float(sum(rows.tolist()))  # from the first to the last; NumPy adds in pairs
+    return float(np.cumsum(rows)[-1])  # from the first to the last; sum() adds in another order
 
 
 @compiled(parallel=True)
@@ -226,7 +222,6 @@ def _multiply(matrix: Singles, along: Singles, used: Bits, image: Singles, rows:
                 for c in range(C):
                     image[y, x, c] = 0
                 continue
-            # Used texels are never on the rim of the texture, except on the first row and column.
             left, up = max(x - 1, 0), max(y - 1, 0)
             right, down = min(x + 1, W - 1), min(y + 1, H - 1)
             m0, m1, m2, m3, m4 = matrix[y, x, 0], matrix[y, x, 1], matrix[y, x, 2], matrix[y, x, 3], matrix[y, x, 4]
