@@ -25,7 +25,7 @@ _STEPS = 300  # of the MLP in a pass
 _RATES = (0.02, 0.002)  # of Adam, in the first and in the last step
 _NORMALS = 0.2  # how far the first features, which are the surface's normals, are from grey
 _DIM = 0.15  # the MLP starts with weights below 0, because a highlight is less than 1/2, which is what no weight gives
-_EAGER = 0.4  # of a Gauss-Newton step of a feature
+_EAGER = 0.7  # of a Gauss-Newton step of a feature
 _KEPT = 0.3  # of the steepness of earlier passes: the MLP has changed since
 _LEAST = 1e-3  # steepness that is added to a texel's
 _SMOOTH = 0.3  # weight of a difference between neighbouring features, in mean steepnesses of a texel
@@ -91,7 +91,7 @@ def _fit(seen: Seen, used: Bits, normals: Singles, random: np.random.Generator) 
         _improve(seen, weights, rest, features, steepness, mlp, epoch)
         features = _smoothed(features, steepness, used)
     rounded_features = rounded(texels.fill(features, used))
-    shown = _shown(seen, np.asarray(rounded_features / np.float32(255), np.float32), mlp)
+    shown = _shown(seen, np.asarray(rounded_features / np.float32(255), np.float32), mlp, exact=True)
     for _ in range(_LAST):
         diffuse = np.clip(problem.improved(diffuse, seen.targets - shown), 0, 1)
     return _Look(rounded(texels.fill(diffuse, used)), rounded_features, mlp.w0, mlp.w1)
@@ -117,10 +117,10 @@ class _Mlp:
         self.w1 += change[6:].T
 
 
-def _shown(seen: Seen, features: Singles, mlp: _Mlp) -> Singles:
+def _shown(seen: Seen, features: Singles, mlp: _Mlp, *, exact: bool = False) -> Singles:
     """(p, 3) the specular colours of the pixels."""
     out = np.empty_like(seen.targets)
-    specular.specular(*seen.lookups, seen.directions, features, mlp.w0, mlp.w1, out)
+    specular.specular(*seen.lookups, seen.directions, features, mlp.w0, mlp.w1, exact, out)
     return out
 
 

@@ -97,7 +97,7 @@ def test_what_is_fitted_is_what_is_rendered() -> None:
     (field,) = scene.fields
     shown = np.empty_like(seen.targets)
     features = (field.features / np.float32(255)).astype(np.float32)
-    specular.specular(*seen.lookups, seen.directions, features, field.w0, field.w1, shown)
+    specular.specular(*seen.lookups, seen.directions, features, field.w0, field.w1, True, shown)
     black = Mesh(torus().positions, torus().uvs, torus().faces, np.zeros((2, 2, 3), np.uint8))
     dark = Stage1(scene.fields, (black,))
     made = [render_stage1(dark, camera, samples=2, background=(0, 0, 0)) for camera in views.cameras.cameras]
@@ -107,6 +107,13 @@ def test_what_is_fitted_is_what_is_rendered() -> None:
     # A ray's direction is that of its pixel's centre here.
     np.testing.assert_allclose(shown[alpha == 1], colour[alpha == 1], atol=0.02)
     assert abs(float((shown[alpha == 1] - colour[alpha == 1]).mean())) < 1e-4
+    # The quicker colours are near, and equal where all lookups have the same feature.
+    quick, plain = np.empty_like(shown), np.full_like(features, 0.3)
+    specular.specular(*seen.lookups, seen.directions, features, field.w0, field.w1, False, quick)
+    assert float(np.abs(quick - shown).mean()) < 0.01
+    for exact, out in ((True, shown), (False, quick)):
+        specular.specular(*seen.lookups, seen.directions, plain, field.w0, field.w1, exact, out)
+    np.testing.assert_allclose(quick, shown, atol=1e-5)
 
 
 def test_slopes_are_those_of_the_error() -> None:

@@ -42,29 +42,51 @@ def specular(
     features: Singles,
     w0: Singles,
     w1: Singles,
+    exact: bool,
     out: Singles,
 ) -> None:
-    """Fill (p, 3): the mean of the specular colours of each pixel's lookups, in features (H, W, 3)."""
+    """Fill (p, 3): the specular colour of each pixel, with features (H, W, 3).
+
+    exact: the mean of the colours of its lookups, as it is rendered; else the colour of the mean of their features,
+    which takes a quarter of the time.
+    """
     for i in prange(len(directions)):
         early = np.empty(HIDDEN, np.float32)
         for k in range(HIDDEN):
             early[k] = directions[i, 0] * w0[0, k] + directions[i, 1] * w0[1, k] + directions[i, 2] * w0[2, k]
         r, g, b = f32(0), f32(0), f32(0)
-        last_y, last_x = -1, -1
+        f0, f1, f2 = f32(0), f32(0), f32(0)
         sr, sg, sb = f32(0), f32(0), f32(0)
-        for entry in range(starts[i], starts[i + 1]):
+        last = starts[i + 1] - 1
+        before_y, before_x = -1, -1
+        for entry in range(starts[i], last + 1):
             y, x = _nearest(at, entry)
-            if y != last_y or x != last_x:
+            if exact:
                 f0, f1, f2 = features[y, x, 0], features[y, x, 1], features[y, x, 2]
+            else:
+                f0, f1, f2 = f0 + features[y, x, 0], f1 + features[y, x, 1], f2 + features[y, x, 2]
+                if entry < last:
+                    continue
+                share = f32(1) / f32(last + 1 - starts[i])
+                f0, f1, f2 = f0 * share, f1 * share, f2 * share
+            if not exact or y != before_y or x != before_x:
                 zr, zg, zb = f32(0), f32(0), f32(0)
-                for k in range(HIDDEN):
-                    h = max(early[k] + f0 * w0[3, k] + f1 * w0[4, k] + f2 * w0[5, k], f32(0))
-                    zr, zg, zb = zr + h * w1[k, 0], zg + h * w1[k, 1], zb + h * w1[k, 2]
+                for k in range(0, HIDDEN, 4):  # four units a pass: fewer sums wait for each other
+                    a = max(early[k] + f0 * w0[3, k] + f1 * w0[4, k] + f2 * w0[5, k], f32(0))
+                    p = k + 1
+                    c = max(early[p] + f0 * w0[3, p] + f1 * w0[4, p] + f2 * w0[5, p], f32(0))
+                    q = k + 2
+                    d = max(early[q] + f0 * w0[3, q] + f1 * w0[4, q] + f2 * w0[5, q], f32(0))
+                    s = k + 3
+                    e = max(early[s] + f0 * w0[3, s] + f1 * w0[4, s] + f2 * w0[5, s], f32(0))
+                    zr += a * w1[k, 0] + c * w1[p, 0] + d * w1[q, 0] + e * w1[s, 0]
+                    zg += a * w1[k, 1] + c * w1[p, 1] + d * w1[q, 1] + e * w1[s, 1]
+                    zb += a * w1[k, 2] + c * w1[p, 2] + d * w1[q, 2] + e * w1[s, 2]
                 sr, sg, sb = _sigmoid(zr), _sigmoid(zg), _sigmoid(zb)
-                last_y, last_x = y, x
+                before_y, before_x = y, x
             r, g, b = r + sr, g + sg, b + sb
-        share = f32(1) / f32(starts[i + 1] - starts[i])
-        out[i, 0], out[i, 1], out[i, 2] = share * r, share * g, share * b
+        count = f32(last + 1 - starts[i]) if exact else f32(1)
+        out[i, 0], out[i, 1], out[i, 2] = r / count, g / count, b / count
 
 
 @compiled(parallel=True)
