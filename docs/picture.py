@@ -3,6 +3,7 @@
 python docs/picture.py              rewrites docs/octree.png: the sample scene as an octree, and cut at coarser levels
 python docs/picture.py chair        rewrites docs/chair.png: the real chair in four files; prints their sizes and PSNR
 python docs/picture.py page         rewrites docs/page.png: the page of the chair in Chromium, its options open
+python docs/picture.py mesh         rewrites docs/mesh.png: the chair as a field and as a mesh; prints its PSNR
 python docs/picture.py capture      rewrites docs/capture.png: a room from photographs; prints the PSNR of its views
 """
 
@@ -21,7 +22,9 @@ from benchmarks.scenes import DATA
 from nerfbake import (
     Cameras,
     Image,
+    Meshes,
     N3Tree,
+    Stage1,
     build_field,
     build_octree,
     cut_octree,
@@ -29,6 +32,8 @@ from nerfbake import (
     load,
     orbit_cameras,
     render_field,
+    render_meshes,
+    render_stage1,
     sample_n3tree,
     save,
 )
@@ -101,6 +106,20 @@ def draw_capture() -> None:
         _save("capture.png", [render_field(field, cameras[i].resized(420, 315), samples=2) for i in PHONE_VIEWS])
 
 
+def draw_mesh() -> None:
+    """The chair as a field, as a mesh with highlights, with its diffuse texture alone, and its triangles."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = jobs.bake_mesh(CHAIR, stage1 := Path(folder) / "stage1", model=jobs.MeshViews(str(CAPTURE)))
+        print(made.quality)
+        shown = load(stage1, Stage1)
+    (mesh,) = (each for each in shown.meshes if each is not None)
+    camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW].resized(420, 420)
+    camera = replace(camera, focal=CLOSER * camera.fx)
+    pictures = [render_field(build_field(load(CHAIR)), camera, samples=2), render_stage1(shown, camera, samples=2)]
+    pictures += [render_meshes(Meshes((each,)), camera, samples=2) for each in (mesh, replace(mesh, texture=None))]
+    _save("mesh.png", pictures)
+
+
 def _save(name: str, pictures: list[Image]) -> None:
     parts = ("colour", "alpha", "depth")
     colour, alpha, depth = (np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in parts)
@@ -108,4 +127,5 @@ def _save(name: str, pictures: list[Image]) -> None:
 
 
 if __name__ == "__main__":
-    {"chair": draw_chair, "page": draw_page, "capture": draw_capture}.get("".join(sys.argv[1:]), draw_levels)()
+    known = {"chair": draw_chair, "page": draw_page, "mesh": draw_mesh, "capture": draw_capture}
+    known.get("".join(sys.argv[1:]), draw_levels)()
