@@ -107,17 +107,16 @@ def draw_capture() -> None:
 
 
 def draw_mesh() -> None:
-    """The chair as a field, as a mesh with highlights, with its diffuse texture alone, and its triangles."""
+    """The chair as a field, as a mesh with highlights, as a mesh with one texture, and its triangles."""
     with tempfile.TemporaryDirectory() as folder:
-        made = jobs.bake_mesh(CHAIR, stage1 := Path(folder) / "stage1", model=jobs.MeshViews(str(CAPTURE)))
-        print(made.quality)
-        shown = load(stage1, Stage1)
-    (mesh,) = (each for each in shown.meshes if each is not None)
+        for out in (stage1 := Path(folder) / "stage1", glb := Path(folder) / "chair.glb"):
+            print(jobs.bake_mesh(CHAIR, out, model=jobs.MeshViews(str(CAPTURE))).quality)
+        glossy, plain = load(stage1, Stage1), load(glb, Meshes)
     camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW].resized(420, 420)
     camera = replace(camera, focal=CLOSER * camera.fx)
-    pictures = [render_field(build_field(load(CHAIR)), camera, samples=2), render_stage1(shown, camera, samples=2)]
-    pictures += [render_meshes(Meshes((each,)), camera, samples=2) for each in (mesh, replace(mesh, texture=None))]
-    _save("mesh.png", pictures)
+    bare = Meshes((replace(plain.meshes[0], texture=None),))
+    pictures = [render_field(build_field(load(CHAIR)), camera, samples=2), render_stage1(glossy, camera, samples=2)]
+    _save("mesh.png", pictures + [render_meshes(each, camera, samples=2) for each in (plain, bare)])
 
 
 def _save(name: str, pictures: list[Image]) -> None:

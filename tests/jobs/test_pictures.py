@@ -149,5 +149,5 @@ def test_what_has_no_effect_on_triangles_is_refused(tmp_path: Path, monkeypatch:
         render_views("a.obj", "a.png", choice=GridChoice(("density",)))
     for more in ({"lod": 2}, {"mesh": PlacedMesh("a.obj")}):
         with pytest.raises(NerfbakeError, match="holds a mesh; allowed: "):
-            render_views("a.obj", "a.png", **more)  # type: ignore[arg-type]
+            render_views("a.obj", "a.png", **more)
     assert list(tmp_path.glob("*.png")) == []
