@@ -43,10 +43,12 @@ def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
         positions, faces = found[0], found[1].astype(np.uint32)
     faces = _without_doubles(faces)
     straight = untangled(positions.astype(np.float64), faces, _ROUNDS).astype(np.float32)
-    kept = ~turned_over(straight.astype(np.float64), faces)
-    if not kept.any():
+    # A face that is left out changes the normals of its corners, and with them what counts as turned over.
+    while (over := turned_over(straight.astype(np.float64), faces)).any():
+        faces = faces[~over]
+    if not len(faces):
         raise InvalidScene(Problem("the mesh", "has no face that looks outwards", "a surface"))
-    positions, faces = compacted(straight, faces[kept])
+    positions, faces = compacted(straight, faces)
     return memory.kept(Mesh(positions, None, faces))
 
 
