@@ -113,6 +113,14 @@ INPUTS = {
 # inputs: the chair as 64^3 nodes of Plenoxels: PSNR in dB of its voxels, by voxels an axis for each node
 FINER = {2: Aim("at least", 42), 3: Aim("at least", 48)}
 
+# splats: CPU seconds to read biker.spz, and to draw it; by voxels along the longest edge, CPU seconds with the pictures
+# that they are fitted to, and PSNR in dB on ten others
+SPLAT_READ, SPLAT_PICTURE = Aim("at most", 0.2), Aim("at most", 0.25)
+SPLAT_OCTREES = {
+    256: (Aim("at most", 40), Aim("at least", 35.5)),
+    512: (Aim("at most", 70), Aim("at least", 37.5)),
+}
+
 
 def aims_table(rows: Iterable[tuple[str, Aim, float | None]]) -> Table:
     """Return the table of aims and figures; rows: (label, aim, figure or None if nothing was measured)."""

@@ -71,6 +71,11 @@ class Scenes:
         return self.data / "captures"
 
     @property
+    def splats(self) -> Path:
+        """The folder with files of Gaussian splats."""
+        return self.data / "splats"
+
+    @property
     def stage1(self) -> Path:
         """nerf2mesh's real texture and MLP."""
         return self.data / "nerf2mesh" / "mesh_stage1"

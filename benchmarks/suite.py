@@ -40,6 +40,7 @@ SUITE = (
     Benchmark("captures", ("captures.md", "captures.svg", "captures_views.png")),
     Benchmark("mesh", ("mesh.md", "mesh.svg")),
     Benchmark("inputs", ("inputs.md",)),
+    Benchmark("splats", ("splats.md",)),
     Benchmark("atlas", ("atlas.md", "atlas.png")),
     Benchmark("view", ("view.md",)),
     Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),

@@ -42,6 +42,7 @@ from .stages.field_to_importance import weigh_leaves as weigh_leaves
 from .stages.field_to_mesh import build_hull as build_hull
 from .stages.field_to_page_field import build_page_field as build_page_field
 from .stages.field_to_page_field import round_field as round_field
+from .stages.field_to_splats import build_splats as build_splats
 from .stages.field_to_surface import build_surface as build_surface
 from .stages.lattice_to_image import measure_lattice as measure_lattice
 from .stages.lattice_to_image import render_lattice as render_lattice
@@ -79,6 +80,9 @@ from .stages.specular_to_atlas import bake_snapped_maps as bake_snapped_maps
 from .stages.specular_to_clusters import cluster_identifiers as cluster_identifiers
 from .stages.specular_to_clusters import cluster_planes as cluster_planes
 from .stages.specular_to_clusters import identify_colours as identify_colours
+from .stages.splats_to_image import render_splats as render_splats
+from .stages.splats_to_loss import measure_splats as measure_splats
+from .stages.splats_to_octree import build_octree_from_splats as build_octree_from_splats
 from .stages.stage1_to_atlas import bake_stage1 as bake_stage1
 from .stages.stage1_to_atlas import measure_atlas_error as measure_atlas_error
 from .stages.stage1_to_atlas import measure_stage1_error as measure_stage1_error
@@ -95,6 +99,7 @@ from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field
 from .stages.views_to_hull import carve_hull as carve_hull
 from .stages.views_to_specular import fit_specular as fit_specular
+from .stages.views_to_splats import fit_splats as fit_splats
 from .stages.views_to_texture import fit_texture as fit_texture
 from .stages.views_to_vertices import move_vertices as move_vertices
 

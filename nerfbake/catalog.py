@@ -37,6 +37,9 @@ class Format(NamedTuple):
     def load_volume_module(self) -> contract.VolumeFormat:
         return cast(contract.VolumeFormat, self.load_module())
 
+    def load_splat_module(self) -> contract.SplatFormat:
+        return cast(contract.SplatFormat, self.load_module())
+
     def load_packed_module(self) -> contract.PackedFormat:
         return cast(contract.PackedFormat, self.load_module())
 
@@ -101,12 +104,16 @@ FORMATS = (
     Format("vdb", "Volume", ".vdb", "volume.openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "volume.nanovdb", "NanoVDB grid"),
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
+    Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh", beside=True, spread=(".mtl", ".png", ".jpg")),
+    Format("glb", "Splats", ".glb", "splat.glb", "Gaussian splats in glTF 2.0"),
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
     Format("ply", "Meshes", ".ply", "mesh.ply", "PLY mesh with vertex colours"),
     Format("ply", "Splats", ".ply", "splat.ply", "Gaussian splats (3DGS)"),
     Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)"),
+    Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)", writable=False),
+    Format("splat", "Splats", ".splat", "splat.splat", "Gaussian splats, 32 bytes each", writable=False),
 )
 
 # encode() returns file names with their bytes, and decode() takes them. A scene is written as the first writable kind
@@ -114,6 +121,7 @@ FORMATS = (
 # transforms.json, then the COLMAP model, from which LLFF's poses are computed.
 _COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
 _LLFF, _NSVF, _BAKED = ("poses_bounds.npy",), ("intrinsics.txt",), ("scene_params.json",)
+_SOG = ("meta.json", "lod-meta.json")
 _BLOCKS = "sparse_grid_block_indices.png"
 FOLDERS = (
     FolderKind("stage1", "Stage1", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
@@ -125,6 +133,7 @@ FOLDERS = (
     FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
+    FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG, writable=False),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 

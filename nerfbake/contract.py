@@ -1,7 +1,8 @@
 """Interfaces of the format modules, and the options of their encode().
 
 A module of `formats/` that is listed in the catalog has the functions of FileFormat, or of FolderFormat if it stores
-several files. A module for volumes also has those of VolumeFormat. tests/rules/test_contract.py checks every module.
+several files. A module for volumes also has those of VolumeFormat, and one that writes splats those of SplatFormat.
+tests/rules/test_contract.py checks every module.
 
 The signature of encode() defines the options of a format: keyword-only arguments, each with a type and a default.
     def encode(octree: SparseVoxelOctree, *, no_child: Literal[0, -1] = 0) -> Iterator[bytes | memoryview]:
@@ -92,6 +93,12 @@ class VolumeFormat(FileFormat, Protocol):
         """Raise UsageError if a file cannot store these grids (density, Cd, sh; or index) together."""
 
 
+class SplatFormat(FileFormat, Protocol):
+    """A format for Gaussian splats that is written."""
+
+    MOST_DEGREE: int  # of the spherical harmonics that it can store
+
+
 class SpreadFormat(FileFormat, Protocol):
     """A format whose scenes may need further files beside their own: a mesh with its materials and textures."""
 
@@ -148,6 +155,12 @@ class PhotographFormat(Protocol):
 
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
+
+    def encode_preview(self, view: memoryview, edge: int, size: tuple[int, int] | None = None, /) -> bytes:
+        """Return the picture as a JPEG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit.
+
+        size: (W, H) of the camera.
+        """
 
 
 class CheckpointFormat(Protocol):

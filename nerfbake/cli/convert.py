@@ -1,7 +1,8 @@
-"""`nerfbake convert`: write an octree or a volume in another format or layout."""
+"""`nerfbake convert`: write an octree, a volume or splats in another format or layout."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import click
@@ -21,20 +22,23 @@ from nerfbake.jobs.files import Source, Target
 
 @click.command()
 @source_argument
-@octree_target_argument("Volume")
+@octree_target_argument("Volume", "Splats")
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),
     help="full: child slots for every node; compact: no child slots on the last level.  [default: as in IN]",
 )
-@grid_options
+@partial(grid_options, splats=True)
 @codec_option
 @click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
+@click.option("--small", is_flag=True, help="Store SH of splats in 4 and 5 instead of 8 bits (.spz).")
 @console_options
 def convert(source: Source, target: Target, console: Console, **options: Any) -> None:
-    """Convert between formats without loss.
+    """Convert between formats, and report any loss.
 
-    Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz.
+    Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
+    Gaussian splats become .ply, .spz or .glb, and the largest and median loss are printed. With --up, they are rotated
+    so that this axis of their world, in which `info` describes them, points up in the new file.
 
     A volume becomes an octree, too. The octree is complete if `nerfbake vdb` wrote the volume with the grids `index` or
     `density,sh`. From any other fog volume the octree gets the density only. With --grid all, each grid of a volume
@@ -47,6 +51,8 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert smoke.vdb smoke.nvdb --grid density
       nerfbake convert smoke.vdb smoke.nvdb --grid all
       nerfbake convert smoke.vdb smoke.svo.npz --grid density --up y
+      nerfbake convert scene.ply scene.spz
+      nerfbake convert scene.ply scene.glb --up z
     """
 
     from nerfbake.jobs.conversions import convert_file, split_volume

@@ -11,6 +11,7 @@ import click
 from nerfbake import io
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
+    Box,
     Command,
     NumberRange,
     as_json,
@@ -36,24 +37,6 @@ class FitBackground(Background):
     """auto, white, black, or R,G,B in 0..255."""
 
     known: ClassVar = {"auto": None, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-
-
-class Box(click.ParamType[tuple[float, ...]]):
-    """Two opposite corners of a box in world coordinates."""
-
-    name = "x0,y0,z0,x1,y1,z1"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        try:
-            corners = tuple(map(float, value.split(",")))
-        except ValueError:
-            corners = ()
-        fine = len(corners) == 6 and all(
-            -1e15 < low < high < 1e15 for low, high in zip(corners, corners[3:], strict=False)
-        )
-        if not fine:
-            self.fail(f"{value!r} is not a box; allowed: x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1, z0 < z1", param, ctx)
-        return corners
 
 
 def photograph_options(function: Command) -> Command:
@@ -173,7 +156,7 @@ def fit_options(function: Command) -> Command:
 
 @click.command()
 @click.argument("source", metavar="SOURCE", type=PhotographsPath())
-@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "N3Tree", "Meshes", output=MeshOutput)
+@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes", output=MeshOutput)
 @fit_options
 @photograph_options
 @click.option(

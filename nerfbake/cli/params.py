@@ -31,8 +31,8 @@ Command = Callable[..., Any]
 ALL = "all"
 
 
-def grid_options(function: Command) -> Command:
-    """Add --grid and --up; pass the command `choice`, a GridChoice."""
+def grid_options(function: Command, *, splats: bool = False) -> Command:
+    """Add --grid and --up; pass the command `choice`, a GridChoice. splats: --up applies to splats, too."""
 
     @click.option(
         "--grid",
@@ -44,8 +44,9 @@ def grid_options(function: Command) -> Command:
     )
     @click.option(
         "--up",
-        type=click.Choice(["y", "z"]),
-        help="Up axis of the volume. y: the volume is rotated so that y becomes z.",
+        type=click.Choice(["y", "z", "-y", "-z", "x", "-x"] if splats else ["y", "z"]),
+        help="Up axis of the volume. y: the volume is rotated so that y becomes z."
+        + (" Or the axis of splats that points up: it becomes the up axis of OUT." if splats else ""),
     )
     @functools.wraps(function)
     def command(*args: object, grids: tuple[str, ...], up: str | None, **others: object) -> object:
@@ -109,6 +110,33 @@ class Resolution(click.ParamType[tuple[int, int, int]]):
             self.fail(f"{value!r} is not a resolution; allowed: R or WxHxD, each 1 to 4096", param, ctx)
         w, h, d = (int(edge) for edge in (edges * 3 if len(edges) == 1 else edges))
         return w, h, d
+
+
+class Box(click.ParamType[tuple[float, ...]]):
+    """Two opposite corners of a box in world coordinates."""
+
+    name = "x0,y0,z0,x1,y1,z1"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        try:
+            corners = tuple(map(float, value.split(",")))
+        except ValueError:
+            corners = ()
+        fine = len(corners) == 6 and all(
+            -1e15 < low < high < 1e15 for low, high in zip(corners, corners[3:], strict=False)
+        )
+        if not fine:
+            self.fail(f"{value!r} is not a box; allowed: x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1, z0 < z1", param, ctx)
+        return corners
+
+
+class PartBox(Box):
+    """inner, all, or a box."""
+
+    name = "inner|all|x0,y0,z0,x1,y1,z1"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value if value in ("inner", ALL) else super().convert(value, param, ctx)
 
 
 class PixelSize(click.ParamType[tuple[int, int]]):
@@ -275,6 +303,47 @@ def truth(of: str) -> Callable[[Command], Command]:
     """Add --truth, photographs of the cameras that `of` names."""
     text = f"Folder with a photograph NAME.png for each {of}, to measure the loss instead of predicting it."
     return click.option("--truth", type=Reads(), help=text)
+
+
+def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
+    """Add --opacity-min, --epochs and an option for the up axis; pass the command `splats`, a SplatOptions.
+
+    up: the name of that option; default: its default, None to keep the world of the splats.
+    """
+    told = "  [default: keep the world of IN]" if default is None else ""
+
+    def add(function: Command) -> Command:
+        @click.option(
+            "--opacity-min",
+            type=NumberRange(0, 1),
+            help="Leave out splats of a lower opacity (splats only).  [default: 1/255]",
+        )
+        @click.option(
+            up,
+            "splats_up",
+            type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
+            default=default,
+            show_default=default is not None,
+            help=f"Up axis of splats, which becomes z (splats only): mostly -y, for .spz always.{told}",
+        )
+        @click.option(
+            "--epochs",
+            type=click.IntRange(0, 100),
+            help="Passes over pictures of the splats, to which the voxels are fitted (splats only).  [default: 2]",
+        )
+        @functools.wraps(function)
+        def command(
+            *args: object, opacity_min: float | None, splats_up: Any, epochs: int | None, **others: object
+        ) -> object:
+            from nerfbake.jobs.splat_fields import SplatOptions
+
+            given = {"opacity_min": opacity_min, "up": splats_up, "epochs": epochs}
+            splats = SplatOptions(**{name: value for name, value in given.items() if value is not None})
+            return function(*args, splats=splats, **others)
+
+        return command
+
+    return add
 
 
 def budget_options(function: Command) -> Command:

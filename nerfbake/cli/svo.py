@@ -1,4 +1,4 @@
-"""`nerfbake svo`: convert a PlenOctree or a lattice to a sparse voxel octree, after TR-24-01 (docs/sources.md)."""
+"""`nerfbake svo`: convert a field or splats to a sparse voxel octree, after TR-24-01 (docs/sources.md)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import click
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     NumberRange,
+    PartBox,
     Resolution,
     budget_options,
     console_options,
     octree_target_argument,
     source_argument,
+    splat_options,
 )
 from nerfbake.jobs.files import Source, Target
 
@@ -29,14 +31,16 @@ RESAMPLE = (
 @click.option(
     "--resolution",
     type=Resolution(),
-    help="Voxels along each axis, 1 to 4096.  [default: the finest of a tree; twice that of a lattice]",
+    help="Voxels along each axis, 1 to 4096; of splats along the longest.  [default: the finest of a tree; twice that "
+    "of a lattice; 256]",
 )
 @click.option(
     "--box",
-    type=click.Choice(["inner", "all"]),
+    type=PartBox(),
     default="inner",
     show_default=True,
-    help="Part of a scene with scenery: its inner cube, or all of it.",
+    help="Part of the scene. inner: of a scene with scenery its inner cube, of splats those that are not far outside; "
+    "all: all of it; or two opposite corners of a box in the world of OUT (splats only).",
 )
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
@@ -57,24 +61,27 @@ RESAMPLE = (
 @click.option(
     "--basis",
     type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
-    help="Spherical-harmonics basis of the colours (lattices only).  [default: SH9]",
+    help="Spherical-harmonics basis of the colours (lattices and splats only).  [default: SH9; that of the splats]",
 )
 @click.option(
     "--scale",
     type=NumberRange(1e-6, 1e6),
     help="Scale factor for world coordinates (lattices only).",
 )
+@splat_options("--up", None)
 @budget_options
 @console_options
 def svo(source: Source, target: Target, console: Console, **options: Any) -> None:
-    """Convert a PlenOctree or lattice to an octree.
+    """Convert a field or splats to an octree.
 
-    Resamples IN, a PlenOctree or a lattice from another program, to the sparse voxel octree OUT.
+    Resamples IN, a PlenOctree, a lattice from another program or Gaussian splats, to the sparse voxel octree OUT.
+    Voxels of splats are fitted to pictures of the splats from all sides.
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake svo ckpt.npz chair.svo.pb --basis SH16 --min-psnr 40
       nerfbake svo phone.npz phone.svo.pb --box all
+      nerfbake svo scene.ply scene.svo.pb --resolution 512 --box=-1,-1,-1,1,1,1 --up=-y
       nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
     """
 

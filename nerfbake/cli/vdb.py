@@ -1,4 +1,4 @@
-"""`nerfbake vdb`: convert a PlenOctree or an octree to OpenVDB or NanoVDB."""
+"""`nerfbake vdb`: convert a PlenOctree, an octree or splats to OpenVDB or NanoVDB."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import click
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     NumberRange,
+    PartBox,
     Resolution,
     budget_options,
     codec_option,
     console_options,
     source_argument,
+    splat_options,
     target_argument,
 )
 from nerfbake.jobs.files import Source, Target
@@ -33,7 +35,8 @@ GRIDS = (
 @click.option(
     "--resolution",
     type=Resolution(),
-    help="Voxels along each axis of a PlenOctree.  [default: its finest; twice that of a lattice]",
+    help="Voxels along each axis of a PlenOctree.  [default: its finest; twice that of a lattice; 256 along the longest"
+    " axis of splats]",
 )
 @click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
 @click.option(
@@ -41,18 +44,28 @@ GRIDS = (
     type=click.Choice(["y", "z"]),
     default="z",
     show_default=True,
-    help="Up axis of OUT. The up axis of IN is z.",
+    help="Up axis of OUT. The up axis of IN is z; for splats see --in-up.",
 )
+@click.option(
+    "--box",
+    type=PartBox(),
+    default="inner",
+    show_default=True,
+    help="Part of splats: those that are not far outside, all of them, or those between two opposite corners of a box "
+    "in the world of OUT with z up (splats only).",
+)
+@splat_options("--in-up", "-y")
 @budget_options
 @console_options
 def vdb(source: Source, target: Target, console: Console, **options: Any) -> None:
-    """Convert a PlenOctree or octree to a VDB volume.
+    """Convert a field or splats to a VDB volume.
 
     Writes OUT as OpenVDB (.vdb), NanoVDB (.nvdb, one grid per file) or plain arrays (.vdb.npz).
 
     \b
       nerfbake vdb chair.npz chair.vdb
       nerfbake vdb chair.svo.pb chair.nvdb --grids index --half
+      nerfbake vdb scene.spz scene.vdb --resolution 512
       nerfbake vdb chair.npz - --to nvdb | nerfbake info -
     """
 

@@ -95,6 +95,11 @@ def quality_options(function: Command) -> Command:
     type=Capture(),
     help=f"Cameras to look from: {CAPTURE}.  [default: the front, turning]",
 )
+@click.option(
+    "--photographs",
+    is_flag=True,
+    help="Also store the photographs of --cameras, 480 pixels wide, to show them over the scene.",
+)
 @grid_options
 @console_options
 def view(source: Source, target: Target | None, console: Console, **options: Any) -> None:
@@ -110,6 +115,7 @@ def view(source: Source, target: Target | None, console: Console, **options: Any
       nerfbake view chair.npz chair.html
       nerfbake view chair.npz small.html --max-size 1MB --title "A chair"
       nerfbake view chair.svo.pb chair.html --data exact --cameras transforms.json
+      nerfbake view phone.npz phone.html --cameras phone --photographs
       nerfbake view chair.npz room.html --mesh room.glb
       nerfbake view atlas_64 atlas.html --stage1 mesh_stage1
     """

@@ -266,3 +266,12 @@ def load_thumbnail(path: str | Path, edge: int) -> bytes:
     """Return a picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
     with blame(str(path)), memory.scope():
         return load_photographs().encode_thumbnail(read_file(Path(path)), edge)
+
+
+def load_preview(path: str | Path, edge: int, size: tuple[int, int] | None = None) -> bytes:
+    """Return a photograph as a JPEG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit.
+
+    size: (W, H) of the camera, see decode_photograph().
+    """
+    with blame(str(path)), memory.scope():
+        return load_photographs().encode_preview(read_file(Path(path)), edge, size)

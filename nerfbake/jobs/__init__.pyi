@@ -15,6 +15,7 @@ from .compressions import CompressionGoal as CompressionGoal
 from .compressions import GroundTruth as GroundTruth
 from .compressions import compress_file as compress_file
 from .conversions import convert_file as convert_file
+from .conversions import convert_splats as convert_splats
 from .conversions import split_volume as split_volume
 from .descriptions import describe_file as describe_file
 from .files import FolderTarget as FolderTarget
@@ -53,4 +54,8 @@ from .samples import write_sample_capture as write_sample_capture
 from .samples import write_sample_n3tree as write_sample_n3tree
 from .samples import write_sample_stage1 as write_sample_stage1
 from .shaders import write_shaders as write_shaders
+from .splats import SplatsModel as SplatsModel
+from .splats import SplatsOptions as SplatsOptions
+from .splats import SplatsResult as SplatsResult
+from .splats import bake_splats as bake_splats
 from .steps import Steps as Steps

@@ -18,6 +18,7 @@ from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.scenes_to_comparison import compare_scenes
@@ -127,7 +128,7 @@ def compare_files(
 def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     """Return the scene, and its name, content, format and size in bytes."""
     fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
-    kinds = *fields, Meshes, Stage1, BakedAtlas
+    kinds = *fields, Splats, Meshes, Stage1, BakedAtlas
     found = source.read_with_format(steps, *kinds)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
     return found.scene, facts

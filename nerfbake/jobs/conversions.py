@@ -1,21 +1,26 @@
-"""Convert octrees and volumes to other formats and layouts, and to each other."""
+"""Convert octrees, volumes and splats to other formats and layouts, and octrees and volumes to each other."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from nerfbake import catalog, io
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
-from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.lattices import print_notes, sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.splats import UPS, Splats, Up
 from nerfbake.scene.volume import Volume
 
+if TYPE_CHECKING:
+    from nerfbake.stages.splats_to_loss import SplatLoss
+
+_ROUNDING = 1e-3  # of all units of a loss: less is the rounding of logarithms and of directions
 _LONGEST_PART = 100  # characters of a grid's name in a file's name
 
 
@@ -28,18 +33,20 @@ def convert_file(
     choice: GridChoice = AS_IT_IS,
     codec: str | None = None,
     half: bool = False,
+    small: bool = False,
     steps: Steps = SILENT,
-) -> SparseVoxelOctree | Volume:
-    """Write an octree or a volume in another format and return it. This is `nerfbake convert`.
+) -> SparseVoxelOctree | Volume | Splats:
+    """Write an octree, a volume or splats in another format and return what was written. This is `nerfbake convert`.
 
-    Reads `source` and writes `target`, whose format selects an octree or a volume. A lattice from another program is
-    first converted to an octree.
+    Reads `source` and writes `target`, whose format selects what is written. A lattice from another program is first
+    converted to an octree. Splats are converted by convert_splats().
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
     choice    the grids of a volume, and its up axis
     codec     of a volume's format: none or zip
     half      store a volume's values as float16
+    small     store splats as small as the format allows
 
     Arguments that are None keep the value of `source`, or the default of the format. Raises NerfbakeError.
 
@@ -47,7 +54,13 @@ def convert_file(
     'compact'
     """
     source, target = as_source(source), as_target(target)
-    if _is_volume(target):
+    if _is_ending(target, "Splats"):
+        if layout or no_child or codec or half or choice.grids:
+            raise UsageError("splats have no child slots, grids and codecs; allowed: `up` and `small`")
+        return convert_splats(source, target, up=choice.up, small=small, steps=steps)
+    if small:
+        raise UsageError("`small` is for splats; allowed: `nerfbake compress` for octrees")
+    if _is_ending(target, "Volume"):
         if layout or no_child:
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
@@ -65,9 +78,75 @@ def convert_file(
     return octree
 
 
-def _is_volume(target: Target) -> bool:
+def _is_ending(target: Target, scene: str) -> bool:
+    """True if the target has the extension of a format of this scene type, even of one that is only read."""
     ending = target.path if target.to is None else f".{target.to.removeprefix('.')}"
-    return catalog.is_ending(ending, "Volume")
+    suffixes = tuple(form.suffix for form in catalog.FORMATS if form.scene == scene)
+    return catalog.uncompressed(ending).lower().endswith(suffixes)
+
+
+def convert_splats(
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    up: str | None = None,
+    small: bool = False,
+    steps: Steps = SILENT,
+) -> Splats:
+    """Write splats in another format, report what it loses, and return the splats as they were written.
+
+    up     the axis of their world that points up: x, -x, y, -y, z or -z. They are rotated so that it becomes -y, which
+           the formats store as their own up axis. None: they are not rotated
+    small  store them as small as the format allows
+
+    SH bands that the format cannot store are left out. Raises NerfbakeError.
+
+    >>> import numpy as np
+    >>> places, turns = np.eye(3, dtype=np.float32), np.eye(4, dtype=np.float32)[:3]
+    >>> grey = np.zeros((3, 1, 3), np.float32)
+    >>> splats = nerfbake.Splats(places, places + 1, turns, np.full(3, 0.5, np.float32), grey)
+    >>> _ = nerfbake.save("splats.ply", splats)
+    >>> print(convert_splats("splats.ply", "splats.spz"))
+    3 splats of SH degree 0
+    """
+    from nerfbake.stages.splats_to_loss import measure_splats
+
+    source, target = as_source(source), as_target(target)
+    ways: dict[str, Up] = {way: way for way in UPS}
+    if up is not None and up not in ways:
+        raise UsageError(f"`up` is {up!r}; allowed: {', '.join(UPS)}")
+    options = {"small": True} if small else {}
+    module = target.require("Splats", **options).load_splat_module()
+    splats: Splats = source.read(steps, Splats)
+    print_notes(steps, source, splats)
+    if splats.dropped:
+        steps.say(f"{source.name}: {splats.unread_problems()[0].found}")
+    if up is not None:
+        splats = splats.with_up(ways[up])
+    kept = splats.with_degree(module.MOST_DEGREE)
+    target.write(steps, kept, **options)
+    with steps.phase("measuring the loss"):
+        found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
+        loss = measure_splats(splats, found)
+    steps.say(f"{'stdout' if target.path == io.STREAM else target.path}: {_told(loss)}")
+    return found
+
+
+def _told(loss: SplatLoss) -> str:
+    """The loss in a sentence."""
+    errors = (loss.means, loss.scales, loss.rotations, loss.opacity, loss.colours)
+    if not loss.dropped_bands and max(error.largest for error in errors) < _ROUNDING:
+        return "nothing is lost but the rounding of float32"
+    parts = (
+        ("centres", loss.means, 1.0, " world units"),
+        ("scales", loss.scales, 100.0, " %"),
+        ("rotations", loss.rotations, 1.0, "°"),
+        ("opacity", loss.opacity, 1.0, ""),
+        ("colours", loss.colours, 1.0, "/255"),
+    )
+    told = [f"{name} {each.largest * by:.2g} ({each.median * by:.2g}){unit}" for name, each, by, unit in parts]
+    bands = f"; SH bands left out: {loss.dropped_bands}" if loss.dropped_bands else ""
+    return f"largest (median) loss: {', '.join(told)}{bands}"
 
 
 def split_volume(
@@ -91,7 +170,7 @@ def split_volume(
     ['smoke.density.nvdb', 'smoke.Cd.nvdb']
     """
     source, target = as_source(source), as_target(target)
-    if target.path == io.STREAM or not _is_volume(target):
+    if target.path == io.STREAM or not _is_ending(target, "Volume"):
         endings = ", ".join(form.suffix for form in catalog.formats_of("Volume"))
         raise UsageError(f"cannot write one file per grid to {target.path}; allowed: a {endings}")
     whole = GridChoice(up=up).whole(steps, source, source.read(steps, Volume))

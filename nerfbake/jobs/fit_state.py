@@ -5,15 +5,20 @@ A run that was killed resumes from its last checkpoint and writes the same bytes
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from nerfbake import io
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem
+from nerfbake.errors import InvalidFile, MemoryLimit, Problem, Stopped
+from nerfbake.jobs.files import Target
 from nerfbake.jobs.photographs import SplitViews
+from nerfbake.jobs.steps import Steps
 from nerfbake.scene.views import Views
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import measure_views
@@ -231,3 +236,38 @@ def _points(rows: Any) -> list[CurvePoint]:
     if not fine or not all(type(value) in (int, float) for row in rows for value in row):
         raise InvalidFile(Problem("curve", "is no list of points", f"{size} numbers each"))
     return [CurvePoint(*row) for row in rows]
+
+
+def write_partial(
+    steps: Steps, target: Target, kind: str, scene: Any, state: str | None = None, **options: Any
+) -> NoReturn:
+    """Write the current state as target.partial and raise Stopped. state: the folder of the checkpoints."""
+    ending = io.format_for(target.path, kind, to=target.to).name
+    partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
+    partial.write(steps, scene, **options)
+    goes_on = f"; run the same command to resume from {state}" if state else ""
+    raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
+
+
+@contextmanager
+def interrupts() -> Iterator[list[int]]:
+    """Catch Ctrl-C: the first one adds an item to the list, the second one raises KeyboardInterrupt.
+
+    The block checks the list where its work is in a consistent state.
+    """
+    asked: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
+        yield asked
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)

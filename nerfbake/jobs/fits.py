@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
-from types import FrameType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
 from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun
+from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
 from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
 from nerfbake.jobs.meshes import build_mesh, require_mesh
 from nerfbake.jobs.photographs import ALL, PhotographOptions, read_photographs
 from nerfbake.jobs.poses import require_poses
+from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
 from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
+from nerfbake.stages.field_to_splats import build_splats
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
 from nerfbake.stages.views_to_error import measure_silhouettes, measure_views, plain_psnr
@@ -81,6 +80,7 @@ CONVERSIONS: dict[str, Callable[[BrickField, Pixels, Target, Tell, Dtype | None]
     "SparseVoxelOctree": lambda field, *_: build_octree_from_bricks(field),
     "QuantisedOctree": _compressed,
     "Volume": lambda field, *_: build_vdb_from_bricks(field, grids=_GRIDS),
+    "Splats": lambda field, *_: build_splats(build_field(field)),
     "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out()),
     "Meshes": lambda field, *_: build_field_from_bricks(field),  # of which build_mesh() makes a mesh
 }
@@ -273,15 +273,17 @@ def fit_file(
     steps.say(f"{source.name}: `epochs={schedule}`")
     keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule), posed.trained)
     course = FitRun(posed, schedule, recipe.rays(schedule))
-    with _interrupts() as asked:
+    with interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
             scene = CONVERSIONS[kind](field, lambda: _held_out(judges, recipe.rays(schedule)), target, tell, dtype)
         if kind == "Meshes":
             scene = build_mesh(steps, source, scene, posed.trained, target)
+        if isinstance(scene, Splats) and not asked:
+            scene = fitted_splats(steps, source, scene, posed.trained, USUAL, asked)
         del field, posed
         if asked:
-            _write_partial(steps, target, kind, scene, state)
+            write_partial(steps, target, kind, scene, state, **_options(target, kind))
         target.write(steps, scene, **_options(target, kind))
     if asked:
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
@@ -365,15 +367,6 @@ def _keep(keeper: CheckpointWriter, now: Any, course: FitRun) -> None:
         keeper.keep(now, worked=worked, curve=course.curve)
 
 
-def _write_partial(steps: Steps, target: Target, kind: str, scene: Any, state: str | None) -> NoReturn:
-    """Write the current state as target.partial and raise Stopped."""
-    ending = io.format_for(target.path, kind, to=target.to).name
-    partial = target._replace(path=f"{target.path}.partial", to=ending, force=True)
-    partial.write(steps, scene, **_options(target, kind))
-    goes_on = f"; run the same command to resume from {state}" if state else ""
-    raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
-
-
 def _judged(
     steps: Steps, target: Target, judges: Views, schedule: Schedule, recipe: FitOptions, course: FitRun
 ) -> FitResult:
@@ -383,7 +376,7 @@ def _judged(
     file = Source(target.path)
     with file.blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
         loaded = file.read_with_format(steps)
-        scene = loaded.scene if isinstance(loaded.scene, Meshes) else build_field(loaded.scene)
+        scene = loaded.scene if isinstance(loaded.scene, Meshes | Splats) else build_field(loaded.scene)
         views = measure_views(scene, judges, samples=samples)
         shapes = measure_silhouettes(scene, judges) if isinstance(scene, Meshes) else ()
     told = str(loaded.scene)
@@ -398,27 +391,3 @@ def _judged(
         check = "check that the poses belong to these pictures, in this order, and are not mirrored"
         steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {check}")
     return fitted
-
-
-@contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Catch Ctrl-C: the first one adds an item to the list, the second one raises KeyboardInterrupt.
-
-    The block checks the list where its work is in a consistent state.
-    """
-    asked: list[int] = []
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
-        yield asked
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if asked:
-            raise KeyboardInterrupt
-        asked.append(number)
-
-    signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)

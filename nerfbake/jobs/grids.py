@@ -30,6 +30,8 @@ class GridChoice(NamedTuple):
 
         if self and not isinstance(scene, Volume):
             raise UsageError(f"{source.name} is not a volume; allowed: no `grid` and no `up`")
+        if self.up not in (None, "y", "z"):
+            raise UsageError(f"`up` of a volume is {self.up!r}; allowed: y, z")
         if self:
             with source.blamed(steps, "choosing grids"):
                 scene = scene.only(self.grids) if self.grids else scene

@@ -16,6 +16,7 @@ from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from nerfbake.scene.splats import Splats
 
 if TYPE_CHECKING:
     from nerfbake.scene.radiance_field import RadianceField
@@ -158,7 +159,7 @@ def _lost(lattice: LatticeField, field: RadianceField) -> tuple[float, float]:
 
 
 def print_notes(steps: Steps, source: Source, scene: Any) -> None:
-    """Print notes on the contents of a lattice file that were left out."""
-    if isinstance(scene, LatticeField):
+    """Print notes on the contents of a file that were left out or changed."""
+    if isinstance(scene, LatticeField | N3Tree | Splats):
         for note in scene.notes:
             steps.say(f"{source.name}: {note}")

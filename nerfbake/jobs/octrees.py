@@ -1,4 +1,4 @@
-"""Bake octrees and volumes from PlenOctrees, lattices and octrees, and cut octrees at a level."""
+"""Bake octrees and volumes from PlenOctrees, lattices, splats and octrees, and cut octrees at a level."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
-from nerfbake.jobs.lattices import compact_octree, sample_lattice, without_scenery
+from nerfbake.jobs.lattices import compact_octree, print_notes, sample_lattice, without_scenery
+from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, Part, SplatOptions, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
 
 if TYPE_CHECKING:
@@ -29,7 +31,8 @@ def bake_octree(
     target: AnyTarget,
     *,
     resolution: int | tuple[int, int, int] | None = None,
-    box: Literal["inner", "all"] = "inner",
+    box: Part = "inner",
+    splats: SplatOptions = USUAL,
     resample: Resample = "mean",
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
@@ -40,17 +43,21 @@ def bake_octree(
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> SparseVoxelOctree:
-    """Resample a PlenOctree or a lattice to a sparse voxel octree and return it. This is `nerfbake svo`.
+    """Resample a PlenOctree, a lattice or splats to a sparse voxel octree and return it. This is `nerfbake svo`.
 
     Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed. Raises
     NerfbakeError; errors that depend on the arguments alone are raised before anything is read.
 
-    box       part of a scene with scenery: inner: its inner cube; all: also the shells around it, at most at 4096^3
+    box       part of the scene. inner: of a scene with scenery its inner cube, of splats those that are not far
+              outside; all: also the shells around it, at most at 4096^3, or all splats; x0, y0, z0, x1, y1, z1: the
+              splats in this box of the octree's world
+    splats    how splats become voxels
     no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
-    basis     SH basis of the colours (lattices only); None: SH9
+    basis     SH basis of the colours (lattices and splats only); None: SH9, or the degree of the splats
     scale     scale factor for world coordinates (lattices only)
 
-    resolution, resample, layout, dtype and sigma_min are those of build_octree() and build_octree_from_lattice().
+    resolution, resample, layout, dtype and sigma_min are those of build_octree(), build_octree_from_lattice() and
+    build_octree_from_splats().
 
     >>> octree = bake_octree("a.npz", "a.svo.pb", resolution=16, budget=Budget(min_psnr=20))
     >>> octree.size
@@ -62,12 +69,34 @@ def bake_octree(
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    scene = source.read(steps, N3Tree, LatticeField)
+    scene = source.read(steps, N3Tree, LatticeField, Splats)
+    if isinstance(scene, N3Tree):
+        print_notes(steps, source, scene)
+    if not isinstance(scene, Splats):
+        splats.require_default()
+        if not isinstance(box, str):
+            raise UsageError("`box` of six numbers has no effect on other scenes than splats; allowed: inner, all")
     if box == "inner":
         scene = without_scenery(steps, source, scene)
     elif isinstance(scene, N3Tree):
         resolution = _with_scenery(steps, source, scene, resolution)
-    if isinstance(scene, LatticeField):
+    if isinstance(scene, Splats):
+        splats.require(budget)
+        if resample != "mean" or scale is not None:
+            raise UsageError("`resample` and `scale` have no effect on splats; allowed: with a PlenOctree or a lattice")
+        octree, scene = sample_splats(
+            steps,
+            source,
+            scene,
+            options=splats,
+            part=box,
+            basis=basis,
+            resolution=resolution,
+            layout=layout,
+            dtype=dtype,
+            sigma_min=sigma_min,
+        )
+    elif isinstance(scene, LatticeField):
         if box != "inner":
             raise UsageError("`box` has no effect on a lattice, which has no shells; allowed: with a PlenOctree")
         if resample != "mean":
@@ -151,7 +180,7 @@ def bake_lod(
 
 
 def read_octree(steps: Steps, source: Source) -> SparseVoxelOctree:
-    """Read an octree, or convert a PlenOctree (at its own resolution) or a lattice to one."""
+    """Read an octree, or convert a PlenOctree (at its own resolution), a lattice or splats to one."""
     return read_octree_and_held_out(steps, source)[0]
 
 
@@ -160,9 +189,11 @@ def read_octree_and_held_out(steps: Steps, source: Source) -> tuple[SparseVoxelO
 
     from nerfbake.stages.n3tree_to_octree import build_octree
 
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField))
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField, Splats))
     if isinstance(scene, SparseVoxelOctree):
         return scene, None
+    if isinstance(scene, Splats):
+        return sample_splats(steps, source, scene)[0], None
     if isinstance(scene, LatticeField):
         return sample_lattice(steps, source, scene), None
     with source.blamed(steps, "building the octree"):
@@ -179,19 +210,23 @@ def bake_volume(
     resolution: int | tuple[int, int, int] | None = None,
     sigma_min: float | None = None,
     up: Literal["y", "z"] = "z",
+    box: Part = "inner",
+    splats: SplatOptions = UPRIGHT,
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> Volume:
-    """Convert a PlenOctree, an octree or a lattice to VDB grids and return the volume. This is `nerfbake vdb`.
+    """Convert a PlenOctree, an octree, a lattice or splats to VDB grids and return the volume. This is `nerfbake vdb`.
 
     Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed.
 
     grids       some of density, Cd and sh, separated by commas, or index; None: the default of the format
     half        store values as float16
     codec       of the format: none or zip; None: the default of the format
-    resolution  of a PlenOctree or a lattice, as in build_octree()
-    sigma_min   of a PlenOctree or a lattice, as in build_octree()
-    up          up axis of `target`; the up axis of `source` is z
+    resolution  of a PlenOctree, a lattice or splats, as in build_octree()
+    sigma_min   of a PlenOctree, a lattice or splats, as in build_octree()
+    up          up axis of `target`; the up axis of `source` is z, or that of `splats`
+    box         part of splats, as in bake_octree()
+    splats      how splats become voxels. By default their -y is up
 
     Raises NerfbakeError.
 
@@ -206,9 +241,20 @@ def bake_volume(
     form = target.require("Volume", codec=codec)
     budget.require(target)
     wanted = require_grids(form, grids, half=half)
-    scene: N3Tree | SparseVoxelOctree | LatticeField
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField))
+    scene: N3Tree | SparseVoxelOctree | LatticeField | Splats
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField, Splats))
+    judged: N3Tree | SparseVoxelOctree | LatticeField | Splats | None
     judged = None if budget.min_psnr is None else scene  # without a budget, the tree can be freed early
+    if isinstance(scene, Splats):
+        splats.require(budget)
+        scene, shown = sample_splats(
+            steps, source, scene, options=splats, part=box, resolution=resolution, sigma_min=sigma_min, layout="compact"
+        )
+        judged, resolution = None if judged is None else shown, None
+    else:
+        splats._replace(up=None).require_default()
+        if box != "inner":
+            raise UsageError("`box` has no effect on other scenes than splats; allowed: with splats")
     if isinstance(scene, LatticeField):
         size = (resolution,) * 3 if isinstance(resolution, int) else resolution
         scene, resolution = sample_lattice(steps, source, scene, resolution=size, sigma_min=sigma_min), None

@@ -15,14 +15,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Unpack
 
-from nerfbake import catalog, io, memory
+from nerfbake import catalog, io, memory, progress
 from nerfbake.errors import BudgetMissed, UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice
 from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
+from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import page_views
 from nerfbake.scene.atlas import BakedAtlas
@@ -37,6 +39,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.page import Page, PageField
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
@@ -149,6 +152,8 @@ _FRAMES, _EDGE = 4, 200  # number and edge of the pictures on which the loss of 
 # plus a quarter of a megabyte. A page of this size can be mailed.
 _MOST_BYTES = 4_300_000
 
+_PREVIEW = 480  # pixels along the longer edge of a photograph in a page
+
 Data = Literal["compressed", "exact"]
 
 
@@ -160,6 +165,7 @@ def view_file(
     goal: CompressionGoal = LEAST_LOSS,
     choice: GridChoice = AS_IT_IS,
     cameras: str | None = None,
+    photographs: bool = False,
     truth: str | None = None,
     min_psnr: float | None = None,
     samples: int | None = None,
@@ -172,8 +178,9 @@ def view_file(
 ) -> Page:
     """Write a page that shows a scene in any browser and return it. This is `nerfbake view`.
 
-    The scene is a PlenOctree, an octree, a volume, a lattice field, a mesh, or a folder with one: nerf2mesh's stage 1
-    or an atlas. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
+    The scene is a PlenOctree, an octree, a volume, a lattice, splats, a mesh, or a folder with a mesh: nerf2mesh's
+    stage 1 or an atlas. The page of splats shows the octree that bake_octree() makes of them, with -y up unless there
+    are cameras. Reads `source`, and the given cameras, photographs, mesh and stage-1 folder. Writes `target`, or
     `target`.rejected if min_psnr is missed. Without a target, writes a temporary page and opens it in the browser.
 
     data        compressed: the data of compress_file(); exact: float16; None: exact for a volume, else compressed
@@ -183,6 +190,8 @@ def view_file(
     choice      the grids of a volume
     cameras     a capture to look from, and to measure min_psnr on; None: the page opens with the front of the scene,
                 and min_psnr is measured on 8 views around it
+    photographs  also store the photographs of the cameras, at most 480 pixels wide and high, so that the page can show
+                them over the scene
     truth       a folder with a photograph NAME.png for each of the cameras, to measure the loss of the compression on;
                 None: it is predicted
     min_psnr    lowest allowed mean PSNR of the written page against `source`, in dB, without scenery; None: no limit
@@ -200,9 +209,11 @@ def view_file(
     page of a SH1 page field of 1,252 rows, 2x2x2 cells of 8^3
     """
     source = as_source(source)
-    photographs, budget = GroundTruth(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)
-    wish = _Wish(data, goal, photographs, anew=goal != LEAST_LOSS or truth is not None)
-    photographs.require()
+    judges, budget = GroundTruth(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)
+    wish = _Wish(data, goal, judges, anew=goal != LEAST_LOSS or truth is not None)
+    judges.require()
+    if photographs and cameras is None:
+        raise UsageError("`photographs` needs `cameras`, the capture that they are read from")
     if data == "exact" and wish.anew:
         raise UsageError(
             "exact data are not compressed; allowed: `max_loss`, `max_size` and `truth` with `data=compressed`"
@@ -210,20 +221,20 @@ def view_file(
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        content, scene, held_out, scenery = _read(steps, source, wish, choice)
+        content, scene, held_out, scenery, splats = _read(steps, source, wish, choice)
         if stage1 is not None and not isinstance(scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
         if isinstance(scene, Stage1 | BakedAtlas | Meshes):
-            if mesh or wish.anew or min_psnr is not None:
+            if mesh or wish.anew or photographs or min_psnr is not None:
                 raise UsageError(
-                    f"{source.name} contains triangles, for which a goal, `truth`, `min_psnr` and `mesh` have no "
-                    "effect; allowed: these options with a field"
+                    f"{source.name} contains triangles, for which a goal, `truth`, `photographs`, `min_psnr` and "
+                    "`mesh` have no effect; allowed: these options with a field"
                 )
             made = surface_page(steps, source, scene, stage1, look)
             file.write(steps, made)
             return made
-        shown = _framed(steps, source, scene, scenery, mesh, look)
+        shown = _framed(steps, source, scene, scenery, mesh, look, photographs=photographs)
         if data == "exact" or isinstance(scene, Volume):
             made = _exact(steps, source, shown)
         elif content is not None and not wish.anew:
@@ -237,8 +248,9 @@ def view_file(
                 steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
             made = shown.page(found.quantised)
         with file.writing(steps, made) as written:
+            judged = shown.field if splats is None else splats
             judge_output(
-                written.path, shown.field, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
+                written.path, judged, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
             )
     return made
 
@@ -248,7 +260,7 @@ class _Wish(NamedTuple):
 
     data: Data | None
     goal: CompressionGoal
-    photographs: GroundTruth
+    judges: GroundTruth
     anew: bool
 
 
@@ -262,23 +274,41 @@ class _Shown(NamedTuple):
     look: PageLook
     turns: bool
     around: tuple[PageField, ...]
+    photographs: tuple[bytes, ...]
 
     def page(self, content: Any) -> Page:
         title, _, background, lookup = self.look
         look = title, self.turns, background, lookup
-        return Page(content, self.field, self.views, self.cover, *look, *self.beside, self.around)
+        return Page(content, self.field, self.views, self.cover, *look, *self.beside, self.around, self.photographs)
 
 
-def _read(
-    steps: Steps, source: Source, wish: _Wish, choice: GridChoice
-) -> tuple[memoryview | None, Any, HeldOut | None, N3Tree | None]:
-    """Read the source. Return the bytes of an already compressed file, the scene, and the pixels of photographs.
+class _Content(NamedTuple):
+    """What was read.
 
-    A PlenOctree that is going to be compressed is returned as an octree. Of a scene with scenery, the inner cube is
-    returned, and at last the whole scene.
+    data      the bytes of an already compressed file
+    scene     a PlenOctree that is going to be compressed, and splats, are octrees here; of a scene with scenery, this
+              is the inner cube
+    held_out  the pixels of photographs
+    scenery   the whole scene, if it has scenery
+    splats    those that the octree shows
     """
-    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
+
+    data: memoryview | None
+    scene: Any
+    held_out: HeldOut | None = None
+    scenery: N3Tree | None = None
+    splats: Splats | None = None
+
+
+def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Content:
+    """Read the source."""
+    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats
     read = source.read_with_format(steps, *fields, Meshes, Stage1, BakedAtlas)
+    if isinstance(read.scene, Splats):
+        options = UPRIGHT if wish.judges.cameras is None else USUAL
+        octree, splats = sample_splats(steps, source, read.scene, options=options)
+        choice.of(steps, source, octree)
+        return _Content(None, octree, splats=splats)
     scene = sample_lattice(steps, source, read.scene) if isinstance(read.scene, LatticeField) else read.scene
     scene = choice.of(steps, source, scene)
     if isinstance(scene, Volume):
@@ -292,12 +322,19 @@ def _read(
             scene = scenery.inner_cube()
     if wish.data != "exact" and isinstance(scene, N3Tree):
         with source.blamed(steps, "building the octree"):
-            return None, build_octree(scene), scene.held_out, scenery
-    return read.data, scene, None, scenery
+            return _Content(None, build_octree(scene), scene.held_out, scenery)
+    return _Content(read.data, scene, None, scenery)
 
 
 def _framed(
-    steps: Steps, source: Source, scene: Any, scenery: N3Tree | None, mesh: PlacedMesh | None, look: PageLook
+    steps: Steps,
+    source: Source,
+    scene: Any,
+    scenery: N3Tree | None,
+    mesh: PlacedMesh | None,
+    look: PageLook,
+    *,
+    photographs: bool,
 ) -> _Shown:
     """Return the field of a scene with the cameras of the page, its cover picture and the shells around it.
 
@@ -310,10 +347,26 @@ def _framed(
         whole = field if scenery is None else build_field(scenery)
         around = () if scenery is None else build_page_shells(scenery)
     views, first = page_views(steps, field, look.cameras, posed, name=source.name)
+    previews: tuple[bytes, ...] = ()
+    if photographs:
+        views, previews = _previews(steps, str(look.cameras), views)
     with source.blamed(steps, "rendering the cover"):
         beside = PageExtras.of(mesh)
         cover = beside.render(whole, first, background=look.background, lookup=look.lookup)
-    return _Shown(field, views, cover, beside, look, look.cameras is None and posed is None, around)
+    turns = look.cameras is None and posed is None
+    return _Shown(field, views, cover, beside, look, turns, around, previews)
+
+
+def _previews(steps: Steps, path: str, views: Cameras) -> tuple[Cameras, tuple[bytes, ...]]:
+    """Return the cameras of a capture that have a photograph, and each photograph as a small JPEG."""
+    views, files = with_pictures(steps, path, views)
+    with steps.phase(f"reading {len(files)} photographs"):
+        cameras = progress.each(views.cameras)
+        previews = (
+            io.load_preview(file, _PREVIEW, (camera.width, camera.height))
+            for file, camera in zip(files, cameras, strict=True)
+        )
+        return views, tuple(previews)
 
 
 def _exact(steps: Steps, source: Source, shown: _Shown) -> Page:
@@ -340,7 +393,7 @@ def _compressed(
     def coded_size(quantised: QuantisedOctree) -> int:
         return module.coded_size(shown.page(quantised) if sized is form else quantised)
 
-    options = wish.goal.options | wish.photographs.read(steps, held_out)
+    options = wish.goal.options | wish.judges.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
         options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
         most = _MOST_BYTES - _shells_size(shown, form)

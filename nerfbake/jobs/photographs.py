@@ -88,7 +88,7 @@ def _held_out(views: Views, every: int, name: str) -> SplitViews:
 
 
 def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
-    cameras, files = _with_pictures(steps, path, read_cameras(steps, path))
+    cameras, files = with_pictures(steps, path, read_cameras(steps, path))
     masks = None if album.masks is None else _masks(album.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
@@ -115,7 +115,7 @@ def _pictures(cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | N
         yield pixels
 
 
-def _with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, list[Path]]:
+def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, list[Path]]:
     """Return the cameras that have a picture, and the paths of these pictures. Print how many cameras have none.
 
     Captures are often published without their blurred pictures: instant-ngp's fox has 50 of 67. Raises InvalidFile if

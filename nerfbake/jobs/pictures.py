@@ -22,6 +22,7 @@ from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
@@ -30,10 +31,12 @@ from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.octree_to_octree import cut_octree
 from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
-Surface: TypeAlias = Meshes | Stage1 | BakedAtlas
-Field: TypeAlias = RadianceField | LatticeField | Surface
+# Scenes with surfaces or splats, for which options of fields have no effect.
+Shapes: TypeAlias = Meshes | Stage1 | BakedAtlas | Splats
+Field: TypeAlias = RadianceField | LatticeField | Shapes
 
 _PLAIN = {"transmittance_cut": 1e-4, "lookup": "nearest"}  # the defaults of render_field()
 EDGE = 800  # width and height of the pictures of an orbit, in pixels
@@ -165,14 +168,14 @@ def render_views(
 ) -> list[str]:
     """Render views of a scene and return the paths of the pictures. This is `nerfbake render`.
 
-    Reads `source` (a PlenOctree, an octree, a volume, a lattice, a mesh, a stage-1 folder or an atlas), the cameras and
-    the mesh. Writes `pictures`, with their depth and alpha files. All output paths are checked before the first picture
-    is rendered. Raises NerfbakeError.
+    Reads `source` (a PlenOctree, an octree, a volume, a lattice, splats, a mesh, a stage-1 folder or an atlas), the
+    cameras and the mesh. Writes `pictures`, with their depth and alpha files. All output paths are checked before the
+    first picture is rendered. Raises NerfbakeError.
 
     lod      level of an octree to render
     choice   the grids of a volume
     options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
-             trained it and ignores the lookup; triangles have a background alone
+             trained it and ignores the lookup. Splats and triangles take a background only
 
     >>> render_views("a.npz", "views", ViewSelection(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
@@ -204,9 +207,10 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
 
     alone: there is no mesh in the pictures. A lattice is then returned unchanged, otherwise it becomes an octree.
     """
-    others = () if lod is not None else (N3Tree, Volume, LatticeField, *((Meshes, Stage1, BakedAtlas) if alone else ()))
+    shapes = (Splats, Meshes, Stage1, BakedAtlas) if alone else ()
+    others = () if lod is not None else (N3Tree, Volume, LatticeField, *shapes)
     scene = choice.of(steps, source, source.read(steps, *others, SparseVoxelOctree))
-    if isinstance(scene, Meshes | Stage1 | BakedAtlas):
+    if isinstance(scene, Shapes):
         return scene
     if isinstance(scene, LatticeField):
         if alone:
@@ -221,14 +225,20 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
 
 
 def _renderer(field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions) -> Callable[..., Image]:
-    """Return the function that renders a camera. A lattice has its own lookup, so that option is dropped."""
-    if isinstance(field, Meshes | Stage1 | BakedAtlas):
-        without = {name: value for name, value in options.items() if name != "background" and value != _PLAIN[name]}
-        if without:
-            names = " and ".join(f"`{name}`" for name in without)
-            raise UsageError(f"there is no effect of {names} on triangles; allowed: with a field")
+    """Return the function that renders a camera.
+
+    A lattice has its own lookup, so that option is dropped. Raises UsageError for options that the scene does not have.
+    """
+    if isinstance(field, Shapes):
+        noun = "splats" if isinstance(field, Splats) else "triangles"
+        for name, default in _PLAIN.items():
+            if options.get(name, default) != default:
+                raise UsageError(f"`{name}` has no effect on {noun}; allowed: with a field")
+        background = options.get("background", WHITE)
+        if isinstance(field, Splats):
+            return partial(render_splats, field, samples=samples, background=background)
         render: Any = render_meshes if isinstance(field, Meshes) else render_stage1
-        return partial(render, field, samples=samples, background=options.get("background", WHITE))
+        return partial(render, field, samples=samples, background=background)
     if isinstance(field, LatticeField):
         if "lookup" in options:
             del options["lookup"]

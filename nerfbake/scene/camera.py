@@ -226,15 +226,31 @@ class Camera(CompactRepr):
             y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
             directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
         else:
-            looks, fine = pixel_directions(self._seen, self.lens)
-            if not fine.all():
-                raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
+            looks = self._looks()
             directions = np.empty_like(looks)
             for axis, (r, u, b) in enumerate(zip(right, up, back, strict=True)):
                 directions[..., axis] = looks[..., 0] * r - looks[..., 1] * u - looks[..., 2] * b
         across, down, along = np.moveaxis(directions, -1, 0)
         directions /= np.sqrt(across * across + down * down + along * along)[..., None]
         return self.pose[:3, 3], directions.reshape(-1, 3)
+
+    def plane(self) -> npt.NDArray[np.float64] | None:
+        """(H, W, 2) where the rays of the pixels cross the plane at distance 1, x right, y down; None if some do not.
+
+        Raises InvalidScene if a pixel has no viewing direction through the lens.
+        """
+        if self.lens is None or not self.lens.bends:
+            return self._seen.points(np.arange(self.width), np.arange(self.height)[:, None])
+        looks = self._looks()
+        return looks[..., :2] / looks[..., 2:] if (looks[..., 2] > 0).all() else None
+
+    def _looks(self) -> npt.NDArray[np.float64]:
+        """(H, W, 3) viewing directions through the lens, x right, y down, z forward."""
+        assert self.lens is not None
+        looks, fine = pixel_directions(self._seen, self.lens)
+        if not fine.all():
+            raise InvalidScene(self._no_look(int(np.argmin(fine)), int((~fine).sum())))
+        return looks
 
     def lens_problems(self) -> list[Problem]:
         """The error that rays() would raise, computed from the picture's rim only.

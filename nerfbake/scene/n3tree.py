@@ -34,6 +34,7 @@ class N3Tree(Scene):
     held_out held-out pixels, with which compress_octree() measures its loss; None: unknown
     ndc      True for a forward-facing scene, whose cube is not a box of the world
     shells   of a scene with scenery, N = 2: the inner cube is the middle 1 / 2^(shells - 1) of the edge; else 1
+    notes    what differs from a file of another program, one line each
 
     Rows that are not reachable from the root (freed ones) are invalid and never read.
 
@@ -55,6 +56,7 @@ class N3Tree(Scene):
     ndc: bool = False
     held_out: HeldOut | None = None
     shells: int = 1
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         shape = self.child.shape

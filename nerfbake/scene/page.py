@@ -194,6 +194,7 @@ class Page(CompactRepr):
     field    the field that the content was made from: it defines the page's position in the world, its box and its
              basis; None for a PageSurface
     cameras  the views; the page opens with the first
+    photographs  a JPEG of each camera, to be shown over the scene; (): none
     cover    the picture of the first camera, square
     title    shown in the page, as text
     turns    the scene rotates slowly until it is touched
@@ -222,6 +223,7 @@ class Page(CompactRepr):
     meshes: tuple[Mesh, ...] = ()
     composite: Composite = "stop"
     around: tuple[PageField, ...] = ()
+    photographs: tuple[bytes, ...] = ()
 
     def __post_init__(self) -> None:
         width, height = self.cover.size
@@ -230,6 +232,9 @@ class Page(CompactRepr):
         if (self.field is None) != isinstance(self.content, PageSurface):
             found = "is missing" if self.field is None else "is present"
             raise InvalidScene(Problem("the field", found, "a field for voxels, none for triangles"))
+        if len(self.photographs) not in (0, len(self.cameras.cameras)):
+            found = f"are {len(self.photographs):,}"
+            raise InvalidScene(Problem("the photographs", found, f"{len(self.cameras.cameras):,}, one per camera"))
         if len({shell.top.shape for shell in self.around}) > 1:
             raise InvalidScene(Problem("the shells", "have grids of several sizes", "one size"))
         if self.meshes and self.field is None:

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.march.sh import rotation_of_sh
+from nerfbake.kernels.maths.affine import compose, determinant, length, transform_points
 from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems, require_shape
 
 BASES = (1, 4, 9, 16, 25)  # coefficients of each colour at degree 0, 1, 2, 3, 4
 _UNIT = 1e-3  # how far from 1 the length of a quaternion may be
+_EVEN = 1e-4  # how far a transform may be from a rotation or reflection times one scale: rounding in files
+
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+UPS: tuple[Up, ...] = ("x", "-x", "y", "-y", "z", "-z")
+# By the axis that points up: the rotation that makes it -y.
+_TO_Y_DOWN: dict[Up, list[list[int]]] = {
+    "x": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
+    "-x": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+    "z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,8 +44,10 @@ class Splats(Scene):
                  16 or 25. The colour is max(0, SH + 1/2), sRGB, for the direction from the camera to the splat.
     antialiased  the splats were trained with compensation of their opacity for the blur of a pixel
     dropped      rows of the file that were left out because they cannot be drawn
+    notes        parts of the file that were ignored, and assumptions, one line each
 
-    The world is that of the training program: a .ply holds it as it is, and the reader of .spz turns its y and z axes.
+    The world is that of the training program, usually with y down and z forward: a .ply holds it as it is. Readers of
+    formats whose y points up change the signs of y and z.
 
     >>> import numpy as np
     >>> from nerfbake import Splats
@@ -47,6 +64,7 @@ class Splats(Scene):
     sh: npt.NDArray[np.float32]
     antialiased: bool = False
     dropped: int = 0
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -98,8 +116,126 @@ class Splats(Scene):
         found = f"had {plural(self.dropped, 'row')} that cannot be drawn, which were left out"
         return [Problem("the file", found, "finite numbers, and quaternions other than 0")]
 
+    def flipped(self) -> Splats:
+        """Return the splats with y and z in the opposite directions: half a turn about x, exact to the bit.
+
+        It leads from y down and z forward (.ply) to y up and z back (.spz, glTF), and from there to y down.
+        """
+        degrees = [(degree, m) for degree in range(self.degree + 1) for m in range(-degree, degree + 1)]
+        # A basis function is odd in y if m < 0, and odd in z if degree and m differ by an odd number.
+        signs = np.array([(-1 if m < 0 else 1) * (-1) ** (degree - abs(m)) for degree, m in degrees], np.float32)
+        mirror = np.array([1, -1, -1], np.float32)
+        turn = np.array([1, 1, -1, -1], np.float32)
+        return replace(self, means=self.means * mirror, quats=self.quats * turn, sh=self.sh * signs[:, None])
+
+    def transformed(self, matrix: Floats) -> Splats:
+        """Return the splats moved by a (3, 4) matrix: a rotation or reflection, times one scale, and a translation.
+
+        Scales and colours move along: the colour for the direction M d is what it was for d. Raises InvalidScene for a
+        matrix that shears or scales unevenly, because SH cannot represent the result.
+        """
+        linear = matrix[:3, :3]
+        scale = length(linear[:, 0])
+        with np.errstate(all="ignore"):
+            turn = linear / scale
+            off = np.abs(compose(turn.T.copy(), turn) - np.eye(3)).max()
+        if not (0 < scale <= MAX_WORLD and off <= _EVEN):
+            found = "shears, or scales the axes differently"
+            raise InvalidScene(Problem("the transform of the splats", found, "a rotation, a reflection, and one scale"))
+        proper = turn if determinant(turn) > 0 else -turn  # an ellipsoid equals its point reflection
+        return replace(
+            self,
+            means=_float32(transform_points(self.means, matrix)),
+            scales=_float32(self.scales * scale),
+            quats=_float32(_product(_quaternion(proper), self.quats.astype(np.float64))),
+            sh=_turned_sh(self.sh, rotation_of_sh(turn, self.B)),
+        )
+
+    def with_up(self, up: Up) -> Splats:
+        """Return the splats rotated so that the axis `up` of their world becomes -y, which is up in most .ply files.
+
+        >>> import numpy as np
+        >>> from nerfbake import Splats
+        >>> turn, half = np.array([[1, 0, 0, 0]], np.float32), np.full(1, 0.5, np.float32)
+        >>> place = np.array([[0, 0, 5]], np.float32)
+        >>> one = Splats(place, place, turn, half, np.zeros((1, 1, 3), np.float32))
+        >>> one.with_up("z").means.tolist()
+        [[0.0, -5.0, 0.0]]
+        """
+        if up == "-y":
+            return self
+        if up == "y":
+            return self.flipped()
+        return self.transformed(np.column_stack([np.array(_TO_Y_DOWN[up], np.float64), np.zeros(3)]))
+
+    def with_degree(self, most: int) -> Splats:
+        """Return the splats without the bands of SH above this degree."""
+        if self.degree <= most:
+            return self
+        return replace(self, sh=np.ascontiguousarray(self.sh[:, : BASES[most]]))
+
     def __str__(self) -> str:
         return f"{plural(self.n, 'splat')} of SH degree {self.degree}"
+
+
+def _quaternion(matrix: Floats) -> Floats:
+    """(4,) the unit quaternion w, x, y, z of a rotation matrix, from the largest of its components."""
+    m = matrix
+    products = np.array(  # 4 q q^T
+        [
+            [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
+        ]
+    )
+    row = products[int(np.argmax(np.diagonal(products)))]
+    return np.asarray(row / length(row))
+
+
+def _product(first: Floats, second: Floats) -> Floats:
+    """The quaternion that rotates by second (n, 4), then by first (4,)."""
+    a, b, c, d = first
+    w, x, y, z = second.T
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=1,
+    )
+
+
+def _turned_sh(sh: npt.NDArray[np.float32], rotation: Floats) -> npt.NDArray[np.float32]:
+    """Coefficients (n, B, 3) times a matrix (B, B), each sum in the order of the coefficients."""
+    out = np.empty_like(sh)
+    for row, shares in enumerate(rotation):
+        total = np.zeros((len(sh), 3))
+        for column in np.flatnonzero(shares):
+            total += shares[column] * sh[:, column]
+        out[:, row] = cast(total, np.float32)
+    return out
+
+
+def join_splats(parts: Sequence[Splats]) -> Splats:
+    """All splats of the parts, in their order. Coefficients that a part does not have are 0.
+
+    The result is antialiased if the first part is.
+    """
+    B = max(part.B for part in parts)
+    sh = np.zeros((sum(part.n for part in parts), B, 3), np.float32)
+    at = 0
+    for part in parts:
+        sh[at : at + part.n, : part.B] = part.sh
+        at += part.n
+    means, scales, quats, opacity = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("means", "scales", "quats", "opacity")
+    )
+    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+    dropped = sum(part.dropped for part in parts)
+    return Splats(means, scales, quats, opacity, sh, parts[0].antialiased, dropped, notes)
 
 
 def splats_of_rows(
@@ -110,6 +246,7 @@ def splats_of_rows(
     sh: npt.NDArray[Any],
     *,
     antialiased: bool = False,
+    notes: tuple[str, ...] = (),
 ) -> Splats:
     """Make splats of a file's rows: any floats, and quaternions of any length.
 
@@ -140,6 +277,7 @@ def splats_of_rows(
         _float32(sh),
         antialiased,
         dropped,
+        notes,
     )
 
 

@@ -11,14 +11,19 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes, vertex_box
 from nerfbake.scene.radiance_field import RadianceField, require_field
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.scene_to_field import FieldSource, build_field
+from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 
-Visible = RadianceField | LatticeField | Meshes | Stage1 | BakedAtlas
+Visible = RadianceField | LatticeField | Meshes | Splats | Stage1 | BakedAtlas
+
+_STRAYS = 0.01  # fraction of the splats to ignore at each end of an axis: real files have some far from the object
+_Y_DOWN = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # the axes of most captures' splats, from COLMAP
 
 
 def renderable(scene: Visible | FieldSource) -> Visible:
@@ -27,20 +32,23 @@ def renderable(scene: Visible | FieldSource) -> Visible:
 
 
 def render_picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
-    """Render the scene over white, with samples x samples rays per pixel."""
+    """Render the scene over white, with samples x samples rays per pixel (splats: see render_splats())."""
     if isinstance(scene, Meshes):
         return render_meshes(scene, camera, samples=samples)
     if isinstance(scene, Stage1 | BakedAtlas):
         return render_stage1(scene, camera, samples=samples)
     if isinstance(scene, LatticeField):
         return render_lattice(scene, camera, samples=samples)
+    if isinstance(scene, Splats):
+        return render_splats(scene, camera, samples=samples)
     return render_field(scene, camera, samples=samples)
 
 
 def scene_frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return opposite corners (2, 3) of the box around the scene, in the world, and the scene's axes (3, 3).
 
-    The third axis is up. It is the field's own axis, or for meshes the world's, as in nerf2mesh and its viewer.
+    The third axis is up. It is the field's own axis, or for meshes the world's, as in nerf2mesh and its viewer. For
+    splats it is -y, and the box leaves out the outermost 1 % of the centres at each end of each axis.
     """
     if isinstance(scene, Meshes):
         return vertex_box(scene.meshes), WORLD
@@ -48,5 +56,18 @@ def scene_frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np
         return vertex_box(surfaces(scene)), WORLD
     if isinstance(scene, LatticeField):
         return scene.held_box, np.eye(3)
+    if isinstance(scene, Splats):
+        return _box_without_strays(scene), _Y_DOWN
     field = require_field(scene)
     return field.world(field.box), field.axes
+
+
+def _box_without_strays(splats: Splats) -> npt.NDArray[np.float64]:
+    splats.require_usable()
+    places = np.sort(splats.means, axis=0).astype(np.float64)
+    out = int(_STRAYS * splats.n)
+    corners = places[[out, splats.n - 1 - out]]
+    middle = corners.mean(axis=0)
+    # As wide as if the centres were evenly spread; one splat has a box as well.
+    half = np.maximum((corners[1] - corners[0]) / (2 - 4 * _STRAYS), splats.scales.max(axis=1).mean())
+    return np.stack([middle - half, middle + half])

@@ -276,6 +276,7 @@ def summary_of_splats(splats: Splats) -> dict[str, Any]:
             "dc": extremes(splats.sh[:, 0]).range(),
             "higher": extremes(splats.sh[:, 1:].reshape(splats.n, -1)).range() if splats.B > 1 else None,
         },
+        "notes": list(splats.notes) or None,
         "bytes_in_memory": sum(array.nbytes for array in arrays),
     }
 
@@ -349,6 +350,7 @@ def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
         "ranges": _ranges(extremes(cells, occupied.reshape(-1)), tree.data_format),
         "non_finite": extremes(cells, leaves.reshape(-1)).non_finite,
         "held_out": None if tree.held_out is None else str(tree.held_out),
+        "notes": list(tree.notes) or None,
         "bytes_in_memory": tree.child.nbytes + tree.data.nbytes,
     }
 

@@ -1,4 +1,4 @@
-"""Radiance field or meshes, and views -> the error of their pictures against the photographs."""
+"""Radiance field, meshes or splats, and views -> the error of their pictures against the photographs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
+
+Measured = RadianceField | Meshes | Stage1 | Splats
 
 _PIXEL_BYTES = 280  # per pixel while two pictures are compared, as in scenes_to_comparison
 
@@ -55,12 +59,12 @@ def plain_psnr(views: Views) -> float:
     return sum(found) / len(found)
 
 
-def measure_views(scene: RadianceField | Meshes | Stage1, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
+def measure_views(scene: Measured, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
     """Render every view over its background, and measure it against its photograph.
 
-    Vertex colours of meshes are shown as they are, without light. samples: as in render_field(). Errors are on sRGB in
-    0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that do not cover their
-    pictures, MemoryLimit.
+    Vertex colours of meshes are shown as they are, without light. samples: as in render_field(); no effect on splats.
+    Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that
+    do not cover their pictures, MemoryLimit.
 
     >>> import numpy as np
     >>> from nerfbake import build_field, build_views, measure_views, orbit_cameras, render_field, sample_n3tree
@@ -84,9 +88,11 @@ def measure_views(scene: RadianceField | Meshes | Stage1, views: Views, *, sampl
     return tuple(errors)
 
 
-def _renderer(scene: RadianceField | Meshes | Stage1) -> Callable[..., Image]:
+def _renderer(scene: Measured) -> Callable[..., Image]:
     if isinstance(scene, Meshes):
         return partial(render_meshes, scene, lit=False)
+    if isinstance(scene, Splats):
+        return partial(render_splats, scene)
     return partial(render_stage1 if isinstance(scene, Stage1) else render_field, scene)  # type: ignore[arg-type]
 
 

@@ -16,8 +16,8 @@ from nerfbake.kernels.maths.affine import inverse, length, rotate
 from nerfbake.kernels.surface.gbuffer import gbuffer
 from nerfbake.kernels.surface.motion import (
     Equations,
-    Eye,
     Solid,
+    SurfaceEye,
     add_rims,
     add_smoothness,
     add_texels,
@@ -131,7 +131,7 @@ def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, v
     rays = camera.rays()[1].reshape(camera.height, camera.width, 3)
     seen = gbuffer(solid.positions.astype(np.float32), solid.faces.astype(np.uint32), camera.pose, rays)
     optics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    eye = Eye(np.ascontiguousarray(camera.pose[:3]), optics, _plane(camera, rays))
+    eye = SurfaceEye(np.ascontiguousarray(camera.pose[:3]), optics, _plane(camera, rays))
     if not views.scenery and min(camera.width, camera.height) > 1:
         rest = image[..., 3] - (seen.triangle >= 0).astype(np.float32)
         add_rims(solid, eye, seen.triangle, rest, 1 / (_RIM_NOISE * _RIM_NOISE), blocks)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from nerfbake import load, save
+from nerfbake import Splats, load, save
 from nerfbake.cli.convert import convert
 from nerfbake.cli.main import run
 from nerfbake.cli.paths import declared
@@ -19,6 +19,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
 from tests.support.octrees import FORMATS, small_octree
 from tests.support.scenes import assert_same_octree, n3tree
+from tests.support.splats import splats
 from tests.support.vdb_readers import tree, volume
 
 
@@ -156,3 +157,16 @@ def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pyt
 def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
     with pytest.raises(click.UsageError, match="--grid all writes files whose names depend on the contents of IN"):
         declared(convert, ["smoke.vdb", "smoke.nvdb", "--grid", "all"])
+
+
+def test_splats_are_converted_and_the_loss_is_printed(shell: Shell, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", splats(9, degree=1))
+    done = shell("convert", "a.ply", "b.spz", "--small", "--up", "-z")
+    assert (done.returncode, done.stdout) == (0, b"")
+    lines = done.stderr.decode().splitlines()
+    assert lines[0].startswith("b.spz: 9 splats of SH degree 1, ")
+    assert lines[1].startswith("b.spz: largest (median) loss: centres ")
+    expected = load(tmp_path / "a.ply", Splats).with_up("-z")
+    np.testing.assert_allclose(load(tmp_path / "b.spz", Splats).means, expected.means, atol=1e-5)
+    stream = shell("convert", "b.spz", "-", "--to", "glb", "-q").stdout
+    assert json.loads(shell("info", "-", "--json", stdin=stream).stdout)["splats"] == 9

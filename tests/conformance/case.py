@@ -122,10 +122,10 @@ def require_like(
         assert type(found) is type(expected) or type(found) is float, place
 
 
-def form_named(name: str, scene: str = "") -> AnyFormat:
-    """The format of this name; the scene tells formats with the same extension apart."""
-    known = (*catalog.FORMATS, *catalog.FOLDERS)
-    return next(form for form in known if form.name == name and scene in ("", form.scene))
+def form_named(name: str, scene: str | None = None) -> AnyFormat:
+    """The format of this name; scene: of this scene type, where two have the name."""
+    forms = (*catalog.FORMATS, *catalog.FOLDERS)
+    return next(form for form in forms if form.name == name and scene in (None, form.scene))
 
 
 def floats(array: Any) -> Any:

@@ -53,7 +53,7 @@ def cases() -> Iterator[Case]:
     fifths["uvs"] = [[0.0, 1.0], [1.0, 1.0], [1.0, 0.2], [0.0, 0.2]]
     whole = told({**SQUARE, **fifths}, texture=TEXTURE)
     turned = [{**each, "positions": [[x, z, -y] for x, y, z in each["positions"]]} for each in (painted, flat)]
-    obj, glb, ply = form_named("obj"), form_named("glb"), form_named("ply", "Meshes")
+    obj, glb, ply = form_named("obj"), form_named("glb", "Meshes"), form_named("ply", "Meshes")
     about = "Meshes, each with a material of its own."
     for name, plain, files, found in (
         ("mapped", [mapped, told(TRIANGLE)], {"mapped.obj": (obj, {})}, None),

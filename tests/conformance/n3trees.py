@@ -1,4 +1,4 @@
-"""PlenOctrees as svox stores them."""
+"""PlenOctrees as svox stores them, and voxels as SVRaster does."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from nerfbake import load
 from nerfbake.scene.n3tree import N3Tree
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
+from tests.support.svraster import mean_density, svraster_file, voxels
 
 OUTSIDE = [(-0.25, 0.5, 0.5), (0.5, 1.125, 0.5), (7.0, 8.0, 9.0)]  # in the tree's own cube, [0, 1)^3
 
@@ -41,6 +42,22 @@ def cases() -> Iterator[Case]:
         about = f"A PlenOctree with {tree.child.shape[1]} cells an axis and node, {tree.data.dtype}."
         files = {f"n3tree/{name}.npz": Frozen(form_named("npz"), tree)}
         yield Case(f"n3tree/{name}", about, files, _facts(tree), answer)
+    scene = voxels(depth=3, outside=1, degree=0)
+    points = scene.middles.tolist()
+    densities = [mean_density(scene, voxel) for voxel in range(len(points))]
+    seen = [{"point": point, "density": density} for point, density in zip(points, densities, strict=True)]
+    facts = {"data_format": "SH1", "shells": 2, "lookups": seen}
+    about = "A checkpoint as SVRaster writes it: voxels at mixed levels, raw densities at their corners."
+    files = {"n3tree/voxels.pt": Frozen(form_named("pt"), None, data=svraster_file(scene))}
+    yield Case("n3tree/voxels", about, files, facts, densities_in, computed=1e-5)
+
+
+def densities_in(path: Path, expected: Facts) -> Facts:
+    tree = load(path, N3Tree)
+    points = [each["point"] for each in expected["lookups"]]
+    found = tree.sample(np.array(points))[:, -1].tolist()
+    seen = [{"point": point, "density": density} for point, density in zip(points, found, strict=True)]
+    return {"data_format": tree.data_format, "shells": tree.shells, "lookups": seen}
 
 
 def _facts(tree: N3Tree) -> Facts:

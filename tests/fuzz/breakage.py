@@ -15,7 +15,7 @@ from tests.fuzz.breaking_json import break_json, break_json_lines
 from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_svoq, break_vdb
 from tests.fuzz.breaking_torch import break_torch
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
-from tests.fuzz.breaking_zip import break_npy, break_zip
+from tests.fuzz.breaking_zip import archive_of, break_npy, break_zip, members_of
 
 Breaker = Callable[[Random, bytes, bytes], bytes]
 
@@ -24,6 +24,7 @@ _BREAKERS: dict[str, Breaker] = {
     "npz": break_zip,
     "tar": break_torch,
     "th": break_torch,
+    "pt": break_torch,
     "svo.pb": break_protobuf,
     "json": break_json,
     "jsonl": break_json_lines,
@@ -41,6 +42,8 @@ _BREAKERS: dict[str, Breaker] = {
     "bin": break_words,
     "mtl": break_obj,
     "glb": break_glb,
+    "sog": lambda random, data, other: _broken_archive(random, data, other),
+    "splat": break_words,
 }
 
 
@@ -79,6 +82,17 @@ def _broken(random: Random, name: str, data: bytes, other: bytes) -> bytes:
         except Exception:  # the file is already too broken for its breaker
             data = break_bytes(random, data, other)
     return data
+
+
+def _broken_archive(random: Random, data: bytes, other: bytes) -> bytes:
+    """Break a file in a zip archive as its extension asks, or the archive itself."""
+    if random.random() < 0.2:
+        return break_zip(random, data, other)
+    members, others = members_of(data), members_of(other)
+    name = random.choice(sorted(members))
+    breaker = next((breaker for ending, breaker in _BREAKERS.items() if name.endswith(ending)), break_bytes)
+    members[name] = breaker(random, members[name], others.get(name, b""))
+    return archive_of(list(members.items()), stored=random.random() < 0.5)
 
 
 def _broken_folder(random: Random, form: str) -> dict[str, bytes]:

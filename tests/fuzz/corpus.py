@@ -30,14 +30,24 @@ from tests.support import captures
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
-from tests.support.meshes import cube, square, text_ply
+from tests.support.meshes import cube, polygon_ply, square
 from tests.support.n3trees import archive, held_out, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
 from tests.support.snerg import snerg, snerg_folder
-from tests.support.splats import gzip_spz, packed_ply, splats
+from tests.support.splats import (
+    gzip_spz,
+    packed_ply,
+    sog_files,
+    sog_levels,
+    sog_zip,
+    splat_rows,
+    splats,
+    text_ply,
+)
+from tests.support.svraster import svraster_file, voxels
 from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
 from tests.support.views import sample_views
@@ -71,7 +81,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
         "Volume": lambda: _volumes(name),
-        "N3Tree": _n3trees,
+        "N3Tree": lambda: _voxels() if name == "pt" else _n3trees(),
         "Meshes": lambda: _meshes(name),
         "Splats": lambda: _splats(name),
         "LatticeField": lambda: _lattices(name),
@@ -90,6 +100,7 @@ def folders_of(name: str) -> tuple[Files, ...]:
         "plenvdb": _plenvdbs,
         "merf": _merfs,
         "snerg": _snergs,
+        "sog_folder": _sogs,
         STATE: _states,
     }
     return tuple(makers[name]() if name in makers else _captures(name))
@@ -173,6 +184,12 @@ def _n3trees() -> Iterator[bytes]:
     yield _encoded("npz", n3tree(held_out=held_out()))
 
 
+def _voxels() -> Iterator[bytes]:
+    """Checkpoints of SVRaster."""
+    yield svraster_file(voxels(depth=3))
+    yield svraster_file(voxels(1, depth=3, outside=2, degree=0), quantised=True)
+
+
 def _lattices(name: str) -> Iterator[bytes]:
     """Lattices as other programs write them."""
     if name == "tar":
@@ -223,16 +240,30 @@ def _meshes(name: str) -> Iterator[bytes]:
         yield _encoded(name, Meshes((textured, coloured)))
         yield _encoded(name, Meshes((textured,), (textured,)), quantised=True, lit=True, image="webp")
     if name == "ply":
-        yield text_ply([(0, 1, 2), (0, 2, 3, 1)])
+        yield polygon_ply([(0, 1, 2), (0, 2, 3, 1)])
 
 
 def _splats(name: str) -> Iterator[bytes]:
+    if name == "splat":
+        yield splat_rows(splats(5))
+        return
+    if name == "sog":
+        yield from (sog_zip(files) for files in _sogs())
+        return
     yield _encoded(name, splats(5))
     yield _encoded(name, splats(3, degree=0))
     if name == "ply":
         yield packed_ply(splats(300, degree=1))
-    else:
+        yield text_ply(splats(4, degree=0))
+    elif name == "spz":
         yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))
+
+
+def _sogs() -> Iterator[Files]:
+    """Both versions, and a scene of two levels."""
+    yield sog_files(splats(9, degree=1))
+    yield sog_files(splats(5, degree=0), version=1)
+    yield sog_levels()
 
 
 def _pictures(scene: str) -> Iterator[Any]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
+import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from nerfbake import SparseVoxelOctree, VdbTree, Volume, load, save
+from nerfbake import SparseVoxelOctree, Splats, VdbTree, Volume, load, save
 from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import GridChoice, Target, bake_volume, convert_file, split_volume
+from nerfbake.jobs import GridChoice, Target, bake_volume, convert_file, convert_splats, split_volume
 from tests.jobs.listener import Listener
 from tests.support.scenes import assert_same_octree
+from tests.support.splats import gzip_spz, splats
 from tests.support.vdb_readers import tree, volume
 
 VOXELS = [[0, 0, 0], [1, 2, 3], [9, 0, 5]]
@@ -108,3 +112,60 @@ def test_grids_are_written_as_volumes_alone(target: str, tmp_path: Path) -> None
     smoke(tmp_path / "smoke.vdb", "density")
     with pytest.raises(UsageError, match="cannot write one file per grid to"):
         split_volume(tmp_path / "smoke.vdb", target)
+
+
+# -- splats -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("ending", ["ply", "glb"])
+def test_splats_in_another_format_without_loss(ending: str, tmp_path: Path, listener: Listener) -> None:
+    scene = splats(30, degree=2)
+    save(tmp_path / "a.ply", scene)
+    found = convert_file(tmp_path / "a.ply", tmp_path / f"b.{ending}", steps=listener)
+    assert isinstance(found, Splats)
+    assert np.array_equal(load(tmp_path / f"b.{ending}", Splats).means, scene.means)
+    assert listener.said[-1] == f"{tmp_path / f'b.{ending}'}: nothing is lost but the rounding of float32"
+
+
+def test_what_a_format_loses_is_told(tmp_path: Path, listener: Listener) -> None:
+    save(tmp_path / "a.spz", splats(30, degree=4))
+    convert_file(tmp_path / "a.spz", tmp_path / "b.spz", small=True, steps=listener)
+    assert "centres 0 (0) world units, scales 0 (0) %" in listener.said[-1]
+    convert_file(tmp_path / "a.spz", tmp_path / "b.ply", steps=listener)
+    assert listener.said[-1].endswith("; SH bands left out: 1")
+    assert load(tmp_path / "b.ply", Splats).degree == 3
+
+
+def test_the_axis_that_points_up_becomes_that_of_the_format(tmp_path: Path) -> None:
+    scene = splats(30)
+    save(tmp_path / "z_up.ply", scene)
+    convert_splats(tmp_path / "z_up.ply", tmp_path / "b.glb", up="z")
+    raw = load(tmp_path / "b.glb", Splats).flipped()  # in the axes of glTF
+    np.testing.assert_allclose(raw.means, scene.means[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
+
+
+def test_notes_and_dropped_rows_of_splats_are_told(tmp_path: Path, listener: Listener) -> None:
+    whole = bytearray(gzip.decompress(gzip_spz(splats(9), 1)) + struct.pack("<II", 0xADBE0002, 0))
+    whole[14], whole[16:18] = 2, b"\xff\xff"
+    (tmp_path / "a.spz").write_bytes(gzip.compress(whole))
+    convert_file(tmp_path / "a.spz", tmp_path / "b.ply", steps=listener)
+    name = str(tmp_path / "a.spz")
+    assert f"{name}: extension 0xADBE0002 is left out" in listener.said
+    assert f"{name}: had 1 row that cannot be drawn, which were left out" in listener.said
+
+
+def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", splats(3))
+    for options, said in (
+        ({"half": True}, "splats have no child slots, grids and codecs"),
+        ({"choice": GridChoice(("density",))}, "splats have no child slots, grids and codecs"),
+        ({"choice": GridChoice(up="w")}, "`up` is 'w'; allowed: x, -x, y, -y, z, -z"),
+        ({"small": True}, r"glb takes no option 'small'; allowed: none"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            convert_file(tmp_path / "a.ply", tmp_path / "b.glb", **options)
+    with pytest.raises(UsageError, match="`small` is for splats"):
+        convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", small=True)
+    with pytest.raises(UsageError, match=r"no file extension for Gaussian splats; allowed: \.glb, \.ply, \.spz"):
+        convert_file(tmp_path / "a.ply", tmp_path / "b.splat")
+    with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
+        convert_file(tmp_path / "a.ply", tmp_path / "b.svo.npz")
+    assert not list(tmp_path.glob("b*"))

@@ -27,6 +27,7 @@ from tests.jobs.listener import Listener
 from tests.support.brick_fields import some_shelled_field
 from tests.support.lattices import svox2_file
 from tests.support.scenes import assert_same_octree
+from tests.support.svraster import svraster_file
 
 
 def test_what_is_given_is_what_is_written(folder: Path, listener: Listener) -> None:
@@ -116,3 +117,9 @@ def test_a_scene_without_scenery_has_one_box(listener: Listener) -> None:
     Path("ckpt.npz").write_bytes(svox2_file())
     with pytest.raises(UsageError, match="`box` has no effect on a lattice"):
         bake_octree("ckpt.npz", "c.svo.pb", box="all")
+
+
+def test_what_a_reader_resamples_is_told(tmp_path: Path, listener: Listener) -> None:
+    (tmp_path / "a.pt").write_bytes(svraster_file())
+    bake_octree(tmp_path / "a.pt", tmp_path / "a.svo.npz", steps=listener)
+    assert any("the density of a voxel is the mean of 8 points" in line for line in listener.said)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake import sample_n3tree, save
+from nerfbake.errors import UsageError
 from nerfbake.jobs import CompressionGoal, compress_file, view_file
 from tests.jobs.listener import Listener
 
@@ -42,3 +43,9 @@ def svoq_size(page: Path) -> int:
     data = re.search(rb'id="data">([^<]*)</script>', page.read_bytes())
     assert data is not None
     return len(base64.b64decode(data[1]))
+
+
+def test_photographs_need_their_capture(folder: Path) -> None:
+    with pytest.raises(UsageError, match="`photographs` needs `cameras`"):
+        view_file("a.npz", "a.html", photographs=True)
+    assert not (folder / "a.html").exists()

@@ -32,6 +32,7 @@ from nerfbake.io import save_folder
 from nerfbake.jobs import GridChoice, PictureOutputs, PlacedMesh, ViewSelection, render_views
 from tests.jobs.listener import Listener
 from tests.support.meshes import cube
+from tests.support.splats import splats
 
 ALL = ViewSelection(cameras="cameras.json", every=True)
 
@@ -124,6 +125,17 @@ def test_all_names_are_settled_before_the_first_picture(folder: Path) -> None:
         render_views("a.svo.pb", "b.png", lod=9)
 
 
+def test_splats_are_rendered_and_options_of_fields_are_refused(folder: Path) -> None:
+    save("s.ply", splats(300))
+    assert render_views("s.ply", PictureOutputs("s.png", depth="npy"), ViewSelection(size=(40, 30))) == ["s.png"]
+    assert 4 < load("s.depth.npy", Depth).distance.max() < 40
+    for options in ({"lookup": "trilinear"}, {"transmittance_cut": 0.5}):
+        with pytest.raises(UsageError, match="has no effect on splats"):
+            render_views("s.ply", "t.png", **options)
+    with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
+        render_views("s.ply", "t.png", mesh=PlacedMesh("a.glb"))
+
+
 def test_triangles_are_rendered_as_any_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     stage1 = sample_stage1(resolution=16)
@@ -143,7 +155,7 @@ def test_triangles_are_rendered_as_any_scene(tmp_path: Path, monkeypatch: pytest
 def test_what_has_no_effect_on_triangles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     save("a.obj", Meshes((cube(),)))
-    with pytest.raises(UsageError, match="there is no effect of `lookup` on triangles; allowed: with a field"):
+    with pytest.raises(UsageError, match="`lookup` has no effect on triangles; allowed: with a field"):
         render_views("a.obj", "a.png", lookup="trilinear")
     with pytest.raises(UsageError, match=r"a\.obj is not a volume"):
         render_views("a.obj", "a.png", choice=GridChoice(("density",)))

@@ -259,6 +259,8 @@ def test_modules_have_the_functions_of_their_protocols() -> None:
     for form in catalog.FORMATS:
         if form.scene == "Volume":
             require_functions(form.load_volume_module(), contract.VolumeFormat)
+        if form.scene == "Splats" and form.writable:
+            assert form.load_splat_module().MOST_DEGREE in range(5)
         if form.packed:
             require_functions(form.load_packed_module(), contract.PackedFormat)
     (page,) = catalog.formats_of("Page")

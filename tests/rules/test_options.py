@@ -56,6 +56,7 @@ COMPOSED = {
     "mesh",
     "photographs",
     "report",
+    "splats",
     "steps",
     "wish",
 }

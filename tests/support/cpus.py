@@ -46,6 +46,8 @@ render full.svo.pb --lookup trilinear --out smooth.png --size 120x100
 render full.svo.pb --lod 4 --turntable 3 --out turn.gif --size 60x50
 render colour.vdb --out volume.png --size 120x100
 render scene.npz --mesh mesh/mesh_0.obj --out both.png --size 120x100
+splats scene.npz few.ply --count 2000 --frames 6 --edge 48 --epochs 2
+render few.ply --out splats.png --size 120x100 --depth
 compare scene.npz mean.svo.npz --size 60x60 --sheet scenes.png
 lattice scene.npz lattice --resolution 32 --rounds 40
 lattice full.svo.pb merged --rounds 2 --merged

@@ -79,7 +79,7 @@ def straight_down(width: int = 5, height: int = 3, focal: float = 4.0, z: float 
     return Camera(width, height, focal, pose)
 
 
-def text_ply(polygons: list[tuple[int, ...]]) -> bytes:
+def polygon_ply(polygons: list[tuple[int, ...]]) -> bytes:
     """A .ply in text, of these polygons over the corners of a tetrahedron, with colours and a property of no use."""
     corners = ["0 0 0 255 0 0", "1 0 0 0 255 0", "0 1 0 0 0 255", "0 0 1 51 102 204"]
     columns = [f"property float {axis}" for axis in "xyz"] + [

@@ -1,13 +1,20 @@
-"""Splats by seed, and files of them as other programs write them: PlayCanvas' compressed .ply, and .spz 1 to 3."""
+"""Splats by seed, and files of them as other programs write them: compressed .ply, .spz 1 to 3, .splat, .sog."""
 
 from __future__ import annotations
 
 import gzip
+import io
+import json
 import struct
+import zipfile
+from typing import Any
 
 import numpy as np
+import PIL.Image
 
 from nerfbake import Splats
+from nerfbake.formats.splat import ply
+from nerfbake.kernels.maths.elementary import fibonacci
 
 CHUNK = 256
 
@@ -32,6 +39,14 @@ def ply_text(elements: dict[str, tuple[int, list[str]]], order: str = "little") 
     for name, (count, properties) in elements.items():
         lines += [f"element {name} {count}", *(f"property {each}" for each in properties)]
     return "\n".join([*lines, "end_header\n"]).encode()
+
+
+def text_ply(scene: Splats) -> bytes:
+    """The rows of a 3DGS file as text."""
+    header, _, rows = b"".join(ply.encode(scene)).partition(b"end_header\n")
+    table = np.frombuffer(rows, "<f4").reshape(scene.n, -1)
+    lines = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in table)
+    return header.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + lines.encode()
 
 
 def packed_ply(scene: Splats) -> bytes:
@@ -107,3 +122,136 @@ def _signed_three(quat: np.ndarray) -> int:
             part = -part if turn[which] < 0 else part
             word = word << 10 | (part < 0) << 9 | round(abs(part) * 2**0.5 * 511)
     return word
+
+
+def ball_of_splats(n: int = 400, *, degree: int = 0) -> Splats:
+    """Opaque flat splats on a ball of radius 1, red towards x, green towards y, blue towards z."""
+    places = fibonacci(n)
+    # Half a turn about the axis between z and the normal leads from z to the normal.
+    axes = places + np.array([0, 0, 1 + 1e-9])
+    axes /= np.sqrt((axes * axes).sum(axis=1, keepdims=True))
+    size = 1.5 / np.sqrt(n)
+    sh = np.zeros((n, (degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = places / 2 / 0.28209479
+    return Splats(
+        places.astype(np.float32),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
+        np.concatenate([np.zeros((n, 1)), axes], axis=1).astype(np.float32),
+        np.full(n, 0.95, np.float32),
+        sh,
+    )
+
+
+def splat_rows(scene: Splats) -> bytes:
+    """A .splat: means and scales as they are, all else in bytes."""
+    rows = np.zeros(scene.n, [("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("quat", "u1", 4)])
+    rows["mean"], rows["scale"] = scene.means, scene.scales
+    colour = np.concatenate([scene.sh[:, 0] * 0.28209479 + 0.5, scene.opacity[:, None]], axis=1)
+    rows["colour"] = np.clip(np.rint(colour * 255), 0, 255)
+    rows["quat"] = np.clip(np.rint(scene.quats * 128 + 128), 0, 255)
+    return rows.tobytes()
+
+
+def webp(pixels: np.ndarray) -> bytes:
+    """(H, W, 4) bytes as a lossless WebP, with the colours of transparent pixels."""
+    file = io.BytesIO()
+    PIL.Image.fromarray(pixels).save(file, "WEBP", lossless=True, exact=True)
+    return file.getvalue()
+
+
+def _rows_of_pixels(*columns: np.ndarray, width: int = 8) -> bytes:
+    """A picture with a pixel for each row of up to four columns of bytes."""
+    n = len(columns[0])
+    pixels = np.full((-(-n // width) * width, 4), 255, np.uint8)
+    for k, column in enumerate(columns):
+        pixels[:n, k] = column
+    return webp(pixels.reshape(-1, width, 4))
+
+
+def sog_files(scene: Splats, *, version: int = 2) -> dict[str, bytes]:
+    """The files of a .sog, without k-means: codebooks are evenly spaced, and each splat is an entry of the palette."""
+    t = np.sign(scene.means) * np.log1p(np.abs(scene.means))
+    low, high = t.min(axis=0), t.max(axis=0)
+    whole = np.rint((t - low) / np.maximum(high - low, 1e-9) * 65535).astype(int)
+    turns = [_smallest_of(quat) for quat in scene.quats]
+    dc, rest = scene.sh[:, 0], scene.sh[:, 1:]
+    logits = np.log(scene.opacity / (1 - scene.opacity))
+    files = {
+        "means_l.webp": _rows_of_pixels(*(whole % 256).T),
+        "means_u.webp": _rows_of_pixels(*(whole // 256).T),
+        "quats.webp": _rows_of_pixels(*np.array(turns).T),
+    }
+    meta: dict[str, Any] = {
+        "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "quats": {"files": ["quats.webp"]},
+    }
+    together = version == 2
+    scales, meta["scales"] = _coded(np.log(scene.scales), together)
+    colours, meta["sh0"] = _coded(dc if together else np.concatenate([dc, logits[:, None]], axis=1), together)
+    files["scales.webp"] = _rows_of_pixels(*scales.T)
+    alphas = [np.rint(scene.opacity * 255)] if together else []
+    files["sh0.webp"] = _rows_of_pixels(*colours.T, *alphas)
+    names = {"scales": ["scales.webp"], "sh0": ["sh0.webp"]}
+    if scene.B > 1:
+        codes, meta["shN"] = _coded(rest.reshape(-1, 1), together)
+        if not together:
+            meta["shN"] = {key: value[0] for key, value in meta["shN"].items()}
+        palette = np.full((-(-scene.n // 64) * 64, scene.B - 1, 4), 255, np.uint8)
+        palette[: scene.n, :, :3] = codes.reshape(scene.n, scene.B - 1, 3)
+        numbers = np.arange(scene.n)
+        files["shN_centroids.webp"] = webp(palette.reshape(-1, 64 * (scene.B - 1), 4))
+        files["shN_labels.webp"] = _rows_of_pixels(numbers % 256, numbers // 256)
+        names["shN"] = ["shN_centroids.webp", "shN_labels.webp"]
+        if together:
+            meta["shN"] |= {"bands": scene.degree, "count": scene.n}
+    for key, own in names.items():
+        meta[key]["files"] = own
+    if together:
+        meta |= {"version": 2, "count": scene.n, "antialias": scene.antialiased}
+    else:
+        meta["means"]["shape"] = [scene.n, 3]
+    return {**files, "meta.json": json.dumps(meta).encode()}
+
+
+def reference(file: int, offset: int, count: int) -> dict[str, int]:
+    """Rows of one of the files in a lod-meta.json."""
+    return {"file": file, "offset": offset, "count": count}
+
+
+PARTS = {"0_0": splats(9, degree=1), "1_0": splats(5, degree=1, seed=1), "env": splats(3, degree=0, seed=2)}
+TREE: dict[str, Any] = {
+    "children": [
+        {"lods": {"0": reference(0, 0, 4), "1": reference(1, 0, 2)}},
+        {"children": [{"lods": {"1": reference(1, 2, 3)}}, {"lods": {"0": reference(0, 6, 3)}}]},
+    ]
+}
+
+
+def sog_levels(parts: dict[str, Splats] = PARTS, tree: dict[str, Any] = TREE, **more: Any) -> dict[str, bytes]:
+    """A scene of several levels, with a folder for each part."""
+    files = {f"{name}/{file}": data for name, part in parts.items() for file, data in sog_files(part).items()}
+    meta = {"lodLevels": 2, "filenames": [f"{name}/meta.json" for name in parts], "tree": tree, **more}
+    return {**files, "lod-meta.json": json.dumps(meta).encode()}
+
+
+def sog_zip(files: dict[str, bytes]) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name), data)
+    return file.getvalue()
+
+
+def _coded(values: np.ndarray, together: bool) -> tuple[np.ndarray, dict[str, Any]]:
+    """Bytes, and the codebook of all columns, or the minimum and the maximum of each."""
+    low, high = (values.min(axis=None if together else 0), values.max(axis=None if together else 0))
+    codes = np.rint((values - low) / (high - low) * 255).astype(np.uint8)
+    if together:
+        return codes, {"codebook": (low + (high - low) * np.arange(256) / 255).tolist()}
+    return codes, {"mins": low.tolist(), "maxs": high.tolist()}
+
+
+def _smallest_of(quat: np.ndarray) -> list[int]:
+    which = int(np.abs(quat).argmax())
+    three = np.delete(quat * (-1 if quat[which] < 0 else 1), which)
+    return [*(round((float(part) * 2**0.5 + 1) / 2 * 255) for part in three), 252 + which]

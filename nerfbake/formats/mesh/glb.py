@@ -147,7 +147,7 @@ def _meshes_of(document: Document) -> tuple[Mesh, ...]:
             raise malformed("extensionsRequired", f"has {str(extension)[:40]}", allowed)
     looks = _Looks(document)
     found: list[Mesh] = []
-    for index, matrix in _placed(document):
+    for index, matrix in placed_meshes(document):
         mesh = document.item("meshes", index)
         for number, primitive in enumerate(_list(mesh, "primitives", f"meshes[{index}]")):
             place = f"meshes[{index}].primitives[{number}]"
@@ -161,7 +161,7 @@ def _meshes_of(document: Document) -> tuple[Mesh, ...]:
     return tuple(found)
 
 
-def _placed(document: Document) -> Iterator[tuple[Any, Floats]]:
+def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
     """Yield the mesh of each node of the scene, and its transform to the scene."""
     nodes = _list(document.root, "nodes", "JSON")
     if len(nodes) > MAX_NODES:

@@ -112,11 +112,16 @@ def encode_glb(
         "buffers": [{"byteLength": body.size}],
     }
     document = {name: entry for name, entry in document.items() if entry != []}
+    return [*opening_of(document, body.size), *body.pieces]
+
+
+def opening_of(document: dict[str, Any], body_size: int) -> list[bytes]:
+    """Return what stands before the bytes of the binary chunk: the header, and the document as the JSON chunk."""
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + body.size
+    total = 12 + 8 + len(text) + 8 + body_size
     head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
-    return [head, text, struct.pack("<I4s", body.size, b"BIN\0"), *body.pieces]
+    return [head, text, struct.pack("<I4s", body_size, b"BIN\0")]
 
 
 class _Body:

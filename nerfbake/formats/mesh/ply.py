@@ -24,7 +24,6 @@ from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.surface.fans import fan
 from nerfbake.scene.mesh import Mesh, Meshes
 
-_TEXT = "ascii"
 _ALLOWED = "a whole .ply of polygons"
 _HEAD = 1 << 14  # bytes in which a mesh is recognised
 _WORD = 90  # bytes of memory per word of text
@@ -42,9 +41,9 @@ def recognise(view: memoryview) -> bool:
 
 def decode(view: memoryview) -> Meshes:
     """Parse a mesh. Raises InvalidFile, InvalidScene for invalid mesh values, MemoryLimit."""
-    header = wire.parse_header(view, (_TEXT, *wire.BINARY), _ALLOWED)
+    header = wire.parse_header(view)
     tables: dict[str, Any] = {}
-    if header.kind == _TEXT:
+    if header.kind == wire.TEXT:
         memory.hold("the mesh", _WORD * (len(view) - header.end) // 2)
         try:
             body: Any = np.array(bytes(view[header.end :]).split(), np.float64)
@@ -55,8 +54,8 @@ def decode(view: memoryview) -> Meshes:
     for element in header.elements:
         if {"vertex", "face"} <= set(tables):
             break
-        read = _text_rows if header.kind == _TEXT else _binary_rows
-        tables[element.name], body = read(element, body, wire.BINARY.get(header.kind, "<"))
+        read = _text_rows if header.kind == wire.TEXT else _binary_rows
+        tables[element.name], body = read(element, body, wire.ORDERS.get(header.kind, "<"))
     if "vertex" not in tables or "face" not in tables:
         missing = "vertex" if "vertex" not in tables else "face"
         raise InvalidFile(Problem("the mesh", f"has no element {missing}", _ALLOWED))

@@ -57,6 +57,7 @@ _SCRIPTS = (
     "choices.js",
     "controls.js",
     "panel.js",
+    "photograph.js",
     "viewer.js",
     "main.js",
 )
@@ -161,7 +162,10 @@ def _facts(page: Page) -> dict[str, Any]:
     facts = _field_facts(page.content, page.field) if page.field else surface_facts(page.content)
     facts |= {"background": page.background, "turns": page.turns, "lookup": page.lookup}
     centre, radius = np.array(facts["centre"]), facts["radius"]
-    return {**facts, "views": [_view(camera, centre, radius) for camera in page.cameras.cameras]}
+    views = [_view(camera, centre, radius) for camera in page.cameras.cameras]
+    for view, camera, photograph in zip(views, page.cameras.cameras, page.photographs, strict=False):
+        view["photograph"] = _photograph(camera, photograph)
+    return {**facts, "views": views}
 
 
 def _field_facts(content: Any, field: RadianceField) -> dict[str, Any]:
@@ -206,6 +210,18 @@ def _view(camera: Camera, centre: npt.NDArray[np.float64], radius: float) -> dic
     distance = float((camera.pose[:3, 2] * (camera.pose[:3, 3] - centre)).sum())
     focal = 2 * camera.fx / min(camera.width, camera.height)
     return {"pose": camera.pose.tolist(), "focal": focal, "distance": max(distance, _NEAREST * radius)}
+
+
+def _photograph(camera: Camera, photograph: bytes) -> dict[str, Any]:
+    """Return a photograph with its width, its height and the offset of its middle, in focal lengths of its camera.
+
+    The page's camera looks at the middle of the canvas, which is the principal point of the photograph.
+    """
+    focal = np.array([camera.fx, camera.fy])
+    size = np.array([camera.width, camera.height])
+    offset = (size / 2 - [camera.cx, camera.cy]) / focal
+    text = f"data:image/jpeg;base64,{base64.b64encode(photograph).decode()}"
+    return {"source": text, "size": (size / focal).tolist(), "offset": offset.tolist()}
 
 
 def _data(content: Any) -> bytes:

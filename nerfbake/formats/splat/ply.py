@@ -1,8 +1,5 @@
 r"""Read Gaussian splats from .ply files (3DGS, 2DGS, Mip-Splatting, PlayCanvas' compressed kind); write 3DGS.
 
-    ply\n format binary_little_endian 1.0\n comment ...\n element NAME COUNT\n property TYPE NAME\n ... end_header\n
-    rows of the first element | rows of the second | ...
-
 3DGS: element `vertex` with x y z, f_dc_0..2, f_rest_0.. (all red, all green, all blue), opacity (logit), scale_0..2
 (natural logarithm), rot_0..3 (w first, of any length), found by name in any order.
 
@@ -12,6 +9,7 @@ Compressed: element `chunk` with the bounds of 256 splats each, `vertex` with fo
     packed_rotation                31 [which 2 | a 10 | b 10 | c 10] 0, the largest of w x y z is left out
     packed_color                   31 [r 8 | g 8 | b 8 | opacity 8] 0
 
+formats/wire/ply.py describes the container.
 Source: graphdeco-inria/gaussian-splatting (save_ply); playcanvas/splat-transform (read-ply, decompress-ply).
 """
 
@@ -27,17 +25,19 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
+from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.splats import Splats, splats_of_rows
 
 Floats = npt.NDArray[np.float64]
 SH0 = 0.28209479177387814  # the first basis function
+MOST_DEGREE = 3
 _END = b"end_header\n"
 _REST = (0, 9, 24, 45)  # numbers of f_rest at degree 0 to 3
 _CHUNK = 256  # splats
 _ROWS = 1 << 16  # written at a time
 _LEAST, _MOST = 1e-30, 1 - 2.0**-24  # opacities and scales as they are written: their logits and logarithms are finite
+_LARGEST = MAX_WORLD / 1.000005  # scale as it is written: the rounding of its logarithm does not exceed MAX_WORLD
 _FLAT = 100  # a splat of 2DGS is 1/100 as thick as its smaller axis
-_ALLOWED = "a whole binary .ply of Gaussian splats"
 _BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 _SCALE_BOUNDS = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
 _COLOUR_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
@@ -58,25 +58,14 @@ def decode(view: memoryview) -> Splats:
 
     2DGS has two scales; the third becomes 1/100 of the smaller one. Mip-Splatting's filter is applied.
     """
-    elements, comments, kind, at = wire.parse_header(view, tuple(wire.BINARY), _ALLOWED)
-    order = wire.BINARY[kind]
-    tables = {}
-    for element in elements:
-        if element.lists and element.rows:
-            break
-        dtype = np.dtype([(name, order + kind) for name, kind in element.numbers])
-        if element.rows * dtype.itemsize > len(view) - at:
-            found = f"declares {element.rows:,} rows of {dtype.itemsize} bytes, with {len(view) - at:,} bytes left"
-            raise InvalidFile(Problem(f"element {element.name}", found, _ALLOWED))
-        if dtype.itemsize:
-            tables[element.name] = np.frombuffer(view, dtype, element.rows, at)
-        at += element.rows * dtype.itemsize
-    names = {name for element in elements if element.name == "vertex" for name, _ in element.numbers}
-    if not names & {*_PACKED, "f_dc_0"}:
-        kind = "a mesh" if any(element.name == "face" for element in elements) else "a point cloud"
+    properties, comments, tables = wire.parse(view, "chunk", "vertex", "sh")
+    names = properties.get("vertex", [])
+    if "octlevel" in names:
+        allowed = "Gaussian splats; of SVRaster, the checkpoint .pt"
+        raise InvalidFile(Problem("the .ply", "holds SVRaster's voxels", allowed))
+    if not {*names} & {*_PACKED, "f_dc_0"}:
+        kind = "a mesh" if "face" in properties else "a point cloud"
         raise InvalidFile(Problem("the .ply", f"is {kind}", "Gaussian splats, with f_dc_0 and opacity"))
-    if "vertex" not in tables:
-        raise InvalidFile(Problem("element vertex", "follows an element with lists", _ALLOWED))
     rows = tables["vertex"]
     memory.require("the splats", len(rows) * 2 * 8 * (12 + 3 * 16))
     antialiased = any(comment in ("SplatRenderMode: mip", "antialiased 1") for comment in comments)
@@ -113,14 +102,14 @@ def _with_rest(dc: Floats, rest: Floats, each: int) -> Floats:
 
 def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
     found = _columns(rows, _NEEDED, "vertex")
-    means, dc, logits, scales, quats = found[:, :3], found[:, 3:6], found[:, 6], _exp(found[:, 7:9]), found[:, 9:]
+    means, dc, logits, scales, quats = found[:, :3], found[:, 3:6], found[:, 6], exp_or_nan(found[:, 7:9]), found[:, 9:]
     known = rows.dtype.names or ()
     if "scale_2" in known:
-        third = _exp(_columns(rows, ["scale_2"], "vertex"))
+        third = exp_or_nan(_columns(rows, ["scale_2"], "vertex"))
     else:
         third = scales.min(axis=1, keepdims=True) / _FLAT
     scales = np.concatenate([scales, third], axis=1)
-    opacity = np.where(np.isfinite(logits), sigmoid(logits), np.nan)
+    opacity = sigmoid_or_nan(logits)
     if "filter_3D" in known:
         width = _columns(rows, ["filter_3D"], "vertex")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -132,9 +121,14 @@ def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
     return splats_of_rows(means, scales, quats, opacity, sh, antialiased=antialiased)
 
 
-def _exp(logarithms: Floats) -> Floats:
+def exp_or_nan(logarithms: Floats) -> Floats:
     """e^x, and NaN for infinite x: a row with a number that is not finite is dropped."""
     return np.where(np.isfinite(logarithms), exp(logarithms), np.nan)
+
+
+def sigmoid_or_nan(logits: Floats) -> Floats:
+    """1 / (1 + e^-x), and NaN for infinite x."""
+    return np.where(np.isfinite(logits), sigmoid(logits), np.nan)
 
 
 def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:
@@ -167,7 +161,7 @@ def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:
         rest = np.where(codes == 0, -4.0, np.where(codes == 255, 4.0, ((codes + 0.5) / 256 - 0.5) * 8))
     return splats_of_rows(
         between(_BOUNDS, _shares(position, (21, 11, 0), (11, 10, 11))),
-        _exp(between(_SCALE_BOUNDS, _shares(scale, (21, 11, 0), (11, 10, 11)))),
+        exp_or_nan(between(_SCALE_BOUNDS, _shares(scale, (21, 11, 0), (11, 10, 11)))),
         _rotations(rotation),
         opacity,
         _with_rest((rgb - 0.5) / SH0, rest, each),
@@ -201,10 +195,10 @@ def with_largest(three: Floats, largest: Floats, which: npt.NDArray[np.int64]) -
 def encode(scene: Splats) -> Iterator[bytes]:
     """Encode splats as 3DGS: float, little endian. Raises InvalidScene for SH of degree 4.
 
-    Opacities below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these.
+    Opacities below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these, and scales above _LARGEST, too.
     """
-    if scene.degree > 3:
-        raise InvalidScene(Problem("sh", f"has degree {scene.degree}", "0 to 3 in a .ply"))
+    if scene.degree > MOST_DEGREE:
+        raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {MOST_DEGREE} in a .ply"))
     scene.require_usable()
     each = scene.B - 1
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
@@ -223,7 +217,7 @@ def encode(scene: Splats) -> Iterator[bytes]:
             sh[:, 0],
             sh[:, 1:].swapaxes(1, 2).reshape(len(sh), 3 * each),
             (log(opacity) - log(1 - opacity))[:, None],
-            log(np.maximum(scene.scales[part].astype(np.float64), _LEAST)),
+            log(np.clip(scene.scales[part].astype(np.float64), _LEAST, _LARGEST)),
             scene.quats[part],
         )
         yield np.concatenate(columns, axis=1).astype("<f4").tobytes()

@@ -14,9 +14,12 @@ toc: two u64 for each stream, its packed and unpacked size. A stream is zstd; th
                (versions 1 and 2: x y z as u8 / 127.5 - 1, w at least 0)
     sh         (u8 - 128) / 128, coefficient by coefficient, red green blue inside
 
+Extensions: u32 type, u32 size, payload, one behind the other; in versions 1 to 3 behind the attributes. Only
+0xADBE0003, which names the axes of the file, changes how it is read.
+
 A file's y is up and its z points back; y and z change their signs here, and so do quaternions and SH.
 
-Source: nianticlabs/spz (load-spz.cc).
+Source: nianticlabs/spz (load-spz.cc, coordinate-system-adobe.cc).
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import with_largest
-from nerfbake.formats.wire.deflate import gunzip
+from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip
 from nerfbake.formats.wire.zstd import compress, decompress_exactly
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.scene.splats import BASES, Splats, splats_of_rows
@@ -41,18 +44,21 @@ _GZIP = b"\x1f\x8b"
 _HEAD = struct.Struct("<4sIIBBBB")
 _WHOLE_HEAD = 32  # bytes in version 4
 _PARTS = ("positions", "alphas", "colours", "scales", "rotations", "sh")
-_ANTIALIASED = 1
+_ANTIALIASED, _EXTENDED = 1, 2  # flags
+_EXTENSIONS = 1 << 16  # bytes of them that are read
+_COORDINATE_SYSTEM = 0xADBE0003
+# By number the directions of x, y and z: left or right, up or down, forward or back. 0: not specified, as RUB.
+_SYSTEMS = (
+    *("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+)
+_DIRECTIONS = {"L": (-1, 0, 0), "R": (1, 0, 0), "U": (0, -1, 0), "D": (0, 1, 0), "B": (0, 0, -1), "F": (0, 0, 1)}
 _MOST_BITS = 23  # fractional bits
 _LARGEST = (1 << 23) - 1
 _LEAST = 1e-30  # scale whose logarithm is taken for 0
-_MIRRORED = np.array([1.0, -1.0, -1.0])
+_STEPS = (0, 8, 16, 16, 16)  # by degree, between the codes of SH in a small file: 5 bits, then 4
+MOST_DEGREE = 4
 _ALLOWED = "a whole .spz"
-
-
-def _signs(B: int) -> Floats:
-    """(B,): the sign of each coefficient if y and z change theirs: - for odd in y (m < 0), - for odd in z."""
-    degrees = [(degree, m) for degree in range(BASES.index(B) + 1) for m in range(-degree, degree + 1)]
-    return np.array([(-1.0 if m < 0 else 1.0) * (-1) ** (degree - abs(m)) for degree, m in degrees])
 
 
 def recognise(view: memoryview) -> bool:
@@ -66,7 +72,10 @@ def recognise(view: memoryview) -> bool:
 
 
 def decode(view: memoryview) -> Splats:
-    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit. Extensions are ignored."""
+    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit.
+
+    If an extension names the axes of the file, they are obeyed. Other extensions are ignored with a note.
+    """
     in_gzip = bytes(view[:2]) == _GZIP
     head = gunzip(view, _HEAD.size, "the .spz") if in_gzip else bytes(view[: _HEAD.size])
     if len(head) < _HEAD.size or head[:4] != _MAGIC:
@@ -83,27 +92,55 @@ def decode(view: memoryview) -> Splats:
     if not n:
         raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
     if in_gzip:
-        whole = memoryview(gunzip(view, _HEAD.size + sum(sizes), "the .spz"))[_HEAD.size :]
+        size = _HEAD.size + sum(sizes)
+        more = min(_EXTENSIONS, max(0, MAX_INFLATION * len(view) - size)) if flags & _EXTENDED else 0
+        whole = memoryview(gunzip(view, size + more, "the .spz"))[_HEAD.size :]
         if len(whole) < sum(sizes):
             found = f"holds {len(whole):,} bytes of attributes"
             raise InvalidFile(Problem("the .spz", found, f"{sum(sizes):,} for {n:,} splats"))
         ends = np.cumsum(sizes)
         parts = [whole[int(end) - size : int(end)] for size, end in zip(sizes, ends, strict=True)]
+        extensions = whole[sum(sizes) :]
     else:
         parts = _streams(view, streams, sizes)
+        extensions = view[_WHOLE_HEAD : int.from_bytes(view[16:20], "little")]
+    system, notes = _axes(extensions[:_EXTENSIONS] if flags & _EXTENDED else memoryview(b""))
     memory.require("the splats", n * 2 * 8 * (11 + 3 * B))
     positions, alphas, colours, scales, rotations, coefficients = (np.frombuffer(part, np.uint8) for part in parts)
     rest = (coefficients.reshape(n, B - 1, 3) - 128.0) / 128
     dc = (colours.reshape(n, 1, 3) / 255 - 0.5) / 0.15
     quats = _rotations(rotations.view("<u4")) if version >= 3 else _first_rotations(rotations.reshape(n, 3))
-    return splats_of_rows(
-        (_halves(positions) if version == 1 else _positions(positions) / 2.0**bits) * _MIRRORED,
+    splats = splats_of_rows(
+        _halves(positions) if version == 1 else _positions(positions) / 2.0**bits,
         exp(scales.reshape(n, 3) / 16 - 10),
-        quats[:, [3, 0, 1, 2]] * [1, *_MIRRORED],
+        quats[:, [3, 0, 1, 2]],
         alphas / 255,
-        np.concatenate([dc, rest], axis=1) * _signs(B)[:, None],
+        np.concatenate([dc, rest], axis=1),
         antialiased=bool(flags & _ANTIALIASED),
+        notes=notes,
     )
+    if system == "RUB":
+        return splats.flipped()
+    return splats.transformed(np.array([*(_DIRECTIONS[letter] for letter in system), (0, 0, 0)], np.float64).T)
+
+
+def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
+    """Return the directions of the axes, and a note for each extension. Raises InvalidFile."""
+    system, notes, at = "RUB", [], 0
+    while at + 8 <= len(extensions):
+        kind, size = struct.unpack_from("<II", extensions, at)
+        payload = extensions[at + 8 : at + 8 + size]
+        at += 8 + size
+        if kind != _COORDINATE_SYSTEM:
+            notes.append(f"extension 0x{kind:08X} is left out")
+            continue
+        number = int.from_bytes(payload[:4], "little")
+        if size != 4 or len(payload) < 4 or number >= len(_SYSTEMS):
+            found = f"has {size:,} bytes, with {number}"
+            raise InvalidFile(Problem("the extension of the axes", found, f"4 bytes, with 0 to {len(_SYSTEMS) - 1}"))
+        system = _SYSTEMS[number]
+        notes.append(f"an extension says that the axes of the file are {system} instead of RUB")
+    return system, tuple(dict.fromkeys(notes))
 
 
 def _streams(view: memoryview, count: int, sizes: list[int]) -> list[memoryview]:
@@ -158,27 +195,32 @@ def _first_rotations(data: npt.NDArray[np.uint8]) -> Floats:
     return np.concatenate([three, np.sqrt(np.maximum(0, 1 - (three * three).sum(axis=1, keepdims=True)))], axis=1)
 
 
-def encode(scene: Splats) -> Iterator[bytes]:
-    """Encode splats in version 4, with as many fractional bits as the farthest mean allows, and 8 bits for SH.
+def encode(scene: Splats, *, small: bool = False) -> Iterator[bytes]:
+    """Encode splats in version 4, with as many fractional bits as the farthest mean allows.
 
-    Raises InvalidScene for means beyond 2^23.
+    small: store SH as Niantic's own writer does, in 5 bits for degree 1 and 4 bits above, which zstd packs into fewer
+    bytes; otherwise in 8 bits. Raises InvalidScene for means beyond 2^23.
     """
     scene.require_usable()
+    scene = scene.flipped()
     n, B = scene.n, scene.B
     far = float(np.abs(scene.means).max())
     if far > _LARGEST:
         raise InvalidScene(Problem("means", f"reach {far:g}", f"{_LARGEST:,} in a .spz"))
     bits = next(bits for bits in range(_MOST_BITS, -1, -1) if far * 2.0**bits <= _LARGEST)
     memory.require("the .spz", n * 8 * (11 + 3 * B))
-    whole = np.rint(scene.means * (_MIRRORED * 2.0**bits)).astype("<i4")
-    sh = scene.sh * _signs(B)[:, None]
+    whole = np.rint(scene.means.astype(np.float64) * 2.0**bits).astype("<i4")
+    rest = np.rint(scene.sh[:, 1:].astype(np.float64) * 128 + 128)
+    if small:
+        steps = np.repeat(_STEPS, 2 * np.arange(len(_STEPS)) + 1)[1:B, None]
+        rest = (rest + steps // 2) // steps * steps
     arrays = (
         whole.view(np.uint8).reshape(n, 3, 4)[..., :3],
         _bytes(scene.opacity.astype(np.float64) * 255),
-        _bytes((sh[:, 0] * 0.15 + 0.5) * 255),
+        _bytes((scene.sh[:, 0].astype(np.float64) * 0.15 + 0.5) * 255),
         _bytes((log(np.maximum(scene.scales.astype(np.float64), _LEAST)) + 10) * 16),
-        _words(scene.quats[:, [1, 2, 3, 0]] * [*_MIRRORED, 1]),
-        _bytes(sh[:, 1:] * 128 + 128),
+        _words(scene.quats[:, [1, 2, 3, 0]].astype(np.float64)),
+        _bytes(rest),
     )
     parts = [array.tobytes() for array in arrays if array.size]
     packed = [b"".join(compress([part])) for part in parts]

@@ -3,6 +3,8 @@
 Sizes are checked in the header before anything is inflated, and Pillow's errors become InvalidFile. Textures are PNG or
 JPEG with 8-bit RGB. Photographs are PNG or JPEG with 8-bit sRGB and straight alpha.
 
+Data in pictures are lossless WebP.
+
 COLMAP, instant-ngp and nerfstudio estimate poses on the pixels as stored, so the EXIF orientation is ignored. The poses
 of some captures were estimated on pictures that had been rotated upright. There the width of the camera is the height
 of the stored picture; only then is the picture rotated.
@@ -81,6 +83,37 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False, webp:
         return np.asarray(image)
 
 
+def decode_lossless_webp(view: memoryview, name: str, most: int) -> npt.NDArray[np.uint8]:
+    """Decode a picture of data to (H, W, 4) uint8; alpha is 255 if the file has none.
+
+    most: pixels that it may have, checked before Pillow opens the file, because libwebp allocates the picture then.
+    Raises InvalidFile, MemoryLimit.
+    """
+    width, height = _webp_size(bytes(view[:_WEBP_HEAD]))
+    if not 0 < width * height <= most:
+        found = f"declares {width:,}x{height:,} pixels" if width else "is not a lossless WebP"
+        raise InvalidFile(Problem(name, found, f"a lossless WebP of at most {most:,} pixels"))
+    with opened(view, name, "WEBP", bytes_per_pixel=12) as picture:
+        if picture.size != (width, height) or getattr(picture, "n_frames", 1) > 1:
+            raise InvalidFile(Problem(name, f"has a size of {picture.size}, or frames", f"{width:,}x{height:,}, once"))
+        return np.asarray(picture.convert("RGBA"))
+
+
+_WEBP_HEAD = 64  # bytes: of the file, VP8X, and the start of VP8L
+
+
+def _webp_size(head: bytes) -> tuple[int, int]:
+    """Width and height in the header of a lossless WebP; (0, 0) for other files."""
+    if len(head) < 30 or head[:4] != b"RIFF" or head[8:12] != b"WEBP":
+        return 0, 0
+    if head[12:16] == b"VP8X":
+        return 1 + int.from_bytes(head[24:27], "little"), 1 + int.from_bytes(head[27:30], "little")
+    if head[12:16] != b"VP8L":
+        return 0, 0
+    bits = int.from_bytes(head[21:25], "little")
+    return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+
+
 def encode_texture(texels: npt.NDArray[np.uint8]) -> bytes:
     """Encode (H, W, 3) uint8 as a lossless PNG."""
     return png_of(Image.fromarray(texels))
@@ -96,6 +129,18 @@ def encode_picture(texels: npt.NDArray[np.uint8], coding: Coding) -> bytes:
 
 
 _ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF 2.32, table 4
+_UPRIGHT = dict(
+    zip(
+        _QUARTER_TURNS,
+        (
+            Image.Transpose.TRANSPOSE,
+            Image.Transpose.ROTATE_270,
+            Image.Transpose.TRANSVERSE,
+            Image.Transpose.ROTATE_90,
+        ),
+        strict=True,
+    )
+)
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 
 
@@ -113,6 +158,28 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
             memory.require("the picture", 2 * 12 * picture.width * picture.height)
             return np.asarray(ImageOps.exif_transpose(picture.convert("RGBA")))
         return np.asarray(picture.convert("RGBA"))
+
+
+_PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
+
+
+def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = None) -> bytes:
+    """Scale a photograph down to at most `edge` pixels an edge, as JPEG on white. A smaller one keeps its size.
+
+    size: (W, H) of the camera; the picture is rotated as in decode_photograph(). Raises InvalidFile, MemoryLimit.
+    """
+    with opened(view, "the picture", "PNG", "JPEG", bytes_per_pixel=12) as picture:
+        turned = size is not None and _needs_turn(picture, size)
+        picture.draft("RGB", (2 * edge, 2 * edge))  # a JPEG is decoded at a lower resolution, at least this large
+        small = picture.convert("RGBA")
+        small.thumbnail((edge, edge), Image.Resampling.BOX)
+        if turned:
+            small = small.transpose(_UPRIGHT[picture.getexif()[_ORIENTATION]])
+        paper = Image.new("RGB", small.size, (255, 255, 255))
+        paper.paste(small, mask=small.getchannel("A"))
+        file = io.BytesIO()
+        paper.save(file, "JPEG", quality=_PREVIEW_QUALITY)
+        return file.getvalue()
 
 
 def _needs_turn(picture: Image.Image, size: tuple[int, int]) -> bool:

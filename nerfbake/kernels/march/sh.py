@@ -12,6 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.maths.affine import compose, inverse, rotate
+from nerfbake.kernels.maths.elementary import fibonacci
+
+_DIRECTIONS = 64  # of the fit in rotation_of_sh()
+_DIGITS = 12  # of a rotation's entries: the rest is rounding, which would blur entries that are 0 or 1
+
 
 def sh_basis(directions: npt.NDArray[np.float64], B: int, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
     """The first B (1, 4, 9, 16, 25) basis functions at unit directions: (m, 3) -> (m, B)."""
@@ -52,3 +58,21 @@ def fill_basis(x: Any, y: Any, z: Any, B: int, out: npt.NDArray[Any]) -> None:
 def band_of(B: int) -> npt.NDArray[np.int64]:
     """(B,) the band l of each basis function: 0, 1, 1, 1, 2, ..."""
     return np.floor(np.sqrt(np.arange(B))).astype(np.int64)
+
+
+def rotation_of_sh(matrix: npt.NDArray[np.float64], B: int) -> npt.NDArray[np.float64]:
+    """(B, B) matrix that rotates coefficients along with their directions, for an orthogonal (3, 3) matrix.
+
+    The rotated coefficients have at the direction `matrix @ d` the value that the others have at d. Bands do not mix.
+    Solved from the basis in more directions than it has functions, so that it holds for any order and signs.
+    """
+    directions = fibonacci(_DIRECTIONS)
+    after, before = sh_basis(directions, B), sh_basis(rotate(directions, np.ascontiguousarray(matrix.T)), B)
+    out, bands = np.zeros((B, B)), band_of(B)
+    for band in range(int(bands[-1]) + 1):
+        own = np.flatnonzero(bands == band)
+        own_after, own_before = after[:, own], before[:, own]
+        squares = (own_after[:, :, None] * own_after[:, None, :]).sum(axis=0)
+        mixed = (own_after[:, :, None] * own_before[:, None, :]).sum(axis=0)
+        out[np.ix_(own, own)] = compose(inverse(squares), mixed)
+    return np.round(out, _DIGITS) + 0.0

@@ -38,18 +38,19 @@ def determinant(matrix: Floats) -> float:
 
 
 def inverse(matrix: Floats) -> Floats:
-    """The inverse of a (3, 3) matrix, by Gauss-Jordan elimination with pivots.
+    """The inverse of a square matrix, by Gauss-Jordan elimination with pivots.
 
     A singular matrix gives values that are not finite. For a diagonal matrix the entries are exactly the reciprocals.
     """
-    rows = np.column_stack([matrix, np.eye(3)])
-    for i in range(3):
+    n = len(matrix)
+    rows = np.column_stack([matrix, np.eye(n)])
+    for i in range(n):
         pivot = i + int(np.argmax(np.abs(rows[i:, i])))
         rows[[i, pivot]] = rows[[pivot, i]]
         rows[i] /= rows[i, i]
-        for k in {0, 1, 2} - {i}:
+        for k in {*range(n)} - {i}:
             rows[k] -= rows[k, i] * rows[i]
-    return rows[:, 3:]
+    return rows[:, n:]
 
 
 def length(vector: Floats) -> float:

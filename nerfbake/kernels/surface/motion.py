@@ -47,7 +47,7 @@ class Equations(NamedTuple):
     right: Floats
 
 
-class Eye(NamedTuple):
+class SurfaceEye(NamedTuple):
     """One view: pose (3, 4) camera to world; optics fx, fy, cx, cy; plane (H, W, 2): the positions of the pixels on
     the plane in front of a bent lens, y up; (0, 0, 2) for a pinhole."""
 
@@ -70,7 +70,7 @@ def edges_of(faces: Faces) -> tuple[Ints, Ints]:
 
 
 @compiled(merged=True)
-def _project(eye: Eye, x: float, y: float, z: float) -> Any:
+def _project(eye: SurfaceEye, x: float, y: float, z: float) -> Any:
     """Column, row and distance along the axis of a point of the world. Column and row are NaN behind the camera."""
     pose, optics = eye.pose, eye.optics
     v0, v1, v2 = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
@@ -122,7 +122,7 @@ def _covered(triangle: npt.NDArray[np.int32], column: float, row: float) -> int:
 
 @compiled()
 def add_rims(
-    solid: Solid, eye: Eye, triangle: npt.NDArray[np.int32], rest: Singles, weight: float, blocks: Equations
+    solid: Solid, eye: SurfaceEye, triangle: npt.NDArray[np.int32], rest: Singles, weight: float, blocks: Equations
 ) -> None:
     """Add one equation for each edge on the rim of the mesh, whose residual is in pixels.
 
@@ -336,7 +336,7 @@ def add_texels(
     uvs: Singles,
     corners: Faces,
     texture: Singles,
-    eye: Eye,
+    eye: SurfaceEye,
     triangle: npt.NDArray[np.int32],
     weights: Singles,
     image: Singles,

@@ -4,6 +4,8 @@ const KEYS = {
   ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
 };
 
+const element = (id) => /** @type {any} */ (document.getElementById(id));
+
 function fullScreen() {
   if (document.fullscreenElement) document.exitFullscreen();
   else document.documentElement.requestFullscreen?.().catch(() => {});
@@ -46,6 +48,7 @@ class Controls {
     addEventListener("hashchange", () => {
       viewer.camera.hash = location.hash;
       viewer.turning = false;
+      viewer.photograph.show(false);
       viewer.change();
     });
     new ResizeObserver(() => viewer.ask()).observe(canvas);
@@ -88,6 +91,7 @@ class Controls {
     else if (key === "-" || key === "_") viewer.move((camera) => camera.zoom(1.15));
     else if (key === "n" || key === "N") viewer.next(1);
     else if (key === "p" || key === "P") viewer.next(-1);
+    else if ((key === "v" || key === "V") && viewer.photograph.facts) viewer.photograph.toggle();
     else if (key >= "1" && key <= "5") viewer.show(Object.keys(MODES)[Number(key) - 1]);
     else if (key === "r" || key === "R") viewer.reset();
     else if (key === "f" || key === "F") fullScreen();

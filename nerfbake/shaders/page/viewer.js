@@ -8,8 +8,6 @@ const BUTTONS = 64; // CSS pixels reserved for the buttons; #cover's padding is 
 const TURN = 40000; // ms for a full turn around the scene
 const BACKGROUNDS = [null, [1, 1, 1], [0, 0, 0]]; // null: the page's own, light or dark
 
-const element = (id) => /** @type {any} */ (document.getElementById(id));
-
 class Viewer {
   constructor(facts, shader, data) {
     this.facts = facts;
@@ -43,6 +41,7 @@ class Viewer {
     this.turning = facts.turns && !calm && !location.hash;
     this.angle = 0;
     this.choices = choicesOf(this);
+    this.photograph = new Photograph(this);
     new Controls(this);
     this.panel = new Panel(this);
     this.showBackground();
@@ -236,6 +235,7 @@ class Viewer {
   // -- user actions ------------------------------------------------------------------------------------------------
   move(act) {
     this.turning = false;
+    this.photograph.show(false);
     act(this.camera);
     this.moving = true;
     this.change();
@@ -254,9 +254,10 @@ class Viewer {
   }
 
   next(step) {
-    const { views } = this.facts;
+    const { facts: { views }, photograph: { shown } } = this;
     this.view = (this.view + step + views.length) % views.length;
     this.move((camera) => camera.set(views[this.view]));
+    this.photograph.show(shown);
   }
 
   show(mode) {

@@ -16,7 +16,7 @@ from nerfbake import Meshes, Splats, load, save
 from nerfbake.errors import NerfbakeError
 from nerfbake.formats.mesh import ply
 from tests.support.hostile import damaged, refused_as_it_is
-from tests.support.meshes import assert_same_mesh, cube, painted, sphere, square, text_ply
+from tests.support.meshes import assert_same_mesh, cube, painted, polygon_ply, sphere, square
 from tests.support.splats import splats
 
 GRADIENT = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
@@ -58,7 +58,7 @@ def test_another_programs_polygons_are_read_in_every_spelling(options: dict[str,
 
 
 def test_colours_in_text_are_bytes() -> None:
-    (found,) = ply.decode(memoryview(text_ply([(0, 1, 2)]))).meshes
+    (found,) = ply.decode(memoryview(polygon_ply([(0, 1, 2)]))).meshes
     wanted = np.array([[1, 0, 0], [0.2, 0.4, 0.8]])
     np.testing.assert_allclose(np.array(found.colours)[[0, 3]], wanted, atol=1e-7)
 
@@ -78,15 +78,15 @@ def test_a_texture_is_not_dropped_silently(tmp_path: Path) -> None:
     assert not (tmp_path / "b.ply").exists()
 
 
-SOUND = text_ply([(0, 1, 2)])
+SOUND = polygon_ply([(0, 1, 2)])
 LIES: dict[str, tuple[bytes, str]] = {
     "cut": (SOUND[:-3], "element face declares 1 rows, with 4 bytes or numbers left"),
     "words": (SOUND.replace(b"255 0 0", b"255 x 0"), "has words that are no numbers"),
-    "a corner too many": (text_ply([(0, 1, 4)]), "has a corner at vertex 4; allowed: 0 to 3"),
-    "a corner below zero": (text_ply([(0, 1, -1)]), "has a corner at vertex -1"),
-    "two corners": (text_ply([(0, 1)]), "has a face of 2 corners"),
+    "a corner too many": (polygon_ply([(0, 1, 4)]), "has a corner at vertex 4; allowed: 0 to 3"),
+    "a corner below zero": (polygon_ply([(0, 1, -1)]), "has a corner at vertex -1"),
+    "two corners": (polygon_ply([(0, 1)]), "has a face of 2 corners"),
     "a fractional corner": (SOUND.replace(b"7 3 0 1 2", b"7 3 0 1 nan"), "has a corner at vertex -1"),
-    "no faces": (text_ply([]), "has no faces; allowed: at least one triangle"),
+    "no faces": (polygon_ply([]), "has no faces; allowed: at least one triangle"),
     "no z": (SOUND.replace(b"float z", b"float w"), "element vertex has no property z"),
     "no list": (SOUND.replace(b"vertex_indices", b"others"), "element face has no list vertex_indices"),
     "many rows": (SOUND.replace(b"vertex 4", b"vertex 99999999999"), "declares 99,999,999,999 rows"),

@@ -13,7 +13,7 @@ from nerfbake import Splats, load, save
 from nerfbake.errors import InvalidScene, NerfbakeError
 from nerfbake.formats.splat import ply
 from tests.support.hostile import damaged, refused_as_it_is
-from tests.support.splats import packed_ply, ply_text, splats
+from tests.support.splats import packed_ply, ply_text, splats, text_ply
 
 NAMES = ("means", "scales", "quats", "opacity", "sh")
 
@@ -39,6 +39,14 @@ def respelled(data: bytes, dtype: str, order: str, *, without: tuple[str, ...] =
     return text + table[:, kept].astype({"little": "<", "big": ">"}[order] + dtype).tobytes()
 
 
+def listed(data: bytes, faces: bytes, rows: int = 9) -> bytes:
+    """The same file with an element of lists before the splats."""
+    head, _, rest = data.partition(b"element vertex")
+    element = f"element face {rows}\nproperty list uchar ushort v\nproperty uchar k\n".encode()
+    names, _, body = rest.partition(b"end_header\n")
+    return head + element + b"element vertex" + names + b"end_header\n" + faces + body
+
+
 def test_one_splat_by_hand(tmp_path: Path) -> None:
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
     names += [f"f_rest_{k}" for k in range(9)] + [f"rot_{k}" for k in range(4)]
@@ -61,10 +69,10 @@ def test_there_and_back(degree: int, tmp_path: Path) -> None:
     assert_same(scene, load(tmp_path / "a.ply", Splats))
 
 
-def test_opaque_and_invisible_splats_come_back() -> None:
+def test_opaque_invisible_tiny_and_huge_splats_come_back() -> None:
     scene = splats(4)
     scene.opacity[:] = [0, 1, 0.5, 1]
-    scene.scales[0] = 0
+    scene.scales[0], scene.scales[1] = 0, 1e15
     assert_same(scene, ply.decode(memoryview(written(scene))), atol=1e-7)
 
 
@@ -82,6 +90,24 @@ def test_any_order_type_and_endian(dtype: str, order: str) -> None:
     windows = spelled[: spelled.index(b"end_header")].replace(b"\n", b"\r\n")
     rest = spelled[spelled.index(b"end_header") :].replace(b"end_header\n", b"end_header\r\n", 1)
     assert_same(ply.decode(memoryview(windows + rest)), scene)
+
+
+@pytest.mark.parametrize("ends", [b"\n", b"\r\n"])
+def test_text_is_read(ends: bytes) -> None:
+    scene = splats(20, degree=1)
+    assert_same(ply.decode(memoryview(text_ply(scene).replace(b"\n", ends))), scene)
+    face = b"element face 2\nproperty list uchar int v\n"
+    before = text_ply(scene).replace(b"element vertex", face + b"element vertex")
+    assert_same(ply.decode(memoryview(before.replace(b"end_header\n", b"end_header\n3 0 1 2\n2 0 1\n"))), scene)
+    assert_same(ply.decode(memoryview(text_ply(scene)[:-1])), scene)
+
+
+def test_lists_before_the_splats_are_skipped() -> None:
+    scene = splats(6)
+    data = written(scene)
+    assert_same(ply.decode(memoryview(listed(data, b"\3abcabc\7" * 9))), scene)
+    odd = b"".join(bytes([length]) + b"ab" * length + b"\7" for length in range(9))
+    assert_same(ply.decode(memoryview(listed(data, odd))), scene)
 
 
 def test_a_flat_splat_is_as_thick_as_a_hundredth_of_its_smaller_axis() -> None:
@@ -179,7 +205,20 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no rows": (SOUND.replace(b"vertex 3", b"vertex 0"), "have no rows; allowed: at least one splat"),
     "2^32 rows": (SOUND.replace(b"vertex 3", b"vertex 4294967296"), "declares 4,294,967,296 rows"),
     "more digits": (SOUND.replace(b"vertex 3", b"vertex " + b"9" * 400), "has the line 'element vertex 999"),
-    "ascii": (SOUND.replace(b"binary_little_endian", b"ascii"), "has the line 'format ascii 1.0'"),
+    "no text": (SOUND.replace(b"binary_little_endian", b"ascii"), "element vertex "),
+    "octlevel": (SOUND.replace(b" nx\n", b" octlevel\n"), "holds SVRaster's voxels; allowed: Gaussian splats"),
+    "2^32 rows of text": (
+        text_ply(splats(1)).replace(b"vertex 1", b"vertex 4294967296"),
+        "4,294,967,296 rows, with 1 lines left",
+    ),
+    "words": (
+        text_ply(splats(1)).replace(b"\n0.", b"\nnone ", 1).replace(b"\n-0.", b"\nnone ", 1),
+        "has text that is not a number",
+    ),
+    "fewer numbers": (text_ply(splats(2)).replace(b" ", b" ", 1)[:-30] + b"\n", "element vertex has "),
+    "endless lists": (listed(SOUND, b"\xff" * 9), "element face has a list of 255 entries"),
+    "lists of many lengths": (listed(SOUND, bytes(range(200)) * 900, rows=150_000), "with lists of different lengths"),
+    "lists of splats": (SOUND.replace(b"property float nx", b"property list uchar int nx"), "element vertex has lists"),
     "no end": (SOUND[:40], "does not end within"),
     "twice": (SOUND.replace(b" nx\n", b" x\n"), "has a property twice"),
     "no opacity": (SOUND.replace(b" opacity\n", b" opacitx\n"), "has no property opacity"),

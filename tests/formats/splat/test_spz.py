@@ -15,6 +15,7 @@ from nerfbake import Splats, load, save
 from nerfbake.errors import InvalidScene, NerfbakeError
 from nerfbake.formats.splat import spz
 from nerfbake.formats.wire.zstd import compress
+from nerfbake.kernels.march.sh import sh_basis
 from tests.formats.splat.test_ply import assert_same, columns_of, converted
 from tests.support.hostile import damaged, refused_as_it_is
 from tests.support.splats import gzip_spz, splats
@@ -79,6 +80,66 @@ def test_what_was_read_is_written_without_further_loss() -> None:
     assert np.array_equal(again.sh, once.sh)
 
 
+def extended(scene: Splats, extensions: bytes, version: int = 4) -> bytes:
+    """A file with these extensions."""
+    if version < 4:
+        whole = bytearray(gzip.decompress(gzip_spz(scene, version)) + extensions)
+        whole[14] |= 2
+        return gzip.compress(whole)
+    data = bytearray(written(scene))
+    data[14] |= 2
+    data[16:20] = struct.pack("<I", 32 + len(extensions))
+    return bytes(data[:32] + extensions + data[32:])
+
+
+# Directions of x, y, z in the world of a .ply, where x points right, y down and z forward.
+SYSTEMS = {
+    0: [[1, 0, 0], [0, -1, 0], [0, 0, -1]],  # not specified: right, up, back
+    4: [[1, 0, 0], [0, -1, 0], [0, 0, -1]],  # right, up, back
+    6: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],  # right, down, forward
+    7: [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],  # left, up, forward
+    12: [[1, 0, 0], [0, 0, 1], [0, -1, 0]],  # right, forward, up
+    15: [[-1, 0, 0], [0, 0, -1], [0, -1, 0]],  # left, back, up: a mirrored system
+}
+
+
+@pytest.mark.parametrize("number", SYSTEMS)
+@pytest.mark.parametrize("version", [3, 4])
+def test_the_axes_that_an_extension_names_are_obeyed(number: int, version: int) -> None:
+    scene = splats(30, degree=2)
+    plain = spz.decode(memoryview(written(scene) if version == 4 else gzip_spz(scene, version))).flipped()
+    found = spz.decode(memoryview(extended(scene, struct.pack("<III", 0xADBE0003, 4, number), version)))
+    axes = np.array(SYSTEMS[number], np.float32)
+    np.testing.assert_allclose(found.means, plain.means @ axes, atol=1e-6)
+    ways = np.random.default_rng(1).normal(size=(9, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    before = np.einsum("db,nbc->ndc", sh_basis(ways, 9), plain.sh)
+    after = np.einsum("db,nbc->ndc", sh_basis(ways @ axes, 9), found.sh)
+    np.testing.assert_allclose(after, before, atol=1e-5)
+    (note,) = found.notes
+    assert note.startswith("an extension says that the axes of the file are ")
+
+
+def test_other_extensions_are_left_out_with_a_note() -> None:
+    scene = splats(3)
+    found = spz.decode(memoryview(extended(scene, struct.pack("<IIfff", 0xADBE0002, 12, 1, 2, 3))))
+    assert found.notes == ("extension 0xADBE0002 is left out",)
+    assert_near(found, scene)
+
+
+def test_a_small_file_has_the_steps_of_niantics_writer() -> None:
+    scene = splats(3000, degree=3)
+    plain, small = (spz.decode(memoryview(b"".join(spz.encode(scene, small=each)))) for each in (False, True))
+    codes = np.rint(small.sh * 128).astype(int)
+    assert not (codes[:, 1:4] % 8).any()
+    assert not (codes[:, 4:] % 16).any()
+    np.testing.assert_allclose(small.sh[:, 1:4], scene.sh[:, 1:4], atol=4.5 / 128)
+    np.testing.assert_allclose(small.sh[:, 4:], scene.sh[:, 4:], atol=8.5 / 128)
+    assert np.array_equal(small.sh[:, 0], plain.sh[:, 0])
+    sizes = [len(b"".join(spz.encode(scene, small=each))) for each in (False, True)]
+    assert sizes[1] < 0.8 * sizes[0]
+
+
 def test_a_large_scene_keeps_its_far_splats() -> None:
     scene = splats(5)
     scene.means[0] = 5_000_000
@@ -132,6 +193,10 @@ LIES: dict[str, tuple[bytes, str]] = {
     ),
     "degree 255": (SOUND[:12] + b"\xff" + SOUND[13:], "the SH degree is 255; allowed: 0 to 4"),
     "bits 255": (SOUND[:13] + b"\xff" + SOUND[14:], "the fractional bits are 255; allowed: 0 to 24"),
+    "an axis of 99": (
+        extended(splats(1), struct.pack("<III", 0xADBE0003, 4, 99)),
+        "the extension of the axes has 4 bytes, with 99; allowed: 4 bytes, with 0 to 16",
+    ),
     "version 5": (SOUND[:4] + b"\5" + SOUND[5:], "version is 5; allowed: 1 to 3 in gzip, or 4"),
     "version 4 in gzip": (gzip.compress(SOUND), "version is 4; allowed: 1 to 3 in gzip, or 4"),
     "no rows": (SOUND[:8] + bytes(4) + SOUND[12:], "have no rows"),
@@ -155,7 +220,7 @@ def test_a_lying_spz_is_one_line(lie: str, tmp_path: Path, capsys: pytest.Captur
 
 def test_no_more_of_a_gzip_bomb_is_unpacked_than_its_count_tells() -> None:
     turn = struct.pack("<I", 3 << 30)
-    bomb = gzip.compress(header(3, 3) + bytes(3 * 16) + turn * 3 + bytes(1 << 28))
+    bomb = gzip.compress(header(3, 3) + bytes(3 * 16) + turn * 3 + bytes(1 << 26))
     tracemalloc.start()
     assert spz.decode(memoryview(bomb)).n == 3
     assert tracemalloc.get_traced_memory()[1] < 1 << 24

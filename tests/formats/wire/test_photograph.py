@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
-from nerfbake.formats.wire.picture import decode_photograph
+from nerfbake.formats.wire.picture import decode_photograph, encode_preview
 from nerfbake.memory import memory_limit
 from tests.support.hostile import damaged
 
@@ -73,3 +73,27 @@ def test_a_damaged_photograph_is_one_line_or_a_picture(kind: str) -> None:
             assert decode_photograph(memoryview(data)).shape[2] == 4, what
         except NerfbakeError:
             continue
+
+
+def test_a_preview_is_small_upright_and_on_white() -> None:
+    tall = np.zeros((60, 40, 4), np.uint8)
+    tall[:30] = (200, 0, 0, 255)  # the lower half is transparent
+    small = Pillow.open(io.BytesIO(encode_preview(file(Pillow.fromarray(tall)), 30)))
+    assert (small.format, small.size) == ("JPEG", (20, 30))
+    shown = np.asarray(small).astype(int)
+    assert np.abs(shown[5, 10] - [200, 0, 0]).max() < 8
+    assert np.abs(shown[25, 10] - 255).max() < 8
+    assert Pillow.open(io.BytesIO(encode_preview(file(Pillow.fromarray(tall)), 100))).size == (40, 60)
+
+
+@pytest.mark.parametrize("orientation", [5, 6, 7, 8])
+def test_a_preview_is_turned_as_the_photograph_is(orientation: int) -> None:
+    exif = Pillow.Exif()
+    exif[0x0112] = orientation
+    corners = np.zeros((32, 48, 3), np.uint8)
+    corners[:16, :24] = 255
+    view = file(Pillow.fromarray(corners), "JPEG", exif=exif, quality=95)
+    whole = decode_photograph(view, (32, 48))[..., :3].astype(int)
+    preview = np.asarray(Pillow.open(io.BytesIO(encode_preview(view, 48, (32, 48))))).astype(int)
+    assert preview.shape == whole.shape == (48, 32, 3)
+    assert np.abs(preview - whole).mean() < 8

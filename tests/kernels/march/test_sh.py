@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from nerfbake.kernels.march.sh import band_of, sh_basis
+from nerfbake.kernels.march.sh import band_of, rotation_of_sh, sh_basis
 
 
 def test_the_basis_is_orthonormal() -> None:
@@ -39,3 +39,12 @@ def test_signs_of_the_higher_bands() -> None:
 
 def test_bands() -> None:
     assert band_of(9).tolist() == [0, 1, 1, 1, 2, 2, 2, 2, 2]
+
+
+def test_rotations_of_coefficients_compose_and_keep_lengths() -> None:
+    random = np.random.default_rng(2)
+    first, second = (np.linalg.qr(random.normal(size=(3, 3)))[0] for _ in range(2))
+    both = rotation_of_sh(first, 25) @ rotation_of_sh(second, 25)
+    assert_allclose(rotation_of_sh(first @ second, 25), both, atol=1e-11)
+    assert_allclose(both @ both.T, np.eye(25), atol=1e-11)
+    assert np.array_equal(rotation_of_sh(np.eye(3), 25), np.eye(25))

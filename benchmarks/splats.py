@@ -1,0 +1,107 @@
+"""Benchmark of Gaussian splats: how fast they are read, drawn and made voxels, and what that costs in pictures.
+
+A real scene, biker.spz, is converted to octrees of two resolutions, without and with the fit to pictures of the splats.
+The octrees are measured on ten pictures of the splats around the scene, which are not among those that they are fitted
+to. Seconds are CPU seconds of one process, without compilation of kernels; those of a fit include its pictures. The
+work is done in turn, the best of the rounds counts. A scene that is missing keeps its row and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+
+from benchmarks.aims import SPLAT_OCTREES, SPLAT_PICTURE, SPLAT_READ, Aim, aims_table
+from benchmarks.scenes import Scenes
+from nerfbake import SparseVoxelOctree, Splats, build_field, compare_scenes, load, orbit_cameras, render_splats
+from nerfbake.bench.environment import environment
+from nerfbake.bench.measure import announced
+from nerfbake.bench.report import Report, Table
+from nerfbake.jobs.files import Source
+from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.splat_fields import EPOCHS, SplatOptions, sample_splats
+from nerfbake.jobs.steps import SILENT
+
+T = TypeVar("T")
+FILES = ("biker.spz", "biker.compressed.ply")
+RESOLUTIONS = (256, 512)
+JUDGES, EDGE, PICTURE = 10, 400, 800
+
+READ = ["file", "splats", "SH", "MB", "read s", "picture s"]
+VOXELS = ["voxels", "fitted", "s", "leaves", "PSNR dB, 1 ray", "4 rays"]
+NOTES = [
+    f"read: of a file in the cache of the operating system. picture: {PICTURE}x{PICTURE}, which frames the scene.",
+    f"PSNR: mean over {JUDGES} pictures of {EDGE}x{EDGE}, with one and with 2x2 rays a pixel of the octree. Pictures "
+    "of splats blur each splat by about a pixel, so the voxels look best in pictures of that size.",
+]
+
+
+def reports(scenes: Scenes, *, rounds: int = 3) -> dict[str, list[Report] | bytes]:
+    """Measure reading and drawing in rounds; a conversion is measured once, after one that compiles the kernels."""
+    files: list[list[Any]] = []
+    figures: dict[str, float] = {}
+    for name in FILES:
+        path = scenes.splats / name
+        if not path.is_file():
+            files.append([f"{name}: not there", *[None] * (len(READ) - 1)])
+            continue
+        with announced(f"reading and drawing {name}"):
+            read, splats = _best(partial(load, path, Splats), rounds)
+            camera = orbit_cameras(splats, width=PICTURE, height=PICTURE).cameras[0]
+            drawn, _ = _best(partial(render_splats, splats, camera), rounds)
+        files.append([name, splats.n, splats.degree, path.stat().st_size / 1e6, read, drawn])
+        if name == FILES[0]:
+            figures |= {"read: s": read, f"picture of {PICTURE}x{PICTURE}: s": drawn}
+    rows = _converted(scenes, figures)
+    head = {"scene": "biker, from the PlayCanvas engine's examples (MIT)", **environment("numpy", "numba", "nerfbake")}
+    tables = [
+        Table("Files", READ, files),
+        Table(f"{FILES[0]} as an octree", VOXELS, rows),
+        aims_table(_aims(figures)),
+    ]
+    return {"splats": [Report("Splats", head, tables, NOTES)]}
+
+
+def _converted(scenes: Scenes, figures: dict[str, float]) -> list[list[Any]]:
+    """Return the rows of the octrees, and add their figures."""
+    path = scenes.splats / FILES[0]
+    if not path.is_file():
+        return [[f"{FILES[0]}: not there", *[None] * (len(VOXELS) - 1)]]
+    splats, rows = load(path, Splats), list[list[Any]]()
+    convert = partial(sample_splats, SILENT, Source(str(path)), splats)
+    convert(resolution=16)  # compiles the kernels
+    for resolution in RESOLUTIONS:
+        for epochs in (0, EPOCHS):
+            with announced(f"{FILES[0]} in {resolution}^3, {epochs} epochs"):
+                work = partial(convert, resolution=resolution, options=SplatOptions(epochs=epochs))
+                seconds, (octree, shown) = _best(work, 1)
+                decibels = [_psnr(shown, octree, samples) for samples in (1, 2)]
+            leaves, told = int(octree.childless.sum()), [f"{each:.2f}" for each in decibels]
+            rows.append([f"{resolution}^3", bool(epochs), seconds, leaves, *told])
+            if epochs:
+                figures |= {f"{resolution}^3: s": seconds, f"{resolution}^3: PSNR dB": decibels[1]}
+    return rows
+
+
+def _best(work: Callable[[], T], rounds: int) -> tuple[float, T]:
+    """Return the least CPU seconds of the rounds, without compilation, and the last result."""
+    seconds = []
+    for _ in range(rounds):
+        clock = Clock()
+        found = work()
+        seconds.append(clock.worked)
+    return min(seconds), found
+
+
+def _psnr(splats: Splats, octree: SparseVoxelOctree, samples: int) -> float:
+    views = orbit_cameras(splats, frames=JUDGES, width=EDGE, height=EDGE).chosen(samples=samples)
+    found = compare_scenes(splats, build_field(octree), views, keep_pictures=False)
+    return float(found.means["a_b"]["psnr"])
+
+
+def _aims(figures: dict[str, float]) -> list[tuple[str, Aim, float | None]]:
+    aims = {"read: s": SPLAT_READ, f"picture of {PICTURE}x{PICTURE}: s": SPLAT_PICTURE}
+    for resolution, (seconds, decibels) in SPLAT_OCTREES.items():
+        aims |= {f"{resolution}^3: s": seconds, f"{resolution}^3: PSNR dB": decibels}
+    return [(label, aim, figures.get(label)) for label, aim in aims.items()]

@@ -1,0 +1,150 @@
+"""`nerfbake splats`: turn a field into Gaussian splats."""
+
+from __future__ import annotations
+
+import re
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nerfbake import io
+from nerfbake.cli.console import Console
+from nerfbake.cli.fit import photograph_options
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    Number,
+    as_json,
+    console_options,
+    seed,
+    source_argument,
+    target_argument,
+    without_effect,
+)
+from nerfbake.cli.paths import PhotographsPath
+from nerfbake.jobs.files import Source, Target
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.photographs import PhotographOptions
+    from nerfbake.jobs.splats import SplatsResult
+
+_UNITS = {"": 1, "k": 1_000, "m": 1_000_000}
+_MOST = 20_000_000
+
+
+class SplatCount(click.ParamType[int]):
+    """A number of splats: 150000, 150k or 1.5M."""
+
+    name = "N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,6})?)([kKmM]?)", str(value))
+        count = round(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
+        if not 1 <= count <= _MOST:
+            self.fail(f"{str(value)[:40]!r} is not a number of splats; allowed: 1 to 20M, for example 150k", param, ctx)
+        return count
+
+
+def model_options(function: Command) -> Command:
+    """Add --views, --frames, --edge and photograph_options(); pass the command `model`, a SplatsModel."""
+
+    @click.option(
+        "--views",
+        metavar="SOURCE",
+        type=PhotographsPath(),
+        help=f"Photographs that OUT is fitted to: {CAPTURE}.  [default: rendered pictures of IN]",
+    )
+    @click.option(
+        "--frames",
+        type=click.IntRange(2, 1000),
+        default=100,
+        show_default=True,
+        help="Without --views: number of pictures of IN to render, from all sides.",
+    )
+    @click.option(
+        "--edge",
+        type=click.IntRange(8, 4096),
+        default=400,
+        show_default=True,
+        help="Without --views: width and height of these pictures, in pixels.",
+    )
+    @photograph_options
+    @wraps(function)
+    def command(
+        *args: object, views: str | None, frames: int, edge: int, album: PhotographOptions, **others: object
+    ) -> object:
+        from nerfbake.jobs.splats import SplatsModel
+
+        if views is None:
+            allowed = "it with --views"
+            without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
+        else:
+            without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
+        return function(*args, model=SplatsModel(views, album, frames, edge), **others)
+
+    return command
+
+
+@click.command()
+@source_argument
+@target_argument("Splats")
+@click.option(
+    "--count", type=SplatCount(), default="150k", show_default=True, help="Largest number of splats, for example 150k."
+)
+@model_options
+@click.option(
+    "--epochs", type=click.IntRange(1, 100), default=3, show_default=True, help="Number of passes over the pictures."
+)
+@click.option(
+    "--min-psnr",
+    type=Number(),
+    help="Lowest allowed PSNR on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code 3).",
+)
+@seed
+@as_json
+@console_options
+def splats(
+    source: Source,
+    target: Target,
+    count: int,
+    epochs: int,
+    seed: int,
+    as_json: bool,
+    console: Console,
+    **options: Any,
+) -> None:
+    """Turn a scene into Gaussian splats.
+
+    Starts with the leaves of the PlenOctree, octree, volume or lattice IN that contribute most to pictures, and fits
+    them to photographs (--views) or to pictures of IN. Splats are antialiased: viewers that know the flag show them
+    right at every size. Prints the PSNR and SSIM of OUT on held-out photographs, or on pictures of IN from other sides.
+
+    \b
+      nerfbake splats chair.npz chair.spz
+      nerfbake splats chair.npz chair.ply --count 50k --epochs 5
+      nerfbake splats chair.npz chair.spz --views photographs --min-psnr 34
+    """
+
+    from nerfbake.jobs.splats import SplatsOptions, bake_splats
+
+    def report(found: SplatsResult) -> None:
+        if as_json:
+            io.print_json(_facts(source, found))
+
+    bake_splats(source, target, recipe=SplatsOptions(count, epochs, seed), steps=console, report=report, **options)
+
+
+def _facts(source: Source, found: SplatsResult) -> dict[str, Any]:
+    return {
+        "in": source.path,
+        "file": found.path,
+        "content": found.content,
+        "bytes": found.bytes,
+        "splats": found.splats,
+        "psnr": found.psnr,
+        "ssim": found.ssim,
+        "cpu_seconds": found.worked,
+        "seconds": found.passed,
+        "views": [view._asdict() for view in found.views],
+    }

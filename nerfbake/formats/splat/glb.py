@@ -1,0 +1,211 @@
+"""Read and write Gaussian splats as binary glTF 2.0 (.glb) with the extension KHR_gaussian_splatting.
+
+A primitive of points has an accessor for each attribute:
+
+    POSITION                                             centres
+    KHR_gaussian_splatting:ROTATION                      x y z w; float, or normalised byte or short
+    KHR_gaussian_splatting:SCALE                         standard deviations; in an early draft their logarithms
+    KHR_gaussian_splatting:OPACITY                       0 to 1
+    KHR_gaussian_splatting:SH_DEGREE_l_COEF_m            red green blue; m = 0 to 2 l, l = 0 to 3
+    COLOR_0                                              colour of degree 0 for viewers of points, linear
+
+formats/mesh/glb.py describes the container. glTF's y is up; y and z change their signs here, as in a .spz. The matrices
+of the nodes move the splats and their colours.
+
+Source: KhronosGroup/glTF, KHR_gaussian_splatting (release candidate).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.formats.mesh.glb import Document, malformed, placed_meshes
+from nerfbake.formats.mesh.glb_writer import opening_of
+from nerfbake.formats.splat.ply import SH0, exp_or_nan
+from nerfbake.kernels.picture.metrics import to_linear
+from nerfbake.scene.splats import BASES, Splats, join_splats, splats_of_rows
+
+Floats = npt.NDArray[np.float64]
+EXTENSION = "KHR_gaussian_splatting"
+MOST_DEGREE = 3
+_PREFIX = EXTENSION + ":"
+_HEAD = 20  # bytes before the JSON chunk
+_KNOWN = (EXTENSION, "KHR_mesh_quantization")
+_POINTS = 0
+_FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
+_DISPLAY, _LINEAR = "srgb_rec709_display", "lin_rec709_display"
+_ANTIALIASED = "nerfbake_antialiased"
+_MANY = 1000  # primitives
+
+
+def recognise(view: memoryview) -> bool:
+    """Return True for a .glb that names the extension in its JSON chunk."""
+    if bytes(view[:4]) != b"glTF":
+        return False
+    size = int.from_bytes(view[12:16], "little")
+    return f'"{EXTENSION}'.encode() in bytes(view[_HEAD : _HEAD + size])
+
+
+def decode(view: memoryview) -> Splats:
+    """Read the splats of all nodes of the default scene. Raises InvalidFile, InvalidScene, MemoryLimit.
+
+    Meshes in the file are left out with a note.
+    """
+    document = Document(view)
+    required = document.root.get("extensionsRequired", [])
+    for extension in required if isinstance(required, list) else [required]:
+        if extension not in _KNOWN:
+            raise malformed("extensionsRequired", f"has {str(extension)[:60]}", " and ".join(_KNOWN))
+    parts: list[Splats] = []
+    notes: dict[str, None] = {}
+    for index, matrix in placed_meshes(document):
+        primitives = document.item("meshes", index).get("primitives")
+        for number, primitive in enumerate(primitives if isinstance(primitives, list) else []):
+            place = f"meshes[{index}].primitives[{number}]"
+            extension = _extension(primitive, place)
+            if extension is None:
+                notes["meshes in the file are left out"] = None
+                continue
+            if len(parts) >= _MANY:
+                raise malformed("the file", f"has more than {_MANY:,} primitives of splats", f"{_MANY:,}")
+            with np.errstate(over="ignore", invalid="ignore"):
+                part = _splats(document, primitive, extension, place)
+                memory.hold("the splats", memory.size_of(part))
+                parts.append(part if np.array_equal(matrix, np.eye(4)) else part.transformed(matrix[:3]))
+    if not parts:
+        raise malformed("the .glb", "has no splats", f"a primitive with {EXTENSION} in the scene")
+    memory.hold("the splats", 2 * sum(map(memory.size_of, parts)))
+    whole = parts[0] if len(parts) == 1 else join_splats(parts)
+    return replace(whole.flipped(), notes=(*whole.notes, *notes))
+
+
+def _extension(primitive: Any, place: str) -> dict[str, Any] | None:
+    """Return the primitive's extension; None if it has none, and is no splats."""
+    if not isinstance(primitive, dict):
+        raise malformed(place, f"is a {type(primitive).__name__}", "an object")
+    extensions = primitive.get("extensions")
+    if not isinstance(extensions, dict) or EXTENSION not in extensions:
+        return None
+    found = extensions[EXTENSION]
+    if not isinstance(found, dict) or primitive.get("mode", 4) != _POINTS:
+        raise malformed(place, f"has {EXTENSION} without points", f"mode {_POINTS}, and an object")
+    inner = found.get("extensions")
+    if isinstance(inner, dict) and inner:
+        name = str(next(iter(inner)))[:60]
+        raise malformed(place, f"needs {name}", f"{EXTENSION} without further extensions")
+    return found
+
+
+def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, Any], place: str) -> Splats:
+    """Return the splats of a primitive in the coordinates of its node."""
+    attributes = primitive.get("attributes")
+    if not isinstance(attributes, dict):
+        raise malformed(f"{place}.attributes", "are missing", "an object with POSITION")
+    kernel = extension.get("kernel", "ellipse")
+    space = extension.get("colorSpace", _DISPLAY)
+    for key, value, allowed in (("kernel", kernel, ("ellipse",)), ("colorSpace", space, (_DISPLAY, _LINEAR))):
+        if value not in allowed:
+            raise malformed(f"{place}.{key}", f"is {str(value)[:40]}", " or ".join(allowed))
+    notes = []
+    if space == _LINEAR:
+        notes.append("its colours are linear; they are kept as they are, and look too dark")
+
+    def column(name: str, kind: str) -> Floats:
+        if name not in attributes:
+            raise malformed(f"{place}.attributes", f"lack {name}", f"POSITION, {_PREFIX}ROTATION, SCALE, OPACITY, SH")
+        with memory.scope():
+            values = document.accessor(attributes[name], (kind,))
+        if len(values) != n and n:
+            raise malformed(f"{place}.{name}", f"has {len(values):,} rows", f"{n:,}, as POSITION")
+        return values.astype(np.float64)
+
+    n = 0
+    means = column("POSITION", "VEC3")
+    n = len(means)
+    top = next((d for d in range(MOST_DEGREE, 0, -1) if f"{_PREFIX}SH_DEGREE_{d}_COEF_0" in attributes), 0)
+    memory.require("the splats", n * 8 * (11 + 2 * 3 * BASES[top]))
+    sh = np.empty((n, BASES[top], 3))
+    for degree in range(top + 1):
+        for k in range(2 * degree + 1):
+            sh[:, degree * degree + k] = column(f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}", "VEC3")
+    scales = column(_PREFIX + "SCALE", "VEC3")
+    if (scales < 0).any():
+        notes.append("its scales are logarithms, as in an early draft of the extension")
+        scales = exp_or_nan(scales)
+    return splats_of_rows(
+        means,
+        scales,
+        column(_PREFIX + "ROTATION", "VEC4")[:, [3, 0, 1, 2]],
+        column(_PREFIX + "OPACITY", "SCALAR")[:, 0],
+        sh,
+        antialiased=isinstance(extras := primitive.get("extras"), dict) and extras.get(_ANTIALIASED) is True,
+        notes=tuple(notes),
+    )
+
+
+def encode(scene: Splats) -> Iterator[bytes]:
+    """Encode splats without loss: 48 bytes, and 12 for each SH coefficient. Raises InvalidScene for SH of degree 4.
+
+    The extension cannot tell that splats are antialiased; the primitive's extras do, for nerfbake.
+    """
+    if scene.degree > MOST_DEGREE:
+        raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {MOST_DEGREE} in a .glb"))
+    scene.require_usable()
+    scene = scene.flipped()
+    n = scene.n
+    bounds = {"min": scene.means.min(axis=0).tolist(), "max": scene.means.max(axis=0).tolist()}
+    fields: list[tuple[str, str, int, dict[str, Any]]] = [
+        ("POSITION", "VEC3", _FLOAT, bounds),
+        ("COLOR_0", "VEC4", _BYTE, {"normalized": True}),
+        (_PREFIX + "ROTATION", "VEC4", _FLOAT, {}),
+        (_PREFIX + "SCALE", "VEC3", _FLOAT, {}),
+        (_PREFIX + "OPACITY", "SCALAR", _FLOAT, {}),
+    ]
+    for degree in range(scene.degree + 1):
+        fields += [(f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}", "VEC3", _FLOAT, {}) for k in range(2 * degree + 1)]
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    attributes: dict[str, int] = {}
+    size = 0
+    for name, kind, component, more in fields:
+        columns = 1 if kind == "SCALAR" else int(kind[3])
+        length = n * columns * (1 if component == _BYTE else 4)
+        views.append({"buffer": 0, "byteOffset": size, "byteLength": length, "target": _VERTICES})
+        attributes[name] = len(accessors)
+        accessors.append({"bufferView": len(accessors), "componentType": component, "count": n, "type": kind, **more})
+        size += length
+    look = {"kernel": "ellipse", "colorSpace": _DISPLAY, "sortingMethod": "cameraDistance", "projection": "perspective"}
+    primitive: dict[str, Any] = {"attributes": attributes, "mode": _POINTS, "extensions": {EXTENSION: look}}
+    if scene.antialiased:
+        primitive["extras"] = {_ANTIALIASED: True}
+    document = {
+        "asset": {"version": "2.0", "generator": "nerfbake"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "splats", "mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": size}],
+    }
+    yield from opening_of(document, size)
+    yield scene.means.astype("<f4", copy=False).tobytes()
+    yield _fallback(scene).tobytes()
+    arrays = (scene.quats[:, [1, 2, 3, 0]], scene.scales, scene.opacity, *(scene.sh[:, k] for k in range(scene.B)))
+    for array in arrays:
+        yield array.astype("<f4", copy=False).tobytes()
+
+
+def _fallback(scene: Splats) -> npt.NDArray[np.uint8]:
+    """(n, 4) linear colours of degree 0, with the opacity."""
+    colours = to_linear(np.clip(scene.sh[:, 0].astype(np.float64) * SH0 + 0.5, 0, 1))
+    both = np.concatenate([colours, scene.opacity[:, None]], axis=1)
+    return np.asarray(np.rint(both * 255), np.uint8)

@@ -1,0 +1,277 @@
+"""Read Gaussian splats from PlayCanvas' .sog: a zip archive of meta.json and lossless WebP pictures, a pixel a splat.
+
+    means_l, means_u   16 bits: t = min + (max - min) (low + 256 high) / 65535, x = sign(t) (e^|t| - 1)
+    quats              red green blue: (v / 255 * 2 - 1) / sqrt 2; alpha 252 to 255: which of w x y z is left out
+    scales             e^codebook[v]
+    sh0                red green blue: codebook[v]; alpha: the opacity
+    shN_labels         red + 256 green: the entry of the palette
+    shN_centroids      the palette, 64 entries a row, each 3, 8 or 15 pixels wide: codebook[v]
+
+Version 1 has no `version`. It has a minimum and a maximum in place of each codebook, and alpha of sh0 is a logit.
+
+A scene of several levels is a lod-meta.json with a tree; its leaves name ranges of rows in folders with a meta.json
+each, by level. Level 0 is the finest.
+
+Source: playcanvas/splat-transform (read-sog, read-sog-v1, read-lod).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake import memory
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.splat.ply import exp_or_nan, sigmoid_or_nan, with_largest
+from nerfbake.formats.wire.json import key_place, kind_of, parse_object, shorten, table, whole
+from nerfbake.formats.wire.picture import decode_lossless_webp
+from nerfbake.formats.wire.zip_reader import ZipReader, npz_keys
+from nerfbake.kernels.maths.elementary import expm1
+from nerfbake.scene.splats import Splats, join_splats, splats_of_rows
+
+Floats = npt.NDArray[np.float64]
+Bytes = npt.NDArray[np.uint8]
+META, LOD = "meta.json", "lod-meta.json"
+_WIDTHS = (0, 3, 8, 15)  # pixels of an entry of the palette, by degree
+_A_ROW = 64  # entries of the palette
+_PALETTE = 1 << 16  # entries at most: a label has 16 bits
+_MOST = 1 << 32  # splats
+_FIRST_TAG = 252
+_MOST_PER_BYTE = 256  # splats
+_SPARE = 1 << 14  # pixels of a picture beyond four for each splat
+_NAME = re.compile(r"[^/\\:\0]{1,200}")
+
+
+def recognise(view: memoryview) -> bool:
+    """Return True for an archive with a meta.json."""
+    return not {META, LOD}.isdisjoint(npz_keys(view))
+
+
+def decode(view: memoryview) -> Splats:
+    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit."""
+    return splats_in(_Members(view))
+
+
+class _Members(Mapping[str, memoryview]):
+    """The files of an archive by name."""
+
+    def __init__(self, view: memoryview) -> None:
+        self._zip = ZipReader(view, "a .sog")
+
+    def __getitem__(self, name: str) -> memoryview:
+        if name not in self._zip.members:
+            raise KeyError(name)
+        return self._zip.unpacked(name, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._zip.members)
+
+    def __len__(self) -> int:
+        return len(self._zip.members)
+
+
+def splats_in(files: Mapping[str, memoryview]) -> Splats:
+    """Return the splats in these files, of several levels the finest. Raises InvalidFile, InvalidScene, MemoryLimit."""
+    if META in files:
+        return _scene(files, META)
+    if LOD not in files:
+        raise InvalidFile(Problem(META, "is missing", "a .sog, or its folder, with it"))
+    return _finest(files)
+
+
+def _finest(files: Mapping[str, memoryview]) -> Splats:
+    """Return the splats that the leaves of the tree have in their finest levels."""
+    root = parse_object(files[LOD], LOD)
+    names = _list(root, "filenames", LOD)
+    places: dict[str, list[tuple[int, int]]] = {}
+    waiting = [root.get("tree")]
+    while waiting:
+        node = waiting.pop()
+        if not isinstance(node, dict):
+            raise InvalidFile(Problem(f"{LOD}: tree", f"has {kind_of(node)}", "objects with `children` or `lods`"))
+        waiting += reversed(_list(node, "children", "tree"))
+        levels = node.get("lods", {})
+        if not isinstance(levels, dict) or not all(re.fullmatch("[0-9]{1,3}", level) for level in levels):
+            raise InvalidFile(Problem(f"{LOD}: lods", "are no levels", "an object with whole numbers as names"))
+        if levels:
+            finest = levels[min(levels, key=int)]
+            if not isinstance(finest, dict):
+                raise InvalidFile(Problem(f"{LOD}: lods", f"have {kind_of(finest)}", "objects"))
+            file = whole(finest, "file", "lods", high=len(names) - 1)
+            start, count = (whole(finest, key, "lods", high=_MOST) for key in ("offset", "count"))
+            places.setdefault(_path(names[file], "filenames"), []).append((start, count))
+    notes = [f"of the levels of {LOD}, only the finest is read"]
+    if "environment" in root:
+        places.setdefault(_path(root["environment"], "environment"), []).append((0, -1))
+    parts = []
+    for path, ranges in places.items():
+        part = _scene(files, path)
+        size = memory.size_of(part) // part.n
+        for start, count in ranges:
+            end = part.n + part.dropped if count < 0 else start + count
+            if end > part.n + part.dropped:
+                found = f"has rows up to {end:,} of {part.n:,} in {path}"
+                raise InvalidFile(Problem(f"{LOD}: lods", found, "rows that the file has"))
+            memory.hold("the finest level", 3 * size * max(0, end - start))
+            if part.dropped:
+                raise InvalidScene(Problem(path, "has rows that cannot be drawn", "finite numbers"))
+            if end > start:
+                parts.append(_rows(part, start, end))
+    if not parts:
+        raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    whole_scene = join_splats(parts)
+    return replace(whole_scene, notes=(*whole_scene.notes, *notes))
+
+
+def _rows(splats: Splats, start: int, end: int) -> Splats:
+    names = ("means", "scales", "quats", "opacity", "sh")
+    return replace(splats, **{name: getattr(splats, name)[start:end] for name in names})
+
+
+def _path(value: Any, place: str) -> str:
+    """Return the path of a meta.json below the folder. Raises InvalidFile."""
+    parts = value.split("/") if isinstance(value, str) else []
+    if not 1 < len(parts) <= 9 or parts[-1] != META or not all(_is_name(part) for part in parts):
+        raise InvalidFile(Problem(f"{LOD}: {place}", f"has {shorten(value)!r}", f"FOLDER/{META} below this folder"))
+    return str(value)
+
+
+def _is_name(text: str) -> bool:
+    return bool(_NAME.fullmatch(text)) and text not in (".", "..")
+
+
+def _list(fields: Mapping[str, Any], key: str, place: str) -> list[Any]:
+    value = fields.get(key, [])
+    if not isinstance(value, list):
+        raise InvalidFile(Problem(key_place(place, key), f"is {kind_of(value)}", "a list"))
+    return value
+
+
+class _Part:
+    """One of the attributes in meta.json, with its pictures. Each check names its place."""
+
+    def __init__(self, files: Mapping[str, memoryview], meta: Mapping[str, Any], key: str, place: str) -> None:
+        self._files, self._folder, self.place = files, place.removesuffix(META), f"{place}: {key}"
+        value = meta.get(key)
+        if not isinstance(value, dict):
+            raise InvalidFile(Problem(self.place, f"is {kind_of(value)}", "an object"))
+        self.fields: dict[str, Any] = value
+
+    def picture(self, index: int, pixels: int, most: int) -> Bytes:
+        """(pixels, ...) the first pixels of a picture, (pixels, 4), which must have from `pixels` to `most` of them."""
+        image = self.image(index, most)
+        found = image.reshape(-1, 4)
+        if len(found) < pixels:
+            raise InvalidFile(Problem(f"{self.place}.files[{index}]", f"has {len(found):,} pixels", f"{pixels:,}"))
+        return found[:pixels]
+
+    def image(self, index: int, most: int) -> Bytes:
+        """(H, W, 4)."""
+        path, data = self.file(index)
+        return decode_lossless_webp(data, path, most)
+
+    def file(self, index: int) -> tuple[str, memoryview]:
+        """Path and bytes of a picture."""
+        names = _list(self.fields, "files", self.place)
+        place = f"{self.place}.files[{index}]"
+        name = names[index] if index < len(names) else None
+        if not isinstance(name, str) or not _is_name(name):
+            raise InvalidFile(Problem(place, f"is {shorten(name)!r}", "the name of a file beside meta.json"))
+        path = self._folder + name
+        if path not in self._files:
+            raise InvalidFile(Problem(path, "is missing", f"a picture, which {self.place} names"))
+        return path, self._files[path]
+
+    def numbers(self, key: str, *shape: int) -> Floats:
+        return table(self.fields.get(key), f"{self.place}.{key}", shape)
+
+    def decoded(self, codes: Bytes, *, columns: bool = True) -> Floats:
+        """The values of bytes: by the codebook, or in version 1 between minimum and maximum (of each column)."""
+        if "codebook" in self.fields:
+            return self.numbers("codebook", 256)[codes]
+        low, high = (self.numbers(key, *codes.shape[1:2]) if columns else self.numbers(key) for key in ("mins", "maxs"))
+        return np.asarray(low + (high - low) * (codes / 255))
+
+
+def _scene(files: Mapping[str, memoryview], path: str) -> Splats:
+    """Return the splats of a meta.json at this path, with its pictures beside it."""
+    if path not in files:
+        raise InvalidFile(Problem(path, "is missing", f"the files that {LOD} names"))
+    meta = parse_object(files[path], path)
+    version = meta.get("version")
+    if version not in (None, 2) or isinstance(version, float):
+        raise InvalidFile(Problem(f"{path}: version", f"is {shorten(version)}", "2, or no version"))
+    means, quats, scales, sh0 = (_Part(files, meta, key, path) for key in ("means", "quats", "scales", "sh0"))
+    if version is None:
+        n = whole({"shape[0]": next(iter(_list(means.fields, "shape", path)), None)}, "shape[0]", path, high=_MOST)
+    else:
+        n = whole(meta, "count", path, high=_MOST)
+    if not n:
+        raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    # Low bytes of coordinates are noise, so that a real picture of them has a byte or more for each splat.
+    picture, packed = means.file(0)
+    if n > _MOST_PER_BYTE * len(packed):
+        found = f"has {len(packed):,} bytes for {n:,} splats"
+        raise InvalidFile(Problem(picture, found, f"{_MOST_PER_BYTE} splats a byte at most"))
+    most = 4 * n + _SPARE
+    low = means.picture(0, n, most)
+    memory.require("the splats", n * 8 * 40)
+    high = means.picture(1, n, most)
+    least, largest = means.numbers("mins", 3), means.numbers("maxs", 3)
+    t = least + (largest - least) * ((low[:, :3] + 256.0 * high[:, :3]) / 65535)
+    with np.errstate(over="ignore"):
+        places = np.copysign(expm1(np.abs(t)), t)
+    colours = sh0.picture(0, n, most)
+    if version is None:
+        both = sh0.decoded(colours)
+        dc, opacity = both[:, :3], sigmoid_or_nan(both[:, 3])
+    else:
+        dc, opacity = sh0.decoded(colours[:, :3]), colours[:, 3] / 255
+    sh = dc[:, None]
+    if meta.get("shN") is not None:
+        sh = np.concatenate([sh, _higher(_Part(files, meta, "shN", path), n, version)], axis=1)
+    return splats_of_rows(
+        places,
+        exp_or_nan(scales.decoded(scales.picture(0, n, most)[:, :3])),
+        _rotations(quats.picture(0, n, most)),
+        opacity,
+        sh,
+        antialiased=meta.get("antialias") is True,
+    )
+
+
+def _rotations(pixels: Bytes) -> Floats:
+    """(n, 4) w first. Without a valid alpha, a quaternion is 0, so that its row is dropped."""
+    three = (pixels[:, :3] / 255 * 2 - 1) / np.sqrt(2)
+    largest = np.sqrt(np.maximum(0, 1 - (three * three).sum(axis=1)))
+    known = pixels[:, 3] >= _FIRST_TAG
+    quats = with_largest(three, largest, np.where(known, pixels[:, 3].astype(np.int64) - _FIRST_TAG, 0))
+    return np.where(known[:, None], quats, 0)
+
+
+def _higher(part: _Part, n: int, version: int | None) -> Floats:
+    """(n, 3 | 8 | 15, 3) the coefficients above the first."""
+    centroids = part.image(0, _A_ROW * _WIDTHS[-1] * _PALETTE // _A_ROW)
+    rows, width = centroids.shape[:2]
+    if version is None:
+        degree = next((degree for degree in (1, 2, 3) if width == _A_ROW * _WIDTHS[degree]), 0)
+        count = rows * _A_ROW
+    else:
+        degree = whole(part.fields, "bands", part.place, low=1, high=3)
+        count = whole(part.fields, "count", part.place, low=1, high=_PALETTE)
+    if width != _A_ROW * _WIDTHS[degree] or not degree or count > rows * _A_ROW:
+        found = f"has {width:,}x{rows:,} pixels"
+        allowed = f"{_A_ROW} entries of 3, 8 or 15 pixels in a row, and a row for {_A_ROW} entries"
+        raise InvalidFile(Problem(f"{part.place}.files[0]", found, allowed))
+    pixels = part.picture(1, n, 4 * n + _SPARE)
+    labels = pixels[:, 0] + pixels[:, 1].astype(np.int64) * 256
+    if (top := int(labels.max())) >= count:
+        raise InvalidFile(Problem(f"{part.place}.files[1]", f"names entry {top:,}", f"below {count:,}, the palette's"))
+    palette = part.decoded(centroids[..., :3].reshape(rows * _A_ROW, _WIDTHS[degree], 3), columns=False)
+    memory.require("the splats", n * 2 * 8 * 3 * (_WIDTHS[degree] + 1))
+    return np.asarray(palette[labels])

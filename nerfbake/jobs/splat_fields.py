@@ -1,0 +1,173 @@
+"""Convert splats to octrees: cut them to a box, fill voxels, and fit these to pictures of the splats.
+
+Jobs that read PlenOctrees and octrees use sample_splats() to read splats, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+from nerfbake import progress
+from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import Budget
+from nerfbake.jobs.files import Source
+from nerfbake.jobs.steps import Steps
+from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.maths.affine import length
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from nerfbake.scene.splats import Splats, Up
+from nerfbake.scene.views import Views, world_box
+from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, inner_box, whole_box, with_z_up
+
+RESOLUTION = 256  # voxels along the longest edge, by default
+EPOCHS = 2
+_FRAMES, _EDGE = 80, 400  # number and edge of the pictures that the voxels are fitted to
+_JUDGES = 10  # number of other pictures, on which the loss is measured
+
+Part = Literal["inner", "all"] | tuple[float, ...]
+
+
+class SplatOptions(NamedTuple):
+    """How splats become voxels.
+
+    opacity_min  splats that are thinner are left out
+    up           axis of the splats that becomes z; None: the octree keeps the world of the splats
+    epochs       passes over the pictures of the splats to which the voxels are fitted; 0: they are not fitted
+    """
+
+    opacity_min: float = OPACITY_MIN
+    up: Up | None = None
+    epochs: int = EPOCHS
+
+    def require(self, budget: Budget) -> None:
+        """Raise UsageError for cameras in the world that the splats are turned away from."""
+        if self.up not in (None, "z") and budget.cameras is not None:
+            raise UsageError("`up` turns the world, in which `cameras` are; allowed: one of them")
+
+    def require_default(self) -> None:
+        """Raise UsageError if an option is not the default, for scenes other than splats."""
+        given = [name for name, value in self._asdict().items() if value != self._field_defaults[name]]
+        if given:
+            raise UsageError(f"`{given[0]}` has no effect on other scenes than splats; allowed: with splats")
+
+
+USUAL, UPRIGHT = SplatOptions(), SplatOptions(up="-y")
+
+
+def choose_splats(
+    steps: Steps, source: Source, splats: Splats, options: SplatOptions, part: Part = "inner"
+) -> tuple[Splats, Points]:
+    """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels."""
+    for note in splats.notes:
+        steps.say(f"{source.name}: {note}")
+    least = options.opacity_min
+    with source.blamed(steps, "cutting the splats"):
+        turned = with_z_up(splats, options.up)
+        if part == "inner":
+            box = inner_box(turned, opacity_min=least)
+        elif part == "all":
+            box = whole_box(turned, opacity_min=least)
+        else:
+            box = world_box(part)
+        cut = cut_splats(turned, box, opacity_min=least)
+    for note in cut.notes:
+        steps.say(f"{source.name}: {note}")
+    return cut.splats, box
+
+
+def sample_splats(
+    steps: Steps,
+    source: Source,
+    splats: Splats,
+    *,
+    options: SplatOptions = USUAL,
+    part: Part = "inner",
+    resolution: int | tuple[int, int, int] | None = None,
+    basis: str | None = None,
+    layout: Layout = "full",
+    dtype: Literal["float32", "float16"] = "float32",
+    sigma_min: float | None = None,
+) -> tuple[SparseVoxelOctree, Splats]:
+    """Convert splats to an octree, fit it to their pictures, and print what was left out and the loss.
+
+    Returns the octree, and the splats that it shows, in its world. part: inner: the splats without those far outside;
+    all: all of them; or those in the box x0, y0, z0, x1, y1, z1, in the world of the octree. The other options are
+    those of build_octree_from_splats().
+    """
+
+    from nerfbake.stages.scene_to_cameras import scatter_cameras
+    from nerfbake.stages.splats_to_octree import build_octree_from_splats
+
+    edges = {resolution} if isinstance(resolution, int) else set(resolution or (RESOLUTION,))
+    if len(edges) > 1:
+        raise UsageError("the voxels of splats are cubes; allowed: one number as `resolution`")
+    kept, box = choose_splats(steps, source, splats, options, part)
+    cameras = scatter_cameras(kept, frames=_FRAMES, edge=_EDGE)
+    with source.blamed(steps, "filling voxels"):
+        octree = build_octree_from_splats(
+            kept,
+            resolution=edges.pop(),
+            box=box,
+            opacity_min=0,
+            sigma_min=sigma_min,
+            pixel=pixel_of(cameras, box),
+            basis=basis,
+            layout=layout,
+            dtype=dtype,
+        )
+    if options.epochs:
+        octree = _refitted(steps, source, octree, kept, cameras, options.epochs)
+    with source.blamed(steps, "measuring the loss"):
+        decibels = _measured(kept, octree)
+    voxels = f"{'x'.join(map(str, octree.size))} voxels"
+    steps.say(f"{source.name}: in {voxels}, {decibels:.2f} dB against {_JUDGES} pictures of the splats")
+    return octree, kept
+
+
+def _refitted(
+    steps: Steps, source: Source, octree: SparseVoxelOctree, splats: Splats, cameras: Cameras, epochs: int
+) -> SparseVoxelOctree:
+    """Return the octree with values fitted to pictures of the splats."""
+    from nerfbake.stages.brick_field_to_brick_field import refit_bricks
+    from nerfbake.stages.brick_field_to_octree import fill_octree
+    from nerfbake.stages.octree_to_brick_field import build_bricks
+
+    with source.blamed(steps, "rendering pictures of the splats"):
+        posed = splat_views(splats, cameras)
+    with source.blamed(steps, "fitting the voxels to them"):
+        count = epochs * _FRAMES
+        for done, state in enumerate(refit_bricks(build_bricks(octree), posed, epochs=epochs)):
+            progress.report(done / count, f"epoch {state.epoch + 1} of {epochs}")
+        return fill_octree(octree, state.field())
+
+
+def pixel_of(cameras: Cameras, box: Points) -> float:
+    """Return the edge of a pixel in world units, in the middle of a box."""
+    camera, middle = cameras.cameras[0], box.mean(axis=0)
+    return length(camera.pose[:3, 3] - middle) / camera.fx
+
+
+def splat_views(splats: Splats, cameras: Cameras) -> Views:
+    """Render pictures of splats, to which a field can be fitted. Raises NerfbakeError."""
+    from nerfbake.stages.pictures_to_views import build_views
+    from nerfbake.stages.splats_to_image import render_splats
+
+    cameras.require_memory()
+
+    def pictures() -> Iterator[Any]:
+        for camera in progress.each(cameras.cameras):
+            yield render_splats(splats, camera, background=None).pixels
+
+    return build_views(cameras, pictures())
+
+
+def _measured(splats: Splats, octree: SparseVoxelOctree) -> float:
+    """Return the mean PSNR in dB of pictures that the octree was not fitted to."""
+    from nerfbake.stages.scene_to_cameras import orbit_cameras
+    from nerfbake.stages.scenes_to_comparison import compare_scenes
+
+    views = orbit_cameras(splats, frames=_JUDGES, width=_EDGE, height=_EDGE)
+    found = compare_scenes(splats, octree, views, keep_pictures=False)
+    return float(found.means["a_b"]["psnr"])

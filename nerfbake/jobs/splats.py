@@ -1,0 +1,212 @@
+"""Bake Gaussian splats from a field: its visible leaves, fitted to pictures of the field or to photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from nerfbake import io, progress
+from nerfbake.errors import BudgetMissed, Problem, UsageError
+from nerfbake.jobs.budgets import FRAMES
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
+from nerfbake.jobs.lattices import sample_lattice, without_scenery
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
+from nerfbake.scene.views import Views
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.field_to_splats import COUNT, build_splats
+from nerfbake.stages.pictures_to_views import build_views
+from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras, without_strays
+from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.views_to_error import measure_views
+
+if TYPE_CHECKING:
+    from nerfbake.stages.views_to_error import ViewError
+
+EDGE = 400  # width and height of rendered pictures, in pixels
+PICTURES = 100  # rendered pictures that are fitted to
+_ZOOM = 1.13  # the object fills the pictures about as in photographs
+
+
+class SplatsModel(NamedTuple):
+    """What the splats are fitted to.
+
+    views   a capture; None: pictures of IN, from all sides
+    album   options for its photographs
+    frames  number of rendered pictures; edge: their width and height in pixels
+    """
+
+    views: str | None = None
+    album: PhotographOptions = ALL
+    frames: int = PICTURES
+    edge: int = EDGE
+
+    def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
+        """Return the training views and the held-out views."""
+        if self.views is not None:
+            return read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
+        with source.blamed(steps, f"rendering pictures of {source.name}"):
+            whole = without_strays(field)
+            around = scatter_cameras(whole, frames=self.frames, edge=self.edge, zoom=_ZOOM)
+            judges = orbit_cameras(whole, frames=FRAMES, width=self.edge, height=self.edge)
+            with progress.part(0, self.frames / (self.frames + FRAMES)):
+                trained = _rendered(field, around)
+            return SplitViews(trained, _rendered(field, judges))
+
+
+FROM_FIELD = SplatsModel()
+
+
+class SplatsOptions(NamedTuple):
+    """splats: the largest number of splats. epochs: passes over the pictures. seed: of the order of the pictures."""
+
+    splats: int = COUNT
+    epochs: int = 3
+    seed: int = 0
+
+
+USUAL = SplatsOptions()
+
+
+class SplatsResult(NamedTuple):
+    """The result of baking splats, measured on the written file.
+
+    path    path of the file; content: description of its contents; bytes: its size; splats: their number
+    views   error of the file on each of the held-out views
+    worked  CPU seconds, without compiling kernels and without measuring; passed: the same in wall-clock seconds
+    """
+
+    path: str
+    content: str
+    bytes: int
+    splats: int
+    views: tuple[ViewError, ...]
+    worked: float
+    passed: float
+
+    @property
+    def psnr(self) -> float:
+        """Mean PSNR over the views in dB."""
+        return sum(view.psnr for view in self.views) / len(self.views)
+
+    @property
+    def ssim(self) -> float:
+        """Mean SSIM over the views."""
+        return sum(view.ssim for view in self.views) / len(self.views)
+
+
+def bake_splats(
+    source: AnySource,
+    target: AnyTarget,
+    model: SplatsModel = FROM_FIELD,
+    *,
+    recipe: SplatsOptions = USUAL,
+    min_psnr: float | None = None,
+    steps: Steps = SILENT,
+    report: Callable[[SplatsResult], None] | None = None,
+) -> SplatsResult:
+    """Turn a field into Gaussian splats, fit them to pictures, and return the quality of the file.
+
+    This is `nerfbake splats`. Reads `source` (a PlenOctree, an octree, a volume or a lattice) and the photographs of
+    `model`. Writes `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes
+    the current state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
+
+    report  is called with the result, also if it is below `min_psnr`
+
+    >>> recipe = SplatsOptions(splats=400, epochs=4)
+    >>> baked = bake_splats("a.npz", "a.ply", SplatsModel(frames=6, edge=48), recipe=recipe)
+    >>> baked.splats <= 400, baked.psnr > 15
+    (True, True)
+    """
+    source, target = as_source(source), as_target(target)
+    model.album.require()
+    _require(target, min_psnr)
+    field = _read(steps, source)
+    clock = Clock()
+    posed = model.posed(steps, source, field)
+    steps.say(f"{source.name}: fits splats to {posed.trained}, measures on {posed.judges}")
+    with interrupts() as asked:
+        with source.blamed(steps, "choosing leaves"):
+            splats = build_splats(field, count=recipe.splats, cameras=posed.trained.cameras if model.views else None)
+        del field
+        splats = fitted_splats(steps, source, splats, posed.trained, recipe, asked)
+        if asked:
+            write_partial(steps, target, "Splats", splats)
+    worked, passed = clock.worked, clock.passed
+    with target.writing(steps, splats) as written:
+        count = splats.n
+        del splats
+        views, content = _measured(steps, target, written, posed.judges)
+        found = SplatsResult(target.path, content, written.size, count, views, worked, passed)
+        io.report_result(psnr=found.psnr)
+        if min_psnr is not None and not found.psnr >= min_psnr:
+            if report is not None:
+                report(found)
+            raise BudgetMissed(
+                Problem("the splats", f"have {found.psnr:.2f} dB on {posed.judges}", f"{min_psnr:g} dB or more")
+            )
+    seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {posed.judges}"
+    steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
+    if report is not None:
+        report(found)
+    return found
+
+
+def fitted_splats(
+    steps: Steps, source: Source, splats: Splats, views: Views, recipe: SplatsOptions, asked: list[int]
+) -> Splats:
+    """Fit splats to views until the end, or until Ctrl-C adds an item to `asked`."""
+    from nerfbake.stages.views_to_splats import fit_splats
+
+    total = recipe.epochs * len(views.pictures)
+    with source.blamed(steps, "fitting splats"):
+        for state in fit_splats(splats, views, epochs=recipe.epochs, seed=recipe.seed):
+            done = state.epoch * len(views.pictures) + state.view
+            progress.report(done / total, f"epoch {min(state.epoch + 1, recipe.epochs)} of {recipe.epochs}")
+            if asked:
+                break
+        return state.splats()
+
+
+def _require(target: Target, min_psnr: float | None) -> None:
+    if target.path == io.STREAM:
+        raise UsageError("splats measures the file that it wrote; allowed: an OUT other than '-'")
+    target.require("Splats")
+    if min_psnr is not None:
+        io.require_rejected_absent(target.path, force=target.force, folder=False)
+
+
+def _read(steps: Steps, source: Source) -> RadianceField:
+    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField))
+    if isinstance(scene, LatticeField):
+        scene = sample_lattice(steps, source, scene)
+    with source.blamed(steps, "building the field"):
+        return build_field(scene)
+
+
+def _rendered(field: RadianceField, cameras: Cameras) -> Views:
+    """Render the pictures of a field."""
+    cameras.require_memory()
+
+    def pictures() -> Iterator[Any]:
+        for camera in progress.each(cameras.cameras):
+            yield render_field(field, camera, background=None, samples=cameras.samples).pixels
+
+    return build_views(cameras, pictures())
+
+
+def _measured(
+    steps: Steps, target: Target, written: io.PendingFile, judges: Views
+) -> tuple[tuple[ViewError, ...], str]:
+    """Read the file that was written, and measure it on the held-out views."""
+    with Source(target.path).blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
+        loaded = io.load(written.path, Splats)
+        return measure_views(loaded, judges), str(loaded)

@@ -1,0 +1,1 @@
+"""Gaussian splats: projection, sorting, blending, and their gradients."""

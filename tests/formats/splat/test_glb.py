@@ -1,0 +1,278 @@
+"""Splats in .glb: KHR_gaussian_splatting, written without loss, and read as the extension says."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from nerfbake import Meshes, Splats, load, save
+from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError
+from nerfbake.formats.splat import glb
+from tests.formats.splat.test_ply import assert_same
+from tests.support.hostile import damaged, refused_as_it_is
+from tests.support.meshes import cube
+from tests.support.splats import splats
+
+NAME = "KHR_gaussian_splatting"
+Document = dict[str, Any]
+
+
+def written(scene: Splats) -> bytes:
+    return b"".join(glb.encode(scene))
+
+
+def parts_of(data: bytes) -> tuple[Document, bytes]:
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def file_of(document: Document, body: bytes) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(body), len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(body), b"BIN\0") + body
+
+
+def changed(data: bytes, change: Callable[[Document], object]) -> bytes:
+    document, body = parts_of(data)
+    change(document)
+    return file_of(document, body)
+
+
+def decoded(data: bytes) -> Splats:
+    return glb.decode(memoryview(data))
+
+
+def primitive(document: Document) -> Document:
+    found: Document = document["meshes"][0]["primitives"][0]
+    return found
+
+
+def accessor(document: Document, body: bytes, name: str) -> np.ndarray:
+    """An accessor by a reader of its own."""
+    entry = document["accessors"][primitive(document)["attributes"][name]]
+    view = document["bufferViews"][entry["bufferView"]]
+    dtype = {5126: "<f4", 5121: "u1"}[entry["componentType"]]
+    raw = body[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    return np.frombuffer(raw, dtype).reshape(entry["count"], -1)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_there_and_back_without_loss(degree: int, tmp_path: Path) -> None:
+    scene = splats(70, degree=degree, antialiased=degree == 2)
+    save(tmp_path / "a.glb", scene)
+    found = load(tmp_path / "a.glb", Splats)
+    for name in ("means", "scales", "quats", "opacity", "sh"):
+        assert np.array_equal(getattr(found, name), getattr(scene, name)), name
+    assert found.antialiased == scene.antialiased
+
+
+def test_what_the_file_says_by_hand() -> None:
+    sh = np.arange(12, dtype=np.float32).reshape(1, 4, 3)
+    scene = Splats(
+        np.array([[1, 2, 3]], np.float32),
+        np.array([[4, 5, 6]], np.float32),
+        np.array([[0.5, 0.5, 0.5, 0.5]], np.float32),
+        np.full(1, 0.5, np.float32),
+        sh,
+    )
+    document, body = parts_of(written(scene))
+    assert document["extensionsUsed"] == [NAME]
+    assert primitive(document)["mode"] == 0
+    assert primitive(document)["extensions"][NAME] == {
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "sortingMethod": "cameraDistance",
+        "projection": "perspective",
+    }
+    # y is up and z points back in glTF: the world's y points down and its z forward.
+    expected = {
+        "POSITION": [1, -2, -3],
+        f"{NAME}:ROTATION": [0.5, -0.5, -0.5, 0.5],  # x y z w
+        f"{NAME}:SCALE": [4, 5, 6],
+        f"{NAME}:OPACITY": [0.5],
+        f"{NAME}:SH_DEGREE_0_COEF_0": [0, 1, 2],
+        f"{NAME}:SH_DEGREE_1_COEF_0": [-3, -4, -5],  # of y
+        f"{NAME}:SH_DEGREE_1_COEF_1": [-6, -7, -8],  # of z
+        f"{NAME}:SH_DEGREE_1_COEF_2": [9, 10, 11],  # of x
+        "COLOR_0": [round(0.214 * 255), round(0.574 * 255), 255, 128],  # 1/2 and 0.782 and more than 1, linear
+    }
+    assert {name: accessor(document, body, name)[0].tolist() for name in primitive(document)["attributes"]} == expected
+    bounds = document["accessors"][0]
+    assert (bounds["min"], bounds["max"]) == ([1, -2, -3], [1, -2, -3])
+    assert all(view["byteOffset"] % 4 == 0 for view in document["bufferViews"])
+
+
+def test_a_mesh_is_read_as_a_mesh_and_splats_as_splats(tmp_path: Path) -> None:
+    save(tmp_path / "mesh.glb", Meshes((cube(),)))
+    save(tmp_path / "splats.glb", splats(3))
+    assert isinstance(load(tmp_path / "mesh.glb"), Meshes)
+    assert isinstance(load(tmp_path / "splats.glb"), Splats)
+    with pytest.raises(InvalidFile, match="holds Gaussian splats; allowed: a mesh"):
+        load(tmp_path / "splats.glb", Meshes)
+
+
+def test_the_matrices_of_nodes_move_splats_and_colours() -> None:
+    scene = splats(20, degree=3)
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]  # a reflection, or a rotation
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = 2 * turn, [1, 2, 3]
+
+    def change(document: Document) -> None:
+        document["nodes"] = [{"children": [1, 2]}, {"mesh": 0, "matrix": matrix.T.reshape(-1).tolist()}, {"mesh": 0}]
+
+    found = decoded(changed(written(scene), change))
+    moved = scene.flipped().transformed(matrix[:3]).flipped()
+    assert found.n == 40
+    for name in ("means", "scales", "quats", "opacity", "sh"):
+        assert np.array_equal(getattr(found, name), np.concatenate([getattr(moved, name), getattr(scene, name)])), name
+
+
+def test_quantised_attributes_are_read() -> None:
+    scene = splats(30, degree=0)
+    document, body = parts_of(written(scene))
+
+    def replaced(name: str, values: np.ndarray, component: int, *, normalised: bool) -> None:
+        nonlocal body
+        view = {"buffer": 0, "byteOffset": len(body), "byteLength": values.nbytes}
+        document["bufferViews"].append(view)
+        entry = document["accessors"][primitive(document)["attributes"][f"{NAME}:{name}"]]
+        entry |= {"bufferView": len(document["bufferViews"]) - 1, "componentType": component, "normalized": normalised}
+        body += values.tobytes() + bytes(-values.nbytes % 4)
+
+    quats = scene.flipped().quats[:, [1, 2, 3, 0]]
+    replaced("ROTATION", np.rint(quats * 32767).astype("<i2"), 5122, normalised=True)
+    replaced("OPACITY", np.rint(scene.opacity * 65535).astype("<u2")[:, None], 5123, normalised=True)
+    document["buffers"][0]["byteLength"] = len(body)
+    found = decoded(file_of(document, body))
+    np.testing.assert_allclose(found.quats, scene.quats, atol=1e-4)
+    np.testing.assert_allclose(found.opacity, scene.opacity, atol=1e-5)
+
+
+def test_logarithms_of_an_early_draft_are_told_by_their_signs() -> None:
+    scene = splats(30, degree=0)
+    document, body = parts_of(written(scene))
+    view = document["bufferViews"][
+        document["accessors"][primitive(document)["attributes"][f"{NAME}:SCALE"]]["bufferView"]
+    ]
+    at = view["byteOffset"]
+    early = body[:at] + np.log(scene.scales).astype("<f4").tobytes() + body[at + view["byteLength"] :]
+    found = decoded(file_of(document, early))
+    np.testing.assert_allclose(found.scales, scene.scales, rtol=1e-5)
+    assert found.notes == ("its scales are logarithms, as in an early draft of the extension",)
+
+
+def test_what_is_not_as_usual_is_noted() -> None:
+    scene = splats(3)
+    data = changed(
+        written(scene),
+        lambda document: (
+            primitive(document)["extensions"][NAME].update(colorSpace="lin_rec709_display"),
+            document["meshes"].append({"primitives": [{"attributes": {}}]}),
+            document["nodes"].append({"mesh": 1}),
+            document["scenes"][0]["nodes"].append(1),
+        ),
+    )
+    assert decoded(data).notes == (
+        "its colours are linear; they are kept as they are, and look too dark",
+        "meshes in the file are left out",
+    )
+    assert_same(decoded(data), scene)
+
+
+def test_degree_4_is_refused() -> None:
+    with pytest.raises(InvalidScene, match=r"sh has degree 4; allowed: 0 to 3 in a \.glb"):
+        written(splats(2, degree=4))
+
+
+def test_trimesh_shows_the_splats_as_coloured_points() -> None:
+    """Any reader of glTF without the extension: the container is sound, and the fallback is there."""
+    scene = splats(40, degree=1)
+    loaded: Any = trimesh.load(io.BytesIO(written(scene)), file_type="glb")
+    (points,) = loaded.geometry.values()
+    np.testing.assert_allclose(points.vertices, scene.flipped().means, atol=1e-6)
+    shown = np.clip(scene.sh[:, 0] * 0.28209479 + 0.5, 0, 1)
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(points.colors[:, :3], linear * 255, atol=0.51)
+    np.testing.assert_allclose(points.colors[:, 3], scene.opacity * 255, atol=0.51)
+
+
+# -- hostile files ---------------------------------------------------------------------------------------------
+SOUND = written(splats(9, degree=1))
+
+
+def attribute(name: str, value: Any) -> bytes:
+    def change(document: Document) -> None:
+        attributes = primitive(document)["attributes"]
+        attributes.pop(name) if value is None else attributes.update({name: value})
+
+    return changed(SOUND, change)
+
+
+def entry(index: int, **fields: Any) -> bytes:
+    return changed(SOUND, lambda document: document["accessors"][index].update(fields))
+
+
+def extension(**fields: Any) -> bytes:
+    return changed(SOUND, lambda document: primitive(document)["extensions"][NAME].update(fields))
+
+
+COMPRESSED = "KHR_gaussian_splatting_compression_spz_2"
+LIES: dict[str, tuple[bytes, str]] = {
+    "2^32 splats": (entry(0, count=2**32), "accessors[0] has 4,294,967,296 entries, up to byte 51,539,607,552"),
+    "no POSITION": (attribute("POSITION", None), "attributes lack POSITION"),
+    "no SCALE": (attribute(f"{NAME}:SCALE", None), f"lack {NAME}:SCALE"),
+    "a gap in SH": (attribute(f"{NAME}:SH_DEGREE_1_COEF_2", None), f"lack {NAME}:SH_DEGREE_1_COEF_2"),
+    "another type": (attribute(f"{NAME}:ROTATION", 0), "accessors[0] is VEC3 of 5126; allowed: VEC4"),
+    "fewer rows": (entry(3, count=8), f"{NAME}:SCALE has 8 rows; allowed: 9, as POSITION"),
+    "triangles": (changed(SOUND, lambda d: primitive(d).update(mode=4)), f"has {NAME} without points"),
+    "no object": (changed(SOUND, lambda d: primitive(d)["extensions"].update({NAME: 3})), "without points"),
+    "a kernel": (extension(kernel="cube"), "kernel is cube; allowed: ellipse"),
+    "a colour space": (extension(colorSpace=[]), "colorSpace is []; allowed: srgb_rec709_display or lin_rec709"),
+    "compressed": (extension(extensions={COMPRESSED: {}}), f"needs {COMPRESSED}"),
+    "required": (
+        changed(SOUND, lambda document: document.update(extensionsRequired=[COMPRESSED])),
+        f"extensionsRequired has {COMPRESSED}; allowed: {NAME}",
+    ),
+    "no splats in the scene": (changed(SOUND, lambda document: document.update(nodes=[{}])), "has no splats"),
+    "a node that shears": (
+        changed(SOUND, lambda document: document["nodes"][0].update(scale=[1, 2, 3])),
+        "shears, or scales the axes differently; allowed: a rotation, a reflection, and one scale",
+    ),
+    "a huge node": (changed(SOUND, lambda document: document["nodes"][0].update(scale=[1e300] * 3)), "the transform"),
+    "cut": (SOUND[:200], "bytes"),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_lying_glb_is_one_line(lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content, told = LIES[lie]
+    assert told in refused_as_it_is(tmp_path / "bad.glb", content, capsys)
+
+
+def test_rows_that_cannot_be_drawn_are_left_out() -> None:
+    document, body = parts_of(written(splats(9, degree=0)))
+    found = decoded(file_of(document, b"\xff" * 12 + body[12:]))
+    assert (found.n, found.dropped) == (8, 1)
+
+
+def test_a_damaged_glb_is_read_or_refused() -> None:
+    for _, broken in damaged(SOUND, flips=300):
+        with contextlib.suppress(NerfbakeError):
+            decoded(broken)
+
+
+def test_means_that_a_node_moves_too_far_are_problems() -> None:
+    scene = replace(splats(3, degree=0))
+    far = changed(written(scene), lambda document: document["nodes"][0].update(translation=[1e17, 0, 0]))
+    assert any(problem.place.startswith("means") for problem in decoded(far).problems())

@@ -1,0 +1,159 @@
+"""Splats as octrees, volumes and pages: what is left out, what is fitted, and what is told about the loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from nerfbake import SparseVoxelOctree, Splats, Volume, load, save
+from nerfbake.errors import BudgetMissed, InvalidScene, UsageError
+from nerfbake.jobs import bake_octree, bake_volume, compare_files, compress_file, splat_fields, view_file
+from nerfbake.jobs.budgets import Budget
+from nerfbake.jobs.comparisons import ComparedViews
+from nerfbake.jobs.compressions import CompressionGoal
+from nerfbake.jobs.splat_fields import SplatOptions
+from tests.jobs.listener import Listener
+from tests.support.scenes import n3tree
+from tests.support.splats import ball_of_splats
+
+SMALL = ComparedViews(size=(64, 64))
+DIRECT = SplatOptions(epochs=0)
+
+
+@pytest.fixture
+def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Splats:
+    """ball.ply, with few and small pictures to fit to."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(splat_fields, "_FRAMES", 12)
+    monkeypatch.setattr(splat_fields, "_JUDGES", 3)
+    monkeypatch.setattr(splat_fields, "_EDGE", 64)
+    save("ball.ply", ball_of_splats())
+    return load("ball.ply", Splats)
+
+
+def decibels(path: str) -> float:
+    return float(compare_files("ball.ply", path, seen=SMALL).found.means["a_b"]["psnr"])
+
+
+@pytest.mark.usefixtures("ball")
+def test_voxels_are_fitted_to_pictures_of_the_splats(listener: Listener) -> None:
+    bake_octree("ball.ply", "direct.svo.npz", resolution=32, splats=DIRECT)
+    octree = bake_octree("ball.ply", "fitted.svo.npz", resolution=32, steps=listener)
+    assert octree.size == (32, 32, 32)
+    direct, fitted = decibels("direct.svo.npz"), decibels("fitted.svo.npz")
+    assert fitted > direct + 1.5
+    assert fitted > 30
+    [told, _] = listener.said
+    assert told.startswith("ball.ply: in 32x32x32 voxels, ")
+    assert told.endswith(" dB against 3 pictures of the splats")
+    assert abs(float(told.split()[4]) - fitted) < 2
+    assert [phase for phase in listener.phases if "splats" in phase or "voxels" in phase] == [
+        "cutting the splats",
+        "filling voxels",
+        "rendering pictures of the splats",
+        "fitting the voxels to them",
+    ]
+
+
+@pytest.mark.usefixtures("ball")
+def test_the_same_bytes_every_time() -> None:
+    bake_octree("ball.ply", "one.svo.npz", resolution=16)
+    bake_octree("ball.ply", "two.svo.npz", resolution=(16, 16, 16))
+    assert Path("one.svo.npz").read_bytes() == Path("two.svo.npz").read_bytes()
+
+
+def test_what_is_left_out_is_told(ball: Splats, listener: Listener) -> None:
+    ball.means[:3] += 100
+    ball.opacity[10:14] = 0.001
+    save("far.ply", ball)
+    bake_octree("far.ply", "a.svo.npz", resolution=16, splats=DIRECT, steps=listener)
+    assert listener.said[0].startswith("far.ply: leaves out 3 splats of 400 outside the box -1.")
+    assert listener.said[1] == "far.ply: leaves out 4 splats of an opacity below 0.0039"
+    whole = bake_octree("far.ply", "b.svo.npz", resolution=16, box="all", splats=DIRECT)
+    assert whole.voxel_size[0] > 6
+    half = bake_octree("far.ply", "c.svo.npz", resolution=16, box=(0, -2, -2, 2, 2, 2), splats=DIRECT)
+    assert_allclose(half.origin, [0, -2, -2])
+    assert half.size == (8, 16, 16)
+    with pytest.raises(InvalidScene, match=r"far.ply: the box is 5, 5, 5, 6, 6, 6, without a splat"):
+        bake_octree("far.ply", "d.svo.npz", box=(5, 5, 5, 6, 6, 6))
+    with pytest.raises(InvalidScene, match=r"far.ply: the splats have opacities up to 0.95"):
+        bake_octree("far.ply", "d.svo.npz", splats=SplatOptions(opacity_min=0.99))
+
+
+def colour_at(octree: SparseVoxelOctree, point: list[float]) -> np.ndarray:
+    found = octree.sample([point])[0]
+    assert found[-1] > 0
+    return np.asarray(1 / (1 + np.exp(-0.28209479 * found[:3])))
+
+
+@pytest.mark.usefixtures("ball")
+def test_up_turns_the_world() -> None:
+    own = bake_octree("ball.ply", "own.svo.npz", resolution=32, splats=DIRECT)
+    turned = bake_octree("ball.ply", "turned.svo.npz", resolution=32, splats=DIRECT._replace(up="-y"))
+    # Red, green and blue are x, y and z of the splats.
+    assert_allclose(colour_at(own, [0, 0, 1]), [0.5, 0.5, 1], atol=0.1)
+    assert_allclose(colour_at(turned, [0, 0, 1]), [0.5, 0, 0.5], atol=0.1)
+    assert_allclose(colour_at(turned, [0, 1, 0]), [0.5, 0.5, 1], atol=0.1)
+    assert_allclose(colour_at(turned, [1, 0, 0]), [1, 0.5, 0.5], atol=0.1)
+
+
+@pytest.mark.usefixtures("ball")
+@pytest.mark.parametrize(("up", "top"), [("z", [0, 0, 1]), ("y", [0, 1, 0])])
+def test_a_volume_stands_upright(up: Literal["y", "z"], top: list[int]) -> None:
+    bake_volume("ball.ply", "ball.vdb", resolution=32, up=up, splats=DIRECT._replace(up="-y"))
+    volume = load("ball.vdb", Volume)
+    density, colour = volume.grid("density"), volume.grid("Cd")
+    coords = density.topology.coords
+    places = coords @ volume.transform[:, :3].T + volume.transform[:, 3]
+    assert_allclose(colour.topology.coords, coords)
+    # Green is y of the splats, which points down. The transform leads to the centres of voxels.
+    towards = (places * top).sum(axis=1)
+    dense = density.values[:, 0] > 1
+    assert_allclose(colour.values[dense & (towards > 0.9), 1], 0, atol=0.1)
+    assert_allclose(colour.values[dense & (towards < -0.9), 1], 1, atol=0.1)
+    radius = np.sqrt((places**2).sum(axis=1))
+    assert_allclose((density.values[:, 0] * radius).sum() / density.values.sum(), 1, atol=0.02)
+
+
+@pytest.mark.usefixtures("ball")
+def test_a_missed_budget_is_measured_against_the_splats() -> None:
+    with pytest.raises(BudgetMissed, match=r"^b.svo.npz: the picture has a mean PSNR of"):
+        bake_octree("ball.ply", "b.svo.npz", resolution=8, splats=DIRECT, budget=Budget(40))
+    assert Path("b.svo.npz.rejected").exists()
+    bake_octree("ball.ply", "c.svo.npz", resolution=32, budget=Budget(20))
+
+
+@pytest.mark.usefixtures("ball")
+def test_other_commands_read_splats(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splat_fields, "RESOLUTION", 16)
+    compress_file("ball.ply", "ball.svoq", goal=CompressionGoal(step=0.2))
+    assert load("ball.svoq", SparseVoxelOctree).size == (16, 16, 16)
+    view_file("ball.ply", "ball.html", min_psnr=20, steps=listener)
+    assert any("dB against 3 pictures of the splats" in line for line in listener.said)
+    assert any(line.endswith("dB against ball.ply") for line in listener.said)
+
+
+@pytest.mark.usefixtures("ball")
+def test_options_without_effect_are_refused() -> None:
+    save("a.npz", n3tree())
+    with pytest.raises(UsageError, match="`box` of six numbers has no effect on other scenes than splats"):
+        bake_octree("a.npz", "b.svo.npz", box=(0, 0, 0, 1, 1, 1))
+    with pytest.raises(UsageError, match="`opacity_min` has no effect on other scenes than splats"):
+        bake_octree("a.npz", "b.svo.npz", splats=SplatOptions(opacity_min=0.5))
+    with pytest.raises(UsageError, match="`up` has no effect"):
+        bake_octree("a.npz", "b.svo.npz", splats=SplatOptions(up="y"))
+    with pytest.raises(UsageError, match="`epochs` has no effect"):
+        bake_volume("a.npz", "b.vdb", splats=DIRECT)
+    with pytest.raises(UsageError, match="`box` has no effect"):
+        bake_volume("a.npz", "b.vdb", box="all")
+    with pytest.raises(UsageError, match="`resample` and `scale` have no effect on splats"):
+        bake_octree("ball.ply", "b.svo.npz", scale=2.0)
+    with pytest.raises(UsageError, match="the voxels of splats are cubes; allowed: one number as `resolution`"):
+        bake_octree("ball.ply", "b.svo.npz", resolution=(16, 16, 8))
+    with pytest.raises(UsageError, match="`up` turns the world, in which `cameras` are"):
+        bake_octree("ball.ply", "b.svo.npz", splats=SplatOptions(up="-y"), budget=Budget(20, "cameras.json"))
+    assert not Path("b.svo.npz").exists()
