@@ -51,7 +51,8 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Meshes and atlases": (nerfbake, "scene.mesh scene.atlas scene.stage1"),
     "Making textured meshes": (
         nerfbake,
-        "stages.surface_to_charts stages.views_to_texture stages.views_to_specular",
+        "stages.field_to_surface stages.mesh_to_mesh stages.views_to_vertices stages.surface_to_charts"
+        " stages.views_to_texture stages.views_to_specular stages.texture_to_vertices",
     ),
     "Gaussian splats": (nerfbake, "scene.splats"),
     "Baking atlases": (

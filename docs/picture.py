@@ -4,6 +4,7 @@ python docs/picture.py              rewrites docs/octree.png: the sample scene a
 python docs/picture.py chair        rewrites docs/chair.png: the real chair in four files; prints their sizes and PSNR
 python docs/picture.py page         rewrites docs/page.png: the page of the chair in Chromium, its options open
 python docs/picture.py splats       rewrites docs/splats.png: splats, and octrees of 256^3 and 512^3 made of them
+python docs/picture.py mesh         rewrites docs/mesh.png: the chair as a field and as a mesh; prints its PSNR
 python docs/picture.py capture      rewrites docs/capture.png: a room from photographs; prints the PSNR of its views
 """
 
@@ -22,8 +23,10 @@ from benchmarks.scenes import DATA
 from nerfbake import (
     Cameras,
     Image,
+    Meshes,
     N3Tree,
     Splats,
+    Stage1,
     build_field,
     build_octree,
     cut_octree,
@@ -31,7 +34,9 @@ from nerfbake import (
     load,
     orbit_cameras,
     render_field,
+    render_meshes,
     render_splats,
+    render_stage1,
     sample_n3tree,
     save,
 )
@@ -117,6 +122,19 @@ def draw_splats() -> None:
     _save("splats.png", pictures)
 
 
+def draw_mesh() -> None:
+    """The chair as a field, as a mesh with highlights, as a mesh with one texture, and its triangles."""
+    with tempfile.TemporaryDirectory() as folder:
+        for out in (stage1 := Path(folder) / "stage1", glb := Path(folder) / "chair.glb"):
+            print(jobs.bake_mesh(CHAIR, out, model=jobs.MeshViews(str(CAPTURE))).quality)
+        glossy, plain = load(stage1, Stage1), load(glb, Meshes)
+    camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW].resized(420, 420)
+    camera = replace(camera, focal=CLOSER * camera.fx)
+    bare = Meshes((replace(plain.meshes[0], texture=None),))
+    pictures = [render_field(build_field(load(CHAIR)), camera, samples=2), render_stage1(glossy, camera, samples=2)]
+    _save("mesh.png", pictures + [render_meshes(each, camera, samples=2) for each in (plain, bare)])
+
+
 def _save(name: str, pictures: list[Image]) -> None:
     parts = ("colour", "alpha", "depth")
     colour, alpha, depth = (np.concatenate([getattr(picture, part) for picture in pictures], axis=1) for part in parts)
@@ -124,5 +142,11 @@ def _save(name: str, pictures: list[Image]) -> None:
 
 
 if __name__ == "__main__":
-    drawn = {"chair": draw_chair, "page": draw_page, "splats": draw_splats, "capture": draw_capture}
+    drawn = {
+        "chair": draw_chair,
+        "page": draw_page,
+        "splats": draw_splats,
+        "mesh": draw_mesh,
+        "capture": draw_capture,
+    }
     drawn.get("".join(sys.argv[1:]), draw_levels)()

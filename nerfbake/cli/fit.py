@@ -22,7 +22,7 @@ from nerfbake.cli.params import (
     target_argument,
     without_effect,
 )
-from nerfbake.cli.paths import PhotographsPath, Reads, StateFolder, Writes
+from nerfbake.cli.paths import MeshOutput, PhotographsPath, Reads, StateFolder, Writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
 from nerfbake.jobs.files import Source, Target
@@ -156,7 +156,7 @@ def fit_options(function: Command) -> Command:
 
 @click.command()
 @click.argument("source", metavar="SOURCE", type=PhotographsPath())
-@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree")
+@target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes", output=MeshOutput)
 @fit_options
 @photograph_options
 @click.option(
@@ -194,9 +194,10 @@ def fit(
 ) -> None:
     """Fit a scene to photographs.
 
-    Fits a sparse field to the photographs and camera poses of SOURCE, and writes it to OUT: a PlenOctree, an octree or
-    a volume; with the scenery behind an object, a PlenOctree. If SOURCE has photographs alone, finds their poses first,
-    as `nerfbake poses` does. Prints the PSNR and SSIM of OUT on held-out photographs.
+    Fits a sparse field to the photographs and camera poses of SOURCE, and writes it to OUT: a PlenOctree, an octree, a
+    volume, or a textured mesh of it (`nerfbake mesh`); with the scenery behind an object, a PlenOctree. If SOURCE has
+    photographs alone, finds their poses first, as `nerfbake poses` does. Prints the PSNR and SSIM of OUT on held-out
+    photographs.
 
     \b
       nerfbake fit capture chair.npz

@@ -31,7 +31,7 @@ def hull(source: Source, target: Target, console: Console, **options: Any) -> No
     """Build a tight mesh around a scene, for engines.
 
     Writes OUT, a mesh of boxes that encloses everything visible in the PlenOctree, octree or volume IN. An engine draws
-    the mesh, and marches rays through the field only inside it.
+    the mesh, and marches rays through the field only inside it. `nerfbake mesh` makes a mesh that looks like the scene.
 
     \b
       nerfbake hull chair.npz hull.glb

@@ -30,6 +30,7 @@ from nerfbake.cli.hull import hull
 from nerfbake.cli.info import info
 from nerfbake.cli.lattice import lattice
 from nerfbake.cli.lod import lod
+from nerfbake.cli.mesh import mesh
 from nerfbake.cli.poses import poses
 from nerfbake.cli.refit import refit
 from nerfbake.cli.render import render
@@ -49,7 +50,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 GROUPS = {
     "Create": (poses, fit, refit, sample),
-    "Convert": (svo, vdb, lattice, splats, atlas, convert, compress, lod, hull, shaders),
+    "Convert": (svo, vdb, lattice, splats, mesh, atlas, convert, compress, lod, hull, shaders),
     "View": (view, render, info),
     "Measure": (compare, check, atlas_error, bench),
     "Batch": (batch,),

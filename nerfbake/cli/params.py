@@ -224,16 +224,21 @@ def stage1_arguments(function: Command) -> Command:
     return command
 
 
-def target_argument(*scenes: str, required: bool = True) -> Callable[[Command], Command]:
+def target_argument(
+    *scenes: str, required: bool = True, output: type[JudgedOutput] = JudgedOutput
+) -> Callable[[Command], Command]:
     """Add the argument OUT, --to and --force for scenes of these types; pass the command `target`, a Target.
 
-    If the argument is not required and not given, `target` is None.
+    If the argument is not required and not given, `target` is None. output: the type of its path.
     """
     names = ", ".join(form.name for scene in scenes for form in catalog.formats_of(scene))
 
     def add(function: Command) -> Command:
         @click.argument(
-            "target", metavar="OUT" if required else "[OUT]", required=required, type=JudgedOutput(allow_dash=True)
+            "target",
+            metavar="OUT" if required else "[OUT]",
+            required=required,
+            type=output(allow_dash=True),
         )
         @click.option(
             "--to",

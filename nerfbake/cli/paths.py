@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from nerfbake import catalog
 from nerfbake.io import rejected_path
 
 
@@ -94,6 +95,23 @@ class JudgedOutput(Writes):
             )
         judged = options.get("min_psnr") is not None
         return DeclaredPaths(writes=paths, spare=tuple(str(rejected_path(path)) for path in paths) if judged else ())
+
+
+class MeshOutput(JudgedOutput):
+    """A mesh or another scene, with the files that may stand beside a mesh."""
+
+    def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
+        found = super().declare(paths, options)
+        for form in catalog.formats_of("Meshes"):
+            beside = (
+                path[: -len(form.suffix)] + ending for path in paths for ending in form.spread if _ends(path, form)
+            )
+            found = found.plus(DeclaredPaths(spare=tuple(beside)))
+        return found
+
+
+def _ends(path: str, form: catalog.Format) -> bool:
+    return path.lower().endswith(form.suffix)
 
 
 class StateFolder(Place):

@@ -29,6 +29,12 @@ from .fits import fit_scene as fit_scene
 from .grids import GridChoice as GridChoice
 from .hulls import bake_hull as bake_hull
 from .lattices import bake_lattice as bake_lattice
+from .meshes import MeshFile as MeshFile
+from .meshes import MeshOptions as MeshOptions
+from .meshes import MeshQuality as MeshQuality
+from .meshes import MeshResult as MeshResult
+from .meshes import MeshViews as MeshViews
+from .meshes import bake_mesh as bake_mesh
 from .octrees import bake_lod as bake_lod
 from .octrees import bake_octree as bake_octree
 from .octrees import bake_volume as bake_volume

@@ -11,12 +11,15 @@ from nerfbake.errors import InvalidScene, Stopped, UsageError
 from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
+from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
+from nerfbake.jobs.meshes import build_mesh, require_mesh
 from nerfbake.jobs.photographs import ALL, PhotographOptions, read_photographs
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.held_out import HeldOut
+from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.splats import Splats
@@ -26,8 +29,8 @@ from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
 from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
 from nerfbake.stages.field_to_splats import build_splats
 from nerfbake.stages.octree_to_compression import compress_octree
-from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import measure_views, plain_psnr
+from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
+from nerfbake.stages.views_to_error import measure_silhouettes, measure_views, plain_psnr
 
 if TYPE_CHECKING:
     from nerfbake.scene.schedule import Schedule
@@ -79,6 +82,7 @@ CONVERSIONS: dict[str, Callable[[BrickField, Pixels, Target, Tell, Dtype | None]
     "Volume": lambda field, *_: build_vdb_from_bricks(field, grids=_GRIDS),
     "Splats": lambda field, *_: build_splats(build_field(field)),
     "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out()),
+    "Meshes": lambda field, *_: build_field_from_bricks(field),  # of which build_mesh() makes a mesh
 }
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
 PRESET = "balanced"
@@ -273,12 +277,14 @@ def fit_file(
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
         with steps.phase("putting the field together") as tell, io.blame(target.path):
             scene = CONVERSIONS[kind](field, lambda: _held_out(judges, recipe.rays(schedule)), target, tell, dtype)
+        if kind == "Meshes":
+            scene = build_mesh(steps, source, scene, posed.trained, target)
         if isinstance(scene, Splats) and not asked:
             scene = fitted_splats(steps, source, scene, posed.trained, USUAL, asked)
         del field, posed
         if asked:
-            write_partial(steps, target, kind, scene, state, **_OPTIONS.get(kind, {}))
-        target.write(steps, scene, **_OPTIONS.get(kind, {}))
+            write_partial(steps, target, kind, scene, state, **_options(target, kind))
+        target.write(steps, scene, **_options(target, kind))
     if asked:
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
     del scene
@@ -296,11 +302,20 @@ def _require(target: Target) -> str:
     kind = next((kind for kind in CONVERSIONS if catalog.is_ending(ending, kind)), None)
     if kind is None:
         endings = ", ".join(form.suffix for kind in CONVERSIONS for form in catalog.formats_of(kind))
-        raise UsageError(f"{ending!r} is not the extension of a field; allowed: {endings}, or `to=FORMAT`")
+        raise UsageError(f"{ending!r} is not the extension of a field or a mesh; allowed: {endings}, or `to=FORMAT`")
     form = target.require(kind)
+    if kind == "Meshes":
+        require_mesh(target)
     if kind == "Volume":
         form.load_volume_module().require_grids(_GRIDS, half=False)
     return kind
+
+
+def _options(target: Target, kind: str) -> dict[str, Any]:
+    """Return the options of the target's format."""
+    if kind == "Meshes":
+        return MESH_FILE.options(io.format_for(target.path, kind, to=target.to))
+    return _OPTIONS.get(kind, {})
 
 
 def _fit(
@@ -361,14 +376,16 @@ def _judged(
     file = Source(target.path)
     with file.blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
         loaded = file.read_with_format(steps)
-        scene = loaded.scene if isinstance(loaded.scene, Splats) else build_field(loaded.scene)
+        scene = loaded.scene if isinstance(loaded.scene, Meshes | Splats) else build_field(loaded.scene)
         views = measure_views(scene, judges, samples=samples)
+        shapes = measure_silhouettes(scene, judges) if isinstance(scene, Meshes) else ()
     told = str(loaded.scene)
     fitted = FitResult(target.path, told, loaded.size, str(schedule), views, worked, passed, tuple(course.curve))
     io.report_result(psnr=fitted.psnr)
     corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if recipe.gains(judges) else ""
     rays = replace(judges.cameras, samples=samples).rays_told
-    seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f} on {judges}{rays}"
+    outlines = f", silhouettes' IoU {sum(shapes) / len(shapes):.4f}" if shapes else ""
+    seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f}{outlines} on {judges}{rays}"
     steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     if fitted.psnr < (plain := plain_psnr(judges)) + _POOR:
         check = "check that the poses belong to these pictures, in this order, and are not mirrored"

@@ -10,16 +10,18 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image as Pillow
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, captures, fit, inputs, outputs, svo, view, wires
-from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, VIEW
+from benchmarks import atlas, captures, fit, inputs, mesh, outputs, svo, view, wires
+from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, VIEW
 from benchmarks.browser import SWIFTSHADER
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, UNPUBLISHED, run
 from benchmarks.view import CHOSEN, OCTREE
+from nerfbake import build_octree, sample_n3tree
 from nerfbake.bench.access.readers import READERS
 from nerfbake.bench.atlas import AtlasMethod
 from nerfbake.bench.measure import Result, measure_process
@@ -245,6 +247,35 @@ def test_captures_that_are_missing_are_told(tmp_path: Path, monkeypatch: pytest.
     assert [row[0] for row in found["Fits, from the written file"]] == ["plush 504x378, fast: not there"]
     assert [row[0] for row in found["From the photographs of plush alone"]] == ["poses: not there"]
     assert {row[-1] for row in found["Aims"]} == {"no"}
+
+
+@pytest.mark.long
+def test_mesh(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = tuple(
+        row._replace(options=("--triangles", "500", "--texture", "64")) for row in (mesh.AIMED, *mesh.ROWS[-2:])
+    )
+    monkeypatch.setattr(mesh, "ROWS", (*rows, rows[0]._replace(name="none", out="a.stl")))
+    monkeypatch.setattr(mesh, "ATLASES", {"64 clusters": ("--clusters", "2")})
+    monkeypatch.setattr(mesh, "LEVELS", (10.0, 40.0))
+    files = small("mesh", scenes)
+    found = tables(files, "mesh.md")
+    meshes = found["Meshes of the chair, from the written file"]
+    assert [row[0].partition(":")[0] for row in meshes] == [*(row.name for row in rows), "none", mesh.CONTENDER]
+    assert "no file extension for a mesh" in meshes[3][0]
+    assert all(5 < float(row[3]) < 60 for row in (*meshes[:3], meshes[4]))
+    assert len(found["Aims"]) == len(MESH)
+    assert [row[0] for row in found["Atlases of the folder"]] == ["64 clusters"]
+    assert b"vertex colours" in files["mesh.svg"]
+
+
+def test_marching_cubes_of_the_contender_stand_around_the_densities() -> None:
+    octree = build_octree(sample_n3tree(resolution=16))
+    found = mesh.marched(octree, 10.0)
+    points = found.positions[found.faces].mean(axis=1)
+    densities = octree.sample(points, lookup="trilinear")[:, -1]
+    np.testing.assert_allclose(np.median(densities), 10, rtol=0.5)
+    assert found.colours is not None
+    assert len(found.colours) == len(found.positions)
 
 
 @pytest.mark.long

@@ -22,6 +22,7 @@ ATLAS_DEFAULTS: Any = {
     "method": "kmeans", "nodes": 7, "directions": 100, "direction_set": "fibonacci", "centres": "snapped",
     "border": 1, "seed": 0,
 }  # fmt: skip
+MESH = ("--frames", "8", "--edge", "32", "--texture", "64")
 JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "fit": (
         ["photographs", "OUT.svo.pb", "--preset", "fast", "--resolution", "32", "--basis", "SH1", "--holdout", "5"],
@@ -89,6 +90,16 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ),
     ),
     "poses": (["OUT", "--seed", "3"], lambda out: jobs.find_poses(out, seed=3)),
+    "mesh": (
+        ["a.npz", "OUT.glb", *MESH, "--lods", "500,100", "--up", "z", "--lit", "--image", "png"],
+        lambda out: jobs.bake_mesh(
+            "a.npz",
+            f"{out}.glb",
+            model=jobs.MeshViews(frames=8, edge=32),
+            recipe=jobs.MeshOptions((500, 100), 64),
+            file=jobs.MeshFile("z", lit=True, image="png"),
+        ),
+    ),
     "refit": (
         ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
         lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.RefitTarget(like="a.npz", frames=4, edge=24)),

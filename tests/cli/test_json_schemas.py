@@ -29,6 +29,7 @@ from tests.support.rooms import write_room
 from tests.support.source import PACKAGE, imports
 
 ATLAS = "--map-size 8 --directions 9 --json"
+MESH = "--frames 8 --edge 32 --triangles 500 --texture 64 --json"
 FIT = "--epochs cells=32,epochs=1 --basis SH1 --json"
 # Each line with the exit code that it ends with; OUT is a new name. Lines of one command have the same schema.
 LINES = {
@@ -56,6 +57,9 @@ LINES = {
     f"fit photographs OUT.npz {FIT}": 0,
     f"fit photographs OUT.svo.pb --holdout 5 {FIT}": 0,
     f"fit photographs OUT.svo.pb --test photographs {FIT}": 0,
+    f"mesh a.npz OUT.glb {MESH}": 0,
+    f"mesh a.npz OUT.ply {MESH} --min-psnr 90": 3,
+    f"mesh a.npz OUT {MESH}": 0,
     "poses room --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --like a.npz --frames 4 --edge 24 --epochs 1 --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --views photographs --epochs 1 --json": 0,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nerfbake import N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
+from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
 from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, OutputError, Stopped, UsageError
 from nerfbake.jobs import (
     ComparedViews,
@@ -117,11 +117,23 @@ def test_every_ending_holds_the_same_field(name: str, kind: type, capture: Path)
     assert fitted.psnr == pytest.approx(fit_file(capture, "other.npz").psnr, abs=lost)
 
 
+@pytest.mark.long  # three textures of 2048 x 2048
+@pytest.mark.usefixtures("trainer")
+def test_a_fit_ends_in_a_textured_mesh(capture: Path, listener: Listener) -> None:
+    fitted = fit_file(capture, "a.obj", steps=listener)
+    (mesh,) = load("a.obj", Meshes).meshes
+    assert mesh.texture is not None
+    assert mesh.texture.shape == (2048, 2048, 3)
+    assert fitted.psnr > 18
+    assert any("silhouettes' IoU 0.9" in line for line in listener.said)
+    assert {path.name for path in Path().glob("a.*")} == {"a.obj", "a.mtl", "a.jpg"}
+
+
 def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit) -> None:
     Path("there.npz").touch()
     for target, said in (
         ("-", "fit measures the file that it wrote; allowed: an OUT other than '-'"),
-        ("a.png", r"'a\.png' is not the extension of a field; allowed: \.svo\.npz, .*, or `to=FORMAT`"),
+        ("a.png", r"'a\.png' is not the extension of a field or a mesh; allowed: \.svo\.npz, .*, or `to=FORMAT`"),
         ("a.vdb", "index"),
     ):
         with pytest.raises(UsageError, match=said):
@@ -134,6 +146,9 @@ def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit
         fit_file("none", "a.npz", album=PhotographOptions(test="a", holdout=3))
     with pytest.raises(OutputError, match=r"there\.npz: File exists"):
         fit_file("none", "a.npz", state="there.npz")
+    Path("a.jpg").touch()
+    with pytest.raises(OutputError, match=r"a\.jpg: exists already"):
+        fit_file("none", "a.obj")
     assert trainer.asked == []
 
 

@@ -60,6 +60,8 @@ LINES = {
     ),
     "compare a b --sheet s.png --html p.html --min-psnr 3": DeclaredPaths(("a", "b"), (), ("s.png", "p.html")),
     "fit photos a.npz --masks m --state s --plot c.svg": DeclaredPaths(("m",), ("photos",), ("a.npz", "c.svg"), ("s",)),
+    "mesh a b.glb --views photos": DeclaredPaths(("a",), ("photos",), ("b.glb",)),
+    "mesh a b.obj --min-psnr 9": DeclaredPaths(("a",), (), ("b.obj",), ("b.obj.rejected", "b.mtl", "b.png", "b.jpg")),
     "poses photos": DeclaredPaths(("photos",), (), ("photos/transforms.json", "photos/sparse/0")),
     "refit a b --views photos": DeclaredPaths(("a",), ("photos",), ("b",)),
     "render a --out p.png --depth --alpha --mesh m.glb": DeclaredPaths(

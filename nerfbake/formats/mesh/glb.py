@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.mesh.glb_writer import encode_glb, parts_of
+from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
 from nerfbake.formats.wire.json import parse_object
 from nerfbake.formats.wire.picture import Coding, decode_texture
 from nerfbake.kernels.maths.affine import compose, determinant, transform_points
@@ -131,13 +131,12 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 Floats = npt.NDArray[np.float64]
 
 
-def decode_glb(view: memoryview) -> tuple[Mesh, ...]:
+def _meshes_of(document: Document) -> tuple[Mesh, ...]:
     """Return a mesh for each primitive of each node, with base colour, texture and vertex colours.
 
     Lines and points are skipped. Raises InvalidFile for invalid glTF 2.0, for files that require another extension or
     another file, and for files without triangles.
     """
-    document = Document(view)
     for extension in _list(document.root, "extensionsRequired", "JSON"):
         if not (
             isinstance(extension, str)
@@ -338,11 +337,20 @@ def encode(
     lit: bool = False,
     image: Coding = "png",
     quantised: bool = False,
+    reversible: bool = False,
 ) -> list[bytes | memoryview]:
     """Encode meshes. Options as in encode_glb() and parts_of()."""
-    return encode_glb(parts_of(scene, image), "nerfbake", up=up, lit=lit, quantised=quantised)
+    options: dict[str, Any] = {"up": up, "lit": lit, "quantised": quantised, "reversible": reversible}
+    return encode_glb(parts_of(scene, image), "nerfbake", **options)
 
 
 def decode(view: memoryview) -> Meshes:
-    """Read meshes. Raises InvalidFile for invalid files or external data, InvalidScene for invalid mesh values."""
-    return Meshes(decode_glb(view))
+    """Read meshes, in the coordinates of the field if the file records its up axis.
+
+    Raises InvalidFile for invalid files or external data, InvalidScene for invalid mesh values.
+    """
+    document = Document(view)
+    asset = document.root.get("asset")
+    extras = asset.get("extras") if isinstance(asset, dict) else None
+    turned = isinstance(extras, dict) and extras.get(UP) == "z"
+    return Meshes(_meshes_of(document)).with_up("z" if turned else "y")

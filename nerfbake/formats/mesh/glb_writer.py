@@ -43,6 +43,7 @@ _NEAREST, _LINEAR, _CLAMP, _REPEAT = 9728, 9729, 33071, 10497
 _TURNS: dict[str, dict[str, Any]] = {"y": {}, "z": {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}}
 _SAMPLERS = {"diffuse": 0, "atlas": 1, "labels": 2, "features": 2}
 _MOST_SHORT = 0xFFFF  # vertices with 16-bit indices: 65,535 itself is glTF's primitive restart
+UP = "nerfbake_up"  # in the extras of the asset
 _UNLIT, _QUANTISED, _WEBP, _LOD = "KHR_materials_unlit", "KHR_mesh_quantization", "EXT_texture_webp", "MSFT_lod"
 
 
@@ -77,12 +78,14 @@ def encode_glb(
     up: Literal["y", "z"] = "y",
     lit: bool = False,
     quantised: bool = False,
+    reversible: bool = False,
 ) -> list[bytes | memoryview]:
     """Return the file in chunks.
 
-    up         the up axis of the positions. glTF's is y; for "z" the nodes map (x, y, z) to (x, z, -y)
-    lit        textures are the base colour of a rough, non-metallic material, with normals; False: KHR_materials_unlit
-    quantised  positions, texture coordinates, colours and normals are integers, and indices have 16 bits if possible
+    up          the up axis of the positions. glTF's is y; for "z" the nodes map (x, y, z) to (x, z, -y)
+    reversible  record the up axis in the extras of the asset, so that nerfbake reads the positions as they are here
+    lit         textures are the base colour of a rough, non-metallic material, with normals; False: KHR_materials_unlit
+    quantised   positions, texture coordinates, colours and normals are integers, and indices have 16 bits if possible
     """
     body = _Body(lit=lit, quantised=quantised)
     nodes = [body.add(part, _TURNS[up]) for part in parts]
@@ -92,8 +95,9 @@ def encode_glb(
         body.used.add(_LOD)
     if not lit:
         body.used.add(_UNLIT)
+    extras = {"extras": {UP: up}} if reversible else {}
     document = {
-        "asset": {"version": "2.0", "generator": generator},
+        "asset": {"version": "2.0", "generator": generator, **extras},
         "extensionsUsed": sorted(body.used),
         "extensionsRequired": sorted(body.used & {_QUANTISED, _WEBP}),
         "scene": 0,

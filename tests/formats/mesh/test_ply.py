@@ -59,7 +59,8 @@ def test_another_programs_polygons_are_read_in_every_spelling(options: dict[str,
 
 def test_colours_in_text_are_bytes() -> None:
     (found,) = ply.decode(memoryview(polygon_ply([(0, 1, 2)]))).meshes
-    np.testing.assert_allclose(np.array(found.colours)[[0, 3]], [[1, 0, 0], [0.2, 0.4, 0.8]], atol=1e-7)
+    wanted = np.array([[1, 0, 0], [0.2, 0.4, 0.8]])
+    np.testing.assert_allclose(np.array(found.colours)[[0, 3]], wanted, atol=1e-7)
 
 
 def test_the_content_tells_meshes_from_splats(tmp_path: Path) -> None:

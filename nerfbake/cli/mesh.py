@@ -1,0 +1,218 @@
+"""`nerfbake mesh`: turn a field into a textured mesh."""
+
+from __future__ import annotations
+
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nerfbake import io
+from nerfbake.cli.console import Console
+from nerfbake.cli.fit import Box, photograph_options
+from nerfbake.cli.params import (
+    CAPTURE,
+    Command,
+    Number,
+    as_json,
+    console_options,
+    seed,
+    source_argument,
+    without_effect,
+)
+from nerfbake.cli.paths import MeshOutput, PhotographsPath
+from nerfbake.jobs.files import Source, Target
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.meshes import MeshResult
+    from nerfbake.jobs.photographs import PhotographOptions
+
+
+class TriangleCounts(click.ParamType[tuple[int, ...]]):
+    """Numbers of triangles: 50000, 50k or 1.5M; several where `several` is set."""
+
+    name = "N"
+
+    def __init__(self, *, several: bool = False) -> None:
+        self._several = several
+        self.name = "N,N,..." if several else "N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        words = value.split(",") if self._several else [value]
+        found = tuple(map(_count, words))
+        if not all(4 <= count <= 100_000_000 for count in found):
+            allowed = "20k,5k,..." if self._several else "20k, 20000, ..."
+            self.fail(f"{value!r} is not a number of triangles; allowed: {allowed}, each 4 or more", param, ctx)
+        return found
+
+
+def _count(word: str) -> int:
+    """Return a number like 20k, or 0 if it is none."""
+    factor = {"k": 1000, "m": 1_000_000}.get(word[-1:].lower(), 1)
+    digits = word if factor == 1 else word[:-1]
+    fine = digits.isascii() and digits.replace(".", "", 1).isdecimal() and len(digits) < 12
+    count = float(digits) * factor if fine else 0.0
+    return int(count) if count == int(count) else 0
+
+
+def _model_options(function: Command) -> Command:
+    """Add --views with photograph_options(), --frames and --edge; pass the command `model`, a MeshViews."""
+
+    @click.option(
+        "--views",
+        metavar="CAPTURE",
+        type=PhotographsPath(),
+        help=f"Photographs for the texture: {CAPTURE}.  [default: pictures of IN, from all sides]",
+    )
+    @click.option(
+        "--frames",
+        type=click.IntRange(2, 1000),
+        default=100,
+        show_default=True,
+        help="Without --views: number of pictures of IN to render.",
+    )
+    @click.option(
+        "--edge",
+        type=click.IntRange(8, 4096),
+        default=400,
+        show_default=True,
+        help="Without --views: width and height of these pictures, in pixels.",
+    )
+    @photograph_options
+    @wraps(function)
+    def command(
+        *args: object, views: str | None, frames: int, edge: int, album: PhotographOptions, **others: object
+    ) -> object:
+        from nerfbake.jobs.meshes import MeshViews
+
+        if views is None:
+            without_effect("background", "masks", "test", "holdout", here="without --views", allowed="it with --views")
+        else:
+            without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
+        return function(*args, model=MeshViews(views, frames, edge, album), **others)
+
+    return command
+
+
+@click.command()
+@source_argument
+@click.argument("target", metavar="OUT", type=MeshOutput())
+@click.option("--force", is_flag=True, help="Replace OUT, and the files beside it, if they exist.")
+@_model_options
+@click.option(
+    "--triangles",
+    type=TriangleCounts(),
+    default="50k",
+    show_default=True,
+    help="Largest number of triangles, for example 20k.",
+)
+@click.option(
+    "--lods",
+    type=TriangleCounts(several=True),
+    help="Levels of detail in one .glb (MSFT_lod): numbers of triangles, the largest first. Each level has a texture "
+    "of its own, half as wide as that of the level before. Viewers without the extension show the first.",
+)
+@click.option(
+    "--texture",
+    metavar="EDGE",
+    type=click.IntRange(16, 8192),
+    default=2048,
+    show_default=True,
+    help="Texels along an edge of the texture.",
+)
+@click.option(
+    "--box",
+    type=Box(),
+    help="Two opposite corners of a box in world coordinates. What is outside is left out.",
+)
+@click.option("--largest", is_flag=True, help="Keep the largest connected part alone.")
+@click.option(
+    "--up",
+    type=click.Choice(["y", "z"]),
+    help="For a .glb: up axis of IN, which the nodes rotate to y, glTF's up axis.  [default: z]",
+)
+@click.option(
+    "--lit",
+    is_flag=True,
+    help="Write a rough material with normals, which viewers light, to a .glb. Without it the colours are shown as "
+    "they are (KHR_materials_unlit).",
+)
+@click.option(
+    "--image",
+    type=click.Choice(["png", "jpeg", "webp"]),
+    help="Coding of the texture; webp only in a .glb (EXT_texture_webp).  [default: jpeg, in a folder png]",
+)
+@click.option(
+    "--min-psnr",
+    type=Number(),
+    help="Lowest allowed PSNR of OUT on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code "
+    "3).",
+)
+@seed
+@as_json
+@console_options
+def mesh(
+    source: Source,
+    target: str,
+    force: bool,
+    triangles: tuple[int, ...],
+    lods: tuple[int, ...] | None,
+    texture: int,
+    box: Any,
+    largest: bool,
+    up: Any,
+    lit: bool,
+    image: Any,
+    seed: int,
+    as_json: bool,
+    console: Console,
+    **options: Any,
+) -> None:
+    """Turn a field into a textured mesh.
+
+    Finds the surface of the PlenOctree, octree, volume or lattice IN, simplifies it, and fits a texture to photographs
+    (--views), or to pictures of IN. OUT is a .glb, an .obj with its .mtl and texture beside it, a .ply with colours at
+    the vertices, or a folder without an extension: nerf2mesh's stage 1, with highlights, which `nerfbake atlas`, `view`
+    and `render` take. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
+
+    \b
+      nerfbake mesh chair.npz chair.glb
+      nerfbake mesh chair.npz chair_stage1 --views photographs
+      nerfbake mesh chair.npz toy.obj --triangles 20k --texture 1024 --min-psnr 28
+    """
+
+    from nerfbake.jobs.meshes import MeshFile, MeshOptions, bake_mesh
+
+    if lods is not None:
+        without_effect("triangles", here="with --lods, which has its own", allowed="one of them")
+    bake_mesh(
+        source,
+        Target(target, None, force),
+        recipe=MeshOptions(lods or triangles, texture, box, largest, seed),
+        file=MeshFile(up, lit, image),
+        steps=console,
+        report=(lambda found: io.print_json(_facts(source, found))) if as_json else None,
+        **options,
+    )
+
+
+def _facts(source: Source, found: MeshResult) -> dict[str, Any]:
+    quality = found.quality
+    plain = quality.diffuse
+    rows = zip(quality.views, quality.silhouettes, strict=True)
+    return {
+        "in": source.path,
+        "file": found.path,
+        "content": found.content,
+        "bytes": found.bytes,
+        "triangles": list(found.triangles),
+        "psnr": quality.psnr,
+        "ssim": quality.ssim,
+        "iou": quality.iou,
+        "worst": quality.worst.name,
+        "diffuse": None if plain is None else [view._asdict() for view in plain],
+        "cpu_seconds": found.worked,
+        "views": [{**view._asdict(), "iou": iou} for view, iou in rows],
+    }

@@ -1,0 +1,377 @@
+"""Turn radiance fields into textured meshes, and measure them on views that the textures were not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from nerfbake import catalog, io, progress
+from nerfbake.errors import BudgetMissed, InvalidScene, Problem, UsageError
+from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
+from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
+from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import picture_views
+from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.mesh import Mesh, Meshes
+from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.stage1 import Stage1
+from nerfbake.scene.views import Views
+from nerfbake.scene.volume import Volume
+from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
+from nerfbake.stages.scene_to_field import build_field
+from nerfbake.stages.views_to_error import measure_silhouettes, measure_views, plain_psnr
+
+if TYPE_CHECKING:
+    from nerfbake.stages.views_to_error import ViewError
+
+TRIANGLES, TEXTURE = 50_000, 2048
+SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages, too
+_RIM_ROUNDS = 2  # of moving the vertices to the rims of the silhouettes
+_TURNS = 2  # of fitting the texture and moving the vertices to where it has the colours of the views
+_LEAST_TEXTURE = 64  # texels along an edge, of a coarse level of detail
+_CHECKED = 4  # views on which photographs and field are compared before the work
+_ALIKE = 1.0  # dB above pictures of a single colour, below which they show something else
+
+Image = Literal["png", "jpeg", "webp"]
+
+
+class MeshViews(NamedTuple):
+    """The pictures that a mesh is textured from.
+
+    views   a capture; None: pictures of the field, from all sides
+    frames  number of these pictures; edge: their width and height in pixels
+    album   options for the photographs of the capture
+    """
+
+    views: str | None = None
+    frames: int = 100
+    edge: int = EDGE
+    album: PhotographOptions = ALL
+
+    def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
+        """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else."""
+        if self.views is not None:
+            posed = read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
+            _require_alike(steps, source, field, posed.judges, self.views)
+            return posed
+        with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
+            around = scatter_cameras(field, frames=self.frames, edge=self.edge)
+            judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
+            with progress.part(0, self.frames / (self.frames + FRAMES)):
+                trained = picture_views(field, around, SAMPLES)
+            with progress.part(self.frames / (self.frames + FRAMES), 1):
+                return SplitViews(trained, picture_views(field, judges, SAMPLES))
+
+
+class MeshOptions(NamedTuple):
+    """Options of a mesh.
+
+    triangles  the largest number of triangles; several numbers, the largest first, make levels of detail
+    texture    texels along an edge of the texture; a coarser level has half as many
+    box        x0, y0, z0, x1, y1, z1 of a box in world coordinates; what is outside is left out; None: no box
+    largest    keep the largest connected part alone
+    seed       seed of the highlights' MLP: the same seed gives the same bytes
+    """
+
+    triangles: tuple[int, ...] = (TRIANGLES,)
+    texture: int = TEXTURE
+    box: tuple[float, float, float, float, float, float] | None = None
+    largest: bool = False
+    seed: int = 0
+
+    def require(self) -> None:
+        """Raise UsageError for levels of detail that do not become coarser. Call it before doing any work."""
+        pairs = zip(self.triangles, self.triangles[1:], strict=False)
+        if not self.triangles or min(self.triangles) < 4 or any(finer <= coarser for finer, coarser in pairs):
+            found = ", ".join(f"{count:,}" for count in self.triangles) or "none"
+            raise UsageError(f"`triangles` are {found}; allowed: 4 or more, each level fewer than the one before")
+
+
+class MeshFile(NamedTuple):
+    """Options of the file.
+
+    up     for a .glb: the up axis of the field, which the nodes rotate to y, glTF's; None: z
+    lit    for a .glb: a rough material that is lit, with normals; False: the colours are shown as they are
+    image  coding of the texture; None: JPEG, or PNG in a folder
+    """
+
+    up: Literal["y", "z"] | None = None
+    lit: bool = False
+    image: Image | None = None
+
+    def options(self, form: catalog.Format) -> dict[str, Any]:
+        """Return the options of the format. Those that are given count even if the format does not take them."""
+        default = {"image": "jpeg", "quantised": True, "reversible": True, "up": "z"}
+        given = {"up": self.up, "lit": self.lit or None, "image": self.image}
+        fitting = {name: value for name, value in default.items() if form.choices(name)}
+        return fitting | {name: value for name, value in given.items() if value is not None}
+
+
+AROUND, PLAIN, AS_IT_IS = MeshViews(), MeshOptions(), MeshFile()
+
+
+class MeshQuality(NamedTuple):
+    """How near a mesh comes to held-out views.
+
+    views        error of its pictures on each of them, with highlights if it has any
+    diffuse      the same without highlights; None if it has none
+    silhouettes  intersection over union of its silhouette and the photograph's, for each view
+    judges       what it was measured on, in words
+    """
+
+    views: tuple[ViewError, ...]
+    diffuse: tuple[ViewError, ...] | None
+    silhouettes: tuple[float, ...]
+    judges: str
+
+    @property
+    def psnr(self) -> float:
+        """Mean PSNR over the views in dB."""
+        return sum(view.psnr for view in self.views) / len(self.views)
+
+    @property
+    def ssim(self) -> float:
+        """Mean SSIM over the views."""
+        return sum(view.ssim for view in self.views) / len(self.views)
+
+    @property
+    def iou(self) -> float:
+        """Mean intersection over union of the silhouettes."""
+        return sum(self.silhouettes) / len(self.silhouettes)
+
+    @property
+    def worst(self) -> ViewError:
+        """The view with the lowest PSNR."""
+        return min(self.views, key=lambda view: view.psnr)
+
+    def __str__(self) -> str:
+        plain = ""
+        if self.diffuse is not None:
+            psnr, ssim = (sum(getattr(v, name) for v in self.diffuse) / len(self.diffuse) for name in ("psnr", "ssim"))
+            plain = f" ({psnr:.2f} dB, SSIM {ssim:.4f} without highlights)"
+        told = f"{self.psnr:.2f} dB, SSIM {self.ssim:.4f}{plain}, silhouettes' IoU {self.iou:.4f} on {self.judges}"
+        return f"{told}; worst view {self.worst.name}: {self.worst.psnr:.2f} dB"
+
+
+class MeshResult(NamedTuple):
+    """A mesh, measured on the written file or folder.
+
+    path       its path; content: description of its contents; bytes: its size, with the files beside it
+    triangles  of each level of detail
+    quality    how near it comes to the held-out views
+    worked     CPU seconds, without compiling kernels, rendering pictures and measuring
+    """
+
+    path: str
+    content: str
+    bytes: int
+    triangles: tuple[int, ...]
+    quality: MeshQuality
+    worked: float
+
+
+def bake_mesh(
+    source: AnySource,
+    target: AnyTarget | FolderTarget,
+    *,
+    model: MeshViews = AROUND,
+    recipe: MeshOptions = PLAIN,
+    file: MeshFile = AS_IT_IS,
+    min_psnr: float | None = None,
+    steps: Steps = SILENT,
+    report: Callable[[MeshResult], None] | None = None,
+) -> MeshResult:
+    """Turn a radiance field into a textured mesh and return the quality of its file. This is `nerfbake mesh`.
+
+    Reads `source`, a PlenOctree, an octree, a volume with colours or a lattice, of a scene with scenery the inner cube,
+    and the photographs of `model`. Writes `target`: a file with one texture or with colours at the vertices, depending
+    on its format, or a folder as nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises
+    NerfbakeError.
+
+    min_psnr  lowest allowed mean PSNR on the held-out views, in dB; below it the output becomes `target`.rejected and
+              BudgetMissed is raised (exit code 3)
+    report    is called with the result, also if min_psnr is missed
+
+    >>> made = bake_mesh(
+    ...     "a.npz", "a.glb", model=MeshViews(frames=8, edge=64), recipe=MeshOptions((2000,), texture=256)
+    ... )
+    >>> made.quality.psnr > 15
+    True
+    """
+    source, place = as_source(source), mesh_target(target)
+    model.album.require()
+    options = require_mesh(place, recipe, file)
+    Budget(min_psnr).require(place)
+    field = _read_field(steps, source)
+    posed = model.posed(steps, source, field)
+    clock = Clock()
+    scene = build_mesh(steps, source, field, posed.trained, place, recipe)
+    worked = clock.worked
+    del field
+    results: list[MeshResult] = []
+    told = reporting(lambda: report(results[0]) if report and results else None)
+    with told, place.writing(steps, scene, **options) as written:
+        pictures = str(posed.judges) if model.views else f"{len(posed.judges.pictures)} pictures of {source.name}"
+        loaded, quality = _judged(steps, place, written.path, posed.judges, pictures)
+        levels = tuple(len(mesh.faces) for mesh in _levels(scene))
+        results.append(MeshResult(place.path, str(loaded), written.size, levels, quality, worked))
+        io.report_result(psnr=quality.psnr)
+        steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
+        if min_psnr is not None and quality.psnr < min_psnr:
+            found = f"has a mean PSNR of {quality.psnr:.2f} dB"
+            raise BudgetMissed(Problem("the mesh", found, f"`min_psnr={min_psnr:g}`"))
+    return results[0]
+
+
+def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:
+    """Return a path without an extension, or of a folder, as a FolderTarget; all others as a Target."""
+    if isinstance(target, FolderTarget):
+        return target
+    given = as_target(target)
+    path = given.path
+    if path == io.STREAM or given.to is not None:
+        return given
+    folder = Path(path).is_dir() or path.endswith("/") or not Path(path).suffix
+    return FolderTarget(path, given.force) if folder else given
+
+
+def require_mesh(
+    place: Target | FolderTarget, recipe: MeshOptions = PLAIN, file: MeshFile = AS_IT_IS
+) -> dict[str, Any]:
+    """Return the options of the output's format. Call it before doing any work.
+
+    Raises NerfbakeError if a mesh with these options cannot be written there.
+    """
+    recipe.require()
+    if isinstance(place, FolderTarget):
+        place.require()
+        given = [name for name, value in file._asdict().items() if value]
+        if given or len(recipe.triangles) > 1:
+            names = ", ".join(f"`{name}`" for name in given) or "levels of detail"
+            raise UsageError(f"{place.path} is a folder, for which {names} have no effect; allowed: with a file")
+        return {}
+    if place.path == io.STREAM:
+        raise UsageError("mesh measures the file that it wrote; allowed: an OUT other than '-'")
+    form = place.require("Meshes")
+    options = file.options(form)
+    form.require_options(options)
+    if len(recipe.triangles) > 1 and "quantised" not in options:
+        raise UsageError(
+            f"{form.suffix} stores one level of detail; allowed: one number of triangles, or another format"
+        )
+    stem = place.path[: -len(form.suffix)] if place.to is None else place.path
+    for ending in form.spread:
+        io.require_absent(stem + ending, force=place.force)
+    return options
+
+
+def build_mesh(
+    steps: Steps,
+    source: Source,
+    field: RadianceField,
+    views: Views,
+    place: Target | FolderTarget,
+    recipe: MeshOptions = PLAIN,
+) -> Meshes | Stage1:
+    """Return the mesh of a field with the appearance of these views, as the output stores it."""
+    from nerfbake.scene.views import world_box
+    from nerfbake.stages.field_to_surface import build_surface
+    from nerfbake.stages.mesh_to_mesh import simplify_surface
+    from nerfbake.stages.surface_to_charts import unwrap_surface
+    from nerfbake.stages.texture_to_vertices import colour_vertices
+    from nerfbake.stages.views_to_specular import fit_specular
+    from nerfbake.stages.views_to_texture import fit_texture
+    from nerfbake.stages.views_to_vertices import move_vertices
+
+    with source.blamed(steps, "finding the surface"):
+        box = None if recipe.box is None else world_box(recipe.box)
+        options: dict[str, Any] = {"triangles": recipe.triangles[0], "box": box, "largest": recipe.largest}
+        surface = build_surface(field, views.cameras, **options)
+    with source.blamed(steps, "moving vertices to the silhouettes"):
+        surface = move_vertices(surface, views, rounds=_RIM_ROUNDS)
+    levels, edge = [], recipe.texture
+    for number, triangles in enumerate(recipe.triangles):
+        told = f" of level {number}" if number else ""
+        with source.blamed(steps, f"unwrapping the surface{told}"):
+            mesh = simplify_surface(surface, triangles=triangles) if number else surface
+            unwrapped = unwrap_surface(mesh, edge=edge)
+        with source.blamed(steps, f"fitting texture and vertices in turns{told}"):
+            for _ in progress.each(range(_TURNS)):
+                coarse = fit_texture(unwrapped, views, edge=edge)
+                unwrapped = replace(move_vertices(coarse, views), texture=None)
+        if isinstance(place, FolderTarget):
+            with source.blamed(steps, "fitting texture and highlights"):
+                return fit_specular(unwrapped, views, edge=edge, seed=recipe.seed)
+        with source.blamed(steps, f"fitting the texture{told}"):
+            level = fit_texture(unwrapped, views, edge=edge)
+            textured = bool(io.format_for(place.path, "Meshes", to=place.to).choices("image"))
+            levels.append(level if textured else colour_vertices(level))
+        edge = max(edge // 2, min(edge, _LEAST_TEXTURE))
+    return Meshes((levels[0],), tuple(levels[1:]))
+
+
+def measure_mesh(scene: Meshes | Stage1, judges: Views, *, told: str) -> MeshQuality:
+    """Measure a mesh on held-out views. told: the judges in words."""
+    plain = Meshes(tuple(mesh for mesh in scene.meshes if mesh is not None))
+    lit = isinstance(scene, Stage1)
+    with progress.part(0, 0.9):
+        views = measure_views(scene, judges, samples=SAMPLES)
+    diffuse = measure_views(plain, judges, samples=SAMPLES) if lit else None
+    return MeshQuality(views, diffuse, measure_silhouettes(plain, judges), told)
+
+
+def _judged(
+    steps: Steps, place: Target | FolderTarget, path: str, judges: Views, pictures: str
+) -> tuple[Meshes | Stage1, MeshQuality]:
+    """Read the written file or folder, and measure it on the held-out views. pictures: these views in words."""
+    told = pictures + replace(judges.cameras, samples=SAMPLES).rays_told
+    with steps.phase(f"measuring on {len(judges.pictures)} pictures"), io.blame(place.path):
+        if isinstance(place, FolderTarget):
+            found: Meshes | Stage1 = io.load_folder(path, Stage1)
+        else:
+            found = io.load(path, Meshes)
+        return found, measure_mesh(found, judges, told=told)
+
+
+def _read_field(steps: Steps, source: Source) -> RadianceField:
+    """Return the field of a scene; of a scene with scenery, that of its inner cube."""
+    scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField)
+    if isinstance(scene, LatticeField):
+        scene = sample_lattice(steps, source, scene)
+    with source.blamed(steps, "building the field"):
+        if isinstance(scene, N3Tree) and scene.shells > 1:
+            steps.say(f"{source.name}: has scenery; the mesh is that of the inner cube")
+            scene = scene.inner_cube()
+        field = build_field(scene)
+        if not (field.densities > 0).any():
+            raise InvalidScene(
+                Problem("the field", "has no leaf with a density", "at least one, or there is no surface")
+            )
+        return field
+
+
+def _require_alike(steps: Steps, source: Source, field: RadianceField, judges: Views, views: str) -> None:
+    """Raise InvalidScene if the photographs do not show the field, and print how near it comes to them."""
+    some = judges.take(range(0, len(judges.pictures), -(-len(judges.pictures) // _CHECKED)))
+    with source.blamed(steps, f"comparing with {views}"):
+        found = measure_views(field, some)
+        psnr, plain = sum(view.psnr for view in found) / len(found), plain_psnr(some)
+        if psnr < plain + _ALIKE:
+            told = (
+                f"has {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"
+            )
+            raise InvalidScene(
+                Problem("the field", told, "photographs of the same scene, with poses in its coordinates")
+            )
+    steps.say(f"{source.name}: {psnr:.2f} dB on {some} of {views}")
+
+
+def _levels(scene: Meshes | Stage1) -> list[Mesh]:
+    return [mesh for mesh in (*scene.meshes, *getattr(scene, "coarser", ())) if mesh is not None]
