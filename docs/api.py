@@ -54,7 +54,11 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
         "stages.field_to_surface stages.mesh_to_mesh stages.views_to_vertices stages.surface_to_charts"
         " stages.views_to_texture stages.views_to_specular stages.texture_to_vertices",
     ),
-    "Gaussian splats": (nerfbake, "scene.splats"),
+    "Gaussian splats": (
+        nerfbake,
+        "scene.splats stages.splats_to_image stages.splats_to_octree stages.field_to_splats stages.views_to_splats"
+        " stages.splats_to_loss",
+    ),
     "Baking atlases": (
         nerfbake,
         "stages.stage1_to_atlas stages.specular_to_atlas stages.specular_to_clusters stages.shapes_to_stage1"

@@ -14,6 +14,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Targ
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
+from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
 from nerfbake.scene.lattice_field import LatticeField
@@ -21,6 +22,7 @@ from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
 from nerfbake.scene.volume import Volume
@@ -190,10 +192,10 @@ def bake_mesh(
 ) -> MeshResult:
     """Turn a radiance field into a textured mesh and return the quality of its file. This is `nerfbake mesh`.
 
-    Reads `source`, a PlenOctree, an octree, a volume with colours or a lattice, of a scene with scenery the inner cube,
-    and the photographs of `model`. Writes `target`: a file with one texture or with colours at the vertices, depending
-    on its format, or a folder as nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises
-    NerfbakeError.
+    Reads `source`, a PlenOctree, an octree, a volume with colours, a lattice or splats, of a scene with scenery the
+    inner cube, and the photographs of `model`. Without photographs, -y of splats becomes z, as in view_file(). Writes
+    `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
+    nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
 
     min_psnr  lowest allowed mean PSNR on the held-out views, in dB; below it the output becomes `target`.rejected and
               BudgetMissed is raised (exit code 3)
@@ -209,7 +211,7 @@ def bake_mesh(
     model.album.require()
     options = require_mesh(place, recipe, file)
     Budget(min_psnr).require(place)
-    field = _read_field(steps, source)
+    field = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
     posed = model.posed(steps, source, field)
     clock = Clock()
     scene = build_mesh(steps, source, field, posed.trained, place, recipe)
@@ -340,11 +342,13 @@ def _judged(
         return found, measure_mesh(found, judges, told=told)
 
 
-def _read_field(steps: Steps, source: Source) -> RadianceField:
-    """Return the field of a scene; of a scene with scenery, that of its inner cube."""
-    scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField)
+def _read_field(steps: Steps, source: Source, splats: SplatVoxels) -> RadianceField:
+    """Return the field of a scene; of a scene with scenery, that of its inner cube. splats: how these become voxels."""
+    scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats)
     if isinstance(scene, LatticeField):
         scene = sample_lattice(steps, source, scene)
+    if isinstance(scene, Splats):
+        scene, _ = sample_splats(steps, source, scene, options=splats)
     with source.blamed(steps, "building the field"):
         if isinstance(scene, N3Tree) and scene.shells > 1:
             steps.say(f"{source.name}: has scenery; the mesh is that of the inner cube")

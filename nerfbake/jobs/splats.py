@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import BudgetMissed, Problem, UsageError
@@ -13,7 +13,7 @@ from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.scene.camera import Cameras
+from nerfbake.jobs.views import picture_views
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -21,9 +21,7 @@ from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.scene.volume import Volume
-from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.field_to_splats import COUNT, build_splats
-from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras, without_strays
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import measure_views
@@ -58,8 +56,8 @@ class SplatsModel(NamedTuple):
             around = scatter_cameras(whole, frames=self.frames, edge=self.edge, zoom=_ZOOM)
             judges = orbit_cameras(whole, frames=FRAMES, width=self.edge, height=self.edge)
             with progress.part(0, self.frames / (self.frames + FRAMES)):
-                trained = _rendered(field, around)
-            return SplitViews(trained, _rendered(field, judges))
+                trained = picture_views(field, around, around.samples)
+            return SplitViews(trained, picture_views(field, judges, judges.samples))
 
 
 FROM_FIELD = SplatsModel()
@@ -190,17 +188,6 @@ def _read(steps: Steps, source: Source) -> RadianceField:
         scene = sample_lattice(steps, source, scene)
     with source.blamed(steps, "building the field"):
         return build_field(scene)
-
-
-def _rendered(field: RadianceField, cameras: Cameras) -> Views:
-    """Render the pictures of a field."""
-    cameras.require_memory()
-
-    def pictures() -> Iterator[Any]:
-        for camera in progress.each(cameras.cameras):
-            yield render_field(field, camera, background=None, samples=cameras.samples).pixels
-
-    return build_views(cameras, pictures())
 
 
 def _measured(
