@@ -125,6 +125,6 @@ def test_splats_are_rendered_and_options_of_fields_are_refused(folder: Path) -> 
     assert 4 < load("s.depth.npy", Depth).distance.max() < 40
     for options in ({"lookup": "trilinear"}, {"transmittance_cut": 0.5}):
         with pytest.raises(UsageError, match="has no effect on splats"):
-            render_views("s.ply", "t.png", **options)  # type: ignore[arg-type]
+            render_views("s.ply", "t.png", **options)
     with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
         render_views("s.ply", "t.png", mesh=PlacedMesh("a.glb"))
