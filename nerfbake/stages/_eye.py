@@ -37,7 +37,10 @@ def eye_of(camera: Camera) -> tuple[Eye, Floats]:
         camera.pose[:3, 3].copy(),
         inverse(axes),
         compose(np.ascontiguousarray(axes.T), axes),
-        *(float(value) for value in (*focal, *centre)),
+        float(camera.fx),
+        float(camera.fy),
+        float(camera.cx),
+        float(camera.cy),
         limits.reshape(-1),
         np.concatenate([low, high]),
     )

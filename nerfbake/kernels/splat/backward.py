@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -182,7 +182,8 @@ def _sum_row(
     one, none, lane_step = f32(1), f32(0), np.uint64(LANES)
     first = np.uint64(place)
     for k in range(np.uint64(count)):
-        at, to = first + k, k
+        at = first + k
+        to: Any = k
         dx, dy = state[ACROSS + at] - x, state[DOWN + at] - y
         alpha = alpha_at(dx, dy, xx, xy, yy, opacity)
         live = state[LIVE + at]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -298,7 +298,7 @@ def short_exp(x: np.float32) -> np.float32:
 @compiled()
 def is_open(state: Singles) -> bool:
     """Return whether any pixel is open."""
-    count = 0
+    count: Any = 0
     for at in range(np.uint64(PIXELS)):
         count += np.int64(state[LIVE + at] > f32(0))
-    return count > 0
+    return bool(count > 0)

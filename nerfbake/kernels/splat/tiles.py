@@ -117,7 +117,7 @@ def tile_span(low: float, high: float, least: int, most: int) -> tuple[int, int]
 
 @compiled(merged=True)
 def _apart(boxes: Floats, i: int, x: float, y: float, wide: float, high: float) -> bool:
-    return x + wide < boxes[i, 0] or x - wide > boxes[i, 2] or y + high < boxes[i, 1] or y - high > boxes[i, 3]
+    return bool(x + wide < boxes[i, 0] or x - wide > boxes[i, 2] or y + high < boxes[i, 1] or y - high > boxes[i, 3])
 
 
 @compiled(merged=True)
