@@ -251,7 +251,7 @@ def _told(scene: Any) -> str:
     if isinstance(scene, nerfbake.Cameras):
         return f"{len(scene.cameras)} cameras"
     if isinstance(scene, nerfbake.Meshes):
-        return f"{len(scene.meshes)} meshes, {sum(len(mesh.faces) for mesh in scene.meshes)} triangles"
+        return f"{sum(len(mesh.faces) for mesh in scene.meshes)} triangles"  # a .ply joins all meshes
     if isinstance(scene, nerfbake.Volume):  # a NanoVDB of halves is read as float32
         return ", ".join(f"{grid.name} of {grid.topology.m} voxels" for grid in scene.grids)
     return str(scene.distance.shape) if isinstance(scene, nerfbake.Depth) else str(scene)
