@@ -9,9 +9,10 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
-from nerfbake.cli.fit import Box, photograph_options
+from nerfbake.cli.fit import photograph_options
 from nerfbake.cli.params import (
     CAPTURE,
+    Box,
     Command,
     Number,
     as_json,

@@ -37,7 +37,7 @@ def test_info_and_check_of_a_mesh(
 
 def test_folders_say_what_they_are(sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", str(sample / "out")]) == 0
-    assert run(["render", str(sample / "in"), "--out", str(tmp_path / "a.png")]) == 1
+    assert run(["svo", str(sample / "in"), str(tmp_path / "a.svo.pb")]) == 1
     assert "holds a stage-1 folder (`nerfbake atlas` bakes it); allowed: a PlenOctree" in capsys.readouterr().err
     assert run(["compare", str(tmp_path), str(sample / "in")]) == 1
     assert "is a folder of unknown kind; allowed: a file, or a folder with mlp.json" in capsys.readouterr().err

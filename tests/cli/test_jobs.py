@@ -45,6 +45,12 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["a.svo.pb", "OUT.svo.fb", "--level", "1"],
         lambda out: jobs.bake_lod("a.svo.pb", f"{out}.svo.fb", level=1),
     ),
+    "splats": (
+        ["a.npz", "OUT.ply", "--count", "200", "--epochs", "1", "--frames", "6", "--edge", "32"],
+        lambda out: jobs.bake_splats(
+            "a.npz", f"{out}.ply", jobs.SplatsModel(frames=6, edge=32), recipe=jobs.SplatsOptions(splats=200, epochs=1)
+        ),
+    ),
     "hull": (
         ["a.npz", "OUT.glb", "--level", "2", "--up", "z"],
         lambda out: jobs.bake_hull("a.npz", f"{out}.glb", level=2, up="z"),

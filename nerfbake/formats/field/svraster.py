@@ -117,7 +117,7 @@ class _Model:
             parts = value[:3] if key == "_sh0" else value[:count]
             tables = [self._decoded(part, key, (1,) if key == "_sh0" else (1, 3)) for part in parts]
         else:
-            raise InvalidFile(Problem(key, "is not a list of codes", f"{count} of them, as `quantized` says"))
+            raise InvalidFile(Problem(key, "is not a list of codes", f"{count} of them, as 'quantized' says"))
         if wrong := [len(table) for table in tables if len(table) != rows]:
             raise InvalidFile(Problem(key, f"has {wrong[0]:,} rows", f"{rows:,}, as octpath"))
         found = np.concatenate(tables, axis=1)
@@ -129,7 +129,7 @@ class _Model:
     def _decoded(self, value: Any, key: str, shape: tuple[int | None, ...]) -> Singles:
         if self._coded:
             if not isinstance(value, dict):
-                raise InvalidFile(Problem(key, "has no codebook", "index and codebook, as `quantized` says"))
+                raise InvalidFile(Problem(key, "has no codebook", "index and codebook, as 'quantized' says"))
             codes = self.file.array(value.get("index"), f"{key}.index")
             book = as_singles(self.file.array(value.get("codebook"), f"{key}.codebook"), key).reshape(-1)
             if codes.dtype != np.uint8 or not codes.size or int(codes.max()) >= len(book):

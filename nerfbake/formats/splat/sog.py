@@ -93,7 +93,7 @@ def _finest(files: Mapping[str, memoryview]) -> Splats:
     while waiting:
         node = waiting.pop()
         if not isinstance(node, dict):
-            raise InvalidFile(Problem(f"{LOD}: tree", f"has {kind_of(node)}", "objects with `children` or `lods`"))
+            raise InvalidFile(Problem(f"{LOD}: tree", f"has {kind_of(node)}", "objects with 'children' or 'lods'"))
         waiting += reversed(_list(node, "children", "tree"))
         levels = node.get("lods", {})
         if not isinstance(levels, dict) or not all(re.fullmatch("[0-9]{1,3}", level) for level in levels):
