@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import wraps
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -11,6 +13,7 @@ import click
 from nerfbake import io
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
+    CAPTURE,
     Box,
     Command,
     NumberRange,
@@ -83,6 +86,52 @@ def photograph_options(function: Command) -> Command:
         return function(*args, album=PhotographOptions(background, masks, test, holdout), **others)
 
     return command
+
+
+def model_options(fitted: str, model: str) -> Callable[[Command], Command]:
+    """Add --views with photograph_options(), --frames and --edge; pass the command `model`.
+
+    fitted: what the photographs of --views are, for the help. model: the module in `jobs` and the class of the model.
+    """
+
+    def add(function: Command) -> Command:
+        @click.option(
+            "--views",
+            metavar="CAPTURE",
+            type=PhotographsPath(),
+            help=f"{fitted}: {CAPTURE}.  [default: pictures of IN, from all sides]",
+        )
+        @click.option(
+            "--frames",
+            type=click.IntRange(2, 1000),
+            default=100,
+            show_default=True,
+            help="Without --views: number of pictures of IN to render.",
+        )
+        @click.option(
+            "--edge",
+            type=click.IntRange(8, 4096),
+            default=400,
+            show_default=True,
+            help="Without --views: width and height of these pictures, in pixels.",
+        )
+        @photograph_options
+        @wraps(function)
+        def command(
+            *args: object, views: str | None, frames: int, edge: int, album: PhotographOptions, **others: object
+        ) -> object:
+            if views is None:
+                allowed = "it with --views"
+                without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
+            else:
+                without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
+            module, name = model.split(".")
+            kind = getattr(import_module(f"nerfbake.jobs.{module}"), name)
+            return function(*args, model=kind(views=views, frames=frames, edge=edge, album=album), **others)
+
+        return command
+
+    return add
 
 
 def fit_options(function: Command) -> Command:

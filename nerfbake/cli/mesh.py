@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
-from nerfbake.cli.fit import photograph_options
+from nerfbake.cli.fit import model_options
 from nerfbake.cli.params import (
-    CAPTURE,
     Box,
-    Command,
     Number,
     as_json,
     console_options,
+    parse_count,
     seed,
     source_argument,
     without_effect,
 )
-from nerfbake.cli.paths import MeshOutput, PhotographsPath
+from nerfbake.cli.paths import MeshOutput
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
     from nerfbake.jobs.meshes import MeshResult
-    from nerfbake.jobs.photographs import PhotographOptions
 
 
 class TriangleCounts(click.ParamType[tuple[int, ...]]):
@@ -42,66 +39,18 @@ class TriangleCounts(click.ParamType[tuple[int, ...]]):
         if isinstance(value, tuple):
             return value
         words = value.split(",") if self._several else [value]
-        found = tuple(map(_count, words))
+        found = tuple(map(parse_count, words))
         if not all(4 <= count <= 100_000_000 for count in found):
             allowed = "20k,5k,..." if self._several else "20k, 20000, ..."
             self.fail(f"{value!r} is not a number of triangles; allowed: {allowed}, each 4 or more", param, ctx)
         return found
 
 
-def _count(word: str) -> int:
-    """Return a number like 20k, or 0 if it is none."""
-    factor = {"k": 1000, "m": 1_000_000}.get(word[-1:].lower(), 1)
-    digits = word if factor == 1 else word[:-1]
-    fine = digits.isascii() and digits.replace(".", "", 1).isdecimal() and len(digits) < 12
-    count = float(digits) * factor if fine else 0.0
-    return int(count) if count == int(count) else 0
-
-
-def _model_options(function: Command) -> Command:
-    """Add --views with photograph_options(), --frames and --edge; pass the command `model`, a MeshViews."""
-
-    @click.option(
-        "--views",
-        metavar="CAPTURE",
-        type=PhotographsPath(),
-        help=f"Photographs for the texture: {CAPTURE}.  [default: pictures of IN, from all sides]",
-    )
-    @click.option(
-        "--frames",
-        type=click.IntRange(2, 1000),
-        default=100,
-        show_default=True,
-        help="Without --views: number of pictures of IN to render.",
-    )
-    @click.option(
-        "--edge",
-        type=click.IntRange(8, 4096),
-        default=400,
-        show_default=True,
-        help="Without --views: width and height of these pictures, in pixels.",
-    )
-    @photograph_options
-    @wraps(function)
-    def command(
-        *args: object, views: str | None, frames: int, edge: int, album: PhotographOptions, **others: object
-    ) -> object:
-        from nerfbake.jobs.meshes import MeshViews
-
-        if views is None:
-            without_effect("background", "masks", "test", "holdout", here="without --views", allowed="it with --views")
-        else:
-            without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
-        return function(*args, model=MeshViews(views, frames, edge, album), **others)
-
-    return command
-
-
 @click.command()
 @source_argument
 @click.argument("target", metavar="OUT", type=MeshOutput())
 @click.option("--force", is_flag=True, help="Replace OUT, and the files beside it, if they exist.")
-@_model_options
+@model_options("Photographs for the texture", "meshes.MeshViews")
 @click.option(
     "--triangles",
     type=TriangleCounts(),

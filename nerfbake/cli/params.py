@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -137,6 +138,13 @@ class PartBox(Box):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return value if value in ("inner", ALL) else super().convert(value, param, ctx)
+
+
+def parse_count(word: str) -> int:
+    """Return a number like 20000, 20k or 1.5M; 0 if the word is none."""
+    match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,6})?)([kKmM]?)", word)
+    factor = {"": 1, "k": 1_000, "m": 1_000_000}
+    return round(float(match[1]) * factor[match[2].lower()]) if match else 0
 
 
 class PixelSize(click.ParamType[tuple[int, int]]):

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import re
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
-from nerfbake.cli.fit import photograph_options
+from nerfbake.cli.fit import model_options
 from nerfbake.cli.params import (
-    CAPTURE,
-    Command,
     Number,
     as_json,
     console_options,
+    parse_count,
     seed,
     source_argument,
     target_argument,
-    without_effect,
 )
-from nerfbake.cli.paths import PhotographsPath
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
-    from nerfbake.jobs.photographs import PhotographOptions
     from nerfbake.jobs.splats import SplatsResult
 
-_UNITS = {"": 1, "k": 1_000, "m": 1_000_000}
 _MOST = 20_000_000
 
 
@@ -39,51 +32,10 @@ class SplatCount(click.ParamType[int]):
     name = "N"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,6})?)([kKmM]?)", str(value))
-        count = round(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
+        count = parse_count(str(value))
         if not 1 <= count <= _MOST:
             self.fail(f"{str(value)[:40]!r} is not a number of splats; allowed: 1 to 20M, for example 150k", param, ctx)
         return count
-
-
-def model_options(function: Command) -> Command:
-    """Add --views, --frames, --edge and photograph_options(); pass the command `model`, a SplatsModel."""
-
-    @click.option(
-        "--views",
-        metavar="SOURCE",
-        type=PhotographsPath(),
-        help=f"Photographs that OUT is fitted to: {CAPTURE}.  [default: rendered pictures of IN]",
-    )
-    @click.option(
-        "--frames",
-        type=click.IntRange(2, 1000),
-        default=100,
-        show_default=True,
-        help="Without --views: number of pictures of IN to render, from all sides.",
-    )
-    @click.option(
-        "--edge",
-        type=click.IntRange(8, 4096),
-        default=400,
-        show_default=True,
-        help="Without --views: width and height of these pictures, in pixels.",
-    )
-    @photograph_options
-    @wraps(function)
-    def command(
-        *args: object, views: str | None, frames: int, edge: int, album: PhotographOptions, **others: object
-    ) -> object:
-        from nerfbake.jobs.splats import SplatsModel
-
-        if views is None:
-            allowed = "it with --views"
-            without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
-        else:
-            without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
-        return function(*args, model=SplatsModel(views, album, frames, edge), **others)
-
-    return command
 
 
 @click.command()
@@ -92,7 +44,7 @@ def model_options(function: Command) -> Command:
 @click.option(
     "--count", type=SplatCount(), default="150k", show_default=True, help="Largest number of splats, for example 150k."
 )
-@model_options
+@model_options("Photographs that OUT is fitted to", "splats.SplatsModel")
 @click.option(
     "--epochs", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of passes over the pictures."
 )

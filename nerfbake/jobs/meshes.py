@@ -201,9 +201,8 @@ def bake_mesh(
               BudgetMissed is raised (exit code 3)
     report    is called with the result, also if min_psnr is missed
 
-    >>> made = bake_mesh(
-    ...     "a.npz", "a.glb", model=MeshViews(frames=8, edge=64), recipe=MeshOptions((2000,), texture=256)
-    ... )
+    >>> recipe = MeshOptions((2000,), texture=256)
+    >>> made = bake_mesh("a.npz", "a.glb", model=MeshViews(frames=8, edge=64), recipe=recipe)
     >>> made.quality.psnr > 15
     True
     """
