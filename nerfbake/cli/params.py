@@ -142,7 +142,7 @@ class PartBox(Box):
 
 def parse_count(word: str) -> int:
     """Return a number like 20000, 20k or 1.5M; 0 if the word is none."""
-    match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,6})?)([kKmM]?)", word)
+    match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,6})?|\.[0-9]{1,6})([kKmM]?)", word)
     factor = {"": 1, "k": 1_000, "m": 1_000_000}
     return round(float(match[1]) * factor[match[2].lower()]) if match else 0
 
