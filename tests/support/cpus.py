@@ -48,6 +48,9 @@ render colour.vdb --out volume.png --size 120x100
 render scene.npz --mesh mesh/mesh_0.obj --out both.png --size 120x100
 splats scene.npz few.ply --count 2000 --frames 6 --edge 48 --epochs 2
 render few.ply --out splats.png --size 120x100 --depth
+svo few.ply few.svo.npz --resolution 32 --epochs 1
+mesh scene.npz small.glb --frames 8 --edge 64 --triangles 500 --texture 128 --image png
+mesh scene.npz small_stage1 --frames 8 --edge 64 --triangles 500 --texture 128
 compare scene.npz mean.svo.npz --size 60x60 --sheet scenes.png
 lattice scene.npz lattice --resolution 32 --rounds 40
 lattice full.svo.pb merged --rounds 2 --merged
