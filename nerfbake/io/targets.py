@@ -136,10 +136,7 @@ def replacing_files(target: Path, names: Sequence[str], *, force: bool) -> Itera
                 _keep_mode(part / name, target.with_name(name))
                 (part / name).replace(target.with_name(name))
         except BudgetMissed:
-            require_no_folder(rejected, force=force)
-            if rejected.is_dir():
-                shutil.rmtree(rejected)
-            shutil.move(part, rejected)
+            _reject_folder(part, rejected, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -169,13 +166,18 @@ def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
             else:
                 part.replace(target)
         except BudgetMissed:
-            require_no_folder(rejected, force=force)
-            if rejected.is_dir():
-                shutil.rmtree(rejected)
-            shutil.move(part, rejected)
+            _reject_folder(part, rejected, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
+
+
+def _reject_folder(part: Path, rejected: Path, *, force: bool) -> None:
+    """Rename a folder that misses its quality limit."""
+    require_no_folder(rejected, force=force)
+    if rejected.is_dir():
+        shutil.rmtree(rejected)
+    shutil.move(part, rejected)
 
 
 def rejected_path(target: str | Path) -> Path:
