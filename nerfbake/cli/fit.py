@@ -140,8 +140,8 @@ def fit_options(function: Command) -> Command:
     @click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
-        help="Schedule of about 40, 80 or 140 seconds on two cores; with scenery of 1, 2 or 5 minutes.  [default: "
-        "balanced]",
+        help="Schedule of about 40, 80 or 140 seconds on two cores; of 2, 5 or 10 minutes for objects in pictures of "
+        "600 pixels or more; with scenery of 1, 2 or 5 minutes.  [default: balanced]",
     )
     @click.option(
         "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."
@@ -150,10 +150,9 @@ def fit_options(function: Command) -> Command:
     @click.option(
         "--resolution",
         type=click.Choice(["32", "64", "128", "256", "512"]),
-        default="256",
-        show_default=True,
         help="Voxels along each axis, before those with the largest errors are split once more. With scenery: along "
-        "each axis of the inner cube, after they are split.",
+        "each axis of the inner cube, after they are split.  [default: 256; 512 for objects in pictures of 600 pixels "
+        "or more]",
     )
     @sh_basis
     @click.option(
@@ -185,7 +184,7 @@ def fit_options(function: Command) -> Command:
         preset: str | None,
         minutes: float | None,
         epochs: str | None,
-        resolution: str,
+        resolution: str | None,
         basis: str,
         samples: int,
         box: Any,
@@ -197,7 +196,8 @@ def fit_options(function: Command) -> Command:
 
         if epochs is not None:
             without_effect("resolution", "samples", here="with --epochs, which has its own", allowed="one of them")
-        recipe = FitOptions(preset, minutes, epochs, int(resolution), samples, basis, box, seed, exposure)
+        cells = None if resolution is None else int(resolution)
+        recipe = FitOptions(preset, minutes, epochs, cells, samples, basis, box, seed, exposure)
         return function(*args, recipe=recipe, **others)
 
     return command

@@ -21,7 +21,7 @@ def fit(
     preset: Literal["fast", "balanced", "best"] | None = None,
     minutes: float | None = None,
     epochs: str | None = None,
-    resolution: int = 256,
+    resolution: int | None = None,
     samples: int = 2,
     basis: str = "SH9",
     box: tuple[float, float, float, float, float, float] | None = None,

@@ -97,7 +97,7 @@ class FitOptions(NamedTuple):
     minutes     select a schedule that takes this many minutes on two cores
     epochs      schedule as text, in the notation in which it is printed; it sets its own resolution and samples
     resolution  cells along each axis of the lattice, before some of them are split; with scenery, of the inner cube,
-                after some of them are split
+                after some of them are split; None: 256, or 512 for objects in pictures of 600 pixels or more
     samples     rays along each edge of a pixel, 1 or 2: choose the value that the field will be rendered with; with
                 scenery it is only measured with them
     basis       SH basis of the colours: SH1 to SH25
@@ -111,7 +111,7 @@ class FitOptions(NamedTuple):
     preset: str | None = None
     minutes: float | None = None
     epochs: str | None = None
-    resolution: int = 256
+    resolution: int | None = None
     samples: int = 2
     basis: str = "SH9"
     box: tuple[float, float, float, float, float, float] | None = None
@@ -136,14 +136,15 @@ class FitOptions(NamedTuple):
         )  # --help must not import NumPy
 
         asked: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
+        edge = 0
         if views is not None:
-            asked["views"] = len(views.pictures)
+            edge = min(min(camera.width, camera.height) for camera in views.cameras.cameras)
+            asked |= {"views": len(views.pictures), "edge": edge}
         try:
             if self.epochs is not None:
                 return parse_schedule(self.epochs)
             if views is not None and views.scenery:
-                edge = min(min(camera.width, camera.height) for camera in views.cameras.cameras)
-                sizes = {"resolution": self.resolution, "views": len(views.pictures), "edge": edge}
+                sizes = {"resolution": self.resolution or 256, "views": len(views.pictures), "edge": edge}
                 return scenery_schedule(self.preset or PRESET, **sizes, minutes=self.minutes)
             if self.minutes is not None:
                 return schedule_for(self.minutes, **asked)

@@ -12,7 +12,8 @@ from nerfbake.errors import InvalidScene, Problem
 Rates = tuple[float, float]  # learning rates of the first and of the last step
 RESOLUTIONS = (8, 1024)
 MAX_MINUTES = 10_000.0
-_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 16.0  # before the first split, and of each epoch after it
+_SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 16.0  # before the stages with 2 x 2 rays, and of each of their epochs
+_SECONDS_BEFORE_LARGE, _SECONDS_A_LARGE_EPOCH = 60.0, 64.0  # the same for 512 cells along an axis
 MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
 _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
 
@@ -49,6 +50,9 @@ VIEWS = 100  # number of pictures that the presets are made for; if there are fe
 _BEFORE = 3, 3, 1  # epochs of the stages of R / 4, R / 2 and R cells
 PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cells with some cells split
 _AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
+# Pictures of this many pixels show cells of 1 / 512 of the box. The presets then have fewer epochs, which cost four
+# times as much, and no cells are split before the second half of `best`.
+_LARGE, _LARGE_PRESETS = 600, {"fast": 1, "balanced": 3, "best": 6}
 
 
 class Schedule(tuple[Stage, ...]):
@@ -97,46 +101,65 @@ def parse_schedule(text: str) -> Schedule:
     return Schedule(_parse_stage(part, f"stage {number}") for number, part in enumerate(text.split("/"), start=1))
 
 
-def preset_schedule(name: str = "balanced", *, resolution: int = 256, samples: int = 2, views: int = VIEWS) -> Schedule:
-    """A preset's stages for a lattice of `resolution` cells along an axis, 16 or more.
+def resolution_for(edge: int) -> int:
+    """The cells along an axis that the presets have for pictures whose shorter edge has `edge` pixels."""
+    return 512 if edge >= _LARGE else 256
+
+
+def preset_schedule(
+    name: str = "balanced", *, resolution: int | None = None, samples: int = 2, views: int = VIEWS, edge: int = 400
+) -> Schedule:
+    """A preset's stages for a lattice of `resolution` cells along an axis, 16 or more; None: resolution_for(edge).
 
     samples: rays along an edge of a pixel. views: number of pictures. A fit takes as many steps for a few views as for
     a hundred, in about the same time. With samples = 1 the last epoch has single rays, so that pictures with single
-    rays look best.
+    rays look best. edge: the pictures' shorter edge in pixels.
     """
     if name not in PRESETS:
         raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(PRESETS)))
-    return _stages(PRESETS[name], resolution, samples, views)
+    resolution = resolution or resolution_for(edge)
+    epochs = (_LARGE_PRESETS if resolution >= 512 else PRESETS)[name]
+    return _stages(epochs, resolution, samples, views, edge)
 
 
-def schedule_for(minutes: float, *, resolution: int = 256, samples: int = 2, views: int = VIEWS) -> Schedule:
+def schedule_for(
+    minutes: float, *, resolution: int | None = None, samples: int = 2, views: int = VIEWS, edge: int = 400
+) -> Schedule:
     """The longest schedule that takes about `minutes` on two cores for a scene like NeRF-Synthetic's chair.
 
-    views: number of pictures, as in preset_schedule().
+    The other arguments are those of preset_schedule(). resolution None: resolution_for(edge) if there is time for it,
+    else 256.
     """
     if not 0 < minutes <= MAX_MINUTES:
         raise InvalidScene(Problem("minutes", f"are {minutes:g}", f"above 0, to {MAX_MINUTES:g}"))
-    epochs = max(1, min(round((60 * minutes - _SECONDS_BEFORE) / _SECONDS_AN_EPOCH), MAX_EPOCHS))
-    return _stages(epochs, resolution, samples, views)
+    if resolution is None:
+        resolution = resolution_for(edge)
+        if 60 * minutes < _SECONDS_BEFORE_LARGE + _SECONDS_A_LARGE_EPOCH:
+            resolution = 256
+    large = resolution >= 512
+    before, each = (_SECONDS_BEFORE_LARGE, _SECONDS_A_LARGE_EPOCH) if large else (_SECONDS_BEFORE, _SECONDS_AN_EPOCH)
+    epochs = max(1, min(round((60 * minutes - before) / each), MAX_EPOCHS))
+    return _stages(epochs, resolution, samples, views, edge)
 
 
-def _stages(epochs: int, resolution: int, samples: int, views: int) -> Schedule:
+def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int) -> Schedule:
     def times(epochs: int) -> int:
         return max(1, min(round(epochs * VIEWS / views), MAX_EPOCHS))
 
     coarse, middle, fine = map(times, _BEFORE)
     second = epochs // 2 if epochs >= _AGAIN else 0
     quarter, half = max(resolution // 4, RESOLUTIONS[0]), max(resolution // 2, RESOLUTIONS[0])
+    small, split = (4 if edge >= _LARGE else 2), (0.0 if resolution >= 512 else 0.1)
     made = [
-        Stage(quarter, 2, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.01),
+        Stage(quarter, small, coarse, (0.3, 0.05), (0.5, 0.2), prune=0.01),
         Stage(half, 2, middle, (0.1, 0.015), (0.5, 0.2), prune=0.03),
         Stage(resolution, 1, fine, (0.08, 0.03), (0.5, 0.3), prune=0.02),
-        Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, 0.1, 0.005),
+        Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, split, prune=0.02),
     ]
     if second:
-        made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, 0.1, 0.005))
+        made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, 0.1, 0.02))
     if samples == 1:
-        made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.005))
+        made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.02))
     return Schedule(made)
 
 

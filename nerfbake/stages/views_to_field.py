@@ -9,14 +9,14 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.fit.bricks import ROW, BrickGrid, TaskBuffers, new_batch
+from nerfbake.kernels.fit.bricks import ROW, BrickGrid, TaskBuffers, new_batch, round_cells
 from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import exp, log, power
 from nerfbake.scene.basis import parse_basis
-from nerfbake.scene.schedule import Rates, Schedule
+from nerfbake.scene.schedule import Rates, Schedule, Stage
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_state import GAINS, FitState
@@ -30,6 +30,7 @@ TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 c
 _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's own colour
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
+_STEPS, _DENSITY_STEP = (1 / 16, 1 / 8, 1 / 8, 1 / 8, 1 / 8), 1 / 16  # of rounded coefficients; per cell width
 _DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
 # Residuals above this count less: what only one view shows, such as a person who walks by, must not change the others.
 _MOST = 0.2
@@ -87,6 +88,8 @@ def fit_field(
             _rebuild(state, views)
         batch = _visit(state, views, batch)
         _count_on(state, len(views.pictures))
+        if state.done:
+            _finish(state, views)
         yield state
 
 
@@ -104,11 +107,7 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
 def _rebuild(state: FitState, views: Views) -> None:
     """Build the cells of the next stage: prune cells with low weights, then double the resolution or divide cells."""
     stage, last, bricks = state.schedule[state.stage], state.schedule[state.stage - 1], state.cells.bricks
-    keep = state.cells.seen[:, 0] >= last.prune
-    if views.scenery:
-        keep |= wall_of(state.cells)
-    if not keep.any():
-        raise InvalidScene(Problem("the fit", "has no cell left that is visible in a picture", "pictures of an object"))
+    keep = _visible(state, last, views)
     plan, wide = plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), bool(state.divided)
     if stage.cells > last.cells:
         plan = double_plan(plan, np.ones(len(keep), bool))
@@ -120,6 +119,16 @@ def _rebuild(state: FitState, views: Views) -> None:
     if views.scenery:
         close_wall(state.cells)
     state.built = state.stage
+
+
+def _visible(state: FitState, stage: Stage, views: Views) -> Bits:
+    """Return (n,) bool: the cells that are kept after the stage. Raises InvalidScene if there are none."""
+    keep = state.cells.seen[:, 0] >= stage.prune
+    if views.scenery:
+        keep |= wall_of(state.cells)
+    if not keep.any():
+        raise InvalidScene(Problem("the fit", "has no cell left that is visible in a picture", "pictures of an object"))
+    return keep
 
 
 def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
@@ -172,6 +181,13 @@ def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
     gains = state.gains.copy()
     gains[view] *= sums[1:4] / sums[4:]
     state.gains = np.clip(gains / exp(log(gains).mean(axis=0)), *GAINS)
+
+
+def _finish(state: FitState, views: Views) -> None:
+    """Prune the cells after the last stage, and round their values, so that files are smaller."""
+    bricks, keep = state.cells.bricks, _visible(state, state.schedule[-1], views)
+    steps = np.append(np.tile(np.array(_STEPS)[band_of(state.basis.size)], 3), _DENSITY_STEP).astype(np.float32)
+    round_cells(bricks.values, bricks.first, keep, steps)
 
 
 def _rate(rates: Rates, part: float) -> float:

@@ -32,10 +32,22 @@ def test_long_schedules_divide_cells_twice() -> None:
     assert [preset_schedule(name).epochs for name in PRESETS] == [8, 11, 15]
 
 
-def test_more_minutes_are_more_epochs() -> None:
-    epochs = [schedule_for(minutes).epochs for minutes in (0.1, 1, 2, 4, 100)]
+def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() -> None:
+    assert preset_schedule(edge=599) == preset_schedule()
+    small, large = preset_schedule("best"), preset_schedule("best", edge=800)
+    assert [stage.cells for stage in large] == [2 * stage.cells for stage in small]
+    assert [stage.scale for stage in large[:2]] == [4, 2]
+    assert [stage.split for stage in large] == [0, 0, 0, 0, 0.1]
+    assert preset_schedule("best", edge=800, resolution=256).resolution == 256
+
+
+@pytest.mark.parametrize("edge", [400, 800])
+def test_more_minutes_are_more_epochs(edge: int) -> None:
+    schedules = [schedule_for(minutes, edge=edge) for minutes in (0.1, 1, 2, 4, 100)]
+    epochs = [schedule.epochs * (schedule.resolution // 256) ** 2 for schedule in schedules]
     assert epochs == sorted(epochs)
     assert epochs[0] < epochs[-1]
+    assert (schedules[0].resolution, schedules[-1].resolution) == (256, 256 if edge == 400 else 512)
 
 
 @pytest.mark.parametrize(

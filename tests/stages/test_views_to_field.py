@@ -10,11 +10,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import BrickField, Views, build_field_from_bricks, carve_hull, fit_field, memory_limit, render_field
+from nerfbake import (
+    BrickField,
+    Views,
+    build_field_from_bricks,
+    carve_hull,
+    fit_field,
+    measure_views,
+    memory_limit,
+    render_field,
+)
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import Cameras, Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
+from nerfbake.stages import views_to_field
 from nerfbake.stages.views_to_field import FitState
 from tests.support.views import sample_views
 
@@ -62,6 +72,28 @@ def test_a_split_leaves_wide_cells_and_narrow_ones() -> None:
     field.require_usable()
     assert field.resolution == 32
     assert 0 < np.count_nonzero(field.wide) < field.n
+
+
+def test_the_last_state_is_rounded_and_pruned_and_looks_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = sample_views()
+    made = last(views)
+    rounded, unseen = made.field(), made.cells.seen[:, 0] < SHORT[-1].prune
+    monkeypatch.setattr(views_to_field, "_finish", lambda *_: None)
+    plain = last(views).field()
+    assert_array_equal(plain.rows, rounded.rows)
+    assert 0 < np.count_nonzero(unseen) < len(unseen)
+    assert not rounded.values[unseen, -1].any()
+    steps = np.tile([1 / 16, *[1 / 8] * 8], 3)
+    assert_array_equal(rounded.values[:, :-1] % steps, 0)
+    assert (abs(rounded.values[:, :-1] - plain.values[:, :-1]) <= steps / 2).all()
+    assert len(np.unique(rounded.values[:, -1])) < 300 < len(np.unique(plain.values[:, -1]))
+    before, after = (measured(field, views) for field in (plain, rounded))
+    assert after == pytest.approx(before, abs=0.1)
+
+
+def measured(field: BrickField, views: Views) -> float:
+    errors = measure_views(build_field_from_bricks(field), views, samples=2)
+    return sum(error.psnr for error in errors) / len(errors)
 
 
 def test_the_same_bytes_for_any_number_of_threads() -> None:

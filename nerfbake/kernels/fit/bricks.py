@@ -159,3 +159,22 @@ def _inherit(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid, brick:
             new.values[start + k * count + cell] = old.values[D * old_first + k * old_count + row - old_first]
         finer = len(old.top) * (1 + (new.places[first + cell] & 1)) / (len(new.top) * (1 + (old.places[row] & 1)))
         new.values[start + (D - 1) * count + cell] *= np.float32(finer)
+
+
+@compiled(parallel=True)
+def round_cells(values: Singles, first: npt.NDArray[np.int32], keep: Bits, steps: Singles) -> None:
+    """Round the values of each cell to multiples of `steps` (3 B + 1,), powers of two; others get the density 0."""
+    for brick in prange(len(first) - 1):
+        _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), keep, steps)
+
+
+@compiled()
+def _round_brick(values: Singles, begin: Whole, end: Whole, keep: Bits, steps: Singles) -> None:
+    D, count = len(steps), end - begin
+    for k in range(D):
+        step, parts, start = steps[k], np.float32(1) / steps[k], D * begin + k * count
+        for cell in range(count):
+            values[start + cell] = np.rint(values[start + cell] * parts) * step
+    for cell in range(count):
+        if not keep[begin + cell]:
+            values[D * begin + (D - 1) * count + cell] = np.float32(0)
