@@ -15,8 +15,8 @@ import pytest
 from PIL import Image as Pillow
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, captures, fit, inputs, mesh, outputs, svo, view, wires
-from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, VIEW
+from benchmarks import atlas, captures, fit, inputs, mesh, outputs, papers, svo, view, wires
+from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, PAPERS, VIEW
 from benchmarks.browser import SWIFTSHADER
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, UNPUBLISHED, run
@@ -216,6 +216,21 @@ def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[0] for row in refits] == 2 * ["its photographs"] + 2 * ["the PlenOctree"]
     assert len(found["Aims"]) == 2 * 3 + 4
     assert b"balanced" in files["fit.svg"]
+
+
+@pytest.mark.slow
+def test_papers(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(papers, "PAPERS", {"fast": PAPERS["fast"]})
+    monkeypatch.setattr("nerfbake.bench.fit.comparison._schedule", lambda preset: SHORT)
+    files = small("papers", scenes)
+    found = tables(files, "papers.md")
+    (fit,) = found["Fits, from the written file"]
+    assert fit[:2] == ["chair", "fast"]
+    assert [row[0] for row in found["Aims"]] == [f"fast: {what}" for what in ("s", "PSNR dB", "MB", "peak MB")]
+    assert [row[-1] for row in found["Aims"]] == ["yes", "no", "yes", "yes"]
+    assert b"nerfbake, fast" in files["papers.svg"]
+    with pytest.raises(ValueError, match="the same bytes in every round"):
+        papers.reports(scenes, rounds=2)
 
 
 @pytest.mark.long

@@ -10,7 +10,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from difflib import get_close_matches
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -259,5 +258,5 @@ def chart_papers(report: Report, suffix: str) -> bytes:
             marks.append(
                 Mark(cells["method"], cells["minutes"], float(psnr), f"{cells['hardware']} ({cells['source']})")
             )
-    draw = partial(scatter, title=report.title, x="minutes of training", y="PSNR dB on the test views", logarithmic="x")
-    return draw(marks, suffix=suffix)
+    axes = {"x": "minutes of training", "y": "PSNR dB on the test views", "logarithmic": ""}
+    return scatter(marks, title=report.title, suffix=suffix, **axes)
