@@ -241,7 +241,8 @@ class Camera(CompactRepr):
         if self.lens is not None and self.lens.bends:
             return None
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        return x, -(np.arange(self.height) + 0.5 - self.cy) / self.fy
+        y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
     def plane(self) -> npt.NDArray[np.float64] | None:
         """(H, W, 2) where the rays of the pixels cross the plane at distance 1, x right, y down; None if some do not.

@@ -105,11 +105,11 @@ def _marched(
 
     place = transform_points(camera.pose[:3, 3], field.place)
     # SH are in the field's own axes.
-    frames = np.ascontiguousarray(field.place[:, :3]), field.axes, field.basis.size
+    turn, B = np.ascontiguousarray(field.place[:, :3]), field.basis.size
     if (slopes := camera.slopes()) is not None:
-        ways, basis = look_and_project(*slopes, camera.pose[:3, :3], *frames)
+        ways, basis = look_and_project(*slopes, camera.pose[:3, :3], turn, field.axes, B)
     else:
-        ways, basis = rotate_and_project(camera.rays()[1], *frames)
+        ways, basis = rotate_and_project(camera.rays()[1], turn, field.axes, B)
     if field.basis.kind == "RGBA":
         basis[:] = 1
     out = np.empty((len(ways), 5), np.float32)

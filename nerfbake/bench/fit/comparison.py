@@ -84,16 +84,15 @@ def find_scenes(dataset: str, names: Sequence[str] = ()) -> dict[str, Path]:
     """
     folder = Path(dataset)
     with io.blame(dataset):
-        inside = [path for path in sorted(folder.iterdir()) if (path / TRAINING).is_file()]
+        found = {path.name: path for path in folder.iterdir() if (path / TRAINING).is_file()}
     if (folder / TRAINING).is_file():
-        inside = [folder]
-    found = {path.resolve().name: path for path in inside}
+        found = {folder.resolve().name: folder}
     if not found:
         raise InvalidFile(f"has no scenes; allowed: folders with {TRAINING} and {TEST}", source=dataset)
     for name in names:
         if name not in found:
             near = get_close_matches(name, found, 1)
-            hint = f", did you mean {near[0]}?" if near else ""
+            hint = f", perhaps {near[0]}" if near else ""
             raise UsageError(f"{dataset} has no scene {name!r}{hint}; allowed: {', '.join(_ordered(found))}")
     return {name: found[name] for name in _ordered(names or found)}
 

@@ -290,7 +290,7 @@ def test_what_cannot_be_fitted_is_refused_before_anything_runs(
     needed = "has no scenes; allowed: folders with transforms_train.json and transforms_test.json"
     assert refused(str(tmp_path / "empty")) == f"error: {tmp_path}/empty: {needed}"
     assert refused(root, "--scenes", "lgo,chair") == (
-        f"error: {root} has no scene 'lgo', did you mean lego?; allowed: chair, lego"
+        f"error: {root} has no scene 'lgo', perhaps lego; allowed: chair, lego"
     )
     assert refused(root, "--scenes", "xyz") == f"error: {root} has no scene 'xyz'; allowed: chair, lego"
     assert refused(root, "--preset", "quick").startswith("error: Invalid value for '--preset': 'quick' is not known;")
