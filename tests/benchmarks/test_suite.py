@@ -365,7 +365,9 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, batch, fit, captures, mesh, inputs, splats, atlas, "
+    allowed = (
+        "svo, formats, wires, vdb, access, render, outputs, batch, fit, papers, captures, mesh, inputs, splats, atlas, "
+    )
     allowed += "view, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
