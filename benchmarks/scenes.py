@@ -66,6 +66,11 @@ class Scenes:
         return self.data / "nerf_synthetic" / "chair"
 
     @property
+    def nerf_synthetic(self) -> Path:
+        """The folder with scenes of NeRF-Synthetic as downloaded: 800x800, 100 training views and 200 test views."""
+        return self.data / "nerf_synthetic_800"
+
+    @property
     def captures(self) -> Path:
         """The folder with captures as people take them: plush, photographs of a phone; mug, with masks."""
         return self.data / "captures"

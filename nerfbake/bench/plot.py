@@ -20,8 +20,11 @@ class Mark(NamedTuple):
     group: str
 
 
-def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -> bytes:
-    """Draw labelled marks on logarithmic axes; return an image in the format of the suffix (.png, .svg)."""
+def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str, logarithmic: str = "xy") -> bytes:
+    """Draw labelled marks; return an image in the format of the suffix (.png, .svg).
+
+    logarithmic: names of the axes with a logarithmic scale; decibels are logarithms already.
+    """
     from matplotlib.ticker import LogLocator, NullFormatter
 
     with _drawn(suffix) as (figure, axes, image):
@@ -29,8 +32,10 @@ def scatter(marks: Sequence[Mark], *, title: str, x: str, y: str, suffix: str) -
             mine = [mark for mark in marks if mark.group == group]
             x_own, y_own = [mark.x for mark in mine], [mark.y for mark in mine]
             axes.scatter(x_own, y_own, s=28, color=colour, label=group, zorder=3)
-        axes.set(xscale="log", yscale="log", title=title, xlabel=x, ylabel=y)
-        for axis in (axes.xaxis, axes.yaxis):
+        axes.set(title=title, xlabel=x, ylabel=y)
+        for name in logarithmic:
+            axis = getattr(axes, f"{name}axis")
+            axes.set(**{f"{name}scale": "log"})
             axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())

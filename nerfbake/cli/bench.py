@@ -1,17 +1,20 @@
-"""`nerfbake bench`: measure formats, atlases, lookups and compression on your own scene and machine."""
+"""`nerfbake bench`: measure formats, atlases, lookups, compression and fits on your own scene and machine."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
 
 import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import CAPTURE, Resolution, console_options, max_memory, source_argument, without_effect
-from nerfbake.cli.paths import Capture, Reads
-from nerfbake.cli.reports import Destination, Resolutions, report_options
+from nerfbake.cli.paths import Capture, PhotographsPath, Reads, StateFolder
+from nerfbake.cli.reports import Destination, Names, Resolutions, report_options
+from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 
 
@@ -169,6 +172,71 @@ def compress(
     with source.blamed(console, "compressing"):
         found = compare_compression(octree, name, cameras=cameras, truth=truth, rounds=rounds, progress=console.phase)
     destination.write([found], chart_compression)
+
+
+@bench.command()
+@click.argument("dataset", metavar="DATASET", type=PhotographsPath())
+@click.option("--scenes", metavar="NAME,...", type=Names(), default="", help="Scenes of DATASET.  [default: all]")
+@click.option(
+    "--preset",
+    "presets",
+    metavar="NAME,...",
+    type=Names("fast", "balanced", "best"),
+    default="best",
+    show_default=True,
+    help="Schedules, as in `nerfbake fit`: fast, balanced, best.",
+)
+@click.option(
+    "--table",
+    type=click.Choice(["published", "own"]),
+    default="published",
+    show_default=True,
+    help="published: put the fits beside the published figures of other methods. own: only the fits.",
+)
+@click.option(
+    "--state",
+    metavar="DIR",
+    type=StateFolder(),
+    help="Keep fitted files and checkpoints in this folder. After an interruption, the same command resumes.",
+)
+@report_options(rounds=None, chart="PSNR against minutes")
+@max_memory
+@console_options
+def fit(
+    dataset: str,
+    scenes: tuple[str, ...],
+    presets: tuple[str, ...],
+    table: Literal["published", "own"],
+    state: str | None,
+    destination: Destination,
+    console: Console,
+) -> int:
+    """Measure fits of NeRF-Synthetic.
+
+    Fits the scenes of DATASET, NeRF-Synthetic as downloaded, and measures the written files on all test views: the
+    protocol of the papers. Reports PSNR, SSIM, time, memory and size beside the published figures of other methods.
+    DATASET can also be the folder of one scene.
+
+    \b
+      nerfbake bench fit nerf_synthetic --scenes chair,lego --state run --plot papers.svg
+      nerfbake bench fit nerf_synthetic --preset fast,balanced,best --state run --format json
+
+    Exit codes: 0 all fits are done, 1 some are not.
+    """
+    from nerfbake.bench.fit.comparison import chart_papers, compare_papers
+
+    if destination.plot and table == "own":
+        raise UsageError("--plot shows published figures; allowed: --table published")
+    with ExitStack() as stack:
+        folder = state or stack.enter_context(TemporaryDirectory(prefix="nerfbake-bench-"))
+        options: dict[str, Any] = {"scenes": scenes, "presets": presets, "published": table == "published"}
+        report, batch = compare_papers(dataset, state=folder, steps=console, **options)
+    if report is None:
+        onward = f"run the same command to resume from {state}" if state else "without --state nothing is kept"
+        console.say(f"{batch.told}; {onward}")
+    else:
+        destination.write([report], chart_papers)
+    return batch.exit_code
 
 
 def _octree(source: Source, console: Console, resolution: Any, *, only: bool) -> Any:

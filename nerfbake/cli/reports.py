@@ -60,17 +60,20 @@ def save_bytes(path: str, content: bytes, *, force: bool) -> None:
         file.write(content)
 
 
-def report_options(*, rounds: int, chart: str) -> Callable[[Command], Command]:
-    """Add --rounds, --format, -o, --plot and --force; pass the command `rounds` and `destination`, a Destination."""
+def report_options(*, rounds: int | None, chart: str) -> Callable[[Command], Command]:
+    """Add --rounds, --format, -o, --plot and --force; pass the command `rounds` and `destination`, a Destination.
+
+    rounds: the default of --rounds; None: without that option.
+    """
+    measured = click.option(
+        "--rounds",
+        type=click.IntRange(1, 1000),
+        default=rounds,
+        show_default=True,
+        help="Number of measured runs.",
+    )
 
     def add(function: Command) -> Command:
-        @click.option(
-            "--rounds",
-            type=click.IntRange(1, 1000),
-            default=rounds,
-            show_default=True,
-            help="Number of measured runs.",
-        )
         @click.option(
             "--format",
             "kind",
@@ -92,7 +95,7 @@ def report_options(*, rounds: int, chart: str) -> Callable[[Command], Command]:
             destination.require()
             return function(*args, destination=destination, **others)
 
-        return command
+        return command if rounds is None else measured(command)
 
     return add
 
@@ -109,3 +112,23 @@ class Resolutions(click.ParamType[tuple[int, ...]]):
         if not all(edge.isdecimal() and len(edge) < 5 and 1 <= int(edge) <= 4096 for edge in edges):
             self.fail(f"{value!r} is not a list of resolutions; allowed: R,R,..., each 1 to 4096", param, ctx)
         return tuple(dict.fromkeys(map(int, edges)))
+
+
+class Names(click.ParamType[tuple[str, ...]]):
+    """One or several names. allowed: the known names; none: any."""
+
+    name = "NAME,..."
+
+    def __init__(self, *allowed: str) -> None:
+        self._allowed = allowed
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        names = tuple(dict.fromkeys(name.strip() for name in value.split(",") if name.strip()))
+        for name in names:
+            if self._allowed and name not in self._allowed:
+                self.fail(f"{name!r} is not known; allowed: {', '.join(self._allowed)}", param, ctx)
+        if self._allowed and not names:
+            self.fail(f"there is no name; allowed: {', '.join(self._allowed)}", param, ctx)
+        return names

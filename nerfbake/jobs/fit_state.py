@@ -51,8 +51,8 @@ class CurvePoint(NamedTuple):
 class Clock:
     """CPU seconds of all threads, and wall-clock seconds, both without pauses and without compiling kernels."""
 
-    def __init__(self, worked: float = 0.0) -> None:
-        self._worked, self._passed = worked - _working(), -_passing()
+    def __init__(self, worked: float = 0.0, passed: float = 0.0) -> None:
+        self._worked, self._passed = worked - _working(), passed - _passing()
 
     @property
     def worked(self) -> float:
@@ -102,10 +102,10 @@ class FitRun:
         self._looked, self._epoch = 0.0, (0, 0)
         self.clock, self.curve = Clock(), list[CurvePoint]()
 
-    def goes_on(self, now: Any, *, worked: float, curve: Sequence[CurvePoint]) -> None:
-        """Resume from the state `now` of an earlier run, with its CPU seconds and curve."""
+    def goes_on(self, now: Any, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
+        """Resume from the state `now` of an earlier run, with its CPU seconds, wall-clock seconds and curve."""
         self._epoch = now.stage, now.epoch
-        self.clock, self.curve = Clock(worked), list(curve)
+        self.clock, self.curve = Clock(worked, passed), list(curve)
 
     def follow(self, now: Any) -> bool:
         """Return whether an epoch has ended since the last state. If so, measure the quality."""
@@ -149,15 +149,16 @@ class FitRun:
 
 
 _OFTEN = 30.0  # seconds between checkpoints
-_VERSION = 2
+_VERSION = 3
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint: its file, its arrays, and the CPU seconds and curve until then."""
+    """A checkpoint: its file, its arrays, and the CPU seconds, wall-clock seconds and curve until then."""
 
     path: str
     arrays: dict[str, Any]
     worked: float
+    passed: float
     curve: list[CurvePoint]
 
 
@@ -176,9 +177,9 @@ class CheckpointWriter:
     def is_due(self) -> bool:
         return time.monotonic() - self._kept > _OFTEN
 
-    def keep(self, now: Any, *, worked: float, curve: Sequence[CurvePoint]) -> None:
+    def keep(self, now: Any, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
         """Replace the last checkpoint atomically. Raises OutputError."""
-        facts = {"key": self._key, "worked": worked, "curve": curve}
+        facts = {"key": self._key, "worked": worked, "passed": passed, "curve": curve}
         io.save_checkpoint(self._folder, facts, now.arrays())
         self._kept = time.monotonic()
 
@@ -194,7 +195,8 @@ class CheckpointWriter:
         path = str(io.checkpoint_path(self._folder))
         with io.blame(path):
             self._require_same(facts.get("key"))
-            return Checkpoint(path, arrays, _number("worked", facts.get("worked")), _points(facts.get("curve")))
+            worked, passed = (_number(name, facts.get(name)) for name in ("worked", "passed"))
+            return Checkpoint(path, arrays, worked, passed, _points(facts.get("curve")))
 
     def _require_same(self, key: Any) -> None:
         key = key if isinstance(key, dict) else {}

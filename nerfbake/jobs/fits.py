@@ -358,14 +358,14 @@ def _start(keeper: CheckpointWriter | None, course: FitRun) -> Any:
 
     with io.blame(last.path):
         now = FitState.of_arrays(last.arrays)
-    course.goes_on(now, worked=last.worked, curve=last.curve)
+    course.goes_on(now, worked=last.worked, passed=last.passed, curve=last.curve)
     return now
 
 
 def _keep(keeper: CheckpointWriter, now: Any, course: FitRun) -> None:
-    worked = course.clock.worked
+    worked, passed = course.clock.worked, course.clock.passed
     with course.clock.paused():
-        keeper.keep(now, worked=worked, curve=course.curve)
+        keeper.keep(now, worked=worked, passed=passed, curve=course.curve)
 
 
 def _judged(

@@ -221,9 +221,8 @@ class Camera(CompactRepr):
         Raises InvalidScene if a pixel has no viewing direction through the lens.
         """
         right, up, back = self.pose[:3, :3].T
-        if self.lens is None or not self.lens.bends:
-            x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-            y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
+        if (slopes := self.slopes()) is not None:
+            x, y = slopes
             directions = (x[:, None] * right - back) + (y[:, None] * up)[:, None]
         else:
             looks = self._looks()
@@ -233,6 +232,17 @@ class Camera(CompactRepr):
         across, down, along = np.moveaxis(directions, -1, 0)
         directions /= np.sqrt(across * across + down * down + along * along)[..., None]
         return self.pose[:3, 3], directions.reshape(-1, 3)
+
+    def slopes(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None:
+        """Where the rays of the columns (W,) and of the rows (H,) cross the plane at distance 1, x right, y up.
+
+        None if a lens bends the rays, so that a column has no common x.
+        """
+        if self.lens is not None and self.lens.bends:
+            return None
+        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
     def plane(self) -> npt.NDArray[np.float64] | None:
         """(H, W, 2) where the rays of the pixels cross the plane at distance 1, x right, y down; None if some do not.

@@ -91,7 +91,9 @@ def _rendered(
     out = _marched(field, camera, far_away, cut, lookup)
     colour, alpha, far = out[:, :3], out[:, 3], out[:, 4]
     if background is not None:
-        colour = colour + (1 - alpha[:, None]) * np.array(background, np.float32)
+        premultiplied, clear, colour = colour, 1 - alpha, np.empty((len(out), 3), np.float32)
+        for channel, behind in enumerate(np.array(background, np.float32)):  # faster than all three at once
+            colour[:, channel] = premultiplied[:, channel] + clear * behind
     depth = np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
     return Image(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape), background)
 
@@ -99,15 +101,18 @@ def _rendered(
 def _marched(
     field: RadianceField, camera: Camera, stop: npt.NDArray[np.float64], cut: float, lookup: Lookup
 ) -> npt.NDArray[np.float32]:
-    from nerfbake.kernels.march.directions import rotate_and_project
+    from nerfbake.kernels.march.directions import look_and_project, rotate_and_project
 
-    origin, looks = camera.rays()
-    place = transform_points(origin, field.place)
+    place = transform_points(camera.pose[:3, 3], field.place)
     # SH are in the field's own axes.
-    ways, basis = rotate_and_project(looks, np.ascontiguousarray(field.place[:, :3]), field.axes, field.basis.size)
+    turn, B = np.ascontiguousarray(field.place[:, :3]), field.basis.size
+    if (slopes := camera.slopes()) is not None:
+        ways, basis = look_and_project(*slopes, camera.pose[:3, :3], turn, field.axes, B)
+    else:
+        ways, basis = rotate_and_project(camera.rays()[1], turn, field.axes, B)
     if field.basis.kind == "RGBA":
         basis[:] = 1
-    out = np.empty((len(looks), 5), np.float32)
+    out = np.empty((len(ways), 5), np.float32)
     if lookup == "nearest":
         from nerfbake.kernels.march.traversal import march
 
@@ -118,7 +123,7 @@ def _marched(
         # Positions are relative to cell centres. Interpolation extends the box to the next centre on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
     # An integer would be another type, for which numba would compile the kernel again.
-    for first in progress.each(range(0, len(looks), _RAYS)):
+    for first in progress.each(range(0, len(ways), _RAYS)):
         some = slice(first, first + _RAYS)
         march(
             field.cells,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -47,6 +48,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     views = orbit_cameras(field, frames=2, width=EDGE, height=EDGE)
     save(chairs / "views" / "transforms.json", views)
     write_scene(cameras, frames=8, edge=EDGE)  # two of them judge
+    shutil.copytree(cameras, folder / "nerf_synthetic_800" / "chair")
     for camera in views.cameras:
         save(chairs / "views" / f"{camera.name}.png", render_field(field, camera))
     save_folder(folder / "nerf2mesh" / "mesh_stage1", sample_stage1(resolution=EDGE))

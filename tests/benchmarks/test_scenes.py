@@ -32,6 +32,10 @@ def test_benchmarks_and_tests_look_for_the_real_scenes_in_the_same_place() -> No
 @pytest.mark.data
 def test_every_real_scene_is_where_the_suite_looks_for_it(tmp_path: object) -> None:
     real = Scenes(DATA, DATA)
-    missing = [path for path in (real.chair, real.views, real.test_cameras, real.stage1) if not path.exists()]
+    missing = [
+        path
+        for path in (real.chair, real.views, real.test_cameras, real.nerf_synthetic, real.stage1)
+        if not path.exists()
+    ]
     assert missing == []
     assert SAMPLES["sample SH16"].resolution == 256

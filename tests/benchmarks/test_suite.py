@@ -15,8 +15,8 @@ import pytest
 from PIL import Image as Pillow
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, captures, fit, inputs, mesh, outputs, svo, view, wires
-from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, VIEW
+from benchmarks import atlas, captures, fit, inputs, mesh, outputs, papers, svo, view, wires
+from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, PAPERS, VIEW
 from benchmarks.browser import SWIFTSHADER
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, UNPUBLISHED, run
@@ -218,6 +218,21 @@ def test_fit(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert b"balanced" in files["fit.svg"]
 
 
+@pytest.mark.slow
+def test_papers(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(papers, "PAPERS", {"fast": PAPERS["fast"]})
+    monkeypatch.setattr("nerfbake.bench.fit.comparison._schedule", lambda preset: SHORT)
+    files = small("papers", scenes)
+    found = tables(files, "papers.md")
+    (fit,) = found["Fits, from the written file"]
+    assert fit[:2] == ["chair", "fast"]
+    assert [row[0] for row in found["Aims"]] == [f"fast: {what}" for what in ("s", "PSNR dB", "MB", "peak MB")]
+    assert [row[-1] for row in found["Aims"]] == ["yes", "no", "yes", "yes"]
+    assert b"nerfbake, fast" in files["papers.svg"]
+    with pytest.raises(ValueError, match="the same bytes in every round"):
+        papers.reports(scenes, rounds=2)
+
+
 @pytest.mark.long
 @pytest.mark.usefixtures("commands_as_forks")
 def test_captures(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -350,7 +365,9 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = "svo, formats, wires, vdb, access, render, outputs, batch, fit, captures, mesh, inputs, splats, atlas, "
+    allowed = (
+        "svo, formats, wires, vdb, access, render, outputs, batch, fit, papers, captures, mesh, inputs, splats, atlas, "
+    )
     allowed += "view, compress"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"

@@ -147,6 +147,7 @@ NO_JOB = {
     "bench atlas",
     "bench access",
     "bench compress",
+    "bench fit",
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 import zipfile
 from pathlib import Path
 from pkgutil import resolve_name
@@ -188,6 +189,7 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
     whole = fit_file(capture, "whole.npz", state="unbroken")
     taken = trainer.steps
     trainer.steps = 0
+    trainer.at_step[1] = lambda: time.sleep(0.3)
     broken_after(trainer, 8)
     with pytest.raises(RuntimeError, match="killed"):
         fit_file(capture, "a.npz", state="state")
@@ -198,6 +200,7 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
     assert trainer.steps < 8 + taken
     assert Path("a.npz").read_bytes() == Path("whole.npz").read_bytes()
     assert again.worked > 0
+    assert again.passed > 0.3  # that of the killed run is included
     assert [point[2:] for point in again.curve[:1]] == [point[2:] for point in whole.curve[:1]]
     trainer.steps = 0
     fit_file(capture, Target("a.npz", force=True), state="state")  # nothing is left to do
@@ -237,6 +240,7 @@ HOSTILE: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "no facts": ({"key": None}, {}, "the fit's version was nothing"),
     "a negative time": ({"worked": -1}, {}, "worked is -1; allowed: a number of seconds"),
     "no time": ({"worked": "long"}, {}, "worked is long"),
+    "a time of nothing": ({"passed": None}, {}, "passed is None; allowed: a number of seconds"),
     "a curve of text": ({"curve": [["a"] * 6]}, {}, "curve is no list of points; allowed: 6 numbers each"),
     "a short curve": ({"curve": [[1]]}, {}, "curve is no list of points"),
     "other arrays": ({}, {"at": np.ones(3)}, "at is no state"),

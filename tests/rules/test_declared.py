@@ -70,6 +70,7 @@ LINES = {
     "render a --out views --all --cameras c --depth npy": DeclaredPaths(("a", "c"), (), ("views",)),
     "sample capture out": DeclaredPaths((), (), ("out",)),
     "info a": DeclaredPaths(("a",)),
+    "bench fit d --state s -o r.md": DeclaredPaths((), ("d",), ("r.md",), ("s",)),
     "bench formats a b -o r.md": DeclaredPaths(("a", "b"), (), ("r.md",)),
 }
 

@@ -1,0 +1,1 @@
+"""Benchmark of the octree formats and of their libraries."""
