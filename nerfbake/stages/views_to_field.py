@@ -31,6 +31,7 @@ _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
 _STEPS, _DENSITY_STEP = (1 / 16, 1 / 8, 1 / 8, 1 / 8, 1 / 8), 1 / 16  # of rounded coefficients; per cell width
+_START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
 _DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
 # Residuals above this count less: what only one view shows, such as a person who walks by, must not change the others.
 _MOST = 0.2
@@ -101,7 +102,7 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     if views.scenery:
         return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, kind.size), gains=gains)
     solid, box = find_solid(views, box, schedule[0].cells)
-    return FitState(schedule, kind, seed, box, cells_of_solid(solid, box, kind.size), gains=gains)
+    return FitState(schedule, kind, seed, box, cells_of_solid(solid, box, kind.size, _START_DENSITY), gains=gains)
 
 
 def _rebuild(state: FitState, views: Views) -> None:

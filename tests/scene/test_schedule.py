@@ -35,9 +35,15 @@ def test_long_schedules_divide_cells_twice() -> None:
 def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() -> None:
     assert preset_schedule(edge=599) == preset_schedule()
     small, large = preset_schedule("best"), preset_schedule("best", edge=800)
-    assert [stage.cells for stage in large] == [2 * stage.cells for stage in small]
-    assert [stage.scale for stage in large[:2]] == [4, 2]
-    assert [stage.split for stage in large] == [0, 0, 0, 0, 0.1]
+    assert [stage.cells for stage in small] == [64, 128, 256, 256, 256]
+    assert [(stage.cells, stage.scale, stage.split) for stage in large] == [
+        (64, 4, 0),
+        (128, 4, 0),
+        (256, 2, 0),
+        (512, 1, 0),
+        (512, 1, 0),
+        (512, 1, 0.1),
+    ]
     assert preset_schedule("best", edge=800, resolution=256).resolution == 256
 
 
