@@ -13,7 +13,7 @@ from tests.conftest import Shell
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.usefixtures("in_this_process", "fewer_rays")
 def test_the_report_has_the_curve_and_every_contender(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compress, "LOSSES", (0.2, 2.0))
     octree = build_octree(sample_n3tree(resolution=16, basis="SH4"))

@@ -74,7 +74,7 @@ def _rig(cameras: Cameras) -> Rig:
 
 
 @pytest.fixture
-def scenes(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scenes:
+def scenes(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fewer_rays: None) -> Scenes:
     """The suite's scenes, all of them tiny."""
     tiny: dict[str, Sample] = {name: sample._replace(resolution=EDGE) for name, sample in suite_scenes.SAMPLES.items()}
     monkeypatch.setattr(suite_scenes, "SAMPLES", tiny)
