@@ -7,11 +7,15 @@ import os
 import pytest
 
 SWITCH = "NERFBAKE_TEST_FEWER_RAYS"
-EDGES = {"nerfbake.stages._loss._EDGE": 40, "nerfbake.stages.octree_to_compression._EDGE": 60}
+EDGES = {
+    "nerfbake.jobs.budgets.EDGE": 64,
+    "nerfbake.stages._loss._EDGE": 40,
+    "nerfbake.stages.octree_to_compression._EDGE": 60,
+}
 
 
 def with_fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the pictures smaller that compression measures its loss on, here and in the commands of `shell`."""
+    """Make the pictures smaller that measure a compression or --min-psnr, here and in the commands of `shell`."""
     for name, edge in EDGES.items():
         monkeypatch.setattr(name, edge)
     monkeypatch.setenv(SWITCH, "1")
