@@ -13,6 +13,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from tests.support.compression import with_fewer_rays
 from tests.support.forks import Forks
 
 REPOSITORY = Path(__file__).parents[1]
@@ -72,6 +73,11 @@ def shell(tmp_path: Path, forks: Forks) -> Shell:
         return forks.run(arguments, tmp_path, stdin)
 
     return run
+
+
+@pytest.fixture
+def fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_fewer_rays(monkeypatch)
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker

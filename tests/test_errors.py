@@ -20,6 +20,7 @@ from nerfbake.errors import (
     UsageError,
     one_line,
 )
+from tests.support.source import parsed
 
 PACKAGE = Path(nerfbake.__file__).parent
 FLAGS = {"batch/items.py", "formats/wire/page.py"}  # a command line of its own, and CSS
@@ -108,7 +109,7 @@ def test_texts_below_the_command_line_name_arguments() -> None:
         name = path.relative_to(PACKAGE)
         if name.parts[0] in ("cli", "bench"):
             continue
-        tree = ast.parse(path.read_text())
+        tree = parsed(path)
         for node in ast.walk(tree):
             if isinstance(node, ast.arg):
                 arguments.add(node.arg)

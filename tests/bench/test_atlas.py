@@ -16,8 +16,9 @@ from nerfbake.kernels.maths.elementary import fibonacci
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_this_process")
 def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = nerfbake.sample_stage1(resolution=64)
+    scene = nerfbake.sample_stage1(resolution=32)
     io.save_folder(tmp_path / "s", scene)
     monkeypatch.setattr(atlas, "RECIPES", [AtlasMethod("kmeans", 16), AtlasMethod("kmeans", 10**6)])
     monkeypatch.setattr(atlas, "CLUSTERINGS", [("nerfbake", 8), ("KMeans", 8)])

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from nerfbake import build_field, build_octree, orbit_cameras, render_field, sample_n3tree, save
 from nerfbake.bench import compress
-from nerfbake.bench.measure import measure_here
 from tests.bench.conftest import quiet
 from tests.conftest import Shell
 
 
-def here(function: Any, **arguments: Any) -> Any:
-    return measure_here(function.__module__, function.__name__, json.loads(json.dumps(arguments)))
-
-
 @pytest.mark.long
+@pytest.mark.usefixtures("in_this_process", "fewer_rays")
 def test_the_report_has_the_curve_and_every_contender(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compress, "measure", here)
     monkeypatch.setattr(compress, "LOSSES", (0.2, 2.0))
     octree = build_octree(sample_n3tree(resolution=16, basis="SH4"))
     field = build_field(octree)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +22,9 @@ from nerfbake import (
     sample_stage1,
     save,
 )
-from nerfbake.bench.measure import Result, Work, measure_here, seconds_of
+from nerfbake.bench.measure import Result, seconds_of
 from nerfbake.io import save_folder
+from tests.bench.conftest import MODULES, here
 from tests.support.captures import Rig, write_colmap_binary, write_llff
 from tests.support.forks import Forks
 from tests.support.photographs import write_picture, write_scene
@@ -78,7 +76,7 @@ def _rig(cameras: Cameras) -> Rig:
 
 
 @pytest.fixture
-def scenes(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scenes:
+def scenes(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fewer_rays: None) -> Scenes:
     """The suite's scenes, all of them tiny."""
     tiny: dict[str, Sample] = {name: sample._replace(resolution=EDGE) for name, sample in suite_scenes.SAMPLES.items()}
     monkeypatch.setattr(suite_scenes, "SAMPLES", tiny)
@@ -88,20 +86,10 @@ def scenes(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scene
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Work is measured here instead of in a child: seconds less for each row."""
-
-    def measure(function: Callable[..., Work], **arguments: Any) -> Result:
-        return measure_here(function.__module__, function.__name__, json.loads(json.dumps(arguments)))
-
-    for module in (
-        "access.comparison",
-        "atlas",
-        "compress",
-        "formats.comparison",
-        "measure",
-    ):
-        monkeypatch.setattr(f"nerfbake.bench.{module}.measure", measure)
+    for module in MODULES:
+        monkeypatch.setattr(f"nerfbake.bench.{module}.measure", here)
     for name in ("fit", "render", "svo", "wires"):
-        monkeypatch.setattr(f"benchmarks.{name}.measure", measure)
+        monkeypatch.setattr(f"benchmarks.{name}.measure", here)
 
 
 @pytest.fixture

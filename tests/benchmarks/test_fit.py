@@ -16,6 +16,7 @@ from tests.support.photographs import write_scene
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_this_process")
 def test_the_report_has_every_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "EDGE", 8)
     monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)

@@ -31,6 +31,7 @@ def test_a_row_renders_every_camera_and_says_how_far_it_is_from_the_first(tmp_pa
 
 @pytest.mark.long
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
 def test_the_report_has_every_structure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(render, "EDGES", (16,))
     tree = n3tree(splits=[(0, (1, 0, 1))], data_format="SH4")

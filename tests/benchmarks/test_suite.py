@@ -31,7 +31,7 @@ from tests.conftest import REPOSITORY
 from tests.support.browser import with_a_browser_of_its_own
 from tests.support.outputs import read_output
 
-SHORT = ("--epochs", "cells=32,scale=2,epochs=2,density=0.05/cells=32,epochs=2,split=0.3", "--basis", "SH1")
+SHORT = ("--epochs", "cells=32,scale=2,epochs=1,density=0.05/cells=32,epochs=1,split=0.3", "--basis", "SH1")
 SHARED = {"__init__", "__main__", "aims", "browser", "scenes", "suite"}
 
 

@@ -177,6 +177,7 @@ def _held(path: Path) -> Any:
     return json.loads(path.read_text()) if path.suffix == ".json" else path.read_bytes()
 
 
+@pytest.mark.usefixtures("fewer_rays")
 @pytest.mark.parametrize("command", JOBS)
 def test_a_command_writes_what_its_job_writes(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)

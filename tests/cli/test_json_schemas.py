@@ -133,6 +133,7 @@ def require_strict(name: str, facts: Any) -> None:
         assert not validator(name).is_valid(broken), fault
 
 
+@pytest.mark.usefixtures("fewer_rays")
 @pytest.mark.parametrize(
     "line", [pytest.param(line, marks=pytest.mark.slow if line.startswith(SLOW) else ()) for line in LINES]
 )

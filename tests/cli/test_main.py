@@ -117,7 +117,6 @@ def test_every_exit_code_is_documented() -> None:
     assert PipeClosed.exit_code == 128 + 13
 
 
-@pytest.mark.long
 def test_a_read_only_installation_without_a_home_works(folder: Path) -> None:
     # numba finds no place for its cache, neither beside the modules nor in a home.
     code = """if True:
@@ -125,11 +124,11 @@ def test_a_read_only_installation_without_a_home_works(folder: Path) -> None:
         from numba.core.caching import CacheImpl
         CacheImpl._locator_classes = []
         from nerfbake.cli.main import run
-        sys.exit(run(["render", "a.npz", "--out", "a.png", "--size", "16x16", "-v"]))"""
+        sys.exit(run(["hull", "a.npz", "a.glb", "-v"]))"""
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "kernels are compiled again" in done.stderr
-    assert (folder / "a.png").exists()
+    assert (folder / "a.glb").exists()
 
 
 def test_a_reader_that_closes_the_pipe_is_no_error(shell: Shell, tmp_path: Path) -> None:

@@ -13,10 +13,12 @@ from nerfbake import sample_n3tree as made_tree
 from tests.conftest import Shell
 from tests.support.scenes import n3tree
 
+pytestmark = pytest.mark.usefixtures("fewer_rays")
+
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    save(tmp_path / "a.npz", made_tree(resolution=16, basis="SH4"))
+    save(tmp_path / "a.npz", made_tree(resolution=8, basis="SH1"))
     return tmp_path / "a.npz"
 
 
@@ -78,7 +80,7 @@ def test_exact_data_and_cameras(shell: Shell, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("scene")
 def test_what_float16_loses_is_told(shell: Shell, tmp_path: Path) -> None:
-    save(tmp_path / "b.svo.npz", build_octree(load(tmp_path / "a.npz", N3Tree), resolution=8))
+    save(tmp_path / "b.svo.npz", build_octree(load(tmp_path / "a.npz", N3Tree), resolution=4))
     done = shell("view", "b.svo.npz", "b.html", "--data", "exact")
     assert done.returncode == 0, done.stderr
     assert "dB against its float32" in done.stderr.decode()

@@ -61,6 +61,7 @@ def test_what_does_not_go_with_triangles(shell: Shell, tmp_path: Path) -> None:
     assert not (tmp_path / "a.html").exists()
 
 
+@pytest.mark.usefixtures("fewer_rays")
 def test_a_mesh_beside_a_field(shell: Shell, tmp_path: Path) -> None:
     save(tmp_path / "a.npz", sample_n3tree(resolution=8, basis="SH1"))
     save(tmp_path / "m.glb", painted())

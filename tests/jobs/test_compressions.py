@@ -12,6 +12,7 @@ from nerfbake.jobs import CompressionGoal, GroundTruth, compress_file
 from tests.jobs.listener import Listener
 
 
+@pytest.mark.usefixtures("fewer_rays")
 def test_what_is_found_is_what_is_written_and_told(folder: Path, listener: Listener) -> None:
     found = compress_file("a.npz", "a.svoq", goal=CompressionGoal(max_loss=0.2), steps=listener)
     assert found.size == (folder / "a.svoq").stat().st_size
@@ -32,6 +33,7 @@ def test_wrong_arguments_are_told_before_anything_is_read() -> None:
         compress_file("none", "a.svo.pb")
 
 
+@pytest.mark.usefixtures("fewer_rays")
 def test_photographs_are_read_one_after_the_other(folder: Path) -> None:
     scene = load("a.npz", N3Tree)
     field = build_field(scene)

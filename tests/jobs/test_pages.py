@@ -13,12 +13,13 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs import CompressionGoal, compress_file, view_file
 from tests.jobs.listener import Listener
 
+pytestmark = pytest.mark.usefixtures("fewer_rays")
 
-@pytest.mark.long
+
 def test_a_page_without_a_goal_has_a_most_and_says_what_that_loses(
     folder: Path, listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    save("a.npz", sample_n3tree(resolution=32, basis="SH4"), force=True)
+    save("a.npz", sample_n3tree(resolution=8, basis="SH1"), force=True)
     view_file("a.npz", "free.html")
     most = compress_file("a.npz", "a.svoq").size * 3 // 4
     monkeypatch.setattr("nerfbake.jobs.pages._MOST_BYTES", most)
@@ -30,8 +31,8 @@ def test_a_page_without_a_goal_has_a_most_and_says_what_that_loses(
     assert (folder / "b.html").stat().st_size == (folder / "free.html").stat().st_size
 
 
-@pytest.mark.long
 def test_a_scene_that_is_too_large_for_any_step_still_has_a_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save("a.npz", sample_n3tree(resolution=8, basis="SH1"), force=True)
     view_file("a.npz", "free.html")
     monkeypatch.setattr("nerfbake.jobs.pages._MOST_BYTES", 100)
     view_file("a.npz", "a.html")

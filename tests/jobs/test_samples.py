@@ -74,7 +74,7 @@ def test_photographs_of_the_room_are_opaque_and_show_it_through_their_cameras(tm
     assert first == again
 
 
-@pytest.mark.slow
+@pytest.mark.long  # test_scenery.py of stages fits a smaller room
 def test_the_room_is_fitted_with_everything_around_the_table(tmp_path: Path) -> None:
     room, scene = tmp_path / "room", tmp_path / "room.npz"
     cameras = write_sample_capture(room, frames=32, edge=64, room=True).cameras

@@ -53,6 +53,7 @@ def test_a_folder_without_pictures_and_cameras_is_refused_as_before(tmp_path: Pa
         jobs.fit_file(str(tmp_path), str(tmp_path / "a.npz"))
 
 
+@pytest.mark.usefixtures("fewer_rays")
 def test_octrees_and_volumes_take_the_inner_cube(scene: Path, tmp_path: Path) -> None:
     octree = jobs.bake_octree(str(scene), str(tmp_path / "a.svo.npz"))
     assert octree.size == (64, 64, 64)

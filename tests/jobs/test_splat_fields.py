@@ -34,7 +34,7 @@ DIRECT = SplatVoxels(epochs=0)
 
 
 @pytest.fixture
-def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Splats:
+def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fewer_rays: None) -> Splats:
     """ball.ply, with few and small pictures to fit to."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(splat_fields, "_FRAMES", 12)

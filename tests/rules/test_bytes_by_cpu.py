@@ -6,7 +6,7 @@ import ast
 
 import pytest
 
-from tests.support.source import PACKAGE
+from tests.support.source import PACKAGE, parsed
 
 # Functions of NumPy, BLAS or the C library whose last bits depend on the CPU.
 BY_CPU = {"arccos", "arcsin", "arctan", "arctan2", "cbrt", "cos", "cosh", "dot", "einsum", "exp", "exp2", "expm1"}
@@ -17,7 +17,7 @@ BY_CPU |= {"hypot", "inner", "log", "log10", "log1p", "log2", "matmul", "sin", "
 def test_what_is_written_does_not_hang_on_the_cpu(layer: str) -> None:
     found = []
     for path in sorted((PACKAGE / layer).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             place = f"{path.name}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
                 found.append(f"{place} @")

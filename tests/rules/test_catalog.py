@@ -9,7 +9,7 @@ import pytest
 
 import nerfbake
 from nerfbake import catalog, jobs
-from tests.support.source import PACKAGE, modules, public_names, public_names_of
+from tests.support.source import PACKAGE, modules, parsed, public_names, public_names_of
 
 
 def formats() -> list[str]:
@@ -17,7 +17,7 @@ def formats() -> list[str]:
     found = []
     for path in modules():
         place = path.relative_to(PACKAGE.parent).with_suffix("")
-        functions = {node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)}
+        functions = {node.name for node in parsed(path).body if isinstance(node, ast.FunctionDef)}
         if "formats" in place.parts and "wire" not in place.parts and functions & {"encode", "decode"}:
             found.append(".".join(place.parts))
     return found
@@ -68,7 +68,7 @@ def test_public_jobs_are_there() -> None:
     written = {
         node.name
         for path in (PACKAGE / "jobs").glob("[!_]*.py")
-        for node in ast.parse(path.read_text()).body
+        for node in parsed(path).body
         if isinstance(node, ast.FunctionDef) and any(argument.arg == "steps" for argument in node.args.kwonlyargs)
     }
     assert written < set(public_names("nerfbake.jobs"))

@@ -20,6 +20,7 @@ from nerfbake.io import save, save_folder
 from nerfbake.scene.camera import Camera, Cameras
 from tests.conftest import REPOSITORY
 from tests.support.scenes import n3tree
+from tests.support.source import parsed
 
 READ = [form for form in catalog.FORMATS if form.readable]
 WRITTEN: list[AnyFormat] = [
@@ -216,7 +217,7 @@ class _Empty(dict[str, memoryview]):
 # -- no format names elsewhere --------------------------------------------------------------------------------
 def literals(path: Path) -> Iterator[tuple[int, str]]:
     """The string literals of a file, without help texts and docstrings."""
-    tree = ast.parse(path.read_text())
+    tree = parsed(path)
     words: set[ast.AST] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr):

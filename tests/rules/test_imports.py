@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.source import PACKAGE, imports, modules
+from tests.support.source import PACKAGE, imports, modules, parsed
 
 ANY = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
 # layer: allowed imports from nerfbake, and from packages other than the standard library
@@ -106,7 +106,7 @@ def test_only_io_opens_files() -> None:
     for path in modules():
         if "io" in path.parts or "bench" in path.parts:  # benchmarks of files open them
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.Call):
                 if isinstance(node.func, ast.Attribute) and getattr(node.func.value, "id", "") == "Pillow":
                     continue  # Pillow.open() of bytes in memory

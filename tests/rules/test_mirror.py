@@ -9,7 +9,7 @@ from pathlib import Path
 
 from nerfbake import catalog
 from tests.conftest import REPOSITORY
-from tests.support.source import PACKAGE, modules, public_names
+from tests.support.source import PACKAGE, modules, parsed, public_names
 
 TESTS = REPOSITORY / "tests"
 # Folders that mirror no package: frozen and hostile files of every format, end-to-end runs, rules, and helpers.
@@ -24,7 +24,7 @@ PUBLIC = public_names()  # where each public name is defined
 def imported(path: Path) -> set[str]:
     """The modules of LAYERS that a file imports: the module, a name in it, or a public name that it defines."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

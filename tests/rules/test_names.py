@@ -6,7 +6,7 @@ import ast
 from collections import Counter
 
 from nerfbake.cli.main import cli
-from tests.support.source import PACKAGE, modules, public_names_of
+from tests.support.source import PACKAGE, modules, parsed, public_names_of
 
 LONGEST_MODULE = 500  # lines
 LONGEST_SUMMARY = 50  # characters
@@ -34,7 +34,7 @@ def test_a_class_name_is_defined_once() -> None:
     names = Counter(
         node.name
         for path in modules()
-        for node in ast.parse(path.read_text()).body
+        for node in parsed(path).body
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     assert [name for name, count in names.items() if count > 1] == []

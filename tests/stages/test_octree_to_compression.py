@@ -34,11 +34,7 @@ def octree() -> SparseVoxelOctree:
     return build_octree(sample_n3tree(resolution=32, basis="SH4"))
 
 
-@pytest.fixture(autouse=True)
-def fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the scene has a thousandth of a real one's leaves."""
-    monkeypatch.setattr("nerfbake.stages._loss._EDGE", 40)
-    monkeypatch.setattr("nerfbake.stages.octree_to_compression._EDGE", 60)
+pytestmark = pytest.mark.usefixtures("fewer_rays")
 
 
 def compressed(octree: SparseVoxelOctree, **options: Any) -> Compression:

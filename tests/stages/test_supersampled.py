@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from nerfbake import (
     Camera,
     Image,
     Meshes,
+    Stage1,
     build_field,
     memory_limit,
     orbit_cameras,
@@ -34,9 +36,13 @@ from tests.support.scenes import n3tree
 Render = Callable[..., Image]
 FIELD = build_field(n3tree(splits=[(0, (1, 0, 1))], data_format="SH4", dtype=np.float32))
 CUBE = Meshes((cube(0.3),))
-STAGE1 = sample_stage1(resolution=16)
 VIEW = orbit_cameras(FIELD, width=13, height=7).cameras[0]
 LENS = Lens("polynomial", (0.05, -0.01), (0.001, -0.002))
+
+
+@cache  # a second, which collecting tests should not take
+def sampled_stage1() -> Stage1:
+    return sample_stage1(resolution=16)
 
 
 def field(camera: Camera, **options: Any) -> Image:
@@ -60,8 +66,9 @@ def ztested(camera: Camera, **options: Any) -> Image:
 
 
 def stage1(camera: Camera, **options: Any) -> Image:
-    near = orbit_cameras(STAGE1, width=camera.width, height=camera.height).cameras[0]
-    return render_stage1(STAGE1, near, **options)
+    scene = sampled_stage1()
+    near = orbit_cameras(scene, width=camera.width, height=camera.height).cameras[0]
+    return render_stage1(scene, near, **options)
 
 
 KINDS = [field, smooth, mesh, stopped, ztested, stage1]

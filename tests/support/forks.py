@@ -18,6 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
+from tests.support.compression import obey_switch
+
 PATIENCE = 300  # seconds
 _ROOM = 1 << 20  # maximum bytes of a request
 _STREAMS = (0, 1, 2)
@@ -82,6 +84,7 @@ if __name__ == "__main__":
     first()  # makes Numba import its modules for the first kernel; it starts no threads
     gc.freeze()
     if _become_a_command(socket.socket(fileno=int(sys.argv[1]))):
+        obey_switch()
         try:
             main()
         except SystemExit as end:

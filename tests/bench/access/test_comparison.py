@@ -61,6 +61,7 @@ def test_a_wrong_sum_would_be_seen_and_ratios_are_to_the_faster_nanovdb() -> Non
 
 @pytest.mark.long
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
 def test_the_report_and_its_chart(octree: SparseVoxelOctree, monkeypatch: pytest.MonkeyPatch) -> None:
     some = tuple(row for row in READERS if row.name in ("VDB", "VDB index", "OpenVDB C++"))
     monkeypatch.setattr(comparison, "READERS", some)
@@ -90,6 +91,7 @@ def test_a_scene_without_a_voxel_is_refused() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_this_process")
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     monkeypatch.setattr(readers, "kinds_of_points", lambda size, topology, _: kinds_of_points(size, topology, POINTS))

@@ -23,6 +23,7 @@ from tests.support.scenes import n3tree
 
 @pytest.mark.long
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_this_process")
 def test_the_report_has_a_row_for_everything_and_its_ratios_add_up() -> None:
     report = compare_formats(small_octree(), "small", rounds=2, formats=["svo.pb", "json.dumps"], progress=quiet)
     figures = report.tables[0]
@@ -52,7 +53,7 @@ def test_a_missing_library_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch
     assert report.tables[0].rows[1] == ["pycapnp, Data: not installed: capnp", *[None] * 9]
 
 
-@pytest.mark.long
+@pytest.mark.usefixtures("in_this_process")
 def test_the_papers_figures_stand_beside_a_comparable_scene_only() -> None:
     assert PAPER not in compare_formats(small_octree(), "s", rounds=1, formats=["raw"], progress=quiet).tables
     values = np.zeros((1, 20_000_000), np.float32)
@@ -60,21 +61,22 @@ def test_the_papers_figures_stand_beside_a_comparable_scene_only() -> None:
     assert PAPER in compare_formats(large, "large", rounds=1, formats=["raw"], progress=quiet).tables
 
 
-@pytest.mark.long
-@pytest.mark.slow
-def test_the_command(tmp_path: Path, shell: Shell) -> None:
+@pytest.mark.usefixtures("in_this_process")
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
     save(tmp_path / "a.npz", n3tree(splits=[(0, (1, 0, 1))]))
     save(tmp_path / "b.svo.pb", small_octree())
     options = ["--formats", "svo.fb", "--rounds", "1"]
-    done = shell("bench", "formats", "a.npz", "b.svo.pb", "--resolution", "2", *options, "--format", "json")
-    assert (done.returncode, done.stderr) == (0, b"")
-    reports = read_output("bench", done.stdout)["reports"]
+    assert run(["bench", "formats", "a.npz", "b.svo.pb", "--resolution", "2", *options, "--format", "json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    reports = read_output("bench", printed.out)["reports"]
     assert [report["head"]["scene"].partition(",")[0] for report in reports] == [
         "a.npz: SH1 octree of 2x2x2",
         "b.svo.pb: SH4 octree of 4x4x4",
     ]
-    done = shell("bench", "formats", "b.svo.pb", *options, "-o", "c.md", "--plot", "c.svg")
-    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    assert run(["bench", "formats", "b.svo.pb", *options, "-o", "c.md", "--plot", "c.svg"]) == 0
+    assert tuple(capsys.readouterr()) == ("", "")
     assert "| svo.fb bulk |" in (tmp_path / "c.md").read_text()
     assert "svo.fb bulk" in (tmp_path / "c.svg").read_text()
 

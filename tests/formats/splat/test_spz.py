@@ -172,8 +172,8 @@ def header(version: int, n: int, degree: int = 0, bits: int = 12, streams: int =
 
 
 def bombed(n: int) -> bytes:
-    """Version 4 whose first stream holds a gigabyte of zeros."""
-    bomb = b"".join(compress([bytes(1 << 24)] * 64))
+    """Version 4 whose first stream holds 64 MiB of zeros."""
+    bomb = b"".join(compress([bytes(1 << 24)] * 4))
     toc = struct.pack("<QQ", len(bomb), 9 * n) + struct.pack("<QQ", 0, 0) * 4
     return header(4, n, streams=5) + struct.pack("<I12x", 32) + toc + bomb
 

@@ -1,0 +1,27 @@
+"""Compression of small scenes in less time: few rays find the same as many if the scene has few leaves."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+SWITCH = "NERFBAKE_TEST_FEWER_RAYS"
+EDGES = {
+    "nerfbake.jobs.budgets.EDGE": 64,
+    "nerfbake.stages._loss._EDGE": 40,
+    "nerfbake.stages.octree_to_compression._EDGE": 60,
+}
+
+
+def with_fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the pictures smaller that measure a compression or --min-psnr, here and in the commands of `shell`."""
+    for name, edge in EDGES.items():
+        monkeypatch.setattr(name, edge)
+    monkeypatch.setenv(SWITCH, "1")
+
+
+def obey_switch() -> None:
+    """The same in the process of a command, if its environment says so."""
+    if SWITCH in os.environ:
+        with_fewer_rays(pytest.MonkeyPatch())
