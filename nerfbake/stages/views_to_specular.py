@@ -31,6 +31,7 @@ _LEAST = 1e-3  # steepness that is added to a texel's
 _SMOOTH = 0.3  # weight of a difference between neighbouring features, in mean steepnesses of a texel
 _SMOOTH_STEPS = 3  # of conjugate gradients, from the features themselves
 _LAST = 2  # rounds that fit the diffuse texture to the features of 8 bits
+_SAMPLES = 2  # rays along an edge of a pixel, as photographs are averages over their pixels
 _TEXEL_BYTES = 180  # while textures are fitted
 _PIXEL_BYTES = 40
 
@@ -61,7 +62,7 @@ def fit_specular(mesh: Mesh, views: Views, *, edge: int = 2048, seed: int = 0) -
     with memory.scope():
         memory.hold(f"textures of {edge}x{edge} texels", _TEXEL_BYTES * edge * edge)
         with progress.part(0, 0.3):
-            seen = see(mesh, views, edge)
+            seen = see(mesh, views, edge, _SAMPLES)
         memory.hold("the colours of pixels", _PIXEL_BYTES * len(seen.targets))
         used = covered_texels(mesh.require_unwrapped(), mesh.faces, edge, edge)
         with progress.part(0.3, 1):

@@ -24,17 +24,18 @@ _SEEN = 1e-3  # pixels: a texel that is shown less has the colour of its neighbo
 _TEXEL_BYTES = 110  # while a texture is fitted
 
 
-def fit_texture(mesh: Mesh, views: Views, *, edge: int = 2048) -> Mesh:
+def fit_texture(mesh: Mesh, views: Views, *, edge: int = 2048, samples: int = 2) -> Mesh:
     """Return the mesh with a texture (edge, edge, 3) uint8, sRGB, that is the same from all directions.
 
-    One least-squares problem over all pixels of all views: the mean of 2 x 2 rays a pixel, each a bilinear lookup,
-    should be the photograph's colour, and neighbouring texels should be similar. Pixels on the mesh's rim count by the
+    One least-squares problem over all pixels of all views: the mean of a pixel's rays, each a bilinear lookup, should
+    be the photograph's colour, and neighbouring texels should be similar. Pixels on the mesh's rim count by the
     square of their share that it covers, after the background has been subtracted. A pixel that differs much from the
     weighted mean of its texels counts less, so that what is in front of the mesh in one photograph does not stain the
     texture. Texels that no view shows, and those between charts, continue the colours around them.
 
-    The mesh needs texture coordinates in 0..1, such as unwrap_surface() makes. Same bytes for any number of threads.
-    Raises InvalidScene if no view shows the mesh, MemoryLimit.
+    The mesh needs texture coordinates in 0..1, such as unwrap_surface() makes. samples: along each edge of a pixel, as
+    in render_field(); one costs a quarter of four. Same bytes for any number of threads. Raises InvalidScene if no
+    view shows the mesh, MemoryLimit.
 
     >>> from nerfbake import build_field, build_hull, build_views, fit_texture, orbit_cameras, render_field
     >>> from nerfbake import sample_n3tree, unwrap_surface
@@ -48,7 +49,7 @@ def fit_texture(mesh: Mesh, views: Views, *, edge: int = 2048) -> Mesh:
     require_texture(edge)
     with memory.scope():
         memory.hold(f"a texture of {edge}x{edge} texels", _TEXEL_BYTES * edge * edge)
-        seen = see(mesh, views, edge)
+        seen = see(mesh, views, edge, samples)
         used = covered_texels(mesh.require_unwrapped(), mesh.faces, edge, edge)
         texture = rounded(_solve(seen, used))
     return memory.kept(replace(mesh, texture=texture, colours=None))

@@ -93,7 +93,7 @@ def test_the_result_is_a_stage1_scene_that_bakes() -> None:
 def test_what_is_fitted_is_what_is_rendered() -> None:
     # The torus fills no pixel of the rim alone: pixels that it covers wholly have the mean of their rays.
     scene, views = glossy(), photographed(2)
-    seen = see(torus(), views, EDGE)
+    seen = see(torus(), views, EDGE, 2)
     (field,) = scene.fields
     shown = np.empty_like(seen.targets)
     features = (field.features / np.float32(255)).astype(np.float32)
