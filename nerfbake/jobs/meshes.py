@@ -36,7 +36,11 @@ if TYPE_CHECKING:
 TRIANGLES, TEXTURE = 50_000, 2048
 SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages, too
 _RIM_ROUNDS = 2  # of moving the vertices to the rims of the silhouettes
-_TURNS = 2  # of fitting the texture and moving the vertices to where it has the colours of the views
+# Turns of fitting the texture and moving the vertices to where it has the colours of the views, and rounds of moving in
+# each turn. The chair fitted to 88 of its training photographs and measured on the other 12: 30.8 dB with one round a
+# turn, 31.0 with four, and also 31.0 with three turns of three or four turns of two.
+_TURNS, _MOVES = 2, 4
+_TURN_TEXTURE = 1024  # most texels along an edge in these turns: move_vertices() reduces pictures to about 400 pixels
 _LEAST_TEXTURE = 64  # texels along an edge, of a coarse level of detail
 _CHECKED = 4  # views on which photographs and field are compared before the work
 _ALIKE = 1.0  # dB above pictures of a single colour, below which they show something else
@@ -305,8 +309,9 @@ def build_mesh(
             unwrapped = unwrap_surface(mesh, edge=edge)
         with source.blamed(steps, f"fitting texture and vertices in turns{told}"):
             for _ in progress.each(range(_TURNS)):
-                coarse = fit_texture(unwrapped, views, edge=edge)
-                unwrapped = replace(move_vertices(coarse, views), texture=None)
+                # One ray a pixel and fewer texels take a quarter of the time, and the vertices are as good.
+                coarse = fit_texture(unwrapped, views, edge=min(edge, _TURN_TEXTURE), samples=1)
+                unwrapped = replace(move_vertices(coarse, views, rounds=_MOVES), texture=None)
         if isinstance(place, FolderTarget):
             with source.blamed(steps, "fitting texture and highlights"):
                 return fit_specular(unwrapped, views, edge=edge, seed=recipe.seed)

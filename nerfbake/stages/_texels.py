@@ -14,7 +14,6 @@ from nerfbake.kernels.surface import gbuffer, texels
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
 
-RAYS = 2  # along an edge of a pixel, as photographs are averages over their pixels
 _BAND = 1 << 20  # rays at a time
 _BAND_BYTES = 220  # per ray of a band, as in _surface
 _RAY_BYTES, _PIXEL_BYTES = 8, 32  # of Seen
@@ -35,8 +34,8 @@ class Seen(NamedTuple):
     directions: Singles
 
 
-def see(mesh: Mesh, views: Views, edge: int) -> Seen:
-    """Look at the mesh through all views, for a texture of edge x edge texels.
+def see(mesh: Mesh, views: Views, edge: int, samples: int) -> Seen:
+    """Look at the mesh through all views, for a texture of edge x edge texels, with samples x samples rays a pixel.
 
     Raises InvalidScene if no view sees the mesh, MemoryLimit.
     """
@@ -46,7 +45,7 @@ def see(mesh: Mesh, views: Views, edge: int) -> Seen:
     with memory.scope():
         memory.hold("a band of rays", _BAND_BYTES * _BAND)
         for number in progress.each(range(len(views.pictures))):
-            for band in _look(mesh, views, number, places):
+            for band in _look(mesh, views, number, places, samples):
                 # Counted twice: the parts, and all of them together.
                 size = 2 * (_RAY_BYTES * len(band[0].at) + _PIXEL_BYTES * len(band[1]))
                 memory.hold("what the views show of the mesh", size)
@@ -62,22 +61,22 @@ def see(mesh: Mesh, views: Views, edge: int) -> Seen:
 
 
 def _look(
-    mesh: Mesh, views: Views, number: int, places: Singles
+    mesh: Mesh, views: Views, number: int, places: Singles, samples: int
 ) -> Iterator[tuple[texels.Lookups, Singles, Singles, Singles]]:
     """Yield the lookups, targets, cover and directions of a view, a band of rows at a time."""
     camera = views.cameras.cameras[number]
     photograph, used = views.photograph(number), views.used(number)
     background = np.array(views.background, np.float32)
-    rows = max(1, _BAND // (RAYS * RAYS * camera.width))
+    rows = max(1, _BAND // (samples * samples * camera.width))
     for top in range(0, camera.height, rows):
         band = slice(top, min(top + rows, camera.height))
         across = slice(0, camera.width)
-        part = camera.part(across, band, finer=RAYS)
+        part = camera.part(across, band, finer=samples)
         rays = part.rays()[1].reshape(part.height, part.width, 3)
         seen = gbuffer.gbuffer(mesh.positions, mesh.faces, camera.pose, rays)
-        seen.triangle[np.repeat(np.repeat(~used[band], RAYS, axis=0), RAYS, axis=1)] = gbuffer.NONE
-        lookups, pixels = texels.gather(seen.triangle, seen.weights, mesh.faces, places, RAYS)
-        cover = (np.diff(lookups.starts) / np.float32(RAYS * RAYS)).astype(np.float32)
+        seen.triangle[np.repeat(np.repeat(~used[band], samples, axis=0), samples, axis=1)] = gbuffer.NONE
+        lookups, pixels = texels.gather(seen.triangle, seen.weights, mesh.faces, places, samples)
+        cover = (np.diff(lookups.starts) / np.float32(samples * samples)).astype(np.float32)
         directions = camera.part(across, band).rays()[1][pixels].astype(np.float32)
         shown = photograph[band].reshape(-1, 3)[pixels]
         rest = (1 - cover)[:, None] * background

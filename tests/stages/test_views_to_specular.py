@@ -73,7 +73,7 @@ def test_highlights_come_back_in_views_that_were_not_fitted() -> None:
     others = photographed(13, 40)
     plain = error(fit_texture(torus(), photographed(), edge=EDGE), others)
     with_highlights = error(fitted(), others)
-    assert with_highlights > plain + 1.5
+    assert with_highlights > plain + 1.2
     assert with_highlights > 33
 
 
@@ -93,7 +93,7 @@ def test_the_result_is_a_stage1_scene_that_bakes() -> None:
 def test_what_is_fitted_is_what_is_rendered() -> None:
     # The torus fills no pixel of the rim alone: pixels that it covers wholly have the mean of their rays.
     scene, views = glossy(), photographed(2)
-    seen = see(torus(), views, EDGE)
+    seen = see(torus(), views, EDGE, 2)
     (field,) = scene.fields
     shown = np.empty_like(seen.targets)
     features = (field.features / np.float32(255)).astype(np.float32)

@@ -44,7 +44,8 @@ def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], p
     """
     H, W, _ = rays.shape
     turn = inverse(pose[:3, :3])
-    points, looks = rotate(positions - pose[:3, 3], turn), rotate(rays, turn)
+    points, looks = rotate(positions - pose[:3, 3], turn), np.empty((H, W, 3))
+    _turn(rays, turn, looks)
     if not (looks[..., 2] < 0).all():
         raise InvalidScene(
             Problem("the camera", "looks 90 degrees or more to a side", "less than 90 degrees for scenes with meshes")
@@ -56,6 +57,16 @@ def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], p
     _bound(points, faces, columns, rows, boxes)
     _fill(points, faces, boxes, looks, *found)
     return found
+
+
+@compiled(parallel=True)
+def _turn(rays: Floats, matrix: Floats, out: Floats) -> None:
+    """The same as rotate(), which took a third of the time."""
+    for y in prange(rays.shape[0]):
+        for x in range(rays.shape[1]):
+            a, b, c = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
+            for axis in range(3):
+                out[y, x, axis] = a * matrix[axis, 0] + b * matrix[axis, 1] + c * matrix[axis, 2]
 
 
 def _rising(at: Floats) -> Floats:
