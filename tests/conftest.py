@@ -19,7 +19,7 @@ from tests.support.forks import Forks
 REPOSITORY = Path(__file__).parents[1]
 DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data"))
 
-EXAMPLES = int(os.environ.get("NERFBAKE_EXAMPLES", "25"))  # per Hypothesis test; the long run takes 60
+EXAMPLES = int(os.environ.get("NERFBAKE_EXAMPLES", "15"))  # per Hypothesis test; test-cpus takes 25
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=EXAMPLES)
 hypothesis.settings.load_profile("repeatable")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +50,7 @@ def sample_stage1(*, resolution: int = 512, seed: int = 0) -> Stage1:
     base = np.array([0.55, 0.13, 0.1]) + np.array([0.12, 0.1, 0.08]) * gloss[..., None]
     lit = base * (0.45 + 0.55 * np.maximum((normals * _LIGHT).sum(axis=-1), 0))[..., None]
     diffuse = np.where(used[..., None], np.rint(255 * lit), 0).astype(np.uint8)
-    w0, w1 = _fit(np.random.default_rng(seed))
+    w0, w1 = (weights.copy() for weights in _fit(seed))
     return memory.kept(Stage1((SpecularField(features, w0, w1, used),), (replace(mesh, texture=diffuse),)))
 
 
@@ -94,8 +95,10 @@ def _look(features: Floats, directions: Floats) -> Floats:
     return np.asarray(0.02 + gloss * (0.6 * spot * [1, 0.93, 0.8] + 0.2 * sheen * [0.6, 0.8, 1]))
 
 
-def _fit(random: np.random.Generator) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+@lru_cache(maxsize=4)  # a second; the textures of a small sample take a hundredth of it
+def _fit(seed: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Fit the MLP's weights by Adam (Kingma and Ba, 2014) to random normals, glosses and directions."""
+    random = np.random.default_rng(seed)
     weights = [random.normal(0, 1, (6, HIDDEN)), random.normal(0, 0.3, (HIDDEN, 3))]
     first, second = ([np.zeros(w.shape) for w in weights] for _ in range(2))
     for step in range(1, _STEPS + 1):

@@ -20,8 +20,8 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("examples")
     jobs.write_sample_n3tree(folder / "a.npz", resolution=16, basis="SH1")
     jobs.bake_octree(folder / "a.npz", folder / "octree.svo.npz")
-    jobs.write_sample_stage1(folder / "mesh_stage1", resolution=64)
-    jobs.write_sample_capture(folder / "photographs", frames=16, edge=48)
+    jobs.write_sample_stage1(folder / "mesh_stage1", resolution=32)
+    jobs.write_sample_capture(folder / "photographs", frames=16, edge=32)
     write_room(folder / "room")
     return folder
 
@@ -32,6 +32,7 @@ JOBS = [name for name in NAMES if inspect.isfunction(getattr(jobs, name))]
 ORDER = [*(name for name in JOBS if name not in LAST), *LAST]
 
 
+@pytest.mark.usefixtures("fewer_rays")
 @pytest.mark.parametrize("name", ORDER)
 def test_an_example_runs(name: str, workshop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(workshop)

@@ -136,7 +136,7 @@ def test_pictures_of_two_sizes_have_two_cameras_and_frames_of_a_video_their_orde
     assert "matching 28 pairs of pictures" in listener.phases
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_rooms_are_two_models_and_the_larger_one_is_kept(tmp_path: Path) -> None:
     write_room(tmp_path, frames=4)
     write_room(tmp_path, frames=6, first=10)
@@ -148,7 +148,7 @@ def test_two_rooms_are_two_models_and_the_larger_one_is_kept(tmp_path: Path) -> 
     assert all(camera.name.startswith("001") for camera in load(tmp_path, Cameras).cameras)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_pictures_give_the_same_bytes_on_any_number_of_threads(
     found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:

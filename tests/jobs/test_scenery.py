@@ -29,6 +29,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_photographs_alone_become_a_scene(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     room = tmp_path / "room"
     write_room(room, frames=8)
@@ -66,6 +67,7 @@ def test_octrees_and_volumes_take_the_inner_cube(scene: Path, tmp_path: Path) ->
     assert all((tmp_path / name).exists() for name in ("a.svoq", "a.html"))
 
 
+@pytest.mark.long
 def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     room = tmp_path / "room"
     write_room(room, frames=8)

@@ -173,6 +173,7 @@ def brightened(views: Views, gains: Any) -> Views:
     return replace(views, pictures=tuple(pictures))
 
 
+@pytest.mark.long
 def test_gains_of_pictures_with_other_exposures_are_found() -> None:
     posed = cameras(20, 24)
     gains = np.where(np.arange(20)[:, None] % 3 == 0, [[0.6, 0.7, 0.8]], 0.9)

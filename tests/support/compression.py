@@ -1,4 +1,4 @@
-"""Compression of small scenes in less time: few rays find the same as many if the scene has few leaves."""
+"""Compression and judging of small scenes in less time: few rays find the same as many if there are few leaves."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ SWITCH = "NERFBAKE_TEST_FEWER_RAYS"
 EDGES = {
     "nerfbake.jobs.budgets.EDGE": 64,
     "nerfbake.stages._loss._EDGE": 40,
+    "nerfbake.stages.octree_to_lattice._EDGE": 64,
     "nerfbake.stages.octree_to_compression._EDGE": 60,
 }
 
 
 def with_fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the pictures smaller that measure a compression or --min-psnr, here and in the commands of `shell`."""
+    """Make the pictures smaller that measure and judge results, here and in the commands of `shell`."""
     for name, edge in EDGES.items():
         monkeypatch.setattr(name, edge)
     monkeypatch.setenv(SWITCH, "1")
