@@ -51,12 +51,12 @@ _BEFORE = (4, 2, 3), (2, 2, 3), (1, 1, 1)  # R / cells, scale and epochs of the 
 PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cells with some cells split
 _AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
 # Pictures of this many pixels show cells of 1 / 512 of the box. The presets then have fewer epochs, which cost four
-# times as much, and no cells are split before the second half of `best`. The first stage has R / 8 cells: fog of
-# R / 4 cells hides twice as much behind it, and some of it never goes away (docs/fitting.md).
-_LARGE, _LARGE_PRESETS = 600, {"fast": 1, "balanced": 3, "best": 6}
+# times as much, and no cells are split: they would need more than 3 GB. The first stage has R / 8 cells: fog of R / 4
+# cells hides twice as much behind it, and some of it never goes away (docs/fitting.md).
+_LARGE, _LARGE_PRESETS = 600, {"fast": 1, "balanced": 3, "best": 8}
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 1)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
-_FINE = (0.08, 0.03), (0.5, 0.3), 0.02  # and of those after them
+_FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
 
 
 class Schedule(tuple[Stage, ...]):
@@ -150,10 +150,11 @@ def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int) -
     def times(epochs: int) -> int:
         return max(1, min(round(epochs * VIEWS / views), MAX_EPOCHS))
 
-    large, second = resolution >= 512, epochs // 2 if epochs >= _AGAIN else 0
+    large = resolution >= 512
+    second = epochs // 2 if epochs >= _AGAIN and not large else 0
     made = []
     for number, (parts, scale, each) in enumerate(_LARGE_BEFORE if large else _BEFORE):
-        density, colour, prune = (*_COARSE, _FINE, _FINE)[number]
+        density, colour, prune = (*_COARSE, (*_FINE, 0.03 if large else 0.02), (*_FINE, 0.02))[number]
         cells, scale = max(resolution // parts, RESOLUTIONS[0]), min(scale, 4 if edge >= _LARGE else 2)
         made.append(Stage(cells, scale, times(each), density, colour, prune=prune))
     made.append(Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, 0.1 * (not large), 0.02))

@@ -186,7 +186,7 @@ def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
 
 def _finish(state: FitState, views: Views) -> None:
     """Prune the cells after the last stage, and round their values, so that files are smaller."""
-    bricks, keep = state.cells.bricks, _visible(state, state.schedule[-1], views)
+    bricks, keep = state.cells.bricks, _visible(state, state.schedule[-1], views) | views.scenery
     steps = np.append(np.tile(np.array(_STEPS)[band_of(state.basis.size)], 3), _DENSITY_STEP).astype(np.float32)
     round_cells(bricks.values, bricks.first, keep, steps)
 

@@ -42,7 +42,6 @@ def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() ->
         (256, 2, 0),
         (512, 1, 0),
         (512, 1, 0),
-        (512, 1, 0.1),
     ]
     assert preset_schedule("best", edge=800, resolution=256).resolution == 256
 
