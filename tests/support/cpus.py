@@ -51,6 +51,11 @@ render few.ply --out splats.png --size 120x100 --depth
 svo few.ply few.svo.npz --resolution 32 --epochs 1
 mesh scene.npz small.glb --frames 8 --edge 64 --triangles 500 --texture 128 --image png
 mesh scene.npz small_stage1 --frames 8 --edge 64 --triangles 500 --texture 128
+sample capture photographs --frames 16 --edge 48
+fit photographs fitted.npz --resolution 32 --preset fast
+hull fitted.npz hull.glb
+compress fitted.npz fitted.svoq --max-loss 0.5
+refit level.svo.npz better.svo.npz --like scene.npz --frames 6 --edge 48 --epochs 1
 compare scene.npz mean.svo.npz --size 60x60 --sheet scenes.png
 lattice scene.npz lattice --resolution 32 --rounds 40
 lattice full.svo.pb merged --rounds 2 --merged
