@@ -10,7 +10,8 @@ from nerfbake.scene.schedule import Schedule, Stage
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_field
 from nerfbake.stages._fit_state import FitState
-from nerfbake.stages.views_to_field import fit_field
+from nerfbake.stages.views_to_field import continue_fit
+from nerfbake.stages.views_to_hull import require_views
 
 _DENSITY, _COLOUR = (0.1, 0.02), (0.6, 0.1)  # rates of the first and of the last step
 
@@ -33,9 +34,10 @@ def refit_bricks(
     >>> state.done, state.field().n == coarse.n
     (True, True)
     """
+    require_views(views)
     field.require_usable()
     if not field.n:
         raise InvalidScene(Problem("the field", "has no cells", "one or more"))
     schedule = Schedule([Stage(field.resolution, 1, epochs, _DENSITY, _COLOUR, samples)])
     state = FitState(schedule, field.basis, seed, field.box.copy(), cells_of_field(field))
-    return fit_field(views, schedule=schedule, start=state)
+    return continue_fit(state, views)

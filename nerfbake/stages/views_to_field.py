@@ -24,7 +24,7 @@ from nerfbake.stages._ray_targets import RayTargets, ray_targets
 from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
-__all__ = ["FitState", "fit_field"]
+__all__ = ["FitState", "continue_fit", "fit_field"]
 
 TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 cores, and would need more memory
 _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's own colour
@@ -82,6 +82,17 @@ def fit_field(
         raise InvalidScene(
             Problem("the state's gains", f"are {len(state.gains)}", f"{len(views.pictures)}, one per view")
         )
+    for _ in continue_fit(state, views):
+        if state.done:
+            _finish(state, views)
+        yield state
+
+
+def continue_fit(state: FitState, views: Views) -> Iterator[FitState]:
+    """Take the steps that are left in the state's schedule. Yields the state after every picture, always the same one.
+
+    Raises InvalidScene, MemoryLimit.
+    """
     batch = None
     while not state.done:
         if state.built < state.stage:
@@ -89,8 +100,6 @@ def fit_field(
             _rebuild(state, views)
         batch = _visit(state, views, batch)
         _count_on(state, len(views.pictures))
-        if state.done:
-            _finish(state, views)
         yield state
 
 
