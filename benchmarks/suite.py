@@ -47,8 +47,8 @@ SUITE = (
     Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),
 )
 
-# The first shows photographs that are not this project's; the other waits for a machine that does nothing else.
-UNPUBLISHED = {"captures_views.png", "papers.md"}
+# It shows photographs that are not this project's.
+UNPUBLISHED = {"captures_views.png"}
 
 
 def run(benchmark: Benchmark, scenes: Scenes, **options: Any) -> dict[str, bytes]:
