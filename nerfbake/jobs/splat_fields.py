@@ -24,7 +24,7 @@ RESOLUTION = 256  # voxels along the longest edge, by default
 EPOCHS = 1
 # Number and edge of the pictures to which voxels are fitted. A real scene in 512^3 has 36.97 dB with 160 pictures that
 # are used once, and 36.82 dB with 80 that are used twice, in a fifth less time.
-_FRAMES, _EDGE = 160, 400
+_FRAMES, _EDGE = 144, 400
 _JUDGES = 10  # number of other pictures, on which the loss is measured
 
 Part = Literal["inner", "all"] | tuple[float, ...]

@@ -27,8 +27,8 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.soundness import MAX_EDGE
 
 Coding = Literal["png", "jpeg", "webp"]
-# Pictures of a textured chair (30.24 dB as PNG) have 30.23 and 30.20 dB, with a tenth of the bytes. Full resolution of a
-# JPEG's colours gains 0.03 dB for a third more bytes, and quality 74 nothing for 17 % more.
+# Pictures of a textured chair (30.24 dB as PNG) have 30.23 and 30.20 dB, with a tenth of the bytes. Full resolution of
+# a JPEG's colours gains 0.03 dB for a third more bytes, and quality 74 nothing for 17 % more.
 _LOSSY: dict[str, dict[str, Any]] = {
     "jpeg": {"quality": 66, "subsampling": 0, "optimize": True, "progressive": True},
     "webp": {"quality": 85, "method": 6},
