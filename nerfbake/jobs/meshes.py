@@ -242,8 +242,11 @@ def bake_mesh(
     materials: tuple[Material, ...] = ()
     if environment is not None and isinstance(scene, Meshes):
         with source.blamed(steps, "estimating materials"):
-            found = [fit_materials(each, posed.trained, environment, edge=_edge(each)) for each in _levels(scene)]
-        scene, materials = Meshes((found[0].mesh,), tuple(each.mesh for each in found[1:])), found[0].clusters
+            lit_levels = [fit_materials(each, posed.trained, environment, edge=_edge(each)) for each in _levels(scene)]
+        scene, materials = (
+            Meshes((lit_levels[0].mesh,), tuple(each.mesh for each in lit_levels[1:])),
+            lit_levels[0].clusters,
+        )
     worked = clock.worked
     del field
     results: list[MeshResult] = []
@@ -262,8 +265,8 @@ def bake_mesh(
         if file.lit and environment is None:
             steps.say(f"{place.path}: roughness is 1 everywhere: materials need a map of the light")
         for number, each in enumerate(materials):
-            told = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
-            steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {told}")
+            what = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
+            steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {what}")
         if min_psnr is not None and quality.psnr < min_psnr:
             found = f"has a mean PSNR of {quality.psnr:.2f} dB"
             raise BudgetMissed(Problem("the mesh", found, f"`min_psnr={min_psnr:g}`"))
@@ -301,9 +304,9 @@ def require_mesh(
         raise UsageError("mesh measures the file that it wrote; allowed: an OUT other than '-'")
     form = place.require("Meshes")
     options = file.options(form)
-    form.require_options(options)
     if file.environment is not None and "reversible" not in options:
         raise UsageError(f"{form.suffix} stores no materials; allowed: a format that does, glTF")
+    form.require_options(options)
     if len(recipe.triangles) > 1 and "quantised" not in options:
         raise UsageError(
             f"{form.suffix} stores one level of detail; allowed: one number of triangles, or another format"

@@ -100,7 +100,8 @@ def fit_materials(
         counts = np.bincount(labels[used], minlength=CLUSTERS)
     order = [int(k) for k in np.argsort(-counts, kind="stable") if counts[k]]
     found = [Material(float(counts[k] / counts.sum()), float(roughness[k]), float(specular[k])) for k in order]
-    return memory.kept(LitMaterials(replace(mesh, texture=texture, material=material, colours=None), tuple(found)))
+    made = memory.kept(replace(mesh, texture=texture, material=material, colours=None))
+    return LitMaterials(made, tuple(found))
 
 
 def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, samples: int = 2) -> Floats:
@@ -120,7 +121,7 @@ def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, sampl
             found.append(np.nan)
             continue
         lit = _Lit(mesh, seen, environment, edge)
-        own = material[lit.place[:, 1], lit.place[:, 0]] / np.float32(255)
+        own = np.asarray(material[lit.place[:, 1], lit.place[:, 0]] / np.float32(255), np.float32)
         shown = _means(seen, to_linear(texture / np.float32(255))) * lit.diffuse
         shown += lit.highlights(own[:, 0]) * own[:, 1:]
         rest = ((from_linear(shown).astype(np.float64) - seen.targets) ** 2).mean(axis=1) * seen.cover
@@ -271,7 +272,7 @@ class _PatchProblem:
         t, y = (self._without_albedo(each.astype(np.float64), weights) for each in (self._targets, highlight))
 
         def total(values: Floats) -> Floats:
-            return np.bincount(self._cluster, weights * values.sum(axis=1), CLUSTERS)
+            return np.asarray(np.bincount(self._cluster, weights * values.sum(axis=1), CLUSTERS), np.float64)
 
         tt, ty, yy = total(t * t), total(t * y), total(y * y)
         strength = np.clip(ty / np.maximum(yy, 1e-12), 0, 1)

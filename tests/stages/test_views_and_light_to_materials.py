@@ -63,7 +63,7 @@ def lit(normals: np.ndarray, towards: np.ndarray, kind: np.ndarray) -> np.ndarra
     fresnel = 0.04 + 0.96 * (1 - vh) ** 5
     highlight = SPECULAR[kind][:, None] * ((ggx * 0.5 / smith * fresnel * nl) @ power)
     light = ALBEDO[kind] / np.pi * (nl @ power) + highlight
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055))
 
 
 @cache
