@@ -96,8 +96,7 @@ def test_two_materials_come_back_and_predict_other_views() -> None:
         own = mesh.material[10:54, columns].reshape(-1, 2) / 255
         roughness, specular = np.median(own, axis=0)
         assert abs(roughness - ROUGHNESS[kind]) < 0.08, found.clusters
-        # The split sum loses strength of rough materials: docs/meshes.md states it.
-        assert abs(specular / SPECULAR[kind] - 1) < (0.2, 0.35)[kind], found.clusters
+        assert abs(specular / SPECULAR[kind] - 1) < 0.2, found.clusters
         shown = np.median(mesh.texture[10:54, columns].reshape(-1, 3) / 255, axis=0)
         true = 1.055 * ALBEDO[kind] ** (1 / 2.4) - 0.055
         np.testing.assert_allclose(shown, true, atol=0.05)

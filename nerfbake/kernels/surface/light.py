@@ -7,6 +7,9 @@ of all texels of the map, weighted by their solid angle and by the lobe, so that
     specular  weight D(n.h) n.l with n = v = r, the reflected direction: the first half of the split sum
     D = a^2 / (pi ((n.h)^2 (a^2 - 1) + 1)^2), a = roughness^2
 
+Filtered maps assume that a lobe looks alike from all sides (n = v = r). highlights() does not: it sums the whole BRDF
+over the map.
+
 Source: Karis, "Real shading in Unreal Engine 4" (2013); glTF 2.0, appendix B.
 """
 
@@ -85,6 +88,44 @@ def _filter(directions: Floats, light: Floats, angles: Floats, towards: Floats, 
             total += weight * angles[s]
         scale = (1.0 if squared > 0 else np.pi) / total
         out[i, 0], out[i, 1], out[i, 2] = scale * r, scale * g, scale * b
+
+
+def highlights(light: Sources, normals: Singles, toward: Singles, roughness: float) -> Singles:
+    """(p, 3): the light that a surface of F0 0.04 and F90 1 reflects, without the split sum.
+
+    normals, toward (p, 3): unit vectors of the surface and to the camera. A wide lobe needs few texels of a map.
+    """
+    found = np.empty((len(normals), 3), np.float32)
+    squared = float(roughness) * roughness
+    _reflect(light.directions, light.light, normals, toward, squared * squared, found)
+    return found
+
+
+@compiled(parallel=True)
+def _reflect(
+    directions: Floats, light: Floats, normals: Singles, toward: Singles, squared: float, out: Singles
+) -> None:
+    for i in prange(len(normals)):
+        nx, ny, nz = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])
+        vx, vy, vz = float(toward[i, 0]), float(toward[i, 1]), float(toward[i, 2])
+        nv = max(nx * vx + ny * vy + nz * vz, 1e-4)
+        seen = np.sqrt(nv * nv * (1 - squared) + squared)
+        r, g, b = 0.0, 0.0, 0.0
+        for s in range(len(directions)):
+            x, y, z = directions[s, 0], directions[s, 1], directions[s, 2]
+            nl = nx * x + ny * y + nz * z
+            if nl <= 0:
+                continue
+            # Of the half vector: |l + v| = 2 v.h.
+            vh = np.sqrt(max(2 + 2 * (vx * x + vy * y + vz * z), 1e-9)) / 2
+            nh = (nl + nv) / (2 * vh)
+            spread = nh * nh * (squared - 1) + 1
+            smith = nl * seen + nv * np.sqrt(nl * nl * (1 - squared) + squared)
+            far = 1 - vh
+            fresnel = 0.04 + 0.96 * (far * far * far * far * far)
+            weight = squared * fresnel * nl / (2 * np.pi * spread * spread * smith)
+            r, g, b = r + weight * light[s, 0], g + weight * light[s, 1], b + weight * light[s, 2]
+        out[i, 0], out[i, 1], out[i, 2] = r, g, b
 
 
 def looked_up(framed: Singles, directions: Singles) -> Singles:

@@ -55,3 +55,29 @@ def test_reflectances_are_the_brute_force_integral(roughness: float) -> None:
         brdf = d * 0.5 / smith * (0.04 + 0.96 * (1 - vh) ** 5)
         whole = (brdf * nl * np.sin(theta)).sum() * (np.pi / 2 / 800) * (2 * np.pi / 800)
         assert table[number] == pytest.approx(whole, rel=0.03)
+
+
+@pytest.mark.parametrize("roughness", [0.4, 0.8])
+def test_highlights_under_a_constant_map_are_the_reflectances(roughness: float) -> None:
+    # Two independent sums of one integral: over directions of light, and over half vectors.
+    found = light.sources(np.ones((128, 256, 3), np.float32), 128)
+    nv = np.array([20, 45, 63]) / 63
+    toward = np.stack([np.sqrt(1 - nv * nv), np.zeros(3), nv], axis=1).astype(np.float32)
+    normals = np.tile(np.array([[0, 0, 1]], np.float32), (3, 1))
+    shown = light.highlights(found, normals, toward, roughness)
+    np.testing.assert_allclose(shown[:, 0], light.reflectances(roughness)[[20, 45, 63]], rtol=0.03)
+
+
+def test_a_highlight_is_where_the_light_is_mirrored() -> None:
+    spot = np.zeros((128, 256, 3), np.float32)
+    spot[63:65, 127:129] = 1  # +x, within one degree
+    found, half = light.sources(spot, 128), np.sqrt(0.5)
+    normals = np.tile(np.array([[half, 0, half]], np.float32), (2, 1))
+    mirrored, beside = light.highlights(found, normals, np.array([[0, 0, 1], [0, 0.6, 0.8]], np.float32), 0.4)[:, 0]
+    assert beside < 0.1 * mirrored
+    # By hand: D = 1 / (pi a^2), V = 1 / (4 cos sqrt(cos^2 (1 - a^2) + a^2)), F at 45 degrees.
+    squared = 0.4**4
+    visible = 1 / (4 * half * np.sqrt(half**2 * (1 - squared) + squared))
+    fresnel = 0.04 + 0.96 * (1 - half) ** 5
+    by_hand = 1 / (np.pi * squared) * visible * fresnel * half * found.light[:, 0].sum()
+    assert mirrored == pytest.approx(by_hand, rel=0.03)
