@@ -51,7 +51,7 @@ def decode(view: memoryview) -> EnvironmentMap:
         raise InvalidFile(Problem("the picture", found, f"at least {least * height:,}"))
     memory.hold("an environment map", 12 * width * height)
     with memory.scope():
-        memory.hold("the pixels of an environment map", 40 * width * height)
+        memory.hold("the pixels of an environment map", 56 * width * height)
         coded = np.empty((height, width, 4), np.uint8)
         row = unpack_rows(np.frombuffer(body, np.uint8), coded)
         if row >= 0:
