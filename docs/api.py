@@ -45,7 +45,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Fitting": (
         nerfbake,
         "stages.views_to_field stages.views_to_hull stages.views_to_error stages.pictures_to_views"
-        " stages.brick_field_to_brick_field",
+        " stages.field_and_views_to_views stages.brick_field_to_brick_field",
     ),
     "Volumes": (nerfbake, "scene.volume scene.vdb stages.octree_to_vdb stages.brick_field_to_vdb stages.vdb_to_vdb"),
     "Meshes and atlases": (nerfbake, "scene.mesh scene.atlas scene.stage1"),

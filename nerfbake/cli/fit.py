@@ -244,9 +244,9 @@ def fit(
     """Fit a scene to photographs.
 
     Fits a sparse field to the photographs and camera poses of SOURCE, and writes it to OUT: a PlenOctree, an octree, a
-    volume, or a textured mesh of it (`nerfbake mesh`); with the scenery behind an object, a PlenOctree. If SOURCE has
-    photographs alone, finds their poses first, as `nerfbake poses` does. Prints the PSNR and SSIM of OUT on held-out
-    photographs.
+    volume, a textured mesh of it (`nerfbake mesh`), or Gaussian splats. If the photographs show scenery behind the
+    object, OUT is a PlenOctree of all of it, or a mesh or splats of its inner cube. If SOURCE has photographs alone,
+    finds their poses first, as `nerfbake poses` does. Prints the PSNR and SSIM of OUT on held-out photographs.
 
     \b
       nerfbake fit capture chair.npz

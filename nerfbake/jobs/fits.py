@@ -13,7 +13,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
 from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
 from nerfbake.jobs.meshes import build_mesh, require_mesh
-from nerfbake.jobs.photographs import ALL, PhotographOptions, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, cut_out, read_photographs
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
@@ -85,6 +85,7 @@ CONVERSIONS: dict[str, Callable[[BrickField, Pixels, Target, Tell, Dtype | None]
     "Meshes": lambda field, *_: build_field_from_bricks(field),  # of which build_mesh() makes a mesh
 }
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
+_OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inner cube of a scene with scenery
 PRESET = "balanced"
 _FEW = 20  # views of scenery
 _POOR = 4.0  # dB above pictures of a single colour
@@ -264,9 +265,9 @@ def fit_file(
     require_poses(steps, source)
     posed = read_photographs(steps, source, album)
     judges, schedule = posed.judges, recipe.schedule(posed.trained)
-    if judges.scenery and kind != "N3Tree":
+    if judges.scenery and kind not in ("N3Tree", *_OF_INNER_CUBE):
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
-        raise UsageError(f"{found}; allowed: a PlenOctree, or masks of the object")
+        raise UsageError(f"{found}; allowed: a PlenOctree, a mesh or splats of the inner cube, or masks of the object")
     steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
     if judges.scenery and len(posed.trained.pictures) < _FEW:
         few = f"{len(posed.trained.pictures)} views are few for scenery"
@@ -276,6 +277,11 @@ def fit_file(
     course = FitRun(posed, schedule, recipe.rays(schedule))
     with interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
+        if judges.scenery and kind in _OF_INNER_CUBE:
+            steps.say(f"{source.name}: has scenery; {target.path} shows the inner cube")
+            field = field.shell(0)
+            posed = cut_out(steps, source, posed, build_field_from_bricks(field))
+            judges = posed.judges
         with steps.phase("putting the field together") as tell, io.blame(target.path):
             scene = CONVERSIONS[kind](field, lambda: _held_out(judges, recipe.rays(schedule)), target, tell, dtype)
         if kind == "Meshes":
@@ -300,7 +306,11 @@ def _require(target: Target) -> str:
     if target.path == io.STREAM:
         raise UsageError("fit measures the file that it wrote; allowed: an OUT other than '-'")
     ending = target.path if target.to is None else f".{target.to.removeprefix('.')}"
-    kind = next((kind for kind in CONVERSIONS if catalog.is_ending(ending, kind)), None)
+    kinds = [kind for kind in CONVERSIONS if catalog.is_ending(ending, kind)]
+    kind = kinds[0] if kinds else None
+    # Meshes and splats share extensions. Such a file is a mesh if its format has a texture, and splats otherwise.
+    if "Meshes" in kinds and io.format_for(target.path, "Meshes", to=target.to).choices("image"):
+        kind = "Meshes"
     if kind is None:
         endings = ", ".join(form.suffix for kind in CONVERSIONS for form in catalog.formats_of(kind))
         raise UsageError(f"{ending!r} is not the extension of a field or a mesh; allowed: {endings}, or `to=FORMAT`")

@@ -13,7 +13,7 @@ from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, read_photographs
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
@@ -66,7 +66,9 @@ class MeshViews(NamedTuple):
     def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
         """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
-            posed = read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
+            posed = read_photographs(steps, Source(self.views), self.album)
+            if posed.trained.scenery:
+                posed = cut_out(steps, Source(self.views), posed, field)
             _require_alike(steps, source, field, posed.judges, self.views)
             return posed
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):

@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from nerfbake import io
+from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, Problem, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import read_cameras
 from nerfbake.scene.camera import Cameras
+from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.views import Views
 from nerfbake.stages.pictures_to_views import Scenery, build_views
 
@@ -75,6 +76,18 @@ def read_photographs(steps: Steps, source: Source, album: PhotographOptions = AL
         found = f"are {len(posed.trained.pictures)} to fit to and {len(posed.judges.pictures)} held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more to fit to"), source=source.name)
     return posed
+
+
+def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceField) -> SplitViews:
+    """Return photographs with scenery as photographs of a field alone, which is a part of what they show."""
+    from nerfbake.stages.field_and_views_to_views import cut_out_field
+
+    with source.blamed(steps, "cutting the field out of the photographs"):
+        count = len(posed.trained.pictures)
+        with progress.part(0, count / (count + len(posed.judges.pictures))):
+            trained = cut_out_field(posed.trained, field)
+        with progress.part(count / (count + len(posed.judges.pictures)), 1):
+            return SplitViews(trained, cut_out_field(posed.judges, field))
 
 
 def _held_out(views: Views, every: int, name: str) -> SplitViews:

@@ -21,8 +21,10 @@ from nerfbake.scene.views import world_box
 from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, inner_box, whole_box, with_z_up
 
 RESOLUTION = 256  # voxels along the longest edge, by default
-EPOCHS = 2
-_FRAMES, _EDGE = 80, 400  # number and edge of the pictures that the voxels are fitted to
+EPOCHS = 1
+# Number and edge of the pictures to which voxels are fitted. A real scene in 512^3 has 36.97 dB with 160 pictures that
+# are used once, and 36.82 dB with 80 that are used twice, in a fifth less time.
+_FRAMES, _EDGE = 144, 400
 _JUDGES = 10  # number of other pictures, on which the loss is measured
 
 Part = Literal["inner", "all"] | tuple[float, ...]

@@ -10,13 +10,16 @@ import numpy as np
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
+from nerfbake.kernels.fit import colours
 from nerfbake.kernels.surface import gbuffer, texels
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
+from nerfbake.stages._ray_targets import scaled_camera
 
 _BAND = 1 << 20  # rays at a time
 _BAND_BYTES = 220  # per ray of a band, as in _surface
 _RAY_BYTES, _PIXEL_BYTES = 8, 32  # of Seen
+_MOST_PIXELS = 20_000_000  # that show an object; pictures with more of them are reduced, or memory exceeds 2 GB
 
 
 class Seen(NamedTuple):
@@ -37,17 +40,18 @@ class Seen(NamedTuple):
 def see(mesh: Mesh, views: Views, edge: int, samples: int) -> Seen:
     """Look at the mesh through all views, for a texture of edge x edge texels, with samples x samples rays a pixel.
 
-    Raises InvalidScene if no view sees the mesh, MemoryLimit.
+    Pictures that show more than 20 million pixels of an object are reduced by a whole factor first. Raises InvalidScene
+    if no view sees the mesh, MemoryLimit.
     """
     views.cameras.require_covered()
-    places = texel_places(mesh, edge)
+    places, scale = texel_places(mesh, edge), _scale(views)
     bands: list[tuple[texels.Lookups, Singles, Singles, Singles]] = []
     with memory.scope():
         memory.hold("a band of rays", _BAND_BYTES * _BAND)
         for number in progress.each(range(len(views.pictures))):
-            for band in _look(mesh, views, number, places, samples):
-                # Counted twice: the parts, and all of them together.
-                size = 2 * (_RAY_BYTES * len(band[0].at) + _PIXEL_BYTES * len(band[1]))
+            for band in _look(mesh, views, number, scale, places, samples):
+                # Counted 1.5 times: the parts, and at most half of them put together before their parts are dropped.
+                size = 3 * (_RAY_BYTES * len(band[0].at) + _PIXEL_BYTES * len(band[1])) // 2
                 memory.hold("what the views show of the mesh", size)
                 bands.append(band)
         if not any(len(band[1]) for band in bands):
@@ -55,17 +59,32 @@ def see(mesh: Mesh, views: Views, edge: int, samples: int) -> Seen:
             raise InvalidScene(Problem("the mesh", found, "a mesh and photographs of the same scene, in one world"))
         counts = np.concatenate([np.diff(band[0].starts) for band in bands])
         starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        lookups = texels.Lookups(np.concatenate([band[0].at for band in bands]), starts)
-        targets, cover, directions = (np.concatenate([band[k] for band in bands]) for k in range(1, 4))
+        # Column by column: the parts of one are dropped before the next is put together.
+        columns = [[band[0].at for band in bands], *([band[k] for band in bands] for k in range(1, 4))]
+        bands.clear()
+        at, targets, cover, directions = (np.concatenate(columns.pop(0)) for _ in range(4))
+        lookups = texels.Lookups(at, starts)
     return Seen(lookups, targets, cover, directions)
 
 
+def _scale(views: Views) -> int:
+    """Return the factor by which pictures are reduced."""
+    shown = sum(int(np.count_nonzero(~views.behind(number))) for number in range(len(views.pictures)))
+    scale = 1
+    while shown > _MOST_PIXELS * scale * scale:
+        scale += 1
+    return scale
+
+
 def _look(
-    mesh: Mesh, views: Views, number: int, places: Singles, samples: int
+    mesh: Mesh, views: Views, number: int, scale: int, places: Singles, samples: int
 ) -> Iterator[tuple[texels.Lookups, Singles, Singles, Singles]]:
     """Yield the lookups, targets, cover and directions of a view, a band of rows at a time."""
-    camera = views.cameras.cameras[number]
-    photograph, used = views.photograph(number), views.used(number)
+    camera = scaled_camera(views.cameras.cameras[number], scale)
+    image = np.empty((camera.height, camera.width, 4), np.float32)
+    colours.downscale(views.pictures[number], np.array(views.background, np.float64), views.masked, scale, image)
+    photograph, alpha = image[..., :3], image[..., 3]
+    used = alpha >= 1 if views.scenery and views.masked else np.ones(alpha.shape, bool)
     background = np.array(views.background, np.float32)
     rows = max(1, _BAND // (samples * samples * camera.width))
     for top in range(0, camera.height, rows):

@@ -13,7 +13,11 @@ from nerfbake.stages._fit_state import FitState
 from nerfbake.stages.views_to_field import continue_fit
 from nerfbake.stages.views_to_hull import require_views
 
-_DENSITY, _COLOUR = (0.1, 0.02), (0.6, 0.1)  # rates of the first and of the last step
+# Rates of the first and of the last step, and the weight of each cell's own colour. The cells have values already, so
+# they need less of the last than in a fit from fog: with 0.08, and rates of the densities that end at 0.02, splats in
+# 512^3 have 36.97 dB instead of 37.11 in pictures that they were not fitted to, a chair in 128^3 30.89 instead of 30.93
+# in held-out photographs.
+_DENSITY, _COLOUR, _POINT = (0.1, 0.01), (0.6, 0.1), 0.02
 
 
 def refit_bricks(
@@ -40,4 +44,4 @@ def refit_bricks(
         raise InvalidScene(Problem("the field", "has no cells", "one or more"))
     schedule = Schedule([Stage(field.resolution, 1, epochs, _DENSITY, _COLOUR, samples)])
     state = FitState(schedule, field.basis, seed, field.box.copy(), cells_of_field(field))
-    return continue_fit(state, views)
+    return continue_fit(state, views, point=_POINT)

@@ -88,17 +88,17 @@ def fit_field(
         yield state
 
 
-def continue_fit(state: FitState, views: Views) -> Iterator[FitState]:
+def continue_fit(state: FitState, views: Views, *, point: float = _POINT) -> Iterator[FitState]:
     """Take the steps that are left in the state's schedule. Yields the state after every picture, always the same one.
 
-    Raises InvalidScene, MemoryLimit.
+    point: weight of the loss of each cell's own colour. Raises InvalidScene, MemoryLimit.
     """
     batch = None
     while not state.done:
         if state.built < state.stage:
             batch = None  # frees its memory
             _rebuild(state, views)
-        batch = _visit(state, views, batch)
+        batch = _visit(state, views, batch, point)
         _count_on(state, len(views.pictures))
         yield state
 
@@ -151,7 +151,7 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-def _visit(state: FitState, views: Views, batch: TaskBuffers | None) -> TaskBuffers | None:
+def _visit(state: FitState, views: Views, batch: TaskBuffers | None, point: float) -> TaskBuffers | None:
     """Render the pixels of one view, and update the cells."""
     stage, cells = state.schedule[state.stage], state.cells
     if state.view == 0:
@@ -171,7 +171,7 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None) -> TaskBuff
     if len(state.gains):
         ground = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32)
         looks.targets[:, :3] = (looks.targets[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
-    sums, batch = _marched(cells.bricks, state.box, batch, looks, views)
+    sums, batch = _marched(cells.bricks, state.box, batch, looks, views, point)
     state.error += float(sums[0])
     if len(state.gains) and state.stage:
         _adapt_gains(state, view, sums)
@@ -206,14 +206,14 @@ def _rate(rates: Rates, part: float) -> float:
 
 
 def _marched(
-    bricks: BrickGrid, box: Points, batch: TaskBuffers | None, looks: RayTargets, views: Views
+    bricks: BrickGrid, box: Points, batch: TaskBuffers | None, looks: RayTargets, views: Views, point: float
 ) -> tuple[Floats, TaskBuffers]:
     """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
     background, sums = np.array(views.background, np.float32), np.zeros((TASKS, SUMS))
     alpha = _ALPHA if views.masked and not views.scenery else 0.0
     distortion = _DISTORTION if views.scenery else 0.0
     focus, most = focus_distance(box), _MOST if views.scenery else np.inf
-    view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, _POINT, distortion, focus, most)
+    view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:

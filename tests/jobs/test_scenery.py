@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import io, jobs
+from nerfbake import build_field, io, jobs, render_field, sample_n3tree, scatter_cameras
 from nerfbake.cli.main import run
 from nerfbake.errors import InvalidFile, UsageError
 from nerfbake.scene.camera import Cameras
@@ -80,3 +80,42 @@ def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureF
     told = capfd.readouterr().err
     assert "7 views are few for scenery; parts that fewer than three of them show are placed far away" in told
     assert re.search(r"a poor fit; pictures of a single colour have \d+\.\d\d dB; check that the poses belong", told)
+
+
+@pytest.fixture
+def shown(tmp_path: Path) -> Path:
+    """A folder with a PlenOctree, a.npz, and photographs of it before noise."""
+    tree = sample_n3tree(resolution=32, basis="SH1")
+    io.save(tmp_path / "a.npz", tree)
+    field, random, cameras = build_field(tree), np.random.default_rng(0), []
+    (tmp_path / "photos").mkdir()
+    for camera in scatter_cameras(field, frames=16, edge=48).cameras:
+        image = render_field(field, camera, background=None)
+        noise = random.random((48, 48, 3), dtype=np.float32)
+        colour = image.colour + (1 - image.alpha[..., None]) * noise
+        cameras.append(replace(camera, name=f"{len(cameras):02d}", picture=f"{len(cameras):02d}.png"))
+        opaque = replace(image, colour=colour, background=(1.0, 1.0, 1.0))
+        io.save(tmp_path / "photos" / cameras[-1].picture, opaque)
+    io.save(tmp_path / "photos" / "transforms.json", Cameras(tuple(cameras)))
+    return tmp_path
+
+
+def test_photographs_with_scenery_show_the_mesh_and_the_splats_alone(shown: Path) -> None:
+    field, photos, recipe = str(shown / "a.npz"), str(shown / "photos"), jobs.MeshOptions((1000,), texture=128)
+    mesh = jobs.bake_mesh(field, str(shown / "a.glb"), model=jobs.MeshViews(photos), recipe=recipe)
+    assert mesh.quality.psnr > 22  # with the noise it would be below 10
+    assert mesh.quality.iou > 0.9
+    few = jobs.SplatsOptions(splats=1000, epochs=4)
+    splats = jobs.bake_splats(field, str(shown / "a.ply"), jobs.SplatsModel(photos), recipe=few)
+    assert splats.psnr > 20
+
+
+@pytest.mark.long
+def test_a_fit_of_scenery_is_written_as_a_mesh_of_the_inner_cube(
+    shown: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--epochs", SHORT, "--basis", "SH1"]
+    assert run(["fit", str(shown / "photos"), str(shown / "b.glb"), *options]) == 0
+    told = capfd.readouterr().err
+    assert "has scenery; " in told
+    assert re.search(r"b\.glb: \d+\.\d\d dB, SSIM .*, silhouettes' IoU .* on 2 pictures with alpha", told)

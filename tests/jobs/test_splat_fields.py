@@ -37,7 +37,7 @@ DIRECT = SplatVoxels(epochs=0)
 def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fewer_rays: None) -> Splats:
     """ball.ply, with few and small pictures to fit to."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(splat_fields, "_FRAMES", 12)
+    monkeypatch.setattr(splat_fields, "_FRAMES", 24)
     monkeypatch.setattr(splat_fields, "_JUDGES", 3)
     monkeypatch.setattr(splat_fields, "_EDGE", 64)
     save("ball.ply", ball_of_splats())

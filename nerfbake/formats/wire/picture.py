@@ -27,10 +27,10 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.soundness import MAX_EDGE
 
 Coding = Literal["png", "jpeg", "webp"]
-# Of pictures of a textured chair on training views, these lose 0.16 and 0.2 dB, with a tenth of the bytes of a PNG.
-# Full resolution of a JPEG's colours gains 0.03 dB for a third more bytes.
+# Pictures of a textured chair (30.24 dB as PNG) have 30.23 and 30.20 dB, with a tenth of the bytes. Full resolution of
+# a JPEG's colours gains 0.03 dB for a third more bytes, and quality 74 nothing for 17 % more.
 _LOSSY: dict[str, dict[str, Any]] = {
-    "jpeg": {"quality": 74, "subsampling": 0, "optimize": True, "progressive": True},
+    "jpeg": {"quality": 66, "subsampling": 0, "optimize": True, "progressive": True},
     "webp": {"quality": 85, "method": 6},
 }
 COMPRESSION = 3  # zlib's level: files 3 to 14 % larger than at 6, written in a third of the time
