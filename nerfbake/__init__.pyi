@@ -10,6 +10,7 @@ from .scene.camera import Camera as Camera
 from .scene.camera import Cameras as Cameras
 from .scene.comparison import Comparison as Comparison
 from .scene.compression import Compression as Compression
+from .scene.environment import EnvironmentMap as EnvironmentMap
 from .scene.held_out import HeldOut as HeldOut
 from .scene.image import Animation as Animation
 from .scene.image import Depth as Depth
@@ -95,6 +96,7 @@ from .stages.texture_to_vertices import colour_vertices as colour_vertices
 from .stages.vdb_to_octree import build_octree_from_density as build_octree_from_density
 from .stages.vdb_to_octree import build_octree_from_volume as build_octree_from_volume
 from .stages.vdb_to_vdb import cast_volume as cast_volume
+from .stages.views_and_light_to_materials import fit_materials as fit_materials
 from .stages.views_to_error import measure_silhouettes as measure_silhouettes
 from .stages.views_to_error import measure_views as measure_views
 from .stages.views_to_field import fit_field as fit_field

@@ -97,6 +97,7 @@ FORMATS = (
     Format("depth.png", "Depth", ".depth.png", "picture.depth_png", "depth, thousandths of a world unit"),
     Format("depth.npy", "Depth", ".depth.npy", "picture.depth_npy", "depth, world units"),
     Format("png", "Image", ".png", "picture.png", "picture"),
+    Format("hdr", "EnvironmentMap", ".hdr", "picture.hdr", "environment map (Radiance)", writable=False),
     Format("gif", "Animation", ".gif", "picture.gif", "moving picture", readable=False),
     Format("html", "Comparison", ".html", "page.comparison", "page of a comparison", readable=False),
     Format("html", "Page", ".html", "page.view", "page to look around in", readable=False),
@@ -155,6 +156,7 @@ NOUNS = {
     "Cameras": "cameras",
     "Comparison": "a page of a comparison",
     "Depth": "a depth map",
+    "EnvironmentMap": "an environment map",
     "Image": "a picture",
     "LatticeField": "a lattice field",
     "Meshes": "a mesh",
@@ -168,6 +170,7 @@ NOUNS = {
 }
 ADVICE = {
     "Cameras": "`cameras` takes them",
+    "EnvironmentMap": "`mesh --environment` takes it",
     "LatticeField": "`nerfbake svo` makes an octree of it",
     "N3Tree": "`nerfbake svo` makes an octree of it",
     "SparseVoxelOctree": "`nerfbake convert` writes it in other formats",

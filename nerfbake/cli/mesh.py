@@ -19,11 +19,12 @@ from nerfbake.cli.params import (
     source_argument,
     without_effect,
 )
-from nerfbake.cli.paths import MeshOutput
+from nerfbake.cli.paths import MeshOutput, Reads
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
     from nerfbake.jobs.meshes import MeshResult
+    from nerfbake.stages.views_to_error import ViewError
 
 
 class TriangleCounts(click.ParamType[tuple[int, ...]]):
@@ -90,6 +91,12 @@ class TriangleCounts(click.ParamType[tuple[int, ...]]):
     "they are (KHR_materials_unlit).",
 )
 @click.option(
+    "--environment",
+    type=Reads(),
+    help="Equirectangular map (.hdr) of the light of the photographs, z up. Estimates roughness and specular strength "
+    "of 8 materials, and writes them to a .glb (KHR_materials_specular), with the albedo as its texture.",
+)
+@click.option(
     "--image",
     type=click.Choice(["png", "jpeg", "webp"]),
     help="Coding of the texture; webp only in a .glb (EXT_texture_webp).  [default: jpeg, in a folder png]",
@@ -114,6 +121,7 @@ def mesh(
     largest: bool,
     up: Any,
     lit: bool,
+    environment: str | None,
     image: Any,
     seed: int,
     as_json: bool,
@@ -141,7 +149,7 @@ def mesh(
         source,
         Target(target, None, force),
         recipe=MeshOptions(lods or triangles, texture, box, largest, seed),
-        file=MeshFile(up, lit, image),
+        file=MeshFile(up, lit, image, environment),
         steps=console,
         report=(lambda found: io.print_json(_facts(source, found))) if as_json else None,
         **options,
@@ -159,10 +167,16 @@ def _facts(source: Source, found: MeshResult) -> dict[str, Any]:
         "bytes": found.bytes,
         "triangles": list(found.triangles),
         "psnr": quality.psnr,
-        "ssim": quality.ssim,
+        "ssim": None if quality.lit else quality.ssim,
         "iou": quality.iou,
-        "worst": quality.worst.name,
+        "worst": None if quality.lit else quality.worst.name,
         "diffuse": None if plain is None else [view._asdict() for view in plain],
         "cpu_seconds": found.worked,
-        "views": [{**view._asdict(), "iou": iou} for view, iou in rows],
+        "views": [{**(_named(view) if quality.lit else view._asdict()), "iou": iou} for view, iou in rows],
+        "materials": [each._asdict() for each in found.materials] or None,
     }
+
+
+def _named(view: ViewError) -> dict[str, str]:
+    """The name alone: without light, the errors say nothing about a mesh with materials."""
+    return {"name": view.name}

@@ -17,6 +17,7 @@ from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_ou
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
+from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.n3tree import N3Tree
@@ -31,6 +32,7 @@ from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import measure_silhouettes, measure_views, plain_psnr
 
 if TYPE_CHECKING:
+    from nerfbake.stages.views_and_light_to_materials import Material
     from nerfbake.stages.views_to_error import ViewError
 
 TRIANGLES, TEXTURE = 50_000, 2048
@@ -108,16 +110,18 @@ class MeshFile(NamedTuple):
     up     for a .glb: the up axis of the field, which the nodes rotate to y, glTF's; None: z
     lit    for a .glb: a rough material that is lit, with normals; False: the colours are shown as they are
     image  coding of the texture; None: JPEG, or PNG in a folder
+    environment  for a .glb: a map of the light of the photographs, from which materials are estimated
     """
 
     up: Literal["y", "z"] | None = None
     lit: bool = False
     image: Image | None = None
+    environment: str | None = None
 
     def options(self, form: catalog.Format) -> dict[str, Any]:
         """Return the options of the format. Those that are given count even if the format does not take them."""
         default = {"image": "jpeg", "quantised": True, "reversible": True, "up": "z"}
-        given = {"up": self.up, "lit": self.lit or None, "image": self.image}
+        given = {"up": self.up, "lit": self.lit or self.environment is not None or None, "image": self.image}
         fitting = {name: value for name, value in default.items() if form.choices(name)}
         return fitting | {name: value for name, value in given.items() if value is not None}
 
@@ -132,16 +136,21 @@ class MeshQuality(NamedTuple):
     diffuse      the same without highlights; None if it has none
     silhouettes  intersection over union of its silhouette and the photograph's, for each view
     judges       what it was measured on, in words
+    lit          of a mesh with materials: PSNR in dB under the map, on the pixels that the mesh covers, of each view
+                 that it is in. `views` are then errors of the albedo alone, which say nothing about the file
     """
 
     views: tuple[ViewError, ...]
     diffuse: tuple[ViewError, ...] | None
     silhouettes: tuple[float, ...]
     judges: str
+    lit: tuple[float, ...] | None = None
 
     @property
     def psnr(self) -> float:
-        """Mean PSNR over the views in dB."""
+        """Mean PSNR over the views in dB; of a mesh with materials, under the map."""
+        if self.lit:
+            return sum(self.lit) / len(self.lit)
         return sum(view.psnr for view in self.views) / len(self.views)
 
     @property
@@ -160,6 +169,11 @@ class MeshQuality(NamedTuple):
         return min(self.views, key=lambda view: view.psnr)
 
     def __str__(self) -> str:
+        if self.lit:
+            told = (
+                f"{self.psnr:.2f} dB under the map on the pixels that the mesh covers (worst view {min(self.lit):.2f})"
+            )
+            return f"{told}, silhouettes' IoU {self.iou:.4f} on {self.judges}"
         plain = ""
         if self.diffuse is not None:
             psnr, ssim = (sum(getattr(v, name) for v in self.diffuse) / len(self.diffuse) for name in ("psnr", "ssim"))
@@ -175,6 +189,7 @@ class MeshResult(NamedTuple):
     triangles  of each level of detail
     quality    how near it comes to the held-out views
     worked     CPU seconds, without compiling kernels, rendering pictures and measuring
+    materials  of the finest level, the largest first; empty without a map of the light
     """
 
     path: str
@@ -183,6 +198,7 @@ class MeshResult(NamedTuple):
     triangles: tuple[int, ...]
     quality: MeshQuality
     worked: float
+    materials: tuple[Material, ...] = ()
 
 
 def bake_mesh(
@@ -212,14 +228,27 @@ def bake_mesh(
     >>> made.quality.psnr > 15
     True
     """
+    from nerfbake.stages.views_and_light_to_materials import fit_materials, light_pixels
+
     source, place = as_source(source), mesh_target(target)
     model.album.require()
     options = require_mesh(place, recipe, file)
     Budget(min_psnr).require(place)
+    environment = None
+    if file.environment is not None:
+        environment = Source(file.environment).read(steps, EnvironmentMap)
     field = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
     posed = model.posed(steps, source, field)
     clock = Clock()
     scene = build_mesh(steps, source, field, posed.trained, place, recipe)
+    materials: tuple[Material, ...] = ()
+    if environment is not None and isinstance(scene, Meshes):
+        with source.blamed(steps, "estimating materials"):
+            lit_levels = [fit_materials(each, posed.trained, environment, edge=_edge(each)) for each in _levels(scene)]
+        scene, materials = (
+            Meshes((lit_levels[0].mesh,), tuple(each.mesh for each in lit_levels[1:])),
+            lit_levels[0].clusters,
+        )
     worked = clock.worked
     del field
     results: list[MeshResult] = []
@@ -227,10 +256,19 @@ def bake_mesh(
     with told, place.writing(steps, scene, **options) as written:
         pictures = str(posed.judges) if model.views else f"{len(posed.judges.pictures)} pictures of {source.name}"
         loaded, quality = _judged(steps, place, written.path, posed.judges, pictures)
+        if environment is not None:
+            with source.blamed(steps, "lighting the held-out views"):
+                lit = light_pixels(_levels(scene)[0], posed.judges, environment, samples=SAMPLES)
+            quality = quality._replace(lit=tuple(float(psnr) for psnr in lit if psnr == psnr))
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
-        results.append(MeshResult(place.path, str(loaded), written.size, levels, quality, worked))
+        results.append(MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials))
         io.report_result(psnr=quality.psnr)
         steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
+        if file.lit and environment is None:
+            steps.say(f"{place.path}: roughness is 1 everywhere: materials need a map of the light")
+        for number, each in enumerate(materials):
+            what = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
+            steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {what}")
         if min_psnr is not None and quality.psnr < min_psnr:
             found = f"has a mean PSNR of {quality.psnr:.2f} dB"
             raise BudgetMissed(Problem("the mesh", found, f"`min_psnr={min_psnr:g}`"))
@@ -268,6 +306,8 @@ def require_mesh(
         raise UsageError("mesh measures the file that it wrote; allowed: an OUT other than '-'")
     form = place.require("Meshes")
     options = file.options(form)
+    if file.environment is not None and "reversible" not in options:
+        raise UsageError(f"{form.suffix} stores no materials; allowed: a format that does, glTF")
     form.require_options(options)
     if len(recipe.triangles) > 1 and "quantised" not in options:
         raise UsageError(
@@ -323,6 +363,10 @@ def build_mesh(
             levels.append(level if textured else colour_vertices(level))
         edge = max(edge // 2, min(edge, _LEAST_TEXTURE))
     return Meshes((levels[0],), tuple(levels[1:]))
+
+
+def _edge(mesh: Mesh) -> int:
+    return TEXTURE if mesh.texture is None else len(mesh.texture)
 
 
 def measure_mesh(scene: Meshes | Stage1, judges: Views, *, told: str) -> MeshQuality:

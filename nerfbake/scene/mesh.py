@@ -31,6 +31,8 @@ class Mesh(CompactRepr):
     faces      (t, 3) uint32, counter-clockwise from outside
     texture    (H, W, 3) uint8, sRGB, shown unlit; None: a surface of one colour, lit from the camera
     colours    (v, 3) float32, sRGB in 0..1, multiplied by the texture; None: white on a texture, else grey
+    material   (h, w, 2) uint8, glTF's roughness and specular strength, 255 is 1; the texture is then the albedo. Only
+               .glb stores it, and pictures show the albedo; None: not known
 
     >>> import numpy as np
     >>> from nerfbake import Mesh
@@ -44,6 +46,7 @@ class Mesh(CompactRepr):
     faces: npt.NDArray[np.uint32]
     texture: npt.NDArray[np.uint8] | None = None
     colours: npt.NDArray[np.float32] | None = None
+    material: npt.NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         v = len(self.positions)
@@ -63,6 +66,12 @@ class Mesh(CompactRepr):
             if len(shape) != 3 or shape[2] != 3 or not self.texture.size or self.texture.dtype != np.uint8:
                 found = f"has shape {shape}, dtype {self.texture.dtype}"
                 raise InvalidScene(Problem("mesh texture", found, "(H, W, 3) uint8"))
+            self.require_uvs()
+        if self.material is not None:
+            shape = self.material.shape
+            if len(shape) != 3 or shape[2] != 2 or not self.material.size or self.material.dtype != np.uint8:
+                found = f"has shape {shape}, dtype {self.material.dtype}"
+                raise InvalidScene(Problem("mesh material", found, "(H, W, 2) uint8"))
             self.require_uvs()
         problems = number_problems("mesh positions", self.positions, most=MAX_WORLD)
         problems += count_problem("mesh faces", self.faces >= v, self.faces, f"a vertex, 0 to {v - 1:,}")

@@ -16,6 +16,7 @@ from nerfbake.kernels.maths.elementary import Extremes, extremes
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes, joined_meshes, vertex_box
@@ -233,6 +234,13 @@ def _places(positions: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
     return numbers
 
 
+def summary_of_light(environment: EnvironmentMap) -> dict[str, Any]:
+    """Return the size in pixels, and the range of the linear radiance."""
+    H, W, _ = environment.radiance.shape
+    ends = (environment.radiance.min(), environment.radiance.max())
+    return {"kind": "environment map", "size": [W, H], "range": [float(end) for end in ends]}
+
+
 def summary_of_picture(picture: Image | Depth) -> dict[str, Any]:
     """Return the size in pixels; for a picture its opaque share, for depth the share of hits and their range."""
     if isinstance(picture, Image):
@@ -282,7 +290,18 @@ def summary_of_splats(splats: Splats) -> dict[str, Any]:
 
 
 Known = (
-    N3Tree | LatticeField | SparseVoxelOctree | Volume | Meshes | Cameras | Stage1 | BakedAtlas | Image | Depth | Splats
+    N3Tree
+    | LatticeField
+    | SparseVoxelOctree
+    | Volume
+    | Meshes
+    | Cameras
+    | Stage1
+    | BakedAtlas
+    | Image
+    | Depth
+    | EnvironmentMap
+    | Splats
 )
 
 
@@ -313,6 +332,8 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
         return summary_of_stage1(scene)
     if isinstance(scene, BakedAtlas):
         return summary_of_atlas(scene)
+    if isinstance(scene, EnvironmentMap):
+        return summary_of_light(scene)
     if isinstance(scene, Image | Depth):
         return summary_of_picture(scene)
     if isinstance(scene, Splats):

@@ -26,7 +26,7 @@ from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
-from tests.support import captures
+from tests.support import captures, environments
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
@@ -84,6 +84,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         "N3Tree": lambda: _voxels() if name == "pt" else _n3trees(),
         "Meshes": lambda: _meshes(name),
         "Splats": lambda: _splats(name),
+        "EnvironmentMap": lambda: (environments.flat(), environments.runs()),
         "LatticeField": lambda: _lattices(name),
     }
     pictures = (_encoded(name, each) for scene in scenes if scene not in makers for each in _pictures(scene))

@@ -18,6 +18,7 @@ from PIL import Image as Pillow
 import nerfbake
 from nerfbake import (
     Depth,
+    EnvironmentMap,
     Meshes,
     bake_stage1,
     build_bricks,
@@ -104,6 +105,7 @@ def scenes() -> dict[str, Any]:
         Meshes((sphere(),)),
         sphere(),
         Depth(np.ones((3, 4), np.float32)),
+        EnvironmentMap(np.ones((2, 4, 3), np.float32)),
     ]
     found += [some_lattice(), random_quantised(0)]
     return {type(scene).__name__: scene for scene in found}
@@ -116,6 +118,7 @@ NAMES = [
     "Cameras",
     "Comparison",
     "Depth",
+    "EnvironmentMap",
     "Image",
     "IndexGrid",
     "LatticeField",

@@ -3,7 +3,8 @@
 The writer keeps the coordinates of the field. If the up axis is not glTF's y, the nodes rotate the meshes. Textured
 meshes are unlit by default, and a mesh may have an octahedral atlas. Any viewer shows the diffuse texture. Atlas,
 labels and features are textures without a standard material slot; their indices and the conventions of the atlas are
-in the material's extras, under "nerfbake_atlas".
+in the material's extras, under "nerfbake_atlas". A mesh with a material is lit: metallicRoughnessTexture has roughness
+in green and no metal in blue, and specularTexture of KHR_materials_specular has the specular strength in alpha.
 
 Quantised attributes (KHR_mesh_quantization); each vertex starts at a multiple of 4 bytes:
 
@@ -17,7 +18,8 @@ Positions are not normalised, because some readers (trimesh) do not divide them.
 Coarser levels of detail are nodes outside the scene, to which MSFT_lod refers. They share one file, because that is
 written completely or not at all, and because a viewer without the extension shows the finest level.
 
-Source: glTF 2.0, sections 3.6 and 3.9; KHR_mesh_quantization, KHR_materials_unlit, EXT_texture_webp, MSFT_lod.
+Source: glTF 2.0, sections 3.6 and 3.9; KHR_mesh_quantization, KHR_materials_unlit, KHR_materials_specular,
+EXT_texture_webp, MSFT_lod.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.formats.wire.picture import Coding, encode_picture
+from nerfbake.formats.wire.picture import Coding, encode_picture, encode_texture
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose
 from nerfbake.kernels.picture.metrics import to_linear
@@ -41,14 +43,15 @@ _BYTE, _USHORT, _FLOAT, _UINT32 = 5120, 5123, 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _NEAREST, _LINEAR, _CLAMP, _REPEAT = 9728, 9729, 33071, 10497
 _TURNS: dict[str, dict[str, Any]] = {"y": {}, "z": {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}}
-_SAMPLERS = {"diffuse": 0, "atlas": 1, "labels": 2, "features": 2}
+_SAMPLERS = {"diffuse": 0, "atlas": 1, "labels": 2, "features": 2, "roughness": 0, "specular": 0}
 _MOST_SHORT = 0xFFFF  # vertices with 16-bit indices: 65,535 itself is glTF's primitive restart
 UP = "nerfbake_up"  # in the extras of the asset
 _UNLIT, _QUANTISED, _WEBP, _LOD = "KHR_materials_unlit", "KHR_mesh_quantization", "EXT_texture_webp", "MSFT_lod"
+_SPECULAR = "KHR_materials_specular"
 
 
 class MeshPart(NamedTuple):
-    """A mesh, its pictures by role ('diffuse', 'atlas', 'labels', 'features'), and its extras.
+    """A mesh, its pictures by role ('diffuse', 'atlas', 'labels', 'features', 'roughness', 'specular'), and its extras.
 
     coarser: the part is a level of detail of the first part, finer ones first.
     """
@@ -65,6 +68,12 @@ def parts_of(scene: Meshes, image: Coding) -> list[MeshPart]:
 
     def part(name: str, mesh: Mesh, coarser: bool) -> MeshPart:
         textures = {} if mesh.texture is None else {"diffuse": encode_picture(mesh.texture, image)}
+        if mesh.material is not None:
+            roughness, specular = mesh.material[..., :1], mesh.material[..., 1:]
+            none, white = np.zeros_like(roughness), np.full((*roughness.shape[:2], 3), 255, np.uint8)
+            # Without losses: these are data, of few values.
+            textures["roughness"] = encode_texture(np.concatenate([none, roughness, none], axis=2))
+            textures["specular"] = encode_texture(np.concatenate([white, specular], axis=2))
         return MeshPart(name, mesh, textures, coarser=coarser)
 
     found = [part(f"mesh {number}", mesh, False) for number, mesh in enumerate(scene.meshes)]
@@ -84,9 +93,11 @@ def encode_glb(
 
     up          the up axis of the positions. glTF's is y; for "z" the nodes map (x, y, z) to (x, z, -y)
     reversible  record the up axis in the extras of the asset, so that nerfbake reads the positions as they are here
-    lit         textures are the base colour of a rough, non-metallic material, with normals; False: KHR_materials_unlit
+    lit         textures are the base colour of a rough material, with normals; False: unlit (KHR_materials_unlit).
+                A mesh with a material is always lit
     quantised   positions, texture coordinates, colours and normals are integers, and indices have 16 bits if possible
     """
+    lit = lit or any(part.mesh.material is not None for part in parts)
     body = _Body(lit=lit, quantised=quantised)
     nodes = [body.add(part, _TURNS[up]) for part in parts]
     levels = [i for i, part in enumerate(parts) if part.coarser]
@@ -165,6 +176,10 @@ class _Body:
             material["extensions"] = {_UNLIT: {}}
         if "diffuse" in textures:
             surface["baseColorTexture"] = {"index": textures.pop("diffuse")}
+        if "roughness" in textures:
+            surface["metallicRoughnessTexture"] = {"index": textures.pop("roughness")}
+            material["extensions"] = {_SPECULAR: {"specularTexture": {"index": textures.pop("specular")}}}
+            self.used.add(_SPECULAR)
         if part.extras is not None:
             material["extras"] = {"nerfbake_atlas": {**part.extras, "textures": textures}}
         return material

@@ -115,7 +115,7 @@ def _webp_size(head: bytes) -> tuple[int, int]:
 
 
 def encode_texture(texels: npt.NDArray[np.uint8]) -> bytes:
-    """Encode (H, W, 3) uint8 as a lossless PNG."""
+    """Encode (H, W, 3) uint8, or (H, W, 4) with alpha, as a lossless PNG."""
     return png_of(Image.fromarray(texels))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import io
 import json
 import struct
 from collections.abc import Iterator
@@ -384,3 +385,24 @@ def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
 def test_a_stream_is_known_by_its_first_bytes() -> None:
     assert glb_format.recognise(memoryview(glb({})))
     assert not glb_format.recognise(memoryview(b"v 0 0 0\n"))
+
+
+def test_a_material_is_two_textures_and_the_albedo_is_read_again() -> None:
+    albedo, own = np.full((4, 4, 3), 90, np.uint8), np.full((4, 4, 2), (64, 200), np.uint8)
+    scene = Meshes((replace(square(), texture=albedo, material=own),))
+    document = glb_format.Document(memoryview(b"".join(glb_format.encode(scene))))
+    (material,) = document.root["materials"]
+    specular = material["extensions"]["KHR_materials_specular"]["specularTexture"]["index"]
+    surface = material["pbrMetallicRoughness"]
+    assert (surface["metallicFactor"], surface["roughnessFactor"]) == (0, 1)
+    assert document.root["extensionsUsed"] == ["KHR_materials_specular"]
+    assert "NORMAL" in document.root["meshes"][0]["primitives"][0]["attributes"]
+
+    def pixel(index: int) -> Any:
+        image = document.item("images", document.item("textures", index)["source"])
+        return Image.open(io.BytesIO(document.view(image["bufferView"]))).getpixel((0, 0))
+
+    assert pixel(surface["metallicRoughnessTexture"]["index"]) == (0, 64, 0)
+    assert pixel(specular) == (255, 255, 255, 200)
+    (again,) = glb_format.decode(memoryview(b"".join(glb_format.encode(scene)))).meshes
+    np.testing.assert_array_equal(again.texture, albedo)

@@ -49,6 +49,14 @@ def require_valid(path: Path) -> dict[str, Any]:
     return found
 
 
+def test_materials_are_valid(tmp_path: Path) -> None:
+    ball = sphere(8, 12)
+    uvs, texture = ((ball.positions[:, :2] + 1) / 2).astype(np.float32), np.full((16, 16, 3), 90, np.uint8)
+    shiny = replace(ball, uvs=uvs, texture=texture, material=np.full((16, 16, 2), (64, 255), np.uint8))
+    save(tmp_path / "a.glb", Meshes((shiny,)), image="jpeg", quantised=True, up="z")
+    assert "KHR_materials_specular" in require_valid(tmp_path / "a.glb")["info"]["extensionsUsed"]
+
+
 @pytest.mark.parametrize("picture", ["png", "jpeg", "webp"])
 @pytest.mark.parametrize("lit", [False, True])
 @pytest.mark.parametrize("quantised", [False, True])
