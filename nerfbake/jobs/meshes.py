@@ -258,17 +258,18 @@ def bake_mesh(
         loaded, quality = _judged(steps, place, written.path, posed.judges, pictures)
         if environment is not None:
             with source.blamed(steps, "lighting the held-out views"):
-                lit = light_pixels(_levels(scene)[0], posed.judges, environment, samples=SAMPLES)
-            quality = quality._replace(lit=tuple(float(psnr) for psnr in lit if psnr == psnr))
+                written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
+                lit = light_pixels(written_mesh, posed.judges, environment, samples=SAMPLES)
+            quality = quality._replace(lit=lit)
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
         results.append(MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials))
         io.report_result(psnr=quality.psnr)
-        steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
         if file.lit and environment is None:
             steps.say(f"{place.path}: roughness is 1 everywhere: materials need a map of the light")
         for number, each in enumerate(materials):
             what = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
             steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {what}")
+        steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
         if min_psnr is not None and quality.psnr < min_psnr:
             found = f"has a mean PSNR of {quality.psnr:.2f} dB"
             raise BudgetMissed(Problem("the mesh", found, f"`min_psnr={min_psnr:g}`"))

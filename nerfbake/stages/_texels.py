@@ -60,9 +60,9 @@ def see(mesh: Mesh, views: Views, edge: int, samples: int) -> Seen:
         counts = np.concatenate([np.diff(band[0].starts) for band in bands])
         starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         # Column by column: the parts of one are dropped before the next is put together.
-        columns = [[band[0].at for band in bands], *([band[k] for band in bands] for k in range(1, 4))]
+        columns = [[lookups.at, *others] for lookups, *others in bands]
         bands.clear()
-        at, targets, cover, directions = (np.concatenate(columns.pop(0)) for _ in range(4))
+        at, targets, cover, directions = (np.concatenate([band.pop(0) for band in columns]) for _ in range(4))
         lookups = texels.Lookups(at, starts)
     return Seen(lookups, targets, cover, directions)
 

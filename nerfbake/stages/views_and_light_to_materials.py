@@ -107,21 +107,20 @@ def fit_materials(
     return LitMaterials(made, tuple(found))
 
 
-def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, samples: int = 2) -> Floats:
-    """Return for each view the PSNR in dB of the lit mesh, on the pixels that it covers; NaN where it covers none.
+def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, samples: int = 2) -> tuple[float, ...]:
+    """Return the PSNR in dB of the lit mesh on the pixels that it covers, for each view that shows it.
 
-    For a mesh with texture and material, as fit_materials() returns it.
+    For a mesh with texture and material, as fit_materials() returns it. Raises InvalidScene if no view shows the mesh.
     """
     texture, material = mesh.texture, mesh.material
     if texture is None or material is None:
         raise InvalidScene(Problem("the mesh", "has no material", "a texture and a material"))
-    edge, found = len(texture), []
+    edge, found = len(texture), list[float]()
     for number in range(len(views.pictures)):
         one = views.take([number])
         try:
             seen = see(mesh, one, edge, samples)
         except InvalidScene:
-            found.append(np.nan)
             continue
         lit = _Lit(mesh, seen, environment, edge)
         own = np.asarray(material[lit.place[:, 1], lit.place[:, 0]] / np.float32(255), np.float32)
@@ -130,7 +129,10 @@ def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, sampl
         rest = ((from_linear(shown).astype(np.float64) - seen.targets) ** 2).mean(axis=1) * seen.cover
         square = max(float(np.cumsum(rest)[-1] / np.cumsum(seen.cover, dtype=np.float64)[-1]), 1e-10)
         found.append(-10 / _LN_10 * float(log(square)))
-    return np.array(found)
+    if not found:
+        allowed = "held-out views that show the mesh"
+        raise InvalidScene(Problem("the mesh", "is not visible in any held-out view", allowed))
+    return tuple(found)
 
 
 class _Lit:

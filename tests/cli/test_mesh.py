@@ -20,6 +20,7 @@ from nerfbake.jobs import write_sample_capture
 from nerfbake.jobs.views import picture_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from tests.cli.telling import told
+from tests.support import environments
 
 SMALL = ["--frames", "12", "--edge", "64", "--triangles", "1k", "--texture", "128"]
 TEXTURED = ["--views", "photographs", "--triangles", "1k", "--texture", "128"]
@@ -50,6 +51,24 @@ def there(scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 def last_line(capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_materials_are_told_and_written(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("light.hdr").write_bytes(environments.runs())
+    facts = told(["mesh", "a.npz", "a.glb", *SMALL, "--environment", "light.hdr"], capsys)
+    assert (facts["ssim"], facts["worst"]) == (None, None)
+    assert facts["psnr"] > 10
+    assert sum(each["share"] for each in facts["materials"]) == pytest.approx(1)
+    content = Path("a.glb").read_bytes()
+    assert b"KHR_materials_specular" in content
+    assert b"KHR_materials_unlit" not in content
+    assert run(["mesh", "a.npz", "b.glb", *SMALL, "--environment", "light.hdr"]) == 0
+    said = capsys.readouterr().err
+    assert said.count("b.glb: material ") == len(facts["materials"])
+    assert "dB under the map on the pixels that the mesh covers" in said.strip().splitlines()[-1]
+    assert Path("b.glb").read_bytes() == content
+    assert run(["mesh", "a.npz", "a.obj", *SMALL, "--environment", "light.hdr"]) == 2
+    assert last_line(capsys) == "error: .obj stores no materials; allowed: a format that does, glTF"
 
 
 def test_a_glb_looks_like_its_field_and_is_the_same_again(capsys: pytest.CaptureFixture[str]) -> None:

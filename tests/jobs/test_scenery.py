@@ -13,7 +13,7 @@ import pytest
 from nerfbake import build_field, io, jobs, render_field, sample_n3tree, scatter_cameras
 from nerfbake.cli.main import run
 from nerfbake.errors import InvalidFile, UsageError
-from nerfbake.scene.camera import Cameras
+from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from tests.support.brick_fields import some_shelled_field
@@ -87,7 +87,8 @@ def shown(tmp_path: Path) -> Path:
     """A folder with a PlenOctree, a.npz, and photographs of it before noise."""
     tree = sample_n3tree(resolution=32, basis="SH1")
     io.save(tmp_path / "a.npz", tree)
-    field, random, cameras = build_field(tree), np.random.default_rng(0), []
+    field, random = build_field(tree), np.random.default_rng(0)
+    cameras: list[Camera] = []
     (tmp_path / "photos").mkdir()
     for camera in scatter_cameras(field, frames=16, edge=48).cameras:
         image = render_field(field, camera, background=None)
