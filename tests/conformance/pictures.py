@@ -16,6 +16,7 @@ import PIL.ImageSequence
 
 from nerfbake import load
 from nerfbake.scene.comparison import AMPLIFIED, Comparison
+from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.image import Animation, Depth, Image
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
 
@@ -48,6 +49,7 @@ def cases() -> Iterator[Case]:
     facts = {"unit": "world unit along the ray, 0: nothing met", "distances": distances.tolist()}
     yield Case("picture/distances", "Depth as float32, NumPy's .npy.", files, facts, _distances)
     yield from _moving()
+    yield from _lights()
     yield _page()
 
 
@@ -99,6 +101,33 @@ def _frames(path: Path, _: Facts) -> Facts:
     for frame in frames:
         frame[frame[..., 3] == 0] = 0
     return {**facts, "frames": [frame.tolist() for frame in frames]}
+
+
+# -- light -----------------------------------------------------------------------------------------------------
+def _lights() -> Iterator[Case]:
+    """Maps of light, written by hand as the module's docstring says: nerfbake only reads them."""
+    coded = [[[128, 64, 0, 129], [1, 2, 255, 136]], [[9, 9, 9, 0], [255, 128, 2, 128]]]
+    rows = [[row[0], row[0], row[1], row[1]] for row in coded]
+    yield _light("flat", 4, rows, bytes(value for row in rows for pixel in row for value in pixel))
+    rows = [[pixel] * 8 for row in coded for pixel in row]
+    runs = b"".join(bytes([2, 2, 0, 8, *(part for value in row[0] for part in (136, value))]) for row in rows)
+    yield _light("runs", 8, rows, runs)
+
+
+def _light(name: str, width: int, rows: Any, body: bytes) -> Case:
+    """A pixel is its first three numbers times 2 to the power of the last one minus 136; black if the last is 0."""
+    data = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (len(rows), width) + body
+    linear = [
+        [[value * 2.0 ** (pixel[3] - 136) * bool(pixel[3]) for value in pixel[:3]] for pixel in row] for row in rows
+    ]
+    facts: Facts = {"width": width, "height": len(rows), "radiance": linear}
+    files = {f"picture/{name}.hdr": Frozen(form_named("hdr"), None, data=data)}
+    return Case(f"picture/{name}", "A map of light, linear, row 0 at the top.", files, facts, _radiance)
+
+
+def _radiance(path: Path, _: Facts) -> Facts:
+    radiance = load(path, EnvironmentMap).radiance
+    return {"width": radiance.shape[1], "height": radiance.shape[0], "radiance": floats(radiance)}
 
 
 # -- the page --------------------------------------------------------------------------------------------------
