@@ -27,9 +27,11 @@ from nerfbake.stages._eye import eye_of
 EPOCHS = 4
 _SMALL_EVERY = 4  # every fourth picture is fitted at half its size, so that splats are right at other sizes, too
 _ALPHA = 0.1  # weight of the error of alpha, relative to that of a channel
-# First and last step sizes. They fall geometrically.
-_MEAN, _SCALE, _QUAT, _OPACITY, _SH = (0.04, 0.004), (0.02, 0.002), (0.02, 0.002), (0.1, 0.01), (0.02, 0.002)
-_HIGHER_BANDS = 0.12  # of the step size of the first band
+# First and last step sizes. They fall geometrically. Chosen on the chair, fitted to 87 of its training photographs and
+# measured on the other 13: 34.63 dB with half the sizes of means and SH and 0.12 for the higher bands, 34.76 with these
+# sizes of SH, 34.79 also with these of means, 34.85 with all. Opacities twice or half as fast: 0.02 dB, 0.00 dB less.
+_MEAN, _SCALE, _QUAT, _OPACITY, _SH = (0.08, 0.008), (0.02, 0.002), (0.02, 0.002), (0.1, 0.01), (0.04, 0.004)
+_HIGHER_BANDS = 0.25  # of the step size of the first band
 _LEAST_OPACITY, _LEAST_SCALE = 1e-3, 1e-9  # Adam cannot leave 0
 _ROUNDING = 64
 _SPLAT_BYTES = 400
