@@ -13,7 +13,7 @@ from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
@@ -66,9 +66,7 @@ class MeshViews(NamedTuple):
     def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
         """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
-            posed = read_photographs(steps, Source(self.views), self.album)
-            if posed.trained.scenery:
-                posed = cut_out(steps, Source(self.views), posed, field)
+            posed = read_photographs_of(steps, Source(self.views), self.album, field)
             _require_alike(steps, source, field, posed.judges, self.views)
             return posed
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
@@ -228,27 +226,18 @@ def bake_mesh(
     >>> made.quality.psnr > 15
     True
     """
-    from nerfbake.stages.views_and_light_to_materials import fit_materials, light_pixels
-
     source, place = as_source(source), mesh_target(target)
     model.album.require()
     options = require_mesh(place, recipe, file)
     Budget(min_psnr).require(place)
-    environment = None
-    if file.environment is not None:
-        environment = Source(file.environment).read(steps, EnvironmentMap)
+    light = None if file.environment is None else Source(file.environment).read(steps, EnvironmentMap)
     field = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
     posed = model.posed(steps, source, field)
     clock = Clock()
     scene = build_mesh(steps, source, field, posed.trained, place, recipe)
     materials: tuple[Material, ...] = ()
-    if environment is not None and isinstance(scene, Meshes):
-        with source.blamed(steps, "estimating materials"):
-            lit_levels = [fit_materials(each, posed.trained, environment, edge=_edge(each)) for each in _levels(scene)]
-        scene, materials = (
-            Meshes((lit_levels[0].mesh,), tuple(each.mesh for each in lit_levels[1:])),
-            lit_levels[0].clusters,
-        )
+    if light is not None and isinstance(scene, Meshes):
+        scene, materials = _with_materials(steps, source, scene, posed.trained, light)
     worked = clock.worked
     del field
     results: list[MeshResult] = []
@@ -256,15 +245,13 @@ def bake_mesh(
     with told, place.writing(steps, scene, **options) as written:
         pictures = str(posed.judges) if model.views else f"{len(posed.judges.pictures)} pictures of {source.name}"
         loaded, quality = _judged(steps, place, written.path, posed.judges, pictures)
-        if environment is not None:
-            with source.blamed(steps, "lighting the held-out views"):
-                written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
-                lit = light_pixels(written_mesh, posed.judges, environment, samples=SAMPLES)
-            quality = quality._replace(lit=lit)
+        if light is not None:
+            written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
+            quality = quality._replace(lit=_lit(steps, source, written_mesh, posed.judges, light))
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
         results.append(MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials))
         io.report_result(psnr=quality.psnr)
-        if file.lit and environment is None:
+        if file.lit and light is None:
             steps.say(f"{place.path}: roughness is 1 everywhere: materials need a map of the light")
         for number, each in enumerate(materials):
             what = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
@@ -366,8 +353,27 @@ def build_mesh(
     return Meshes((levels[0],), tuple(levels[1:]))
 
 
-def _edge(mesh: Mesh) -> int:
-    return TEXTURE if mesh.texture is None else len(mesh.texture)
+def _with_materials(
+    steps: Steps, source: Source, scene: Meshes, views: Views, light: EnvironmentMap
+) -> tuple[Meshes, tuple[Material, ...]]:
+    """Return the levels of a mesh with materials, and the materials of the finest level."""
+    from nerfbake.stages.views_and_light_to_materials import fit_materials
+
+    with source.blamed(steps, "estimating materials"):
+        levels = [
+            fit_materials(each, views, light, edge=len(each.texture))
+            for each in _levels(scene)
+            if each.texture is not None
+        ]
+    return Meshes((levels[0].mesh,), tuple(each.mesh for each in levels[1:])), levels[0].clusters
+
+
+def _lit(steps: Steps, source: Source, mesh: Mesh, judges: Views, light: EnvironmentMap) -> tuple[float, ...]:
+    """Return the PSNR in dB of a mesh with materials under the light, for each held-out view that shows it."""
+    from nerfbake.stages.views_and_light_to_materials import light_pixels
+
+    with source.blamed(steps, "lighting the held-out views"):
+        return light_pixels(mesh, judges, light, samples=SAMPLES)
 
 
 def measure_mesh(scene: Meshes | Stage1, judges: Views, *, told: str) -> MeshQuality:

@@ -78,6 +78,12 @@ def read_photographs(steps: Steps, source: Source, album: PhotographOptions = AL
     return posed
 
 
+def read_photographs_of(steps: Steps, source: Source, album: PhotographOptions, field: RadianceField) -> SplitViews:
+    """Read the views of a capture that shows a field. If they show scenery, cut the field out of them."""
+    posed = read_photographs(steps, source, album)
+    return cut_out(steps, source, posed, field) if posed.trained.scenery else posed
+
+
 def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceField) -> SplitViews:
     """Return photographs with scenery as photographs of a field alone, which is a part of what they show."""
     from nerfbake.stages.field_and_views_to_views import cut_out_field

@@ -11,7 +11,7 @@ from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
 from nerfbake.scene.lattice_field import LatticeField
@@ -50,8 +50,7 @@ class SplatsModel(NamedTuple):
     def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
         """Return the training views and the held-out views."""
         if self.views is not None:
-            posed = read_photographs(steps, Source(self.views), self.album)
-            return cut_out(steps, Source(self.views), posed, field) if posed.trained.scenery else posed
+            return read_photographs_of(steps, Source(self.views), self.album, field)
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             whole = without_strays(field)
             around = scatter_cameras(whole, frames=self.frames, edge=self.edge, zoom=_ZOOM)

@@ -94,7 +94,7 @@ def fit_materials(
         seen = see(mesh, views, edge, samples)
         memory.hold("light of the pixels", 104 * len(seen.cover) + _PIXEL_BYTES * min(len(seen.cover), _PIXELS))
         used = covered_texels(mesh.require_unwrapped(), mesh.faces, edge, edge)
-        lit = _Lit(mesh, seen, environment, edge)
+        lit = _Lit(_Light(environment), _normals(mesh, edge), seen)
         labels = _clusters(seen, lit, used)
         roughness, specular = _estimated(seen, lit, labels)
         albedo = _albedo(seen, lit, used, roughness[labels], specular[labels])
@@ -116,15 +116,17 @@ def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, sampl
     if texture is None or material is None:
         raise InvalidScene(Problem("the mesh", "has no material", "a texture and a material"))
     edge, found = len(texture), list[float]()
+    known, normals = _Light(environment), _normals(mesh, edge)
+    albedo = to_linear(texture / np.float32(255))
     for number in range(len(views.pictures)):
         one = views.take([number])
         try:
             seen = see(mesh, one, edge, samples)
         except InvalidScene:
             continue
-        lit = _Lit(mesh, seen, environment, edge)
+        lit = _Lit(known, normals, seen)
         own = np.asarray(material[lit.place[:, 1], lit.place[:, 0]] / np.float32(255), np.float32)
-        shown = _means(seen, to_linear(texture / np.float32(255))) * lit.diffuse
+        shown = _means(seen, albedo) * lit.diffuse
         shown += lit.highlights(own[:, 0]) * own[:, 1:]
         rest = ((from_linear(shown).astype(np.float64) - seen.targets) ** 2).mean(axis=1) * seen.cover
         square = max(float(np.cumsum(rest)[-1] / np.cumsum(seen.cover, dtype=np.float64)[-1]), 1e-10)
@@ -135,21 +137,32 @@ def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, sampl
     return tuple(found)
 
 
-class _Lit:
-    """The light of pixels: diffuse (p, 3), of albedo 1, and highlights (p, 3), of strength 1."""
+class _Light:
+    """The light of a map: its irradiance, its filtered maps and reflectances of _ROUGHNESSES, and a smaller map."""
 
-    def __init__(self, mesh: Mesh, seen: Seen, environment: EnvironmentMap, edge: int) -> None:
-        self._sources = light.sources(environment.radiance, _ROWS)
-        self._maps = [light.filtered(self._sources, roughness, _EDGE) for roughness in progress.each(_ROUGHNESSES)]
-        self._tables = [light.reflectances(roughness) for roughness in _ROUGHNESSES]
-        normals = _means(seen, _normals(mesh, edge))
+    def __init__(self, environment: EnvironmentMap) -> None:
+        sources = light.sources(environment.radiance, _ROWS)
+        self.irradiance = light.filtered(sources, light.DIFFUSE, _EDGE)
+        self.maps = [light.filtered(sources, roughness, _EDGE) for roughness in progress.each(_ROUGHNESSES)]
+        self.tables = [light.reflectances(roughness) for roughness in _ROUGHNESSES]
+        self.few = light.sources(environment.radiance, _SUMMED_ROWS)
+
+
+class _Lit:
+    """The light of pixels: diffuse (p, 3), of albedo 1, and highlights (p, 3), of strength 1.
+
+    texel_normals: of the mesh, as _normals() returns them.
+    """
+
+    def __init__(self, known: _Light, texel_normals: Singles, seen: Seen) -> None:
+        self._light = known
+        normals = _means(seen, texel_normals)
         normals /= np.maximum(np.sqrt((normals * normals).sum(axis=1, keepdims=True)), np.float32(1e-6))
         toward = -(normals * seen.directions).sum(axis=1)
         self.toward = np.clip(toward, 0, 1)
         self._normals, self._toward_camera = normals, -seen.directions
-        self._few = light.sources(environment.radiance, _SUMMED_ROWS)
-        self.mirrored = seen.directions + 2 * toward[:, None] * normals
-        self.diffuse = light.looked_up(light.filtered(self._sources, light.DIFFUSE, _EDGE), normals) / np.float32(np.pi)
+        self._mirrored = seen.directions + 2 * toward[:, None] * normals
+        self.diffuse = light.looked_up(known.irradiance, normals) / np.float32(np.pi)
         # The texel of a pixel: that of its first ray.
         self.place = np.rint(seen.lookups.at[seen.lookups.starts[:-1]]).astype(np.int64)
 
@@ -157,7 +170,7 @@ class _Lit:
         """(w, 3) highlights of one roughness, of some pixels."""
         roughness = _ROUGHNESSES[number]
         if roughness >= _SUMMED:
-            return light.highlights(self._few, self._normals[where], self._toward_camera[where], roughness)
+            return light.highlights(self._light.few, self._normals[where], self._toward_camera[where], roughness)
         return self._highlights(np.full(len(where), roughness), where)
 
     def highlights(self, roughness: Singles) -> Singles:
@@ -169,13 +182,13 @@ class _Lit:
         # Seen at an angle, a lobe of half vectors becomes a lobe of directions whose solid angle is smaller by n.v: as
         # that of roughness (n.v)^(1/4). Without it, a roughness of 0.6 is found as 0.44, with it as 0.55.
         narrow = roughness * np.sqrt(np.sqrt(np.maximum(toward, 1e-4)))
-        towards = self.mirrored[where]
+        towards, tables = self._mirrored[where], self._light.tables
         light_, share = np.zeros((len(where), 3), np.float32), np.zeros(len(where), np.float32)
-        at = toward * (len(self._tables[0]) - 1)
+        at = toward * (len(tables[0]) - 1)
         for number, pixels, part in _between(narrow):
-            light_[pixels] += part[:, None] * light.looked_up(self._maps[number], towards[pixels])
+            light_[pixels] += part[:, None] * light.looked_up(self._light.maps[number], towards[pixels])
         for number, pixels, part in _between(roughness):
-            table, low = self._tables[number], np.minimum(at[pixels].astype(np.int64), len(self._tables[0]) - 2)
+            table, low = tables[number], np.minimum(at[pixels].astype(np.int64), len(tables[0]) - 2)
             share[pixels] += part * (table[low] + (at[pixels] - low) * (table[low + 1] - table[low]))
         return light_ * share[:, None]
 
