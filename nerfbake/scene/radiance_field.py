@@ -19,6 +19,8 @@ from nerfbake.scene.base import require_shape
 from nerfbake.scene.basis import Basis, renderable_basis
 from nerfbake.scene.compact_repr import CompactRepr
 
+_AT_ONCE = 4096  # nodes whose leaves leaf_box() reads together
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RadianceField(CompactRepr):
@@ -94,23 +96,30 @@ def require_field(scene: Any) -> RadianceField:
     return scene
 
 
-def leaves_of(cells: Cells) -> Iterator[tuple[Points, float]]:
-    """Yield the lowest corners (m, 3) of each level's leaves and their width, in cells of the last level."""
+def leaves_of(cells: Cells, at_once: int | None = None) -> Iterator[tuple[Points, float]]:
+    """Yield the lowest corners (m, 3) of each level's leaves and their width, in cells of the last level.
+
+    at_once: yield the leaves of at most this many nodes together; None: of the whole level.
+    """
     nodes, corner = np.zeros(1, np.int64), np.zeros((1, 3))
     for first, bits, width in zip(cells.first, cells.bits, cells.width, strict=True):
         steps = np.stack(np.unravel_index(np.arange(1 << 3 * bits), (1 << bits,) * 3), axis=1)
-        slots = cells.slots[first + (nodes[:, None] << 3 * bits) + np.arange(1 << 3 * bits)]
-        node, cell = np.nonzero(slots < EMPTY)
-        if len(node):
-            yield corner[node] + steps[cell] * width, float(width)
-        node, cell = np.nonzero(slots >= 0)
-        nodes, corner = slots[node, cell].astype(np.int64), corner[node] + steps[cell] * width
+        below, count = [(nodes[:0], corner[:0])], at_once or max(len(nodes), 1)
+        for begin in range(0, len(nodes), count):
+            part, place = nodes[begin : begin + count], corner[begin : begin + count]
+            slots = cells.slots[first + (part[:, None] << 3 * bits) + np.arange(1 << 3 * bits)]
+            node, cell = np.nonzero(slots < EMPTY)
+            if len(node):
+                yield place[node] + steps[cell] * width, float(width)
+            node, cell = np.nonzero(slots >= 0)
+            below.append((slots[node, cell].astype(np.int64), place[node] + steps[cell] * width))
+        nodes, corner = (np.concatenate(each) for each in zip(*below, strict=True))
 
 
 def leaf_box(cells: Cells, limit: npt.ArrayLike = np.inf) -> Points:
     """(2, 3) box around all leaves, up to `limit`; around the whole tree if there are none."""
     low, high = np.full(3, float(cells.edge)), np.zeros(3)
-    for corners, width in leaves_of(cells):
+    for corners, width in leaves_of(cells, _AT_ONCE):
         low = np.minimum(low, corners.min(axis=0))
         high = np.maximum(high, corners.max(axis=0) + width)
     high = np.minimum(high, limit)

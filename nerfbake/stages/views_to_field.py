@@ -100,6 +100,8 @@ def continue_fit(state: FitState, views: Views, *, point: float = _POINT) -> Ite
             _rebuild(state, views)
         batch = _visit(state, views, batch, point)
         _count_on(state, len(views.pictures))
+        if state.view == 0:
+            batch = None  # frees its memory: the state may be measured now
         yield state
 
 

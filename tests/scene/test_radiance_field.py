@@ -13,7 +13,7 @@ from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels.march.cells import EMPTY, cells_of
 from nerfbake.memory import left, size_of
 from nerfbake.scene.basis import Basis
-from nerfbake.scene.radiance_field import leaf_box
+from nerfbake.scene.radiance_field import leaf_box, leaves_of
 from tests.support.scenes import n3tree
 
 
@@ -60,3 +60,15 @@ def test_a_field_counts_for_as_long_as_it_lives() -> None:
             render_field(field, orbit_cameras(field, width=5, height=5).cameras[0])
         del field
         assert left() == 3_500
+
+
+def test_leaves_are_the_same_whether_all_nodes_are_read_together_or_one_by_one() -> None:
+    cells = build_field(n3tree([(0, (0, 0, 0)), (0, (1, 1, 1)), (1, (0, 1, 0))])).cells
+    together, one_by_one = (list(leaves_of(cells, at_once)) for at_once in (None, 1))
+    assert len(one_by_one) > len(together)
+    for part in 0, 1:
+        widths = (
+            np.concatenate([np.broadcast_to(each[part], (len(each[0]), 3)) for each in found])
+            for found in (together, one_by_one)
+        )
+        assert_array_equal(*widths)
