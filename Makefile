@@ -87,7 +87,7 @@ mypy: setup
 	$(BIN)/mypy
 
 # Compiled modules are kept, also where the environment asks for none.
-PYTEST := PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(CURDIR)/build/modules $(BIN)/pytest -n 2 --dist loadfile
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist loadfile
 
 test: ruff  ## linters and the tests that need nothing but Python packages, on two cores
 	$(MAKE) --no-print-directory -j2 mypy pytest

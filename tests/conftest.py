@@ -23,8 +23,8 @@ EXAMPLES = int(os.environ.get("NERFBAKE_EXAMPLES", "15"))  # per Hypothesis test
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=EXAMPLES)
 hypothesis.settings.load_profile("repeatable")
 
-# Processes that tests start share a cache of compiled modules, even if the environment disables caches.
-os.environ["PYTHONPYCACHEPREFIX"] = str(REPOSITORY / "build" / "modules")
+# Processes that tests start keep the modules that they compile, even if the environment disables that. pip has compiled
+# those of the packages: a cache of the tests' own would take a minute of CPU time to fill.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # If the tests run in the background (nohup, &), they and their child processes inherit that SIGINT is ignored.

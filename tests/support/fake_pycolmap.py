@@ -29,9 +29,9 @@ import pycolmap  # the real one
 
 
 def write_pycolmap(folder: Path, code: str) -> dict[str, str]:
-    """Write the module to a folder; return the environment in which it is found."""
+    """Write the module to a folder; return the environment in which it is found, and nothing is put beside it."""
     (folder / "pycolmap.py").write_text(code)
-    return {"PYTHONPATH": f"{folder}{os.pathsep}{REPOSITORY}"}
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{REPOSITORY}", "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def replace_pycolmap(folder: Path, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
