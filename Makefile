@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup tools demo ruff mypy pytest test test-quick test-rest test-all test-cpus test-haswell cpus-here fuzz lint schemas golden api bench clean
+.PHONY: help setup tools demo ruff mypy pytest pytest-rest test test-quick test-rest test-all test-cpus test-haswell cpus-here fuzz lint schemas golden api bench clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -87,24 +87,28 @@ mypy: setup
 	$(BIN)/mypy
 
 # Compiled modules are kept, also where the environment asks for none.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist loadfile
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --dist loadfile -n
 
 test: ruff  ## linters and the tests that need nothing but Python packages, on two cores
 	$(MAKE) --no-print-directory -j2 mypy pytest
 
 pytest: setup
-	$(PYTEST) -m 'not long and not tools'
+	$(PYTEST) 2 -m 'not long and not tools'
 
 test-quick: setup  ## the fast ones of these, without linters
-	$(PYTEST) -m 'not long and not slow and not tools'
+	$(PYTEST) 2 -m 'not long and not slow and not tools'
 
-test-rest: tools test-cpus  ## the tests that `make test` leaves out: other programs, other CPUs, fuzzing, random kills
-	$(PYTEST) -m 'long or tools'
+# The older CPU's files are written by one process, which compiles most of the time: the other core runs tests meanwhile.
+test-rest: tools setup  ## the tests that `make test` leaves out: other programs, other CPUs, fuzzing, random kills
+	$(MAKE) --no-print-directory -j2 test-cpus pytest-rest
+
+pytest-rest: setup
+	$(PYTEST) 3 -m 'long or tools'  # one more than cores: many of these tests wait for other programs
 
 test-all: test test-rest  ## every test; none is skipped where $$CI is set
 
 CPUS := $(BIN)/python -m tests.support.cpus
-ON_A_CPU := env $(PYTEST) -p no:cacheprovider -m 'not slow and not long and not tools' tests/kernels
+ON_A_CPU := env $(PYTEST) 2 -p no:cacheprovider -m 'not slow and not long and not tools' tests/kernels
 
 test-cpus: setup  ## the same bytes as an older CPU would write, and the tests of kernels on it
 	mkdir -p build/cpus
