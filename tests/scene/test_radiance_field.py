@@ -66,9 +66,8 @@ def test_leaves_are_the_same_whether_all_nodes_are_read_together_or_one_by_one()
     cells = build_field(n3tree([(0, (0, 0, 0)), (0, (1, 1, 1)), (1, (0, 1, 0))])).cells
     together, one_by_one = (list(leaves_of(cells, at_once)) for at_once in (None, 1))
     assert len(one_by_one) > len(together)
-    for part in 0, 1:
-        widths = (
-            np.concatenate([np.broadcast_to(each[part], (len(each[0]), 3)) for each in found])
-            for found in (together, one_by_one)
-        )
-        assert_array_equal(*widths)
+    whole, few = (
+        np.concatenate([np.column_stack([corners, np.full(len(corners), width)]) for corners, width in found])
+        for found in (together, one_by_one)
+    )
+    assert_array_equal(few, whole)
