@@ -51,9 +51,11 @@ def close_wall(cells: BrickCells) -> None:
     values[place] = np.maximum(values[place], np.float32(WALL))
 
 
-def focus_distance(box: Points) -> float:
-    """Return the distance of the cameras from what they look at, which is the edge of the inner cube."""
-    return float((box[1] - box[0]).mean())
+def focus_distance(views: Views, box: Points) -> float:
+    """Return the median distance of the cameras from the middle of the inner cube, but at least half of its edge."""
+    away = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras]) - box.mean(axis=0)
+    median = float(np.median(np.sqrt(np.square(away).sum(axis=1))))
+    return max(median, float((box[1] - box[0]).mean()) / 2)
 
 
 def resolved(cells: BrickCells, views: Views) -> Bits:
@@ -74,7 +76,7 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
     memory.require(f"fog in {SHELLS} shells of {R}^3 cells", _CELL_BYTES * R**3 * SHELLS)
     low, size, width = lattice_frame(box, R, SHELLS)
     steps = np.stack(np.meshgrid(*[np.arange(R)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
-    found, clear, least = [], _CLEAR * focus_distance(box), min(_LEAST, len(views.pictures))
+    found, clear, least = [], _CLEAR * focus_distance(views, box), min(_LEAST, len(views.pictures))
     for shell in range(SHELLS):
         centre, counts = low[shell] + steps * size[shell], np.zeros(R**3, np.int32)
         for camera in views.cameras.cameras:

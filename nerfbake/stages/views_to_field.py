@@ -30,7 +30,7 @@ TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 c
 _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's own colour
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
-_STEPS, _DENSITY_STEP = (1 / 16, 1 / 8, 1 / 8, 1 / 8, 1 / 8), 1 / 16  # of rounded coefficients; per cell width
+_STEP, _DENSITY_STEP = 1 / 8, 1 / 16  # of rounded coefficients; of rounded densities per cell width
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
 _DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
 # Residuals above this count less: what only one view shows, such as a person who walks by, must not change the others.
@@ -198,7 +198,7 @@ def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
 def _finish(state: FitState, views: Views) -> None:
     """Prune the cells after the last stage, and round their values, so that files are smaller."""
     bricks, keep = state.cells.bricks, _visible(state, state.schedule[-1], views) | views.scenery
-    steps = np.append(np.tile(np.array(_STEPS)[band_of(state.basis.size)], 3), _DENSITY_STEP).astype(np.float32)
+    steps = np.array([_STEP] * 3 * state.basis.size + [_DENSITY_STEP], np.float32)
     round_cells(bricks.values, bricks.first, keep, steps)
 
 
@@ -214,7 +214,7 @@ def _marched(
     background, sums = np.array(views.background, np.float32), np.zeros((TASKS, SUMS))
     alpha = _ALPHA if views.masked and not views.scenery else 0.0
     distortion = _DISTORTION if views.scenery else 0.0
-    focus, most = focus_distance(box), _MOST if views.scenery else np.inf
+    focus, most = focus_distance(views, box), _MOST if views.scenery else np.inf
     view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
     while True:

@@ -16,9 +16,10 @@ from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.schedule import parse_schedule, scenery_schedule
-from nerfbake.stages._bricks import cells_of_solid, field_of_cells
+from nerfbake.stages._bricks import cell_places, cells_of_solid, field_of_cells
 from nerfbake.stages._fit_state import FitState
 from nerfbake.stages._ray_targets import ray_targets
+from nerfbake.stages._scenery import focus_distance, start_scenery
 from nerfbake.stages.views_to_error import plain_psnr
 from tests.support.brick_fields import BOX, some_shelled_field, some_shells
 
@@ -251,6 +252,24 @@ def test_cameras_at_one_place_need_a_box() -> None:
     views = Views(still, (np.full((16, 16, 4), 255, np.uint8),) * 4, WHITE, False, scenery=True)
     with pytest.raises(InvalidScene, match="the cameras are all at the same place; allowed: two places or more"):
         next(iter(fit_field(views, schedule=SCHEDULE)))
+
+
+@pytest.mark.parametrize("times", [1, 1.5])
+def test_a_wider_inner_cube_clears_no_more_fog_around_the_cameras(times: float) -> None:
+    posed = cameras(6, 16)
+    views = Views(posed, (np.full((16, 16, 4), 255, np.uint8),) * 6, WHITE, False, scenery=True)
+    box, cells = start_scenery(views, times * np.array([[-0.8] * 3, [0.8] * 3]), 32, 1)
+    assert focus_distance(views, box) == pytest.approx(1.6, abs=0.05)  # where the cameras are
+    shell, corner = cell_places(cells.bricks)
+    inner = cells.bricks.low[0] + (corner[shell == 0] + 0.5) * cells.bricks.size[0]
+    nearest = min(np.linalg.norm(inner - camera.pose[:3, 3], axis=1).min() for camera in posed.cameras)
+    assert 0.25 * 1.6 <= nearest < (0.3 * 1.6 if times > 1 else np.inf)
+
+
+def test_cameras_within_the_inner_cube_look_half_its_edge_far() -> None:
+    posed = cameras(4, away=0.1)
+    views = Views(posed, (np.full((48, 48, 4), 255, np.uint8),) * 4, WHITE, False, scenery=True)
+    assert focus_distance(views, np.array([[-2.0] * 3, [2.0] * 3])) == 2
 
 
 def test_schedules_of_scenery_take_longer_for_better_presets() -> None:
