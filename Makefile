@@ -108,9 +108,9 @@ pytest-rest: setup
 test-all: test test-rest  ## every test; none is skipped where $$CI is set
 
 CPUS := $(BIN)/python -m tests.support.cpus
-ON_A_CPU := env $(PYTEST) 2 -p no:cacheprovider -m 'not slow and not long and not tools' tests/kernels
+ON_A_CPU := env $(PYTEST) 2 -p no:cacheprovider -m 'not slow and not long and not tools' tests/kernels/maths
 
-test-cpus: setup  ## the same bytes as an older CPU would write, and the tests of kernels on it
+test-cpus: setup  ## the same bytes as an older CPU would write, and the tests of our own mathematical functions on it
 	mkdir -p build/cpus
 	$(MAKE) --no-print-directory -j2 cpus-old cpus-here
 	$(CPUS) compare build/cpus/here.json build/cpus/old.json
