@@ -86,7 +86,7 @@ ruff: setup
 mypy: setup
 	$(BIN)/mypy
 
-# Compiled modules are kept, also where the environment asks for none.
+# Compiled modules are kept, also where the environment asks for none. The number of workers follows.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --dist loadfile -n
 
 test: ruff  ## linters and the tests that need nothing but Python packages, on two cores

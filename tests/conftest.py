@@ -24,7 +24,7 @@ hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=Tr
 hypothesis.settings.load_profile("repeatable")
 
 # Processes that tests start keep the modules that they compile, even if the environment disables that. pip has compiled
-# those of the packages: a cache of the tests' own would take a minute of CPU time to fill.
+# those of the packages: with a cache of their own, the tests would compile them once more.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # If the tests run in the background (nohup, &), they and their child processes inherit that SIGINT is ignored.

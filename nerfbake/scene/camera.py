@@ -325,6 +325,11 @@ class Cameras(Scene):
         return replace(self, cameras=cameras, samples=self.samples if samples is None else samples)
 
     @property
+    def eyes(self) -> npt.NDArray[np.float64]:
+        """The positions (n, 3) of the cameras in the world."""
+        return np.stack([camera.pose[:3, 3] for camera in self.cameras])
+
+    @property
     def names(self) -> list[str]:
         return [camera.name for camera in self.cameras]
 

@@ -102,7 +102,7 @@ def sample_surface(field: RadianceField, cameras: Cameras) -> SampledSurface:
 def _depths(field: RadianceField, cameras: Cameras, width: float) -> tuple[DepthViews, Singles]:
     """Median depths and alphas of views that are spread over all cameras, with pixels about as wide as a step."""
     centre = field.world(field.box.mean(axis=0))
-    chosen = _spread_views(np.stack([camera.pose[:3, 3] for camera in cameras.cameras]))
+    chosen = _spread_views(cameras.eyes)
     own = []
     for number in chosen:
         camera = cameras.cameras[number]

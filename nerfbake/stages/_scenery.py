@@ -53,9 +53,7 @@ def close_wall(cells: BrickCells) -> None:
 
 def focus_distance(views: Views, box: Points) -> float:
     """Return the median distance of the cameras from the middle of the inner cube, but at least half of its edge."""
-    away = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras]) - box.mean(axis=0)
-    median = float(np.median(np.sqrt(np.square(away).sum(axis=1))))
-    return max(median, float((box[1] - box[0]).mean()) / 2)
+    return max(_median_distance(views.cameras.eyes, box.mean(axis=0)), float((box[1] - box[0]).mean()) / 2)
 
 
 def resolved(cells: BrickCells, views: Views) -> Bits:
@@ -109,7 +107,7 @@ def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
 
 def _inner_cube(views: Views) -> Points:
     """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it."""
-    eyes = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras])
+    eyes = views.cameras.eyes
     looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
     across = np.eye(3) - looks[:, :, None] * looks[:, None]
     spread = float(np.sqrt(np.square(eyes - eyes.mean(axis=0)).sum(axis=1).max()))
@@ -118,7 +116,11 @@ def _inner_cube(views: Views) -> Points:
     left = across.sum(axis=0) + 1e-2 * len(eyes) * np.eye(3)
     right = (across * eyes[:, None]).sum(axis=(0, 2)) + 1e-2 * len(eyes) * ahead
     centre = rotate(right, inverse(left))
-    half = float(np.median(np.sqrt(np.square(eyes - centre).sum(axis=1)))) / 2
+    half = _median_distance(eyes, centre) / 2
     if not half > 0:
         raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))
     return np.stack([centre - half, centre + half])
+
+
+def _median_distance(points: Points, centre: Floats) -> float:
+    return float(np.median(np.sqrt(np.square(points - centre).sum(axis=1))))

@@ -213,8 +213,9 @@ def _marched(
     """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
     background, sums = np.array(views.background, np.float32), np.zeros((TASKS, SUMS))
     alpha = _ALPHA if views.masked and not views.scenery else 0.0
-    distortion = _DISTORTION if views.scenery else 0.0
-    focus, most = focus_distance(views, box), _MOST if views.scenery else np.inf
+    distortion, focus, most = 0.0, 1.0, np.inf  # without distortion loss, no place along a ray is needed
+    if views.scenery:
+        distortion, focus, most = _DISTORTION, focus_distance(views, box), _MOST
     view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
     while True:

@@ -92,7 +92,7 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
 
 def _common_cube(views: Views) -> Points:
     """Return a cube (2, 3) around the point that the cameras look at, as large as the widest view of it."""
-    eyes = np.stack([camera.pose[:3, 3] for camera in views.cameras.cameras])
+    eyes = views.cameras.eyes
     looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
     across = np.eye(3) - looks[:, :, None] * looks[:, None]
     # Parallel axes do not intersect. A small weight on the cameras' mean position makes the matrix invertible.

@@ -29,7 +29,7 @@ import pycolmap  # the real one
 
 
 def write_pycolmap(folder: Path, code: str) -> dict[str, str]:
-    """Write the module to a folder; return the environment in which it is found, and nothing is put beside it."""
+    """Write the module to a folder; return the environment in which Python finds it and writes nothing beside it."""
     (folder / "pycolmap.py").write_text(code)
     return {"PYTHONPATH": f"{folder}{os.pathsep}{REPOSITORY}", "PYTHONDONTWRITEBYTECODE": "1"}
 
