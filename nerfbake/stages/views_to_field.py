@@ -33,7 +33,8 @@ _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients
 _STEP, _DENSITY_STEP = 1 / 8, 1 / 16  # of rounded coefficients; of rounded densities per cell width
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
 _DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
-# Residuals above this count less: what only one view shows, such as a person who walks by, must not change the others.
+# Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person who
+# walks by or a mistake of a mask, must not change the others.
 _MOST = 0.2
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
@@ -213,9 +214,10 @@ def _marched(
     """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
     background, sums = np.array(views.background, np.float32), np.zeros((TASKS, SUMS))
     alpha = _ALPHA if views.masked and not views.scenery else 0.0
-    distortion, focus, most = 0.0, 1.0, np.inf  # without distortion loss, no place along a ray is needed
+    most = _MOST if views.scenery or views.rough else np.inf
+    distortion, focus = 0.0, 1.0  # without distortion loss, no place along a ray is needed
     if views.scenery:
-        distortion, focus, most = _DISTORTION, focus_distance(views, box), _MOST
+        distortion, focus = _DISTORTION, focus_distance(views, box)
     view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
     while True:
