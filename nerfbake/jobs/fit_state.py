@@ -20,8 +20,6 @@ from nerfbake.jobs.files import Target
 from nerfbake.jobs.photographs import SplitViews
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.views import Views
-from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import measure_views
 
 if TYPE_CHECKING:
     from nerfbake.scene.schedule import Schedule, Stage
@@ -140,12 +138,12 @@ class FitRun:
         return f"stage {stage} of {len(self._schedule)}, {now.resolution}^3, {now.cells.n:,} voxels{seen}"
 
     def _seen(self, now: Any) -> float | None:
+        from nerfbake.stages.views_to_field import measure_state  # here, so that --help does not import NumPy
+
         try:
-            field = build_field(now.field())
-            errors = measure_views(field, self._judges, samples=self._samples)
+            return measure_state(now, self._judges, samples=self._samples)
         except MemoryLimit:
             return None  # the fit itself may still fit into memory
-        return sum(error.psnr for error in errors) / len(errors)
 
 
 _OFTEN = 30.0  # seconds between checkpoints

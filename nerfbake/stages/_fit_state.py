@@ -17,7 +17,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Points
 from nerfbake.kernels.fit.bricks import EMPTY, SIZE, BrickGrid, top_grid
-from nerfbake.kernels.maths.elementary import log
+from nerfbake.kernels.picture.metrics import decibels
 from nerfbake.scene.base import edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.brick_field import BrickField
@@ -114,9 +114,6 @@ def _require_numbers(own: Arrays) -> None:
         raise InvalidScene(problems[0])
 
 
-_LN_10 = 2.302585092994046
-
-
 @dataclass(eq=False)
 class FitState:
     """The state of a fit. The fit changes it in place, so copy or write anything that you need later.
@@ -155,7 +152,7 @@ class FitState:
     @property
     def train_psnr(self) -> float:
         """PSNR in dB over the pixels of this epoch so far, each rendered before its step; 0 before the first pixel."""
-        return -10 / _LN_10 * float(log(self.error / self.values)) if self.error > 0 else 0.0
+        return decibels(self.error / self.values) if self.error > 0 else 0.0
 
     def field(self) -> BrickField:
         """Return the field as fitted so far. Raises MemoryLimit."""

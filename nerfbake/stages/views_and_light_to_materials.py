@@ -12,8 +12,7 @@ from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
 from nerfbake.kernels.cluster import lloyd
-from nerfbake.kernels.maths.elementary import log
-from nerfbake.kernels.picture.metrics import from_linear, to_linear
+from nerfbake.kernels.picture.metrics import decibels, from_linear, to_linear
 from nerfbake.kernels.surface import light, texels
 from nerfbake.kernels.surface.normals import vertex_normals
 from nerfbake.kernels.surface.raster import covered_texels
@@ -36,7 +35,6 @@ _ROUNDS = 10  # of k-means
 _GRAZING = 0.4  # cosine below which a view is left out: the split sum is wrong there
 _CLIPPED = 0.98  # sRGB: brighter pixels are cut off
 _DOUBT = 0.05  # linear light: residuals above it count less, as those of shadows and occlusion
-_LN_10 = 2.302585092994046
 _STEPS = 6  # of the albedo's least squares
 _PIXEL_BYTES = 160 + 12 * len(_ROUGHNESSES)
 _TEXEL_BYTES = 120
@@ -129,8 +127,7 @@ def light_pixels(mesh: Mesh, views: Views, environment: EnvironmentMap, *, sampl
         shown = _means(seen, albedo) * lit.diffuse
         shown += lit.highlights(own[:, 0]) * own[:, 1:]
         rest = ((from_linear(shown).astype(np.float64) - seen.targets) ** 2).mean(axis=1) * seen.cover
-        square = max(float(np.cumsum(rest)[-1] / np.cumsum(seen.cover, dtype=np.float64)[-1]), 1e-10)
-        found.append(-10 / _LN_10 * float(log(square)))
+        found.append(decibels(float(np.cumsum(rest)[-1] / np.cumsum(seen.cover, dtype=np.float64)[-1])))
     if not found:
         allowed = "held-out views that show the mesh"
         raise InvalidScene(Problem("the mesh", "is not visible in any held-out view", allowed))

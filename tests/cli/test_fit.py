@@ -11,7 +11,7 @@ import pytest
 from nerfbake import N3Tree, load
 from nerfbake.cli.main import run
 from tests.cli.telling import told
-from tests.jobs.fake_fit import FakeFit, FakeState
+from tests.jobs.fake_fit import FakeFit, fake_fit
 from tests.support.photographs import write_scene
 
 
@@ -23,10 +23,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def trainer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeFit:
     monkeypatch.chdir(tmp_path)
-    fake = FakeFit()
-    monkeypatch.setattr("nerfbake.stages.views_to_field.fit_field", fake)
-    monkeypatch.setattr("nerfbake.stages.views_to_field.FitState", FakeState)
-    return fake
+    return fake_fit(monkeypatch)
 
 
 @pytest.mark.usefixtures("trainer")

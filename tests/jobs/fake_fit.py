@@ -9,8 +9,9 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
+import pytest
 
-from nerfbake import BrickField, build_bricks, build_octree, sample_n3tree
+from nerfbake import BrickField, Views, build_bricks, build_field, build_octree, measure_views, sample_n3tree
 from nerfbake.errors import InvalidScene, Problem
 
 
@@ -44,6 +45,10 @@ class FakeState:
         return FakeState(*map(int, arrays["at"]))
 
 
+def _measured(state: FakeState, views: Views, *, samples: int) -> float:
+    return float(np.mean([view.psnr for view in measure_views(build_field(state.field()), views, samples=samples)]))
+
+
 def _counted(stage: int, epoch: int, view: int, views: int, epochs: int) -> tuple[int, int, int]:
     epoch, view = divmod(epoch * views + view, views)
     return (stage + 1, 0, 0) if epoch == epochs else (stage, epoch, view)
@@ -72,3 +77,11 @@ class FakeFit:
                 self.steps += 1
                 self.at_step.get(self.steps, lambda: None)()
                 yield FakeState(*place, done, len(places))
+
+
+def fake_fit(monkeypatch: pytest.MonkeyPatch) -> FakeFit:
+    """Put the fake in the place of the trainer, its state and its measure."""
+    fake = FakeFit()
+    for name, made in (("fit_field", fake), ("FitState", FakeState), ("measure_state", _measured)):
+        monkeypatch.setattr(f"nerfbake.stages.views_to_field.{name}", made)
+    return fake

@@ -29,7 +29,7 @@ from nerfbake.jobs.compressions import CompressionGoal, GroundTruth, compress_fi
 from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.schedule import preset_schedule
-from tests.jobs.fake_fit import FakeFit, FakeState
+from tests.jobs.fake_fit import FakeFit, fake_fit
 from tests.jobs.listener import Listener
 from tests.support.photographs import write_scene
 
@@ -42,10 +42,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def trainer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeFit:
     monkeypatch.chdir(tmp_path)
-    fake = FakeFit()
-    monkeypatch.setattr("nerfbake.stages.views_to_field.fit_field", fake)
-    monkeypatch.setattr("nerfbake.stages.views_to_field.FitState", FakeState)
-    return fake
+    return fake_fit(monkeypatch)
 
 
 @pytest.mark.usefixtures("trainer")

@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 from nerfbake import (
     BrickField,
     Views,
+    build_field,
     build_field_from_bricks,
     carve_hull,
     fit_field,
@@ -25,7 +26,7 @@ from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import Cameras, Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages import views_to_field
-from nerfbake.stages.views_to_field import FitState
+from nerfbake.stages.views_to_field import FitState, measure_state
 from tests.support.views import sample_views
 
 SHORT = parse_schedule(
@@ -74,17 +75,27 @@ def test_a_split_leaves_wide_cells_and_narrow_ones() -> None:
     assert 0 < np.count_nonzero(field.wide) < field.n
 
 
+@pytest.mark.parametrize("samples", [1, 2])
+def test_the_state_is_measured_as_its_field_would_be(samples: int) -> None:
+    state, views = last(sample_views()), sample_views(frames=5)
+    truth = np.mean([view.psnr for view in measure_views(build_field(state.field()), views, samples=samples)])
+    before = state.cells.bricks.values.copy()
+    assert measure_state(state, views, samples=samples) == pytest.approx(truth, abs=0.1)
+    assert_array_equal(state.cells.bricks.values, before)  # measuring takes no step
+
+
 def test_the_last_state_is_rounded_and_pruned_and_looks_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     views = sample_views()
-    made = last(views)
-    rounded, unseen = made.field(), made.cells.seen[:, 0] < SHORT[-1].prune
+    rounded = last(views).field()
     monkeypatch.setattr(views_to_field, "_finish", lambda *_: None)
-    plain = last(views).field()
-    assert_array_equal(plain.rows, rounded.rows)
-    assert 0 < np.count_nonzero(unseen) < len(unseen)
-    assert not rounded.values[unseen, -1].any()
+    made = last(views)
+    plain, seen = made.field(), made.cells.seen[:, 0] >= SHORT[-1].prune
+    assert 0 < np.count_nonzero(seen) < len(seen)
+    assert len(rounded.values) == np.count_nonzero(seen)
+    assert len(rounded.rows) <= len(plain.rows)
+    plain = replace(plain, values=np.where(seen[:, None], plain.values, np.float32(0)))
     assert_array_equal(rounded.values[:, :-1] % (1 / 8), 0)
-    assert (abs(rounded.values[:, :-1] - plain.values[:, :-1]) <= 1 / 16).all()
+    assert (abs(rounded.values[:, :-1] - plain.values[seen, :-1]) <= 1 / 16).all()
     assert len(np.unique(rounded.values[:, -1])) < 300 < len(np.unique(plain.values[:, -1]))
     before, after = (measured(field, views) for field in (plain, rounded))
     assert after == pytest.approx(before, abs=0.1)

@@ -162,19 +162,16 @@ def _inherit(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid, brick:
 
 
 @compiled(parallel=True)
-def round_cells(values: Singles, first: npt.NDArray[np.int32], keep: Bits, steps: Singles) -> None:
-    """Round the values of each cell to multiples of `steps` (3 B + 1,), powers of two; others get the density 0."""
+def round_cells(values: Singles, first: npt.NDArray[np.int32], steps: Singles) -> None:
+    """Round the values of each cell to multiples of `steps` (3 B + 1,), which are powers of two."""
     for brick in prange(len(first) - 1):
-        _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), keep, steps)
+        _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), steps)
 
 
 @compiled()
-def _round_brick(values: Singles, begin: Whole, end: Whole, keep: Bits, steps: Singles) -> None:
+def _round_brick(values: Singles, begin: Whole, end: Whole, steps: Singles) -> None:
     D, count = len(steps), end - begin
     for k in range(D):
         step, parts, start = steps[k], np.float32(1) / steps[k], D * begin + k * count
         for cell in range(count):
             values[start + cell] = np.rint(values[start + cell] * parts) * step
-    for cell in range(count):
-        if not keep[begin + cell]:
-            values[D * begin + (D - 1) * count + cell] = np.float32(0)

@@ -36,7 +36,11 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 def psnr(a: Floats, b: Floats) -> float:
     """Peak signal-to-noise ratio of (H, W, 3) in 0..1, in dB; at most IDENTICAL."""
-    error = float(np.square(a - b).mean())
+    return decibels(float(np.square(a - b).mean()))
+
+
+def decibels(error: float) -> float:
+    """PSNR in dB of a mean squared error on values in 0..1; at most IDENTICAL."""
     return min(-10 / _LN_10 * float(log(error)), IDENTICAL) if error > 0 else IDENTICAL
 
 
