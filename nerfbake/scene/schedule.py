@@ -54,7 +54,7 @@ _AGAIN = 6  # from this many epochs with split cells on, more cells are split ha
 # times as much. The first stage has R / 8 cells: fog of R / 4 cells hides twice as much behind it, and some of it never
 # goes away. Before cells are split, more of them are pruned, which makes the file smaller (docs/fitting.md).
 _LARGE, _LARGE_PRESETS = 600, {"fast": 1, "balanced": 3, "best": 6}
-_LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 1)
+_LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
 _FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
 
