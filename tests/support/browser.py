@@ -20,6 +20,7 @@ from nerfbake import Camera
 
 PATIENCE = 120  # seconds: software rendering, possibly on a busy machine
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+_HINT = "GPU stall due to ReadPixels"  # comes from tests that read pixels, on slow machines only
 _PIXELS = """([pose, focal, edge, looks]) => {
   const camera = new nerfbake.camera.constructor({pose, focal, distance: 1}, nerfbake.facts.up, nerfbake.facts.radius);
   return textOf(nerfbake.picture.pixels(camera, edge, edge, {background: [1, 1, 1], ...looks}));
@@ -49,7 +50,7 @@ class Seen:
 
     def __init__(self, page: Any) -> None:
         self.page, self.log = page, []  # type: ignore[var-annotated]
-        page.on("console", lambda message: self.log.append(message.text))
+        page.on("console", lambda message: None if _HINT in message.text else self.log.append(message.text))
         page.on("pageerror", lambda error: self.log.append(str(error)))
         page.on("dialog", lambda dialog: self.log.append(f"dialog {dialog.message}"))
         page.on("request", lambda request: self.log.append(request.url) if "://" in request.url[5:] else None)
