@@ -13,7 +13,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
 from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
 from nerfbake.jobs.meshes import build_mesh, require_mesh
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, cut_out, read_photographs
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
@@ -282,8 +282,6 @@ def fit_file(
             field = field.shell(0)
             posed = cut_out(steps, source, posed, build_field_from_bricks(field))
             judges = posed.judges
-        if kind not in _OF_INNER_CUBE:
-            posed = SplitViews(judges, judges)  # frees the training pictures
         with steps.phase("putting the field together") as tell, io.blame(target.path):
             scene = CONVERSIONS[kind](field, lambda: _held_out(judges, recipe.rays(schedule)), target, tell, dtype)
         if kind == "Meshes":
