@@ -18,7 +18,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march import lens
-from nerfbake.kernels.maths.affine import rotate
+from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD, Scene
@@ -328,6 +328,21 @@ class Cameras(Scene):
     def eyes(self) -> npt.NDArray[np.float64]:
         """The positions (n, 3) of the cameras in the world."""
         return np.stack([camera.pose[:3, 3] for camera in self.cameras])
+
+    @property
+    def axes(self) -> npt.NDArray[np.float64]:
+        """The viewing directions (n, 3) of the cameras in the world."""
+        return -np.stack([camera.pose[:3, 2] for camera in self.cameras])
+
+    def looked_at(self, *, towards: npt.NDArray[np.float64], pull: float) -> npt.NDArray[np.float64]:
+        """The point (3,) nearest to all optical axes.
+
+        Parallel axes do not intersect. The point is therefore pulled to `towards` (3,), as strongly as `pull` axes do.
+        """
+        across = np.eye(3) - self.axes[:, :, None] * self.axes[:, None]
+        left = across.sum(axis=0) + pull * np.eye(3)
+        right = (across * self.eyes[:, None]).sum(axis=(0, 2)) + pull * towards
+        return rotate(right, inverse(left))
 
     @property
     def names(self) -> list[str]:

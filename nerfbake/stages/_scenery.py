@@ -7,7 +7,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.maths.affine import inverse, rotate
+from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
@@ -108,14 +108,9 @@ def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
 def _inner_cube(views: Views) -> Points:
     """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it."""
     eyes = views.cameras.eyes
-    looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
-    across = np.eye(3) - looks[:, :, None] * looks[:, None]
     spread = float(np.sqrt(np.square(eyes - eyes.mean(axis=0)).sum(axis=1).max()))
-    # Parallel axes do not intersect: the point is pulled to one in front of the cameras.
-    ahead = (eyes + spread * looks).mean(axis=0)
-    left = across.sum(axis=0) + 1e-2 * len(eyes) * np.eye(3)
-    right = (across * eyes[:, None]).sum(axis=(0, 2)) + 1e-2 * len(eyes) * ahead
-    centre = rotate(right, inverse(left))
+    ahead = (eyes + spread * views.cameras.axes).mean(axis=0)  # where cameras with parallel axes look at
+    centre = views.cameras.looked_at(towards=ahead, pull=1e-2 * len(eyes))
     half = _median_distance(eyes, centre) / 2
     if not half > 0:
         raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))

@@ -9,7 +9,6 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit.hull import TASKS, mark_clear
-from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.views import Views
@@ -93,12 +92,7 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
 def _common_cube(views: Views) -> Points:
     """Return a cube (2, 3) around the point that the cameras look at, as large as the widest view of it."""
     eyes = views.cameras.eyes
-    looks = -np.stack([camera.pose[:3, 2] for camera in views.cameras.cameras])
-    across = np.eye(3) - looks[:, :, None] * looks[:, None]
-    # Parallel axes do not intersect. A small weight on the cameras' mean position makes the matrix invertible.
-    left = across.sum(axis=0) + 1e-6 * np.eye(3)
-    right = (across * eyes[:, None]).sum(axis=(0, 2)) + 1e-6 * eyes.mean(axis=0)
-    centre = rotate(right, inverse(left))
+    centre = views.cameras.looked_at(towards=eyes.mean(axis=0), pull=1e-6)
     away = np.sqrt(np.square(eyes - centre).sum(axis=1))
     wide = [max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in views.cameras.cameras]
     half = float((away * np.array(wide)).max())

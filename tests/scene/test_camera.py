@@ -92,3 +92,17 @@ def test_the_extremes_that_are_allowed_have_rays() -> None:
         _, directions = camera.rays()
         assert np.isfinite(directions).all()
         assert_allclose(np.linalg.norm(directions, axis=1), 1)
+
+
+def test_the_point_that_cameras_look_at() -> None:
+    def at(*place: float, looks: str) -> Camera:
+        pose = np.eye(4)
+        pose[:3, :3] = {"-z": np.eye(3), "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]}[looks]
+        pose[:3, 3] = place
+        return Camera(4, 3, 5.0, pose)
+
+    crossing = Cameras((at(1, 2, 9, looks="-z"), at(9, 2, 3, looks="-x")))
+    assert_allclose(crossing.axes, [[0, 0, -1], [-1, 0, 0]])
+    assert_allclose(crossing.looked_at(towards=np.zeros(3), pull=1e-9), [1, 2, 3], atol=1e-6)
+    parallel = Cameras((at(0, 0, 9, looks="-z"), at(4, 0, 9, looks="-z")))
+    assert_allclose(parallel.looked_at(towards=np.array([0.0, 0, 5]), pull=1e-9), [2, 0, 5], atol=1e-6)
