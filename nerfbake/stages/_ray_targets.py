@@ -31,14 +31,11 @@ class RayTargets(NamedTuple):
     directions: Singles
 
 
-def ray_targets(
-    views: Views, view: int, *, scale: int, samples: int, ring: int | None, shift: tuple[float, float] = (0.0, 0.0)
-) -> RayTargets:
+def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int | None) -> RayTargets:
     """Return the pixels of a view that are not only background, and all pixels up to `ring` pixels from them.
 
-    The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that
-    views.used() excludes are left out. samples: rays along each edge of a pixel. shift: moves all rays within their
-    pixels, in parts of the distance between them, -0.5 to 0.5.
+    The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that views.used() excludes
+    are left out. samples: rays along each edge of a pixel.
     """
     picture, camera = views.pictures[view], scaled_camera(views.cameras.cameras[view], scale)
     image = np.empty((camera.height, camera.width, 4), np.float32)
@@ -52,7 +49,7 @@ def ray_targets(
         pixels = pixels[:found].copy()
     if views.scenery and views.masked:
         pixels = np.flatnonzero(image[..., 3] >= 1).astype(np.int32)
-    directions = _directions(camera, pixels, samples, shift)
+    directions = _directions(camera, pixels, samples)
     return RayTargets(camera.pose[:3, 3].copy(), pixels, kernels.gather_pixels(image, pixels), directions)
 
 
@@ -65,8 +62,7 @@ def scaled_camera(camera: Camera, scale: int) -> Camera:
     return replace(camera, width=edges[0], height=edges[1], focal=(camera.fx / scale, camera.fy / scale), centre=centre)
 
 
-def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int, shift: tuple[float, float]) -> Singles:
-    camera = replace(camera, centre=(camera.cx - shift[0] / samples, camera.cy - shift[1] / samples))
+def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int) -> Singles:
     if camera.lens is not None and camera.lens.bends:
         fine = camera.part(slice(0, camera.width), slice(0, camera.height), finer=samples)
         rays = fine.rays()[1].reshape(camera.height, samples, camera.width, samples, 3).transpose(0, 2, 1, 3, 4)

@@ -32,6 +32,7 @@ _ALPHA, _POINT = 0.1, 0.08  # weights of the losses of alpha, and of each cell's
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
 _STEP, _DENSITY_STEP = 1 / 8, 1 / 16  # of rounded coefficients; of rounded densities per cell width
+_COVERED = (1 / 16, 1 / 64, 1 / 256)  # pixels of a view; a cell that covers fewer has twice the step for each of these
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
 _DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
@@ -175,15 +176,10 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None, point: floa
     if state.view == 0:
         cells.seen[:, 1] = 0
         state.error = state.values = 0.0
-    random = np.random.default_rng([state.seed, state.stage, state.epoch])
-    order = random.permutation(len(views.pictures))
+    order = np.random.default_rng([state.seed, state.stage, state.epoch]).permutation(len(views.pictures))
     ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
-    shift = 0.0, 0.0
-    if views.scenery:
-        x, y = (random.random((len(order), 2))[state.view] - 0.5).tolist()
-        shift = x, y
     view = int(order[state.view])
-    looks = ray_targets(views, view, scale=stage.scale, samples=stage.rays, ring=ring, shift=shift)
+    looks = ray_targets(views, view, scale=stage.scale, samples=stage.rays, ring=ring)
     if not len(looks.pixels):
         return batch
     if len(state.gains):
@@ -213,12 +209,14 @@ def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
 
 def _finish(state: FitState, views: Views) -> None:
     """Prune the cells after the last stage, and round their values, so that files are smaller."""
-    bricks = state.cells.bricks
+    bricks, covered = state.cells.bricks, state.cells.means[:, 1]
     if not views.scenery:
         keep = _visible(state, state.schedule[-1], views)
         state.cells = cells_of_plan(bricks, plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), state.box)
-        bricks = state.cells.bricks
-    round_cells(bricks.values, bricks.first, np.array([_STEP] * 3 * state.basis.size + [_DENSITY_STEP], np.float32))
+        bricks, covered = state.cells.bricks, covered[keep]
+    # A rounding error shows in the pixels that the cell covers, so the square of a step is inverse to their number.
+    doubled = sum((covered < most).astype(np.int32) for most in _COVERED)
+    round_cells(bricks.values, bricks.first, np.float32(_STEP) * (1 << doubled).astype(np.float32), _DENSITY_STEP)
 
 
 def _rate(rates: Rates, part: float) -> float:

@@ -162,16 +162,23 @@ def _inherit(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid, brick:
 
 
 @compiled(parallel=True)
-def round_cells(values: Singles, first: npt.NDArray[np.int32], steps: Singles) -> None:
-    """Round the values of each cell to multiples of `steps` (3 B + 1,), which are powers of two."""
+def round_cells(values: Singles, first: npt.NDArray[np.int32], steps: Singles, density_step: float) -> None:
+    """Round the coefficients of each cell to multiples of its step (n,), and its density to one of density_step.
+
+    All steps are powers of two.
+    """
     for brick in prange(len(first) - 1):
-        _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), steps)
+        _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), steps, np.float32(density_step))
 
 
 @compiled()
-def _round_brick(values: Singles, begin: Whole, end: Whole, steps: Singles) -> None:
-    D, count = len(steps), end - begin
-    for k in range(D):
-        step, parts, start = steps[k], np.float32(1) / steps[k], D * begin + k * count
+def _round_brick(values: Singles, begin: Whole, end: Whole, steps: Singles, density_step: Any) -> None:
+    D, count, one = len(values) // len(steps), end - begin, np.float32(1)
+    for k in range(D - 1):
+        start = D * begin + k * count
         for cell in range(count):
-            values[start + cell] = np.rint(values[start + cell] * parts) * step
+            step = steps[begin + cell]
+            values[start + cell] = np.rint(values[start + cell] * (one / step)) * step
+    start = D * begin + (D - 1) * count
+    for cell in range(count):
+        values[start + cell] = np.rint(values[start + cell] * (one / density_step)) * density_step
