@@ -20,7 +20,7 @@ class RayTargets(NamedTuple):
     """The rays of some pixels, and the colours that they should have.
 
     eye         (3,) in the world
-    pixels      (m,) indices into the picture, row by row
+    pixels      (m,) indices into the picture, tile by tile of 8 x 8 pixels, so that neighbours are close together
     targets     (m, 4) colour over the background, and alpha
     directions  (m samples^2, 3), pixel by pixel
     """
@@ -40,15 +40,18 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     picture, camera = views.pictures[view], scaled_camera(views.cameras.cameras[view], scale)
     image = np.empty((camera.height, camera.width, 4), np.float32)
     kernels.downscale(picture, np.array(views.background, np.float64), views.masked, scale, image)
-    pixels = np.arange(camera.width * camera.height, dtype=np.int32)
     if ring is not None:
         held = image[None, ..., 3] > 0
         for _ in range(ring):
             held = dilated(held)
-        found = kernels.number_pixels(np.ascontiguousarray(held[0]), _tiles(camera.width, camera.height), pixels)
-        pixels = pixels[:found].copy()
-    if views.scenery and views.masked:
-        pixels = np.flatnonzero(image[..., 3] >= 1).astype(np.int32)
+        chosen = held[0]
+    elif views.scenery and views.masked:
+        chosen = image[..., 3] >= 1
+    else:
+        chosen = np.ones(image.shape[:2], bool)
+    pixels = np.empty(chosen.size, np.int32)
+    found = kernels.number_pixels(np.ascontiguousarray(chosen), _tiles(camera.width, camera.height), pixels)
+    pixels = pixels[:found].copy()
     directions = _directions(camera, pixels, samples)
     return RayTargets(camera.pose[:3, 3].copy(), pixels, kernels.gather_pixels(image, pixels), directions)
 

@@ -119,6 +119,8 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
         looks = ray_targets(views, view, scale=1, samples=samples, ring=None)
         sums, batch = _marched(state.cells.bricks, state.box, batch, looks, views, 0.0)
         found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
+        # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
+        batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
     return sum(found) / len(found)
 
 
@@ -214,9 +216,9 @@ def _finish(state: FitState, views: Views) -> None:
         keep = _visible(state, state.schedule[-1], views)
         state.cells = cells_of_plan(bricks, plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), state.box)
         bricks, covered = state.cells.bricks, covered[keep]
-    # A rounding error shows in the pixels that the cell covers, so the square of a step is inverse to their number.
-    doubled = sum((covered < most).astype(np.int32) for most in _COVERED)
-    round_cells(bricks.values, bricks.first, np.float32(_STEP) * (1 << doubled).astype(np.float32), _DENSITY_STEP)
+    # The square of a rounding error counts in each pixel that the cell covers.
+    doubled = np.array([covered < most for most in _COVERED]).sum(axis=0, dtype=np.int32)
+    round_cells(bricks.values, bricks.first, np.ldexp(np.float32(_STEP), doubled), _DENSITY_STEP)
 
 
 def _rate(rates: Rates, part: float) -> float:

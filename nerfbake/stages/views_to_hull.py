@@ -73,9 +73,10 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
         scale = max(1, min(camera.width, camera.height) // _EDGE)
         looks = ray_targets(views, view, scale=scale, samples=1, ring=None)
         own = scaled_camera(camera, scale)
-        held = (looks.targets[:, 3] > 0).reshape(1, own.height, own.width)
-        held = dilated(held)  # pixels next to an object may still belong to it
-        mark_clear(box[0].copy(), size, looks.eye, looks.directions, held.reshape(-1), met, clear, inside)
+        held = np.zeros((1, own.height, own.width), bool)
+        held.flat[looks.pixels] = looks.targets[:, 3] > 0
+        held = dilated(held).reshape(-1)[looks.pixels]  # pixels next to an object may still belong to it
+        mark_clear(box[0].copy(), size, looks.eye, looks.directions, held, met, clear, inside)
     exact = views.masked and not views.rough
     witnesses = 1 if exact else min(_WITNESSES, max(len(views.pictures) // 2, 1))
     solid = (clear < witnesses) & (inside >= MIN_VIEWS)

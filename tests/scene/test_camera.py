@@ -97,7 +97,8 @@ def test_the_extremes_that_are_allowed_have_rays() -> None:
 def test_the_point_that_cameras_look_at() -> None:
     def at(*place: float, looks: str) -> Camera:
         pose = np.eye(4)
-        pose[:3, :3] = {"-z": np.eye(3), "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]}[looks]
+        if looks == "-x":
+            pose[:3, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
         pose[:3, 3] = place
         return Camera(4, 3, 5.0, pose)
 
