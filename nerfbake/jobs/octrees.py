@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from nerfbake import memory
 from nerfbake.errors import UsageError
@@ -72,56 +72,51 @@ def bake_octree(
     scene = source.read(steps, N3Tree, LatticeField, Splats)
     if isinstance(scene, N3Tree):
         print_notes(steps, source, scene)
-    if not isinstance(scene, Splats):
-        splats.require_default()
-        if not isinstance(box, str):
-            raise UsageError("`box` of six numbers has no effect on other scenes than splats; allowed: inner, all")
+    _require_used(scene, splats=splats, box=box, resample=resample, basis=basis, scale=scale, budget=budget)
     if box == "inner":
         scene = without_scenery(steps, source, scene)
     elif isinstance(scene, N3Tree):
         resolution = _with_scenery(steps, source, scene, resolution)
+    made: dict[str, Any] = {"resolution": resolution, "layout": layout, "dtype": dtype, "sigma_min": sigma_min}
+    if isinstance(scene, Splats):
+        octree, scene = sample_splats(steps, source, scene, options=splats, part=box, basis=basis, **made)
+    elif isinstance(scene, LatticeField):
+        scene = scene if scale is None else scene.scaled(scale)
+        octree = sample_lattice(steps, source, scene, basis=basis or "SH9", **made)
+    else:
+        with source.blamed(steps, "building the octree"):
+            octree = build_octree(scene, resample=resample, **made)
+    with target.writing(steps, octree, no_child=no_child) as written:
+        judge_output(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
+    return octree
+
+
+def _require_used(
+    scene: N3Tree | LatticeField | Splats,
+    *,
+    splats: SplatVoxels,
+    box: Part,
+    resample: Resample,
+    basis: str | None,
+    scale: float | None,
+    budget: Budget,
+) -> None:
+    """Raise UsageError for options of bake_octree() that have no effect on the scene."""
     if isinstance(scene, Splats):
         splats.require(budget)
         if resample != "mean" or scale is not None:
             raise UsageError("`resample` and `scale` have no effect on splats; allowed: with a PlenOctree or a lattice")
-        octree, scene = sample_splats(
-            steps,
-            source,
-            scene,
-            options=splats,
-            part=box,
-            basis=basis,
-            resolution=resolution,
-            layout=layout,
-            dtype=dtype,
-            sigma_min=sigma_min,
-        )
-    elif isinstance(scene, LatticeField):
+        return
+    splats.require_default()
+    if not isinstance(box, str):
+        raise UsageError("`box` of six numbers has no effect on other scenes than splats; allowed: inner, all")
+    if isinstance(scene, LatticeField):
         if box != "inner":
             raise UsageError("`box` has no effect on a lattice, which has no shells; allowed: with a PlenOctree")
         if resample != "mean":
             raise UsageError("`resample` has no effect on a lattice, which has no leaves; allowed: with a PlenOctree")
-        scene = scene if scale is None else scene.scaled(scale)
-        octree = sample_lattice(
-            steps,
-            source,
-            scene,
-            basis=basis or "SH9",
-            resolution=resolution,
-            layout=layout,
-            dtype=dtype,
-            sigma_min=sigma_min,
-        )
-    else:
-        if basis is not None or scale is not None:
-            raise UsageError("a PlenOctree has its own basis and world; allowed: `basis` and `scale` with a lattice")
-        with source.blamed(steps, "building the octree"):
-            octree = build_octree(
-                scene, resolution=resolution, resample=resample, layout=layout, dtype=dtype, sigma_min=sigma_min
-            )
-    with target.writing(steps, octree, no_child=no_child) as written:
-        judge_output(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
-    return octree
+    elif basis is not None or scale is not None:
+        raise UsageError("a PlenOctree has its own basis and world; allowed: `basis` and `scale` with a lattice")
 
 
 def _with_scenery(steps: Steps, source: Source, tree: N3Tree, resolution: Size | None) -> Size | None:
