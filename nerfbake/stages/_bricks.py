@@ -61,6 +61,7 @@ def cells_of_field(field: BrickField) -> BrickCells:
 def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points) -> BrickCells:
     """Return the cells of a plan, with values inherited from the old bricks."""
     made = number_cells(plan)
+    del plan  # if the caller does not keep it, its memory is free before the values are copied
     cells = _cells(made, box, len(old.values) // int(old.first[-1]), beside=4 * len(old.values))
     copy_parents(made.row, old, cells.bricks)
     return cells
@@ -101,8 +102,9 @@ def field_of_cells(cells: BrickCells, box: Points, basis: Basis) -> BrickField:
     values = np.empty((cells.n, basis.data_dim), np.float32)
     values_by_cell(bricks.values, bricks.first, values)
     values[:, -1] /= _widths(bricks)
-    shift = 2 * bricks.first[:-1, None]
-    rows = np.where(bricks.slots >= 0, bricks.slots + shift, -1).astype(np.int32)
+    rows = bricks.slots.astype(np.int32)  # changed in place: most of the 512 places of a brick are empty
+    rows += 2 * bricks.first[:-1, None]
+    rows[bricks.slots < 0] = -1
     return BrickField(8 * bricks.top.shape[1], box.copy(), basis, bricks.top.copy(), rows, values)
 
 
