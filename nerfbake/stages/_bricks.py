@@ -102,7 +102,7 @@ def field_of_cells(cells: BrickCells, box: Points, basis: Basis) -> BrickField:
     values = np.empty((cells.n, basis.data_dim), np.float32)
     values_by_cell(bricks.values, bricks.first, values)
     values[:, -1] /= _widths(bricks)
-    rows = bricks.slots.astype(np.int32)  # changed in place: most of the 512 places of a brick are empty
+    rows = bricks.slots.astype(np.int32)  # changed in place: with small cells, this table is large
     rows += 2 * bricks.first[:-1, None]
     rows[bricks.slots < 0] = -1
     return BrickField(8 * bricks.top.shape[1], box.copy(), basis, bricks.top.copy(), rows, values)

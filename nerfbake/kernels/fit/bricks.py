@@ -174,11 +174,8 @@ def round_cells(values: Singles, first: npt.NDArray[np.int32], steps: Singles, d
 @compiled()
 def _round_brick(values: Singles, begin: Whole, end: Whole, steps: Singles, density_step: Any) -> None:
     D, count, one = len(values) // len(steps), end - begin, np.float32(1)
-    for k in range(D - 1):
+    for k in range(D):
         start = D * begin + k * count
         for cell in range(count):
-            step = steps[begin + cell]
+            step = steps[begin + cell] if k < D - 1 else density_step
             values[start + cell] = np.rint(values[start + cell] * (one / step)) * step
-    start = D * begin + (D - 1) * count
-    for cell in range(count):
-        values[start + cell] = np.rint(values[start + cell] * (one / density_step)) * density_step
