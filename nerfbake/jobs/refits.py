@@ -9,10 +9,12 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.lattices import without_scenery
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
+from nerfbake.kernels.arrays import Points
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -26,6 +28,9 @@ from nerfbake.stages.views_to_error import measure_views
 
 if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
+
+
+_ALL = 0.75  # of the width of a scene with scenery; its inner cube has half of it or less
 
 
 class RefitTarget(NamedTuple):
@@ -49,12 +54,18 @@ class RefitTarget(NamedTuple):
             raise UsageError(f"`like` and `views`: {given}; allowed: one of them, which IN is fitted to")
         self.album.require()
 
-    def posed(self, steps: Steps, samples: int) -> SplitViews:
-        """Return the training views and the held-out views. samples: rays along each edge of a pixel."""
+    def posed(self, steps: Steps, samples: int, box: Points) -> SplitViews:
+        """Return the training views and the held-out views.
+
+        samples: rays along each edge of a pixel. box: the octree's; if it is not as wide as a scene with scenery, the
+        pictures show the inner cube.
+        """
         if self.views is not None:
             return read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
         bigger = Source(str(self.like))
         scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume, Splats)
+        if isinstance(scene, N3Tree) and ((box[1] - box[0]) * scene.invradius < _ALL).all():
+            scene = without_scenery(steps, bigger, scene)
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
             shown = scene if isinstance(scene, Splats) else build_field(scene)
             around = scatter_cameras(shown, frames=self.frames, edge=self.edge)
@@ -126,7 +137,7 @@ def refit_file(
     octree = read_octree(steps, source)
     with source.blamed(steps, "preparing"):
         cells = build_bricks(octree)
-    posed = model.posed(steps, again.samples)
+    posed = model.posed(steps, again.samples, cells.box)
     before = _measure(steps, source, octree, posed, again)
     field, worked = _fit(steps, source, cells, posed, again)
     with source.blamed(steps, "storing the values"):

@@ -8,12 +8,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from nerfbake import SparseVoxelOctree, build_field, build_octree, load, measure_views, sample_n3tree, save
+from nerfbake import (
+    SparseVoxelOctree,
+    build_field,
+    build_n3tree,
+    build_octree,
+    load,
+    measure_views,
+    sample_n3tree,
+    save,
+)
 from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import RefitOptions, RefitTarget, Source, refit_file
+from nerfbake.jobs import RefitOptions, RefitTarget, Source, bake_octree, refit_file
 from nerfbake.jobs.photographs import read_photographs
+from nerfbake.jobs.splat_fields import Part
 from nerfbake.jobs.steps import SILENT
 from tests.jobs.listener import Listener
+from tests.support.brick_fields import some_shelled_field
 from tests.support.photographs import write_scene
 from tests.support.scenes import n3tree
 
@@ -55,6 +66,16 @@ def test_it_comes_nearer_to_photographs_and_is_judged_by_others(tmp_path: Path) 
     assert found.psnr[1] > found.psnr[0] + 0.5
     judges = read_photographs(SILENT, Source(str(capture))).judges
     assert found.after == measure_views(build_field(octree("out.svo.pb")), judges, samples=2)
+
+
+@pytest.mark.parametrize(("box", "inner"), [("inner", True), ("all", False)])
+def test_pictures_of_scenery_show_what_the_octree_contains(box: Part, inner: bool, listener: Listener) -> None:
+    save("s.npz", build_n3tree(some_shelled_field(basis=4)))
+    bake_octree("s.npz", "exact.svo.npz", box=box)
+    model, again = RefitTarget(like="s.npz", frames=4, edge=24), RefitOptions(epochs=1, samples=1)
+    before, _ = refit_file("exact.svo.npz", "out.svo.npz", model, again=again, steps=listener).psnr
+    assert before > 60  # the octree has the same values
+    assert ("s.npz: uses the inner cube of 64^3 and leaves out the scenery around it" in listener.said) == inner
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
