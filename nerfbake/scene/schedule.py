@@ -50,10 +50,10 @@ VIEWS = 100  # number of pictures that the presets are made for; if there are fe
 _BEFORE = (4, 2, 3), (2, 2, 3), (1, 1, 1)  # R / cells, scale and epochs of the stages before any cell is split
 PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cells with some cells split
 _AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
-# Pictures of this many pixels show cells of 1 / 512 of the box. The presets then have fewer epochs, which cost four
-# times as much. The first stage has R / 8 cells: fog of R / 4 cells hides twice as much behind it, and some of it never
-# goes away. Before cells are split, more of them are pruned, which makes the file smaller (docs/fitting.md).
-_LARGE, _LARGE_PRESETS = 600, {"fast": 1, "balanced": 3, "best": 6}
+# Pictures of this many pixels show cells of 1 / 512 of the box. The first stage has R / 8 cells: fog of R / 4 cells
+# hides twice as much behind it, and some of it never goes away. Before cells are split, more of them are pruned, which
+# makes the file smaller (docs/fitting.md).
+_LARGE = 600
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
 _FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
@@ -122,8 +122,7 @@ def preset_schedule(
     if name not in PRESETS:
         raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(PRESETS)))
     resolution = resolution or resolution_for(edge)
-    epochs = (_LARGE_PRESETS if resolution >= 512 else PRESETS)[name]
-    return _stages(epochs, resolution, samples, views, edge)
+    return _stages(PRESETS[name], resolution, samples, views, edge)
 
 
 def schedule_for(
@@ -152,16 +151,16 @@ def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int) -
 
     large = resolution >= 512
     second = epochs // 2 if epochs >= _AGAIN else 0
-    split = min(3 * epochs - 1, 8) / 100 if large else 0.1
+    first, again = (min(4 * epochs, 12) / 100, 0.06) if large else (0.1, 0.1)
     made = []
     for number, (parts, scale, each) in enumerate(_LARGE_BEFORE if large else _BEFORE):
         density, colour, prune = (*_COARSE, (*_FINE, 0.03 if large else 0.02), (*_FINE, 0.04))[number]
         cells, scale = max(resolution // parts, RESOLUTIONS[0]), min(scale, 4 if edge >= _LARGE else 2)
         made.append(Stage(cells, scale, times(each), density, colour, prune=prune))
     prune = 0.03 if large and epochs == 1 else 0.02
-    made.append(Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, split, prune))
+    made.append(Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, first, prune))
     if second:
-        made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, split, prune))
+        made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, again, prune))
     if samples == 1:
         made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.02))
     return Schedule(made)

@@ -9,7 +9,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.fit.bricks import ROW, BrickGrid, TaskBuffers, new_batch, round_cells
+from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch, round_cells
 from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
@@ -34,7 +34,10 @@ _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients
 _STEP, _DENSITY_STEP = 1 / 8, 1 / 16  # of rounded coefficients; of rounded densities per cell width
 _COVERED = (1 / 16, 1 / 64, 1 / 256)  # pixels of a view; a cell that covers fewer has twice the step for each of these
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
-_DISTORTION = 0.005  # weight of the distortion loss of pictures with scenery
+# Weights of the distortion loss: of pictures with scenery; and of an object, once its cells are the smallest but for
+# those that are divided, for places that are measured in such cells. While cells are larger, it would choose between
+# surfaces that only smaller cells can tell apart.
+_DISTORTION, _OBJECT_DISTORTION = 0.005, 0.0002
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
 # who walks by or a mistake of a mask, must not change the others.
 _MOST = 0.2
@@ -91,17 +94,20 @@ def fit_field(
         yield state
 
 
-def continue_fit(state: FitState, views: Views, *, point: float = _POINT) -> Iterator[FitState]:
+def continue_fit(
+    state: FitState, views: Views, *, point: float = _POINT, distortion: float = _OBJECT_DISTORTION
+) -> Iterator[FitState]:
     """Take the steps that are left in the state's schedule. Yields the state after every picture, always the same one.
 
-    point: weight of the loss of each cell's own colour. Raises InvalidScene, MemoryLimit.
+    point: weight of the loss of each cell's own colour. distortion: of the distortion loss of an object in the stages
+    with its smallest cells, for places that are measured in cells. Raises InvalidScene, MemoryLimit.
     """
     batch = None
     while not state.done:
         if state.built < state.stage:
             batch = None  # frees its memory
             _rebuild(state, views)
-        batch = _visit(state, views, batch, point)
+        batch = _visit(state, views, batch, point, distortion)
         _count_on(state, len(views.pictures))
         if state.view == 0:
             batch = None  # frees its memory: the state may be measured now
@@ -117,7 +123,7 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
     found, batch = [], None
     for view in range(len(views.pictures)):
         looks = ray_targets(views, view, scale=1, samples=samples, ring=None)
-        sums, batch = _marched(state.cells.bricks, state.box, batch, looks, views, 0.0)
+        sums, batch = _marched(state, batch, looks, views, 0.0, 0.0)
         found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
         # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
         batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
@@ -172,7 +178,9 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-def _visit(state: FitState, views: Views, batch: TaskBuffers | None, point: float) -> TaskBuffers | None:
+def _visit(
+    state: FitState, views: Views, batch: TaskBuffers | None, point: float, distortion: float
+) -> TaskBuffers | None:
     """Render the pixels of one view, and update the cells."""
     stage, cells = state.schedule[state.stage], state.cells
     if state.view == 0:
@@ -187,7 +195,14 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None, point: floa
     if len(state.gains):
         ground = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32)
         looks.targets[:, :3] = (looks.targets[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
-    sums, batch = _marched(cells.bricks, state.box, batch, looks, views, point)
+    if views.scenery:
+        distortion = _DISTORTION
+    elif stage.cells < state.schedule.resolution:
+        distortion = 0.0
+    else:
+        # The loss measures places in distances to the middle of the box.
+        distortion *= focus_distance(views, state.box) * stage.cells / float((state.box[1] - state.box[0]).mean())
+    sums, batch = _marched(state, batch, looks, views, point, distortion)
     state.error += float(sums[0])
     if len(state.gains) and state.stage:
         _adapt_gains(state, view, sums)
@@ -227,15 +242,13 @@ def _rate(rates: Rates, part: float) -> float:
 
 
 def _marched(
-    bricks: BrickGrid, box: Points, batch: TaskBuffers | None, looks: RayTargets, views: Views, point: float
+    state: FitState, batch: TaskBuffers | None, looks: RayTargets, views: Views, point: float, distortion: float
 ) -> tuple[Floats, TaskBuffers]:
     """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
-    background, sums = np.array(views.background, np.float32), np.zeros((TASKS, SUMS))
+    bricks, sums = state.cells.bricks, np.zeros((TASKS, SUMS))
+    background, focus = np.array(views.background, np.float32), focus_distance(views, state.box)
     alpha = _ALPHA if views.masked and not views.scenery else 0.0
     most = _MOST if views.scenery or views.rough else np.inf
-    distortion, focus = 0.0, 1.0  # without distortion loss, no place along a ray is needed
-    if views.scenery:
-        distortion, focus = _DISTORTION, focus_distance(views, box)
     view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
     while True:

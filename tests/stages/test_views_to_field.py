@@ -26,7 +26,7 @@ from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import Cameras, Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages import views_to_field
-from nerfbake.stages.views_to_field import FitState, measure_state
+from nerfbake.stages.views_to_field import FitState, continue_fit, measure_state
 from tests.support.views import sample_views
 
 SHORT = parse_schedule(
@@ -73,6 +73,18 @@ def test_a_split_leaves_wide_cells_and_narrow_ones() -> None:
     field.require_usable()
     assert field.resolution == 32
     assert 0 < np.count_nonzero(field.wide) < field.n
+
+
+def test_the_distortion_loss_makes_surfaces_thin_once_cells_are_small() -> None:
+    views, held, coarse = sample_views(), [], []
+    for distortion in (0.0, 0.02):
+        state = views_to_field._started(views, SHORT, "SH9", None, 0, False)
+        for _ in continue_fit(state, views, distortion=distortion):
+            if state.stage == 1 and state.view == 0:
+                coarse.append(state.cells.bricks.values.copy())
+        held.append(np.count_nonzero(state.cells.seen[:, 0] >= SHORT[-1].prune))
+    assert_array_equal(coarse[0], coarse[1])
+    assert held[0] > 1.04 * held[1]
 
 
 @pytest.mark.parametrize("samples", [1, 2])
