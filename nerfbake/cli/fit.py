@@ -140,7 +140,7 @@ def fit_options(function: Command) -> Command:
     @click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
-        help="Schedule of about 40, 80 or 140 seconds on two cores; of 2, 5 or 10 minutes for objects in pictures of "
+        help="Schedule of about 30, 65 or 120 seconds on two cores; of 2, 4 or 7 minutes for objects in pictures of "
         "600 pixels or more; with scenery of 1, 2 or 5 minutes.  [default: balanced]",
     )
     @click.option(
