@@ -34,9 +34,8 @@ _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients
 _STEP, _DENSITY_STEP = 1 / 8, 1 / 16  # of rounded coefficients; of rounded densities per cell width
 _COVERED = (1 / 16, 1 / 64, 1 / 256)  # pixels of a view; a cell that covers fewer has twice the step for each of these
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
-# Weights of the distortion loss: of pictures with scenery; and of an object, once its cells are the smallest but for
-# those that are divided, for places that are measured in such cells. While cells are larger, it would choose between
-# surfaces that only smaller cells can tell apart.
+# Weights of the distortion loss. Scenery has it in all stages. An object has it, for distances in cells, only in the
+# stages with the schedule's full resolution: with larger cells, a wrong surface could win and hide the right one.
 _DISTORTION, _OBJECT_DISTORTION = 0.005, 0.0002
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
 # who walks by or a mistake of a mask, must not change the others.
