@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.arrays import Indices, Points
 from nerfbake.kernels.octree.lookup import as_points, in_chunks, octree_values
 from nerfbake.kernels.octree.walk import Walk, walk
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.soundness import all_finite, count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import parse_basis, voxel_dtype
@@ -178,6 +179,20 @@ class SparseVoxelOctree(Scene):
         childless = np.ones(self.n, bool)
         childless[: self.c] = ~self.node_children.any(axis=1)
         return childless
+
+    def leaf_values(self, rows: Indices) -> npt.NDArray[np.float32]:
+        """The values (m, D) of the leaves in these rows; node_data is not computed for them."""
+        data = self.node_rows
+        if isinstance(data, np.ndarray):
+            return data[rows].astype(np.float32, copy=False)
+        memory.require("the values of the leaves", 4 * len(rows) * self.data_dim)
+        values = np.empty((len(rows), self.data_dim), np.float32)
+
+        def copy(begin: int, end: int) -> None:
+            values[begin:end] = data.take(rows[begin:end], axis=0)
+
+        over_chunks(copy, len(rows), _PROVEN)
+        return values
 
     # -- soundness ---------------------------------------------------------------------------------------------
     @cached_property

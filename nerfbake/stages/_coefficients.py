@@ -33,7 +33,6 @@ _ROUNDING = 32767  # largest entry of the mixing matrix
 class Coefficients:
     """The transformed leaves of an octree, before rounding.
 
-    rows    (m,) the octree's row of each leaf, breadth-first
     points  (m, 3B + 1) float32: the coefficients; points[order] are the rows of QuantisedOctree.values
     order   (m,) int32
 
@@ -41,7 +40,6 @@ class Coefficients:
     """
 
     octree: SparseVoxelOctree
-    rows: Rows
     masks: npt.NDArray[np.uint8]
     points: npt.NDArray[np.float32]
     order: npt.NDArray[np.int32]
@@ -89,27 +87,30 @@ def visible_leaves(octree: SparseVoxelOctree) -> Rows:
     return rows
 
 
-def transform(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> Coefficients:
-    """Transform the leaves in these rows; all other leaves are treated as empty.
+def transform(
+    octree: SparseVoxelOctree, rows: Rows, values: npt.NDArray[np.float32], keep: Rows, gram: Floats
+) -> Coefficients:
+    """Transform some of the octree's visible leaves; all other leaves are treated as empty.
 
     The values of a leaf go through the metric of `gram` and a Karhunen-Loeve transform, then the leaves go through the
-    region-adaptive Haar transform. gram (B, B): Importance.gram. Raises MemoryLimit.
+    region-adaptive Haar transform. rows, values: visible_leaves() and their values; keep: which of them, ascending.
+    gram (B, B): Importance.gram. Raises MemoryLimit.
     """
     width = octree.data_dim
-    memory.require("the transformed leaves", len(rows) * width * 4 + _SAMPLE * width * 16)
-    masks = _masks(octree, rows)
+    memory.require("the transformed leaves", len(keep) * width * 4 + _SAMPLE * width * 16)
+    masks = _masks(octree, rows[keep])
     levels = haar.levels_of(masks, octree.grid_level)
     codes, leaf = haar.leaf_codes(levels, octree.grid_level)
     merges = haar.merges_of(codes, octree.grid_level)
-    mixing, mixing_scale, unmixing = _channels(octree, rows, gram)
+    mixing, mixing_scale, unmixing = _channels(values[keep[:: -(-len(keep) // _SAMPLE)]], gram)
     density_scale = 1 / (_DEPTH * mean_edge(octree.voxel_size))
-    points = np.empty((len(rows), width), np.float32)
-    for first in range(0, len(rows), _CHUNK):
-        values = octree.node_data[rows[leaf[first : first + _CHUNK]]].astype(np.float64)
-        points[first : first + _CHUNK, :-1] = product(values[:, :-1], unmixing.T)
-        points[first : first + _CHUNK, -1] = log(1 + values[:, -1] / density_scale)
+    points = np.empty((len(keep), width), np.float32)
+    for first in range(0, len(keep), _CHUNK):
+        part = values[keep[leaf[first : first + _CHUNK]]].astype(np.float64)
+        points[first : first + _CHUNK, :-1] = product(part[:, :-1], unmixing.T)
+        points[first : first + _CHUNK, -1] = log(1 + part[:, -1] / density_scale)
     haar.forward(points, merges)
-    return Coefficients(octree, rows, masks, points, merges.rows, mixing, mixing_scale, density_scale)
+    return Coefficients(octree, masks, points, merges.rows, mixing, mixing_scale, density_scale)
 
 
 def _masks(octree: SparseVoxelOctree, rows: Rows) -> npt.NDArray[np.uint8]:
@@ -128,10 +129,11 @@ def _masks(octree: SparseVoxelOctree, rows: Rows) -> npt.NDArray[np.uint8]:
     return kept[alive[:above]]
 
 
-def _channels(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> tuple[npt.NDArray[np.int16], float, Floats]:
+def _channels(some: npt.NDArray[np.float32], gram: Floats) -> tuple[npt.NDArray[np.int16], float, Floats]:
     """Return the mixing matrix (3B, 3B) from channels to coefficients as integers, their unit, and the exact inverse.
 
-    With gram = L L^T, the squared norm of L^T c is the mean square of the colour with coefficients c.
+    some (k, 3B + 1): values of a sample of the leaves. With gram = L L^T, the squared norm of L^T c is the mean square
+    of the colour with coefficients c.
     """
     B = len(gram)
     L = cholesky(gram)
@@ -139,8 +141,7 @@ def _channels(octree: SparseVoxelOctree, rows: Rows, gram: Floats) -> tuple[npt.
     for c in range(0, 3 * B, B):
         seen[c : c + B, c : c + B] = L.T
         unseen[c : c + B, c : c + B] = _inverse_triangle(L).T
-    some = rows[:: -(-len(rows) // _SAMPLE)]
-    looks = product(octree.node_data[some][:, :-1], seen.T)
+    looks = product(some[:, :-1].astype(np.float64), seen.T)
     looks -= looks.sum(axis=0) / len(looks)
     _, vectors = eigenvectors(product(looks.T, looks))
     exact, back = product(unseen, vectors), product(vectors.T, seen)

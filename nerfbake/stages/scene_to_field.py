@@ -91,7 +91,7 @@ def build_field_from_octree(octree: SparseVoxelOctree) -> RadianceField:
     scale = (cells.edge >> octree.grid_level) / octree.voxel_size
     place = np.column_stack([np.diag(scale), -octree.origin * scale])
     box = leaf_box(cells, np.array(octree.size) * (cells.edge >> octree.grid_level))
-    values = octree.node_data[leaves].astype(np.float32)
+    values = octree.leaf_values(np.flatnonzero(leaves))
     if alone:
         values = np.concatenate([np.zeros((len(values), 3), np.float32), values], axis=1)
     return memory.kept(RadianceField(cells, values, place, box, basis))

@@ -62,6 +62,29 @@ def test_a_loss_is_kept_and_nearly_used(octree: SparseVoxelOctree, most: float) 
     assert found.size == coded_size(found.quantised)
 
 
+def test_only_the_result_of_a_search_for_a_loss_is_coded(octree: SparseVoxelOctree) -> None:
+    coded: list[float] = []
+
+    def coded_once(quantised: QuantisedOctree) -> int:
+        coded.append(quantised.colour_step)
+        return 1
+
+    found = compress_octree(octree, coded_size=coded_once, max_loss=0.1)
+    assert coded == [found.quantised.colour_step]
+
+
+def test_a_loss_is_given_up_after_one_trial_where_the_size_is_far_off(octree: SparseVoxelOctree) -> None:
+    steps: list[float] = []
+
+    def coded(quantised: QuantisedOctree) -> int:
+        steps.append(quantised.colour_step)
+        return coded_size(quantised)
+
+    found = compress_octree(octree, coded_size=coded, max_loss=0.05, max_size=3_000)
+    assert found.size <= 3_000
+    assert min(steps[1:]) > 3 * steps[0]
+
+
 def test_more_loss_is_fewer_bytes(octree: SparseVoxelOctree) -> None:
     assert compressed(octree, max_loss=0.5).size < 0.8 * compressed(octree, max_loss=0.1).size
 

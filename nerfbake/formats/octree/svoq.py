@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -172,7 +173,18 @@ def _header(octree: QuantisedOctree, coding: Coding) -> np.void:
     return header
 
 
+# The last parts of each octree in memory: a search asks for their size, and then the file is written.
+_coded: WeakKeyDictionary[QuantisedOctree, tuple[Coding, list[SvoqPart]]] = WeakKeyDictionary()
+
+
 def _parts(octree: QuantisedOctree, coding: Coding) -> list[SvoqPart]:
+    known = _coded.get(octree)
+    if known is None or known[0] != coding:
+        known = _coded[octree] = coding, _code(octree, coding)
+    return known[1]
+
+
+def _code(octree: QuantisedOctree, coding: Coding) -> list[SvoqPart]:
     for problem in octree.problems():
         raise InvalidScene(problem)
     first = octree.mixing.astype("<i2").tobytes() + octree.values[0].astype("<i4").tobytes()

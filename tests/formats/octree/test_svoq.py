@@ -63,6 +63,16 @@ def test_what_is_written_is_read(coding: Coding, seed: int, data_format: str, le
     assert coded_size(octree, coding=coding) == len(data) == sum(part_sizes(data).values())
 
 
+def test_an_octree_is_coded_once_for_its_size_and_its_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    octree = random_quantised(1, levels=3)
+    size = coded_size(octree)
+    monkeypatch.setattr("nerfbake.formats.octree.svoq.coefficients", None)
+    assert len(written(octree)) == size
+    assert len(written(octree, "deflate")) != size
+    with pytest.raises(AttributeError):
+        written(octree)  # only the last coding is kept
+
+
 @each_coding
 @pytest.mark.parametrize(("data_format", "levels", "spread"), [("RGBA", 4, 5), ("SH9", 3, 2), ("SH16", 3, 500)])
 def test_a_reader_written_from_the_page_finds_the_same(
