@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import as_input
 from nerfbake.kernels.octree.lookup import as_points
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import FAR
@@ -220,8 +221,8 @@ def _rows(topology: VdbTopology, table: npt.NDArray[np.float32]) -> TableRows:
     from nerfbake.kernels.vdb.accessor import dense_leaves
 
     if table.shape[1] > 1 or 512 * len(topology.leaf_mask) > MOST_DENSE * len(table):
-        return TableRows(False, table)
-    return TableRows(True, dense_leaves(topology.leaf_mask, table))
+        return TableRows(False, as_input(table))
+    return TableRows(True, as_input(dense_leaves(topology.leaf_mask, table)))
 
 
 def _sample(topology: VdbTopology, rows: TableRows, points: npt.ArrayLike, lookup: Lookup) -> npt.NDArray[np.float32]:

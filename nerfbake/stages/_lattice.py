@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.kernels.arrays import Floats, Ints, Points, Singles
+from nerfbake.kernels.arrays import Floats, Ints, Points, Singles, as_input
 from nerfbake.kernels.lattice import harmonics
 from nerfbake.kernels.lattice.blocks import NO_PLANES, BlockNodes, sums_at
 from nerfbake.kernels.lattice.mlp import layers_for, logits_along, positional_encoding, project_logits
@@ -47,13 +47,11 @@ def nodes_of(lattice: LatticeField) -> DensityNodes:
     kind, shift, scale = lattice.activation
     mask = np.ones((1, 1, 1), bool) if lattice.occupied is None else np.ascontiguousarray(lattice.occupied)
     least = -float(log(1 - lattice.least)) / lattice.step
-    density = np.ascontiguousarray(lattice.density)
+    links, density = as_input(lattice.links), as_input(lattice.density)
     corners = int(lattice.at_corners)
     own = lattice.mask_box
     times, plus = nearest_in(mask) if own is None else cells_in(mask, lattice.box, own)
-    nodes = DensityNodes(
-        lattice.links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least
-    )
+    nodes = DensityNodes(links, density, mask, times, plus, corners, _KINDS[kind], float(shift), float(scale), least)
     if lattice.blocks is None:
         return nodes
     planes = NO_PLANES if lattice.planes is None else np.ascontiguousarray(lattice.planes.density)
@@ -65,7 +63,7 @@ def _blocks(lattice: LatticeField, blocks: Blocks) -> BlockNodes:
     times, plus = cells_in(lattice.links >= 0, lattice.box, blocks.box)
     planes = lattice.planes
     across, first = (0.0, 0.0) if planes is None else (float(planes.across), float(planes.first))
-    return BlockNodes(np.ascontiguousarray(lattice.links), blocks.edge, times, plus, across, first)
+    return BlockNodes(as_input(lattice.links), blocks.edge, times, plus, across, first)
 
 
 def features_of(lattice: LatticeField) -> Looked:

@@ -155,7 +155,7 @@ def _part(
     ends = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
     order = np.empty(total, np.int32)
     list_in_bricks(gaussians, first, ends[:-1].reshape(counts.shape).copy(), order)
-    places = np.argwhere(counts).astype(np.int32)
+    places = np.ascontiguousarray(np.argwhere(counts), np.int32)
     held = np.concatenate([[0], np.cumsum(counts[counts > 0], dtype=np.int64)])
     places[:, 0] += first
     lists = _Lists(places, held, order, np.array(size, np.int32))

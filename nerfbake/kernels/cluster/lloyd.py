@@ -54,7 +54,7 @@ def group(points: Singles, weight: npt.NDArray[np.float64], start: Ints) -> Grou
 def seed(points: Singles, weight: npt.NDArray[np.float64], K: int, random: np.random.Generator) -> Singles:
     """Choose K of the points, far apart, as (K, p): greedy k-means++ (Arthur and Vassilvitskii, 2007), weighted."""
     chosen = np.empty(K, np.int64)
-    _seed(np.ascontiguousarray(points.T), weight, random.random((K, TRIALS)), chosen)
+    _seed(np.ascontiguousarray(points.T), np.ascontiguousarray(weight), random.random((K, TRIALS)), chosen)
     return points[chosen]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
+from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles, as_input
 from nerfbake.kernels.fit.bricks import LOST, ROW, SIGMA, SIZE, BrickGrid, TaskBuffers, Whole
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.sh import fill_basis
@@ -30,12 +30,16 @@ def tile_order(width: int, height: int) -> Ints:
     return (row << 16 | column)[order]
 
 
-@compiled(parallel=True)
 def downscale(picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles) -> None:
     """Fill `out` (H, W, 4) float32: means of the colours of scale^2 pixels over the background, 0..1, and of alpha.
 
     If alpha carries no information (masked is False), a pixel counts as opaque where it differs from the background.
     """
+    _shrink(as_input(picture), background, masked, scale, out)
+
+
+@compiled(parallel=True)
+def _shrink(picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles) -> None:
     for y in prange(out.shape[0]):
         _shrink_row(picture, background, masked, scale, y, out)
 

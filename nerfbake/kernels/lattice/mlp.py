@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
-from nerfbake.kernels.arrays import Floats, Ints, Singles, f32
+from nerfbake.kernels.arrays import Floats, Ints, Singles, as_input, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.maths.linear import product
@@ -49,7 +49,7 @@ def layers_for(
     F = first.shape[1] - inputs.shape[1]
     by_direction = product(inputs, np.ascontiguousarray(first[:, F:].T)) + first_bias
     unit, units = (0, extra), (0, 0)  # units of weight zero, whose output is always 0
-    return Layers(
+    layers = (
         np.pad(first[:, :F], (unit, units)),
         np.pad(np.asarray(by_direction, np.float32), (units, unit)),
         np.pad(middle, (units, unit, unit)),
@@ -57,6 +57,7 @@ def layers_for(
         np.pad(last, (units, unit)),
         last_bias,
     )
+    return Layers._make(map(as_input, layers))
 
 
 def positional_encoding(x: Floats, frequencies: tuple[float, ...]) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from nerfbake.kernels.arrays import Bits, Floats, Singles
+from nerfbake.kernels.arrays import Bits, Floats, Singles, as_input
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.lattice.blocks import NO_PLANES, NOWHERE, raw_at
 from nerfbake.kernels.maths.elementary import exp_parts
@@ -66,14 +66,14 @@ def cells_in(mask: Bits, box: Floats, own: Floats) -> tuple[Floats, Floats]:
 def densities(nodes: DensityNodes, places: Floats) -> Singles:
     """(m,) densities per world unit at positions (m, 3) in the box."""
     out = np.empty(len(places), np.float32)
-    _densities(nodes, places, out)
+    _densities(nodes, np.ascontiguousarray(places), out)
     return out
 
 
 def interpolate_rows(links: npt.NDArray[np.int32], table: Singles, at: Floats) -> Singles:
     """(m, C) interpolated rows of a table (n, C), through links, at (m, 3) in nodes; the first node of an axis is 0."""
     out = np.empty((len(at), table.shape[1]), np.float32)
-    _blended(links, table, at, out)
+    _blended(as_input(links), table, at, out)
     return out
 
 

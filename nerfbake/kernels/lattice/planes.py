@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from nerfbake.kernels.arrays import Bits, Floats, Singles
+from nerfbake.kernels.arrays import Bits, Floats, Singles, as_input
 from nerfbake.kernels.jit import compiled
 
 
@@ -60,7 +60,7 @@ class Factors(NamedTuple):
 
 def values_of(links: npt.NDArray[np.int32], factors: Factors, out: Singles) -> None:
     """Write the values of all nodes that have a row, links (X, Y, Z), into out (n, C)."""
-    _values(links, *factors, out)
+    _values(links, *Factors._make(map(as_input, factors)), out)
 
 
 @compiled(parallel=True)

@@ -26,7 +26,7 @@ Top = npt.NDArray[np.int32]
 
 def brick_places(top: Top) -> Coords:
     """(b, 3) int32: the place of each brick, in bricks."""
-    return np.argwhere(top >= 0).astype(np.int32)
+    return np.ascontiguousarray(np.argwhere(top >= 0), np.int32)
 
 
 @compiled()
