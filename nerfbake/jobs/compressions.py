@@ -121,7 +121,7 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", coding=coding)
     budget.require(target)
-    octree, held_out = read_octree_and_held_out(steps, source, layout="compact")
+    octree, held_out = read_octree_and_held_out(steps, source)
     options |= photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, coding)

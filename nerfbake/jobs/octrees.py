@@ -179,13 +179,8 @@ def read_octree(steps: Steps, source: Source) -> SparseVoxelOctree:
     return read_octree_and_held_out(steps, source)[0]
 
 
-def read_octree_and_held_out(
-    steps: Steps, source: Source, *, layout: Layout = "full"
-) -> tuple[SparseVoxelOctree, HeldOut | None]:
-    """Like read_octree(), and also return the pixels of photographs that a fitted PlenOctree stores.
-
-    layout: of the octree that a PlenOctree is converted to.
-    """
+def read_octree_and_held_out(steps: Steps, source: Source) -> tuple[SparseVoxelOctree, HeldOut | None]:
+    """Like read_octree(), and also return the pixels of photographs that a fitted PlenOctree stores."""
 
     from nerfbake.stages.n3tree_to_octree import build_octree
 
@@ -197,7 +192,7 @@ def read_octree_and_held_out(
     if isinstance(scene, LatticeField):
         return sample_lattice(steps, source, scene), None
     with source.blamed(steps, "building the octree"):
-        return build_octree(scene, layout=layout), scene.held_out
+        return build_octree(scene), scene.held_out
 
 
 def bake_volume(

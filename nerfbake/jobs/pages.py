@@ -322,7 +322,7 @@ def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Con
             scene = scenery.inner_cube()
     if wish.data != "exact" and isinstance(scene, N3Tree):
         with source.blamed(steps, "building the octree"):
-            return _Content(None, build_octree(scene, layout="compact"), scene.held_out, scenery)
+            return _Content(None, build_octree(scene), scene.held_out, scenery)
     return _Content(read.data, scene, None, scenery)
 
 

@@ -1,4 +1,7 @@
-"""Type aliases for NumPy arrays, whose shapes and units the docstrings of the functions give, and as_input()."""
+"""Type aliases for NumPy arrays, and as_input() for the arguments of kernels.
+
+The docstrings of the functions give shapes and units.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ Number = TypeVar("Number", bound=np.generic)
 def as_input(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """Return a contiguous read-only view, or copy, of an array that a kernel only reads.
 
-    A kernel is compiled again for an argument of another layout, and for a read-only one, such as a mapped file.
+    Numba compiles a kernel again if an argument has another layout, or is read-only, as mapped files are.
     """
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False

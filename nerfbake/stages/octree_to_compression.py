@@ -257,12 +257,12 @@ class _Search:
         return tried
 
     def _quantised(self, share: float, step: float) -> QuantisedOctree:
-        keep = most_important(self._order, share)
         if self._coefficients is None or self._coefficients[0] != share:
+            keep = most_important(self._order, share)
             self._coefficients = self._last = None  # frees the old ones before the new ones are computed
             self._coefficients = share, transform(self._octree, self._rows, self._own.values, keep, self._gram)
         if self._last is None or self._last.colour_step != step:
-            self._last = None
+            self._last = None  # frees its leaves
             self._last = self._coefficients[1].rounded(step)
         return self._last
 

@@ -28,7 +28,7 @@ from nerfbake.stages.views_to_hull import find_solid, require_views
 __all__ = ["FitState", "continue_fit", "fit_field", "measure_state"]
 
 TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 cores, and would need more memory
-_ALPHA, _ROUGH_ALPHA = 0.5, 0.1  # weights of the loss of alpha: of exact alpha, and of rough masks
+_ALPHA, _ROUGH_ALPHA = 0.5, 0.1  # weights of the loss of alpha: exact, and of rough masks
 _POINT = 0.08  # weight of the loss of each cell's own colour
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
 _RIDGE = (0.0, 0.004, 0.008, 0.012, 0.016)  # regularisation of the coefficients of each band towards 0
@@ -247,8 +247,9 @@ def _marched(
     """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
     bricks, sums = state.cells.bricks, np.zeros((TASKS, SUMS))
     background, focus = np.array(views.background, np.float32), focus_distance(views, state.box)
-    alpha = _ROUGH_ALPHA if views.rough else _ALPHA
-    alpha = alpha if views.masked and not views.scenery else 0.0
+    alpha = 0.0
+    if views.masked and not views.scenery:
+        alpha = _ROUGH_ALPHA if views.rough else _ALPHA
     most = _MOST if views.scenery or views.rough else np.inf
     view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
     capacity = max(4096, len(bricks.places) // 8)
