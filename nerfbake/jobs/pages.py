@@ -206,7 +206,7 @@ def view_file(
 
     >>> page = view_file("a.npz", "a.html", data="exact", title="A sample", min_psnr=60)
     >>> print(page)
-    page of a SH1 page field of 1,252 rows, 2x2x2 cells of 8^3
+    page of a SH1 page field of 573 rows, 2x2x2 cells of 8^3
     """
     source = as_source(source)
     judges, budget = GroundTruth(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)

@@ -7,6 +7,7 @@ colours, or triangles with all data for their highlights.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,9 +27,10 @@ from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.stage1 import SpecularField
 
-CELL, BLOCK = 8, 4  # voxels along an edge of a top cell, and of each of its eight blocks
+CELL, BLOCK, OCTANT = 8, 4, 2  # voxels along an edge of a top cell, of each of its eight blocks, and of their octants
 WHOLE = 1 << 30  # top cells from this value on have one row
 ALL = 255  # in place of a block's count: the whole block has one row
+WIDE = 8  # a block's lowest flag of an octant that has one row
 FARTHEST = 15  # largest distance in top cells
 LARGEST = float(np.finfo(np.float16).max)
 
@@ -39,10 +41,11 @@ class PageField(CompactRepr):
 
     top     (X, Y, Z) int32. Negative: the cell is empty, and so is every cell closer than -top cells along all three
             axes, 15 at most; from 0: the number of a leaf; from 2^30: the whole cell has row top - 2^30
-    blocks  (8 leaves, 4) uint32, block 4 x + 2 y + z of each leaf: the mask's lower and upper half, the row of the
-            first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row.
+    blocks  (8 leaves, 4) uint32, block 4 x + 2 y + z of each leaf: the mask's lower and upper half, the first row,
+            and the number of bits set in the lower half; 255 there: the whole block has that row.
             Bit 16 x + 4 y + z of a mask is a voxel of the block; its row is the first row plus the number of set
-            bits below its bit
+            bits below its bit. Bit 8 + 4 x + 2 y + z of the fourth number: this octant of the block, 2^3 voxels, has
+            one row, that of its lowest voxel; the mask's bits of its other voxels are not set
     texels  (rows, T, 4) float16, T = 1 + 3 ceil((B - 1) / 4): red, green and blue of the first coefficient and the
             density; then red, green, blue of the second, of the third, ..., without gaps; the rest is zeros
     density_unit  densities are multiples of this, a power of two, in 1/world unit
@@ -92,13 +95,13 @@ class PageField(CompactRepr):
         found[at[cell >= WHOLE]] = cell[cell >= WHOLE] - WHOLE
         inside = (cell >= 0) & (cell < WHOLE)
         at, cell, x, y, z = at[inside], cell[inside], x[inside], y[inside], z[inside]
-        block = self.blocks[8 * cell + (x >> 2 & 1) * 4 + (y >> 2 & 1) * 2 + (z >> 2 & 1)].astype(np.int64)
-        bit = (x & 1) << 4 | (y & 3) << 2 | z & 3
-        upper = (x >> 1 & 1).astype(bool)
-        half = np.where(upper, block[:, 1], block[:, 0])
+        block = self.blocks[8 * cell + part_at(x, y, z, BLOCK)].astype(np.int64)
+        x, y, z = np.array([x, y, z]) & np.where(block[:, 3] >> WIDE + part_at(x, y, z, OCTANT) & 1, 2, 3)
+        bit = (x & 1) << 4 | y << 2 | z
+        half = np.where(x > 1, block[:, 1], block[:, 0])
         below = np.bitwise_count(half & (1 << bit) - 1)
         whole = block[:, 3] == ALL
-        row = block[:, 2] + np.where(whole, 0, below + np.where(upper, block[:, 3], 0))
+        row = block[:, 2] + np.where(whole, 0, below + np.where(x > 1, block[:, 3] & 255, 0))
         found[at] = np.where(half >> bit & 1, row, -1)
         return found
 
@@ -119,6 +122,11 @@ class PageField(CompactRepr):
             values[:, channel * B + 1 : (channel + 1) * B] = flat[:, 4 + channel : 4 + 3 * (B - 1) : 3]
         values[:, 3 * B] = flat[:, 3] * np.float32(self.density_unit)
         return values
+
+
+def part_at(x: Any, y: Any, z: Any, edge: int) -> Any:
+    """The number 4 x + 2 y + z of voxels' blocks in their cells (edge BLOCK), or of their octants in their blocks."""
+    return 4 * (x // edge & 1) + 2 * (y // edge & 1) + (z // edge & 1)
 
 
 def grid_of(box: Points) -> tuple[npt.NDArray[np.int64], tuple[int, int, int]]:
@@ -209,7 +217,7 @@ class Page(CompactRepr):
     >>> cameras = orbit_cameras(field, width=32, height=32)
     >>> page = Page(build_page_field(field), field, cameras, render_field(field, cameras.cameras[0]))
     >>> print(page)
-    page of a SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
+    page of a SH9 page field of 573 rows, 2x2x2 cells of 8^3
     """
 
     content: PageField | QuantisedOctree | PageSurface | bytes

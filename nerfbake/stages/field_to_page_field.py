@@ -12,7 +12,20 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.march.cells import rows_at
-from nerfbake.scene.page import ALL, BLOCK, FARTHEST, LARGEST, WHOLE, PageField, density_unit, grid_of, texels_of
+from nerfbake.scene.page import (
+    ALL,
+    BLOCK,
+    FARTHEST,
+    LARGEST,
+    OCTANT,
+    WHOLE,
+    WIDE,
+    PageField,
+    density_unit,
+    grid_of,
+    part_at,
+    texels_of,
+)
 from nerfbake.scene.radiance_field import RadianceField, leaves_of, require_field
 
 Ints = npt.NDArray[np.int64]
@@ -23,12 +36,12 @@ _CELL_BYTES = 8  # per cell of the grid
 def build_page_field(field: RadianceField) -> PageField:
     """Convert a field to the arrays of a shader.
 
-    Values are rounded to float16. Leaves are split into voxels unless their width is a power of two of 4 or more, so
-    that they are whole blocks of 4^3 or cells of 8^3. Raises InvalidScene if nothing is visible, MemoryLimit.
+    Values are rounded to float16. Leaves are split into voxels unless their width is a power of two, so that they are
+    octants of 2^3, blocks of 4^3 or cells of 8^3. Raises InvalidScene if nothing is visible, MemoryLimit.
 
     >>> from nerfbake import build_field, build_page_field, sample_n3tree
     >>> print(build_page_field(build_field(sample_n3tree(resolution=16))))
-    SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
+    SH9 page field of 573 rows, 2x2x2 cells of 8^3
     """
     require_field(field)
     start, shape = grid_of(field.box)
@@ -61,13 +74,15 @@ def round_field(field: RadianceField) -> RadianceField:
 
 
 class _Parts(NamedTuple):
-    """Voxels (v, 3) in the order of their rows, with the field's row of each (v,), and leaves that stay whole.
+    """Voxels (v, 3) in the order of their rows, with the field's row of each (v,), and leaves of 4^3 and more.
 
-    The latter are given by their corners (w, 3), widths (w,) and the field's rows (w,).
+    A voxel that is `wide` (v,) is the lowest one of a leaf of 2^3. The larger leaves are given by their corners (w, 3),
+    widths (w,) and the field's rows (w,).
     """
 
     voxels: Ints
     voxel_rows: Ints
+    wide: npt.NDArray[np.bool_]
     corners: Ints
     widths: Ints
     rows: Ints
@@ -75,7 +90,7 @@ class _Parts(NamedTuple):
 
 def _parts_of(field: RadianceField, start: Ints) -> _Parts:
     """Return leaves that are whole blocks or cells, in the order of their rows, and the voxels of all other leaves."""
-    voxels, voxel_rows = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    voxels, voxel_rows, wide = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     whole = [(np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for corners, width in leaves_of(field.cells):
         rows = rows_at(field.cells, corners + 0.5)
@@ -83,11 +98,13 @@ def _parts_of(field: RadianceField, start: Ints) -> _Parts:
         if edge % BLOCK == 0 and edge & edge - 1 == 0:
             whole.append((low, np.full(len(low), edge), rows))
             continue
-        memory.require("the voxels of the field", len(low) * edge**3 * (_VOXEL_BYTES + 8 * texels_of(field.basis)))
-        steps = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3), axis=1)
+        along = 1 if edge == OCTANT else edge
+        memory.require("the voxels of the field", len(low) * along**3 * (_VOXEL_BYTES + 8 * texels_of(field.basis)))
+        steps = np.stack(np.unravel_index(np.arange(along**3), (along,) * 3), axis=1)
         voxels.append((low[:, None] + steps).reshape(-1, 3))
-        voxel_rows.append(np.repeat(rows, edge**3))
-    all_voxels, leaves = np.concatenate(voxels), np.concatenate(voxel_rows)
+        voxel_rows.append(np.repeat(rows, along**3))
+        wide.append(np.full(len(voxel_rows[-1]), edge == OCTANT))
+    all_voxels, leaves, octants = np.concatenate(voxels), np.concatenate(voxel_rows), np.concatenate(wide)
     corners, widths, rows = (np.concatenate(each) for each in zip(*whole, strict=True))
     # Voxels and leaves outside an octree's grid are never visible.
     end = np.ceil(field.box[1]).astype(np.int64) - start
@@ -95,7 +112,7 @@ def _parts_of(field: RadianceField, start: Ints) -> _Parts:
     order = order[(all_voxels[order] < end).all(axis=1)]
     by_row = np.argsort(rows, kind="stable")
     by_row = by_row[(corners[by_row] < end).all(axis=1)]
-    return _Parts(all_voxels[order], leaves[order], corners[by_row], widths[by_row], rows[by_row])
+    return _Parts(all_voxels[order], leaves[order], octants[order], corners[by_row], widths[by_row], rows[by_row])
 
 
 def _key(voxels: Ints) -> Ints:
@@ -107,8 +124,7 @@ def _key(voxels: Ints) -> Ints:
 
 def _block_and_bit(voxels: Ints) -> Ints:
     x, y, z = voxels.T
-    block = (x >> 2 & 1) << 2 | (y >> 2 & 1) << 1 | z >> 2 & 1
-    return np.asarray(block << 6 | (x & 3) << 4 | (y & 3) << 2 | z & 3, np.int64)
+    return np.asarray(part_at(x, y, z, BLOCK) << 6 | (x & 3) << 4 | (y & 3) << 2 | z & 3, np.int64)
 
 
 def _structure(parts: _Parts, shape: tuple[int, int, int]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint32]]:
@@ -136,6 +152,9 @@ def _structure(parts: _Parts, shape: tuple[int, int, int]) -> tuple[npt.NDArray[
     blocks[:, 3] = np.bitwise_count(blocks[:, 0])
     counts = blocks[:, 3].astype(np.int64) + np.bitwise_count(blocks[:, 1])
     blocks[:, 2] = np.cumsum(counts) - counts
+    x, y, z = parts.voxels[parts.wide].T
+    flag = WIDE + part_at(x, y, z, OCTANT)
+    np.bitwise_or.at(blocks[:, 3], block[parts.wide], np.uint32(1) << flag.astype(np.uint32))
     corner = parts.corners[blocky]
     own = 8 * top[tuple((corner >> 3).T)].astype(np.int64) + (_block_and_bit(corner) >> 6)
     blocks[own, :2], blocks[own, 2], blocks[own, 3] = 0xFFFFFFFF, numbers[blocky], ALL

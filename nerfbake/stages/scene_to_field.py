@@ -26,7 +26,7 @@ from nerfbake.scene.basis import Basis, parse_basis, renderable_basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.page import ALL, CELL, WHOLE, PageField
+from nerfbake.scene.page import ALL, CELL, WHOLE, WIDE, PageField
 from nerfbake.scene.radiance_field import RadianceField, leaf_box, require_field
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
@@ -106,7 +106,7 @@ def build_field_from_page(page_field: PageField) -> RadianceField:
     >>> from nerfbake import build_field, build_page_field, build_field_from_page, sample_n3tree
     >>> page_field = build_page_field(build_field(sample_n3tree(resolution=16)))
     >>> print(build_field_from_page(page_field))
-    SH9 field of 1,252 leaves over 16^3 cells
+    SH9 field of 573 leaves over 16^3 cells
     """
     rows = len(page_field.texels)
     memory.require("the page's field", rows * 4 * page_field.basis.data_dim + len(page_field.blocks) * 64 * (4 + 16))
@@ -163,6 +163,10 @@ def _tables(page_field: PageField) -> npt.NDArray[np.int32]:
     whole = blocks[:, 3] == ALL
     before = np.where(whole[:, None], 0, np.cumsum(bits, axis=1) - bits)
     slots = np.where(bits, -2 - (blocks[:, 2].astype(np.int64)[:, None] + before), EMPTY).astype(np.int32)
+    # Axes: the block; the octant's x and the voxel's x in it; the same for y and z.
+    octants = slots.reshape(-1, 2, 2, 2, 2, 2, 2)
+    wide = blocks[:, 3, None] >> np.arange(WIDE, WIDE + 8, dtype=np.uint32) & 1 == 1
+    slots = np.where(wide.reshape(-1, 2, 1, 2, 1, 2, 1), octants[:, :, :1, :, :1, :, :1], octants)
     # Axes: leaf; the block's x, y, z; the voxel's x, y, z in it.
     tables = slots.reshape(-1, 2, 2, 2, 4, 4, 4).transpose(0, 1, 4, 2, 5, 3, 6).reshape(-1, CELL**3)
     return np.ascontiguousarray(tables) if len(tables) else np.full((1, CELL**3), EMPTY, np.int32)

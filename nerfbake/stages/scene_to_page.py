@@ -20,7 +20,7 @@ def view(scene: FieldSource | RadianceField | QuantisedOctree, *, title: str = "
     >>> from nerfbake import sample_n3tree, view
     >>> page = view(sample_n3tree(resolution=16), title="A sample")
     >>> print(page)
-    page of a SH9 page field of 1,252 rows, 2x2x2 cells of 8^3
+    page of a SH9 page field of 573 rows, 2x2x2 cells of 8^3
     """
     shown = scene.restored() if isinstance(scene, QuantisedOctree) else scene
     field = shown if isinstance(shown, RadianceField) else build_field(shown)

@@ -16,6 +16,7 @@ import pytest
 from nerfbake import SparseVoxelOctree, build_octree, sample_n3tree
 from nerfbake.formats.page.triangles import part_of
 from nerfbake.io import load_page_content
+from nerfbake.scene.page import WIDE
 from tests.conformance.case import HOME, require_like
 from tests.support.browser import Browser, Seen
 from tests.support.octrees import points_around
@@ -49,11 +50,12 @@ ROWS = """async (text) => {
   const {top, blocks, texels} = await nerfbake.carried.arrays(), {shape, start, box} = nerfbake.facts;
   const rows = new Int32Array(points.length / 3).fill(-1);
   for (let i = 0; i < rows.length; i++) {
-    const [x, y, z] = [0, 1, 2].map((axis) => Math.floor(points[3 * i + axis]) - start[axis]);
+    let [x, y, z] = [0, 1, 2].map((axis) => Math.floor(points[3 * i + axis]) - start[axis]);
     if (![x, y, z].every((at, axis) => at >= box[0][axis] && at < box[1][axis])) continue;
     const here = top[((x >> 3) * shape[1] + (y >> 3)) * shape[2] + (z >> 3)];
     if (here < 0) continue;
     const at = here < WHOLE ? 4 * blockAt(here, x, y, z) : 0;
+    if (here < WHOLE && (blocks[at + 3] >> (WIDE + octantAt(x, y, z))) & 1) [x, y, z] = [x & ~1, y & ~1, z & ~1];
     const there = here >= WHOLE || blocks[at + 3] === ALL || (blocks[at + ((x >> 1) & 1)] >>> bitAt(x, y, z)) & 1;
     if (there) rows[i] = rowAt(top, blocks, shape, x, y, z);
   }
@@ -63,9 +65,11 @@ ROWS = """async (text) => {
 
 @pytest.fixture(scope="module")
 def made(folder: Path) -> Made:
-    """A box of voxels of several sizes, no edge of which is a power of two."""
-    octree = build_octree(sample_n3tree(resolution=32, basis="SH4"), resolution=(30, 32, 21))
-    return compressed_page(folder / "reader.html", octree)
+    """A box with leaves of several sizes that reach out of it: two of its edges are no powers of two."""
+    octree = replace(build_octree(sample_n3tree(resolution=32, basis="SH4")), size=(30, 32, 21))
+    made = compressed_page(folder / "reader.html", octree)
+    assert (made.arrays.blocks[:, 3] >= 1 << WIDE).sum() > 50
+    return made
 
 
 @pytest.fixture(scope="module")

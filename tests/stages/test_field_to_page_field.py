@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from nerfbake import PageField, RadianceField, build_field, build_octree, build_page_field, round_field, sample_n3tree
 from nerfbake.errors import InvalidScene
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.page import ALL, WHOLE
+from nerfbake.scene.page import ALL, WHOLE, WIDE
 from tests.support.scenes import n3tree, n3trees, octrees, voxel_centres
 
 
@@ -30,11 +30,14 @@ def test_leaves_by_hand() -> None:
     found = build_page_field(build_field(tree))
     assert found.top.tolist() == [[[0]]]
     whole = found.blocks[:, 3] == ALL
-    # Seven leaves of 4^3 are rows of their own, behind the 8 voxels and the 7 leaves of 2^3.
+    # Seven leaves of 4^3 are rows of their own, behind the 8 voxels and the 7 leaves of 2^3, which have one bit each.
     assert whole.tolist() == [True] * 5 + [False] + [True] * 2
-    assert found.blocks[whole, 2].tolist() == [64, 65, 66, 67, 68, 69, 70]
-    assert found.blocks[5].tolist() == [0xFFFFFFFF, 0xFFFFFFFF, 0, 32]
-    assert len(found.texels) == 64 + 7
+    assert found.blocks[whole, 2].tolist() == [15, 16, 17, 18, 19, 20, 21]
+    lower = sum(1 << bit for bit in (0, 1, 4, 5, 16, 17, 20, 21, 2, 8, 10))
+    assert found.blocks[5].tolist() == [lower, 0b0101_0000_0101, 0, 11 | 0b1111_1110 << WIDE]
+    assert len(found.texels) == 15 + 7
+    corners = np.array([[4, 0, 4], [5, 1, 5], [4, 0, 6], [5, 1, 7], [7, 3, 7]])
+    assert found.rows(corners + 0.5).tolist() == [0, 10, 2, 2, 14]
 
 
 def test_a_leaf_of_many_cells_is_one_row_and_distances_lead_to_what_is_not_empty() -> None:

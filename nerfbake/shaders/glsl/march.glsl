@@ -4,7 +4,8 @@
 //   top     an int32 per cell of 8^3 voxels, z fastest. Negative: the cell is empty, and so is every cell closer than
 //           -top cells along all three axes. From 0: the number of a leaf. From 2^30: the whole cell has row top - 2^30
 //   blocks  four uint32 for each of the eight 4^3 blocks of a leaf: lower and upper half of its mask, the row of its
-//           first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row
+//           first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row. Bit
+//           8 + 4 x + 2 y + z there: this octant of 2^3 voxels has one row, and one bit in the mask, its lowest voxel's
 //   texels  four float16 or float32 each, texelsPerRow per row: red, green, blue of the first coefficient and the
 //           density; then red, green, blue of the second, of the third, ..., without gaps
 #ifndef NERFBAKE_MARCH_GLSL
@@ -47,10 +48,12 @@ Cube cubeAt(Field field, ivec3 voxel) {
     if ((block.x | block.y) == 0u) return Cube(-1, voxel & ~3, 4);
     if (block.w == 255u) return Cube(int(block.z), voxel & ~3, 4);
     ivec3 i = voxel & 3;
+    int edge = 1 + int(block.w >> uint(8 + (2 * (i.x & 2) | i.y & 2 | i.z >> 1)) & 1u);
+    i &= 4 - edge;
     bool upper = i.x > 1;
     uint mask = upper ? block.y : block.x, bit = 1u << uint((i.x & 1) << 4 | i.y << 2 | i.z);
     if ((mask & bit) == 0u) return Cube(-1, voxel, 1);
-    return Cube(int(block.z) + (upper ? int(block.w) : 0) + count(mask & (bit - 1u)), voxel, 1);
+    return Cube(int(block.z) + (upper ? int(block.w & 255u) : 0) + count(mask & (bit - 1u)), voxel & -edge, edge);
 }
 
 // The colour of a row in the direction of `basis`. first: red, green and blue of the row's first coefficient.

@@ -19,7 +19,7 @@ precision highp usampler2D;
 precision highp sampler2D;
 
 uniform isampler3D top;     // negative: empty; from 0: a leaf; from WHOLE: row of the whole cell, plus WHOLE
-uniform usampler2D blocks;  // eight 4^3 blocks per leaf: lower and upper mask, first row, bits of the lower mask
+uniform usampler2D blocks;  // eight 4^3 blocks per leaf: lower and upper mask, first row, bits of the lower mask and flags
 uniform sampler2D texels;   // red, green, blue of the first coefficient and the density; then the other coefficients
 uniform sampler2D densities;
 uniform vec3 lows[4 * GROUPS + 1];     // for each basis function: a coefficient is lows + widths * texel
@@ -64,7 +64,8 @@ const bool ztest = false;
 out vec4 colour;
 
 const int WHOLE = 1 << 30;
-const uint ALL = 255u;
+const uint ALL = 255u;      // in place of a block's count of bits: the whole block has one row
+const int WIDE = 8;         // a block's lowest flag of an octant that has one row
 const int COLOUR = 0, FIRST = 1, DEPTH = 2, STEPS = 3, PICK = 4, SLOPE = 5;
 const int LIMIT = 1 << 14;  // maximum number of steps
 const float SHADE = 0.4;    // share of a mesh's colour that remains where the field blocks all light from above
@@ -204,11 +205,12 @@ int look(ivec3 voxel, out ivec3 corner, out int edge) {
   if ((block.x | block.y) == 0u) return -1;
   if (block.w == ALL) return int(block.z);
   ivec3 i = voxel & 3;
+  edge = 1 + int(block.w >> WIDE + (2 * (i.x & 2) | i.y & 2 | i.z >> 1) & 1u);
+  corner = voxel & -edge;
+  i &= 4 - edge;
   bool upper = i.x > 1;
   uint mask = upper ? block.y : block.x, bit = uint((i.x & 1) << 4 | i.y << 2 | i.z);
-  corner = voxel;
-  edge = 1;
-  if ((mask >> bit & 1u) != 0u) return int(block.z + (upper ? block.w : 0u) + count(mask & (1u << bit) - 1u));
+  if ((mask >> bit & 1u) != 0u) return int(block.z + (upper ? block.w & 255u : 0u) + count(mask & (1u << bit) - 1u));
   if ((mask & 0x00330033u << uint((i.y & 2) << 2 | i.z & 2)) == 0u) {
     corner = voxel & ~1;
     edge = 2;

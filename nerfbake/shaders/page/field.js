@@ -1,7 +1,7 @@
 // Convert the data of the page to the arrays that the shader reads. nerfbake/scene/page.py describes these arrays, and
 // nerfbake/stages/field_to_page_field.py makes the same ones.
 
-const CELL = 8, WHOLE = 1 << 30, ALL = 255, FARTHEST = 15;
+const CELL = 8, WHOLE = 1 << 30, ALL = 255, WIDE = 8, FARTHEST = 15;
 
 // Base64 text -> bytes.
 function* bytesOf(text) {
@@ -79,15 +79,13 @@ function* arraysOfSvoq(bytes, facts) {
   const { top, blocks, rows } = structureOf(leaves.all, facts);
   leaves = null;
   const channels = 4 * facts.texels, texels = new Uint16Array(rows * channels), own = new Uint16Array(channels);
-  const write = (_node, x0, y0, z0, width, held, at) => {
+  const write = (_node, x0, y0, z0, _width, held, at) => {
     const sigma = density(held[at + C - 1]);
     if (!(sigma > 0)) return;
+    const x = x0 - start[0], y = y0 - start[1], z = z0 - start[2], end = facts.box[1];
+    if (x >= end[0] || y >= end[1] || z >= end[2]) return;
     fillRow(own, octree, held, at, sigma / facts.densityUnit);
-    const reach = width < 4 ? width : 1, end = facts.box[1];
-    for (let i = 0; i < reach ** 3; i++) {
-      const x = x0 - start[0] + Math.floor(i / reach / reach), y = y0 - start[1] + (Math.floor(i / reach) % reach), z = z0 - start[2] + (i % reach);
-      if (x < end[0] && y < end[1] && z < end[2]) texels.set(own, rowAt(top, blocks, facts.shape, x, y, z) * channels);
-    }
+    texels.set(own, rowAt(top, blocks, facts.shape, x, y, z) * channels);
   };
   yield* scaled(eachLeaf(octree, edge, 0, write), 0.85, 1);
   return { top, blocks, texels };
@@ -148,18 +146,17 @@ function structureOf(leaves, facts) {
   for (let i = 0; i < top.length; i++) if (top[i] === 0) top[i] = count++;
   const blocks = new Uint32Array(32 * count);
   for (let i = 0; i < leaves.length; i += 5) {
-    const x0 = leaves[i + 1], y0 = leaves[i + 2], z0 = leaves[i + 3], width = leaves[i + 4];
-    for (let j = 0; width < 4 && j < width ** 3; j++) {
-      const x = x0 + Math.floor(j / width / width), y = y0 + (Math.floor(j / width) % width), z = z0 + (j % width);
-      if (x >= end[0] || y >= end[1] || z >= end[2]) continue;
-      blocks[4 * blockAt(top[cellOf(x, y, z)], x, y, z) + ((x >> 1) & 1)] |= 1 << bitAt(x, y, z);
-    }
+    const x = leaves[i + 1], y = leaves[i + 2], z = leaves[i + 3], width = leaves[i + 4];
+    if (width >= 4 || x >= end[0] || y >= end[1] || z >= end[2]) continue;
+    const at = 4 * blockAt(top[cellOf(x, y, z)], x, y, z);
+    blocks[at + ((x >> 1) & 1)] |= 1 << bitAt(x, y, z);
+    if (width === 2) blocks[at + 3] |= 1 << (WIDE + octantAt(x, y, z));
   }
   let rows = 0;
   for (let at = 0; at < blocks.length; at += 4) {
     blocks[at + 2] = rows;
-    blocks[at + 3] = bitsIn(blocks[at]);
-    rows += blocks[at + 3] + bitsIn(blocks[at + 1]);
+    blocks[at + 3] += bitsIn(blocks[at]);
+    rows += bitsIn(blocks[at]) + bitsIn(blocks[at + 1]);
   }
   // Number whole leaves in the order of their nodes, which is the order of the octree's rows.
   for (const i of whole.sort((a, b) => leaves[a] - leaves[b])) {
@@ -180,6 +177,10 @@ function bitAt(x, y, z) {
   return ((x & 1) << 4) | ((y & 3) << 2) | (z & 3);
 }
 
+function octantAt(x, y, z) {
+  return 2 * (x & 2) + (y & 2) + ((z >> 1) & 1);
+}
+
 function bitsIn(word) {
   return BITS[word & 255] + BITS[(word >>> 8) & 255] + BITS[(word >>> 16) & 255] + BITS[word >>> 24];
 }
@@ -191,13 +192,13 @@ function fillCells(top, [X, Y, Z], corner, width, value) {
   }
 }
 
-// The row at a voxel that is not empty.
+// The row of a leaf, from its lowest voxel.
 function rowAt(top, blocks, [, Y, Z], x, y, z) {
   const here = top[((x >> 3) * Y + (y >> 3)) * Z + (z >> 3)];
   if (here >= WHOLE) return here - WHOLE;
   const at = 4 * blockAt(here, x, y, z), upper = (x >> 1) & 1, first = blocks[at + 2];
   if (blocks[at + 3] === ALL) return first;
-  return first + (upper ? blocks[at + 3] : 0) + bitsIn(blocks[at + upper] & ((1 << bitAt(x, y, z)) - 1));
+  return first + (upper ? blocks[at + 3] & 255 : 0) + bitsIn(blocks[at + upper] & ((1 << bitAt(x, y, z)) - 1));
 }
 
 // Store in each empty cell the distance to the nearest cell that is not empty: the largest of its distances along the

@@ -23,7 +23,9 @@ function eachRowOfLeaf(blocks, leaf, x, y, z, tell) {
       continue;
     }
     for (let bit = 0; bit < 64; bit++) {
-      if ((blocks[at + (bit >> 5)] >>> (bit & 31)) & 1) tell(x0 + (bit >> 4), y0 + ((bit >> 2) & 3), z0 + (bit & 3), 1, row++);
+      if (!((blocks[at + (bit >> 5)] >>> (bit & 31)) & 1)) continue;
+      const x = bit >> 4, y = (bit >> 2) & 3, z = bit & 3, wide = (blocks[at + 3] >> (WIDE + octantAt(x, y, z))) & 1;
+      tell(x0 + x, y0 + y, z0 + z, 1 + wide, row++);
     }
   }
 }
@@ -53,14 +55,12 @@ function* coarser(arrays, facts, wide, steps) {
   leaves = null;
   const sums = new Float32Array(rows * channels), weights = new Float32Array(rows), length = lengthOf(facts.place);
   const add = (x, y, z, edge, row) => {
-    const at = row * channels, sigma = numberOf(arrays.texels[at + 3]), reach = edge / s < 4 ? Math.max(edge / s, 1) : 1;
+    const at = row * channels, sigma = numberOf(arrays.texels[at + 3]);
     const share = Math.min((edge / s) ** 3, 1), weight = -Math.expm1(-sigma * facts.densityUnit * length) * share;
     const [x0, y0, z0] = [x + shift[0], y + shift[1], z + shift[2]].map((place) => Math.floor(place / s));
-    for (let i = 0; i < reach ** 3; i++) {
-      const own = rowAt(top, blocks, wide.shape, x0 + Math.floor(i / reach / reach), y0 + (Math.floor(i / reach) % reach), z0 + (i % reach));
-      for (let k = 0; k < channels; k++) sums[own * channels + k] += (k === 3 ? share : weight) * numberOf(arrays.texels[at + k]);
-      weights[own] += weight;
-    }
+    const own = rowAt(top, blocks, wide.shape, x0, y0, z0);
+    for (let k = 0; k < channels; k++) sums[own * channels + k] += (k === 3 ? share : weight) * numberOf(arrays.texels[at + k]);
+    weights[own] += weight;
   };
   yield* scaled(eachRow(arrays, facts.shape, add), 0.3, 0.9);
   const texels = new Uint16Array(rows * channels);

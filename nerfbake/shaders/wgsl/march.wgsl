@@ -5,7 +5,8 @@
 //   top     an int32 per cell of 8^3 voxels, z fastest. Negative: the cell is empty, and so is every cell closer than
 //           -top cells along all three axes. From 0: the number of a leaf. From 2^30: the whole cell has row top - 2^30
 //   blocks  four uint32 for each of the eight 4^3 blocks of a leaf: lower and upper half of its mask, the row of its
-//           first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row
+//           first voxel, and the number of bits set in the lower half; 255 there: the whole block has that row. Bit
+//           8 + 4 x + 2 y + z there: this octant of 2^3 voxels has one row, and one bit in the mask, its lowest voxel's
 //   texels  four float32 each, texelsPerRow per row: red, green, blue of the first coefficient and the density; then
 //           red, green, blue of the second, of the third, ..., without gaps
 @group(1) @binding(7) var<storage, read> top: array<i32>;
@@ -42,12 +43,15 @@ fn cubeAt(field: Field, voxel: vec3i) -> Cube {
     let block = blocks[8 * here + 4 * part.x + 2 * part.y + part.z];
     if (block.x | block.y) == 0u { return Cube(-1, voxel & vec3i(~3), 4); }
     if block.w == 255u { return Cube(i32(block.z), voxel & vec3i(~3), 4); }
-    let i = voxel & vec3i(3);
+    var i = voxel & vec3i(3);
+    let edge = 1 + i32((block.w >> u32(8 + ((2 * (i.x & 2)) | (i.y & 2) | (i.z >> 1)))) & 1u);
+    i &= vec3i(4 - edge);
     let upper = i.x > 1;
     let mask = select(block.x, block.y, upper);
     let bit = 1u << u32(((i.x & 1) << 4) | (i.y << 2) | i.z);
     if (mask & bit) == 0u { return Cube(-1, voxel, 1); }
-    return Cube(i32(block.z) + select(0, i32(block.w), upper) + count(mask & (bit - 1u)), voxel, 1);
+    let before = select(0, i32(block.w & 255u), upper) + count(mask & (bit - 1u));
+    return Cube(i32(block.z) + before, voxel & vec3i(-edge), edge);
 }
 
 // The colour of a row in the direction of `basis`. first: red, green and blue of the row's first coefficient.
