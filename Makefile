@@ -8,17 +8,24 @@ PYTHON ?= python3
 help:  ## what there is to make
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# pip would compile modules on one core.
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+COMPILE := $(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true
 
-# The program and its plain dependencies; what tests need comes on top.
-$(VENV)/program: pyproject.toml
+$(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
+
+# The program and its plain dependencies.
+$(VENV)/program: pyproject.toml | $(BIN)/python
 	$(PIP_INSTALL) --editable .
+	$(COMPILE)
 	touch $@
 
-$(VENV)/ready: $(VENV)/program
+# The same with what tests need.
+$(VENV)/ready: pyproject.toml | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[test]'
-	touch $@
+	$(COMPILE)
+	touch $(VENV)/program $@
 
 setup: $(VENV)/ready  ## a virtual environment of our own, with everything that tests need
 
