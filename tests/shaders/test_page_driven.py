@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import Camera, Cameras, Image, load, render_field
+from nerfbake import Camera, Cameras, Image, build_field, load, render_field, sample_n3tree
 from tests.support.browser import Browser, Seen
-from tests.support.viewed import EDGE, Made, assert_same_pictures, decibels
+from tests.support.viewed import EDGE, Made, assert_same_pictures, decibels, exact_page
 
 pytestmark = [pytest.mark.tools, pytest.mark.slow]
 LIGHT = (0xF4 / 255, 0xF5 / 255, 0xF7 / 255)  # the page's own background
@@ -169,8 +169,9 @@ def test_a_still_reader_gets_a_still_page(browser: Browser, exact: Made) -> None
         assert page.ask("getComputedStyle(document.getElementById('cover')).transitionDuration") == "0s"
 
 
-def test_what_was_unpacked_is_given_back(browser: Browser, exact: Made) -> None:
+def test_what_was_unpacked_is_given_back(browser: Browser, folder: Path) -> None:
     """Behind unpacking, the page holds its packed bytes and no array beside them."""
+    exact = exact_page(folder / "large.html", build_field(sample_n3tree(resolution=64)))
     with browser.opened(exact.path) as page:
         page.wait_until_ready()
         page.wait_until_still()
