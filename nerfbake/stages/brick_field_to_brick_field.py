@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.brick_field import BrickField
@@ -44,4 +45,4 @@ def refit_bricks(
         raise InvalidScene(Problem("the field", "has no cells", "one or more"))
     schedule = Schedule([Stage(field.resolution, 1, epochs, _DENSITY, _COLOUR, samples)])
     state = FitState(schedule, field.basis, seed, field.box.copy(), cells_of_field(field))
-    return continue_fit(state, views, point=_POINT, distortion=0.0)
+    return continue_fit(state, views, point=_POINT, distortion=0.0, most_mean=inf)

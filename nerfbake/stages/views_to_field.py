@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,9 @@ _DISTORTION, _OBJECT_DISTORTION = 0.005, 0.0002
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
 # who walks by or a mistake of a mask, must not change the others.
 _MOST = 0.2
+# Mean residuals of neighbouring pixels above this count less in the stages of an object with the smallest cells: a
+# reflection that only few views show, and that coefficients cannot follow, must not change the others.
+_MOST_MEAN = 0.05
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
 
@@ -95,19 +99,25 @@ def fit_field(
 
 
 def continue_fit(
-    state: FitState, views: Views, *, point: float = _POINT, distortion: float = _OBJECT_DISTORTION
+    state: FitState,
+    views: Views,
+    *,
+    point: float = _POINT,
+    distortion: float = _OBJECT_DISTORTION,
+    most_mean: float = _MOST_MEAN,
 ) -> Iterator[FitState]:
     """Take the steps that are left in the state's schedule. Yields the state after every picture, always the same one.
 
     point: weight of the loss of each cell's own colour. distortion: of the distortion loss of an object in the stages
-    with its smallest cells, for places that are measured in cells. Raises InvalidScene, MemoryLimit.
+    with its smallest cells, for places that are measured in cells. most_mean: the largest mean residual of neighbouring
+    pixels that counts in full, in the same stages. Raises InvalidScene, MemoryLimit.
     """
     batch = None
     while not state.done:
         if state.built < state.stage:
             batch = None  # frees its memory
             _rebuild(state, views)
-        batch = _visit(state, views, batch, point, distortion)
+        batch = _visit(state, views, batch, _Weights(point, distortion, most_mean=most_mean))
         _count_on(state, len(views.pictures))
         if state.view == 0:
             batch = None  # frees its memory: the state may be measured now
@@ -123,11 +133,20 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
     found, batch = [], None
     for view in range(len(views.pictures)):
         looks = ray_targets(views, view, scale=1, samples=samples, ring=None)
-        sums, batch = _marched(state, batch, looks, views, 0.0, 0.0)
+        sums, batch = _marched(state, batch, looks, views, _Weights())
         found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
         # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
         batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
     return sum(found) / len(found)
+
+
+class _Weights(NamedTuple):
+    """Weights of the losses beside the colours of pixels, and the largest residuals that count in full. See FitView."""
+
+    point: float = 0.0
+    distortion: float = 0.0
+    most: float = np.inf
+    most_mean: float = np.inf
 
 
 def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, seed: int, exposure: bool) -> FitState:
@@ -178,9 +197,7 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-def _visit(
-    state: FitState, views: Views, batch: TaskBuffers | None, point: float, distortion: float
-) -> TaskBuffers | None:
+def _visit(state: FitState, views: Views, batch: TaskBuffers | None, weights: _Weights) -> TaskBuffers | None:
     """Render the pixels of one view, and update the cells."""
     stage, cells = state.schedule[state.stage], state.cells
     if state.view == 0:
@@ -196,13 +213,16 @@ def _visit(
         ground = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32)
         looks.targets[:, :3] = (looks.targets[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
     if views.scenery:
-        distortion = _DISTORTION
+        weights = weights._replace(distortion=_DISTORTION)
     elif stage.cells < state.schedule.resolution:
-        distortion = 0.0
+        weights = weights._replace(distortion=0.0, most_mean=np.inf)
     else:
         # The loss measures places in distances to the middle of the box.
-        distortion *= focus_distance(views, state.box) * stage.cells / float((state.box[1] - state.box[0]).mean())
-    sums, batch = _marched(state, batch, looks, views, point, distortion)
+        cells_away = focus_distance(views, state.box) * stage.cells / float((state.box[1] - state.box[0]).mean())
+        weights = weights._replace(distortion=weights.distortion * cells_away)
+    if views.scenery or views.rough:
+        weights = weights._replace(most=_MOST, most_mean=np.inf)
+    sums, batch = _marched(state, batch, looks, views, weights)
     state.error += float(sums[0])
     if len(state.gains) and state.stage:
         _adapt_gains(state, view, sums)
@@ -242,7 +262,7 @@ def _rate(rates: Rates, part: float) -> float:
 
 
 def _marched(
-    state: FitState, batch: TaskBuffers | None, looks: RayTargets, views: Views, point: float, distortion: float
+    state: FitState, batch: TaskBuffers | None, looks: RayTargets, views: Views, weights: _Weights
 ) -> tuple[Floats, TaskBuffers]:
     """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
     bricks, sums = state.cells.bricks, np.zeros((TASKS, SUMS))
@@ -250,8 +270,18 @@ def _marched(
     alpha = 0.0
     if views.masked and not views.scenery:
         alpha = _ROUGH_ALPHA if views.rough else _ALPHA
-    most = _MOST if views.scenery or views.rough else np.inf
-    view = FitView(looks.eye, looks.directions, looks.targets, background, alpha, point, distortion, focus, most)
+    view = FitView(
+        looks.eye,
+        looks.directions,
+        looks.targets,
+        background,
+        alpha,
+        weights.point,
+        weights.distortion,
+        focus,
+        weights.most,
+        weights.most_mean,
+    )
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:

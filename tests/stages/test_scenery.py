@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Camera, Cameras, Views, build_field, fit_field, measure_views, render_field
 from nerfbake.errors import InvalidScene
-from nerfbake.kernels.fit.bricks import DENSITY_SUM, ROW, BrickGrid, new_batch
+from nerfbake.kernels.fit.bricks import BLAME, DENSITY_SUM, ROW, BrickGrid, new_batch
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.camera import look_at
@@ -70,7 +70,7 @@ def test_rays_through_shells_see_what_the_renderer_sees(shells: int, eye: list[f
     looks = ray_targets(views, 0, scale=1, samples=1, ring=None)
     targets = np.concatenate([seen, np.zeros((len(seen), 1))], axis=1).astype(np.float32)[looks.pixels]
     sums = np.zeros((1, SUMS))
-    view = FitView(looks.eye, looks.directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf)
+    view = FitView(looks.eye, looks.directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf, np.inf)
     march_view(cells.bricks, new_batch(1, len(cells.bricks.slots), cells.n), view, sums)
     # Colours come from a short series, and rays end at a transmittance of 1 %.
     assert np.sqrt(sums[0, 0] / seen.size) < 0.004
@@ -88,7 +88,7 @@ def loss_and_sums(made: BrickGrid, values: Any, distortion: float) -> tuple[floa
     sums = []
     for weight in (0.0, distortion):
         batch = new_batch(1, len(bricks.slots), len(bricks.places))
-        view = FitView(eye, directions, targets, np.zeros(3, np.float32), 0.0, 0.0, weight, 1.5, np.inf)
+        view = FitView(eye, directions, targets, np.zeros(3, np.float32), 0.0, 0.0, weight, 1.5, np.inf, np.inf)
         march_view(bricks, batch, view, np.zeros((1, SUMS)))
         total = np.zeros((len(bricks.places), ROW))
         for brick, base in enumerate(batch.base[0]):
@@ -219,7 +219,7 @@ def test_what_one_view_shows_alone_has_a_bounded_effect() -> None:
     for most, beyond in ((9.0, 0.2), (0.2, 1.0), (9.0, 0.1), (0.2, 0.1)):
         batch = new_batch(1, len(cells.bricks.slots), cells.n)
         target = np.ones((1, 4), np.float32)
-        view = FitView(eye, directions, target, ground, 0.0, 0.0, 0.0, 1.0, most)
+        view = FitView(eye, directions, target, ground, 0.0, 0.0, 0.0, 1.0, most, np.inf)
         march_view(cells.bricks, batch, view, sums)
         target[0, :3] = np.sqrt(sums[0, 4:]) + beyond  # the rendered colour, and more
         batch = new_batch(1, len(cells.bricks.slots), cells.n)
@@ -228,6 +228,30 @@ def test_what_one_view_shows_alone_has_a_bounded_effect() -> None:
     assert np.abs(found[0]).max() > 0
     assert_allclose(found[0], found[1], rtol=1e-4, atol=1e-7)
     assert_array_equal(found[2], found[3])
+
+
+def test_what_neighbours_show_together_has_a_bounded_effect() -> None:
+    # Equal residuals count less the longer they last; residuals that alternate count in full.
+    cells, count = some_shells(shells=1, share=0.3), 200
+    look, eye = np.array([0.1, 0.2, -1.0], np.float32), np.array([0.1, 0.1, 3.0])
+    directions = np.tile(look / np.linalg.norm(look), (count, 1)).astype(np.float32)
+    ground, sums, targets = np.zeros(3, np.float32), np.zeros((1, SUMS)), np.ones((count, 4), np.float32)
+
+    def blame(most_mean: float) -> float:
+        batch = new_batch(1, len(cells.bricks.slots), cells.n)
+        view = FitView(eye, directions, targets, ground, 0.0, 0.0, 0.0, 1.0, np.inf, most_mean)
+        march_view(cells.bricks, batch, view, sums)
+        return float(batch.rows[0, : batch.used[0], BLAME].sum())
+
+    blame(np.inf)
+    rendered = np.sqrt(sums[0, 4:] / count)
+    targets[:, :3] = rendered + 0.1
+    lasting = 0.1 * (1 - (63 / 64) ** np.arange(1, count + 1))
+    wanted = np.minimum(1, 0.05 / lasting).mean()
+    assert 0.5 < wanted < 0.8
+    assert blame(0.05) / blame(np.inf) == pytest.approx(wanted, rel=1e-3)
+    targets[1::2, :3] = rendered - 0.1
+    assert blame(0.05) == pytest.approx(blame(np.inf), rel=1e-6)
 
 
 def test_a_fit_with_scenery_resumes_with_the_same_bytes() -> None:

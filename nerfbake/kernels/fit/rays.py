@@ -30,6 +30,7 @@ from nerfbake.kernels.parallel import on_every_core
 
 SUMS = 7
 OPAQUE = 0.01  # transmittance below which a ray stops
+_NEAR = 64  # pixels over which a mean residual runs, as many as in a tile
 _PER = 64  # table entries for one unit of optical depth
 _FALL = exp(-np.arange(40 * _PER) / _PER)
 
@@ -42,7 +43,8 @@ class FitView(NamedTuple):
     of alpha, and of the colour of each single cell, relative to that of a pixel's colour. distortion: weight of the
     distortion loss, which pulls the weights of a ray to one place; 0: none. It measures distances along the ray on a
     scale that is linear near the camera and ends at infinity; focus: its middle, in world units. most: the largest
-    residual of a channel that counts in full; those of other pixels are scaled down to it.
+    residual of a channel that counts in full; those of other pixels are scaled down to it. most_mean: the largest mean
+    residual of neighbouring pixels that counts in full; where it is larger, their residuals are scaled down by as much.
     """
 
     eye: Floats
@@ -54,6 +56,7 @@ class FitView(NamedTuple):
     distortion: float
     focus: float
     most: float
+    most_mean: float
 
 
 class TaskState(NamedTuple):
@@ -61,8 +64,9 @@ class TaskState(NamedTuple):
 
     row, length, depth, through: for each cell that the rays of a pixel hit, its row, the length of the ray in it, where
     it lies along the ray (see _depth()), and the transmittance behind it. seen (4,): the sum of the rays' colours and
-    alphas, later the residual of the pixel. room: a buffer of colours.new_colour_buffer(). place (S, 3): the camera, in
-    cells of each shell. enter, leave (S,): where the ray enters and leaves each cube.
+    alphas, later the residual of the pixel. mean (3,): the running mean of the residuals. room: a buffer of
+    colours.new_colour_buffer(). place (S, 3): the camera, in cells of each shell. enter, leave (S,): where the ray
+    enters and leaves each cube.
     """
 
     row: npt.NDArray[np.int32]
@@ -70,6 +74,7 @@ class TaskState(NamedTuple):
     depth: Singles
     through: Singles
     seen: Floats
+    mean: Floats
     room: Singles
     place: Floats
     enter: Floats
@@ -103,6 +108,7 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Flo
         np.empty(most if view.distortion > 0 else 1, np.float32),
         np.empty(most, np.float32),
         np.zeros(4),
+        np.zeros(3),
         new_colour_buffer((len(bricks.values) // bricks.first[-1] - 1) // 3),
         (view.eye - bricks.low) / bricks.size,
         np.empty(len(bricks.low)),
@@ -113,6 +119,7 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Flo
         batch.used[task] = 0
         batch.base[task, :] = UNMET
         sums[task, :] = 0
+        own.mean[:] = 0
         for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
             own.seen[:] = 0
             for ray in range(rays):
@@ -126,10 +133,7 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Flo
                     rendered = target - own.seen[k]
                     sums[task, 1 + k] += target * rendered
                     sums[task, 4 + k] += rendered * rendered
-            largest = max(abs(own.seen[0]), abs(own.seen[1]), abs(own.seen[2]))
-            if largest > view.most:
-                for k in range(3):
-                    own.seen[k] *= view.most / largest
+            _limit_residual(view, own)
             for ray in range(rays):
                 if view.distortion > 0:
                     _accumulate_distortion(batch, task, view, own, ends[ray], ends[ray + 1])
@@ -278,6 +282,22 @@ def _march_ray(
     own.seen[2] += blue + through * view.background[2]
     own.seen[3] += 1 - through
     return count
+
+
+@compiled(merged=True)
+def _limit_residual(view: FitView, own: TaskState) -> None:
+    """Update the running mean of the residuals, and scale a residual down if it, or the mean, is too large."""
+    for k in range(3):
+        own.mean[k] += (own.seen[k] - own.mean[k]) * (1 / _NEAR)
+    largest, mean, scale = 0.0, 0.0, 1.0
+    for k in range(3):
+        largest, mean = max(largest, abs(own.seen[k])), max(mean, abs(own.mean[k]))
+    if largest > view.most:
+        scale = view.most / largest
+    if mean > view.most_mean:
+        scale = min(scale, view.most_mean / mean)
+    for k in range(3):
+        own.seen[k] *= scale
 
 
 @compiled(merged=True)

@@ -53,7 +53,7 @@ def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.
     directions, targets = rays(samples)
     n, sums = len(made.places), np.zeros((tasks, SUMS))
     batch = new_batch(tasks, len(made.slots), n)
-    view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0, np.inf)
+    view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0, np.inf, np.inf)
     march_view(made, batch, view, sums)
     total = np.zeros((n, ROW))
     for task in range(tasks):
@@ -104,7 +104,7 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     made = bricks()
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
-    view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf)
+    view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf, np.inf)
     march_view(made, batch, view, np.zeros((1, SUMS)))
     _, rows = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
