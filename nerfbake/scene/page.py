@@ -7,13 +7,12 @@ colours, or triangles with all data for their highlights.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Points
+from nerfbake.kernels.arrays import Ints, Points
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.atlas import OctahedralAtlas
@@ -124,9 +123,9 @@ class PageField(CompactRepr):
         return values
 
 
-def part_at(x: Any, y: Any, z: Any, edge: int) -> Any:
-    """The number 4 x + 2 y + z of voxels' blocks in their cells (edge BLOCK), or of their octants in their blocks."""
-    return 4 * (x // edge & 1) + 2 * (y // edge & 1) + (z // edge & 1)
+def part_at(x: Ints, y: Ints, z: Ints, edge: int) -> Ints:
+    """The number 4 x + 2 y + z of voxels' blocks in their cells (edge BLOCK), or of octants in blocks (edge OCTANT)."""
+    return np.asarray(4 * (x // edge & 1) + 2 * (y // edge & 1) + (z // edge & 1), np.int64)
 
 
 def grid_of(box: Points) -> tuple[npt.NDArray[np.int64], tuple[int, int, int]]:

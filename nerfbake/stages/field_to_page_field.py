@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.march.cells import rows_at
 from nerfbake.scene.page import (
@@ -28,7 +29,6 @@ from nerfbake.scene.page import (
 )
 from nerfbake.scene.radiance_field import RadianceField, leaves_of, require_field
 
-Ints = npt.NDArray[np.int64]
 _VOXEL_BYTES = 100  # per voxel during the conversion, in addition to its texels
 _CELL_BYTES = 8  # per cell of the grid
 
@@ -89,7 +89,10 @@ class _Parts(NamedTuple):
 
 
 def _parts_of(field: RadianceField, start: Ints) -> _Parts:
-    """Return leaves that are whole blocks or cells, in the order of their rows, and the voxels of all other leaves."""
+    """Return leaves that are whole blocks or cells, in the order of their rows, and the voxels of all other leaves.
+
+    Of a leaf of 2^3 only the lowest voxel is returned.
+    """
     voxels, voxel_rows, wide = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     whole = [(np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for corners, width in leaves_of(field.cells):

@@ -42,8 +42,8 @@ _DISTORTION, _OBJECT_DISTORTION = 0.005, 0.0002
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
 # who walks by or a mistake of a mask, must not change the others.
 _MOST = 0.2
-# Mean residuals of neighbouring pixels above this count less in the stages of an object with the smallest cells: a
-# reflection that only few views show, and that coefficients cannot follow, must not change the others.
+# In the stages with an object's smallest cells, residuals count less where their mean over neighbouring pixels is above
+# this: a reflection that only few views show, and that coefficients cannot represent, must not change the others.
 _MOST_MEAN = 0.05
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 

@@ -19,7 +19,7 @@ precision highp usampler2D;
 precision highp sampler2D;
 
 uniform isampler3D top;     // negative: empty; from 0: a leaf; from WHOLE: row of the whole cell, plus WHOLE
-uniform usampler2D blocks;  // eight 4^3 blocks per leaf: lower and upper mask, first row, bits of the lower mask and flags
+uniform usampler2D blocks;  // eight 4^3 blocks per leaf: both halves of the mask, first row, bits of the lower half and flags
 uniform sampler2D texels;   // red, green, blue of the first coefficient and the density; then the other coefficients
 uniform sampler2D densities;
 uniform vec3 lows[4 * GROUPS + 1];     // for each basis function: a coefficient is lows + widths * texel

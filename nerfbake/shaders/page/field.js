@@ -155,8 +155,9 @@ function structureOf(leaves, facts) {
   let rows = 0;
   for (let at = 0; at < blocks.length; at += 4) {
     blocks[at + 2] = rows;
-    blocks[at + 3] += bitsIn(blocks[at]);
-    rows += bitsIn(blocks[at]) + bitsIn(blocks[at + 1]);
+    const lower = bitsIn(blocks[at]);
+    blocks[at + 3] += lower;
+    rows += lower + bitsIn(blocks[at + 1]);
   }
   // Number whole leaves in the order of their nodes, which is the order of the octree's rows.
   for (const i of whole.sort((a, b) => leaves[a] - leaves[b])) {
