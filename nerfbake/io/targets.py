@@ -9,11 +9,11 @@ IDs.
 from __future__ import annotations
 
 import ctypes
-import errno
 import os
 import re
 import shutil
 import stat
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -280,9 +280,8 @@ def _require_place(target: str | Path) -> None:
     with blame(str(target), OutputError):
         with suppress(FileNotFoundError):
             path.lstat()  # fails if there is a file in place of a folder
-        path.parent.stat()
-        if not os.access(path.parent, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        with tempfile.TemporaryFile(dir=path.parent):  # root may write everywhere, but nothing can be created in /proc
+            pass
 
 
 def _require_name(target: str | Path) -> None:
