@@ -189,5 +189,5 @@ def _clock(seconds: float) -> str:
 
 def _is_compiling() -> bool:
     """Return whether numba has been compiling a kernel for longer than PATIENCE."""
-    jit = sys.modules.get("nerfbake.kernels.jit")
-    return jit is not None and jit.compiling_for() > PATIENCE
+    seconds = getattr(sys.modules.get("nerfbake.kernels.jit"), "compiling_for", None)  # None while it is being imported
+    return seconds is not None and seconds() > PATIENCE

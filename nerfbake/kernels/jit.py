@@ -8,24 +8,13 @@ writable, every run compiles. Compiled kernels release the GIL, for kernels.para
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numba
-from numba.core import event
-
-# Numba prefers TBB as its threading layer if it is installed. With TBB, each parallel loop takes longer than the loops
-# before it (1,500 small loops, six times in a row: 0.09, 0.15, 0.29, 0.58, 0.84 and 1.14 CPU seconds). With OpenMP, the
-# time stays constant. Numba's own `workqueue` aborts a process that runs two loops at the same time.
-if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
-    numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
-
-# An OpenMP thread that waits for the others keeps its core busy for a while, unless this policy is set before the
-# library is loaded. On two cores a sample of nerf2mesh took 1.9 CPU seconds instead of 1.0. With a second process doing
-# the same at the same time, it took 4.0 instead of 0.9, and the first sample of each process 11.5 instead of 1.5.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+from numba.core import event, types
+from numba.extending import intrinsic
 
 uncached: list[str] = []  # names of kernels that are compiled again in every process
 
@@ -76,7 +65,7 @@ def compiling_for() -> float:
     return _stopwatch.seconds
 
 
-def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:
+def compiled(*, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:
     """Compile a function.
 
     inline and merged copy the function into its callers: inline before type inference, merged when machine code is
@@ -93,7 +82,7 @@ def compiled(*, parallel: bool = False, inline: bool = False, merged: bool = Fal
 
     def compile_(function: Function) -> Function:
         how: Literal["always", "never"] = "always" if inline else "never"
-        options: Any = {"nogil": True, "parallel": parallel, "inline": how, "forceinline": merged}
+        options: Any = {"nogil": True, "inline": how, "forceinline": merged, "no_cfunc_wrapper": True}
         options["error_model"] = "numpy"
         try:
             result: Any = numba.njit(function, cache=True, **options)
@@ -123,3 +112,35 @@ def _ignore_unreadable_index(dispatcher: Any) -> None:
             return {}
 
     file._load_index = load_index
+
+
+@compiled(merged=True)
+def part_of(count: int, core: int, cores: int) -> tuple[int, int]:
+    """Return the begin and the end of a core's part of 0 .. count. The parts are equal, in the order of the cores."""
+    return count * core // cores, count * (core + 1) // cores
+
+
+def _borrowed(typing: Any, held: Any) -> Any:
+    """borrowed(held): the same array, or the same tuple of arrays and numbers, without counting references.
+
+    Otherwise every call with an array counts a reference, and threads wait for each other at every count. A kernel may
+    borrow its arguments, because its caller keeps them.
+    """
+
+    def borrow(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+        if isinstance(kind, types.BaseTuple):
+            for k, own in enumerate(kind):  # type: ignore[arg-type, var-annotated]
+                value = builder.insert_value(value, borrow(context, builder, own, builder.extract_value(value, k)), k)
+        elif isinstance(kind, types.Array):
+            array = context.make_array(kind)(context, builder, value)
+            array.meminfo = array.meminfo.type(None)
+            value = array._getvalue()
+        return value
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return borrow(context, builder, signature.args[0], arguments[0])
+
+    return held(held), generate
+
+
+borrowed: Any = (lambda held: held) if numba.config.DISABLE_JIT else intrinsic(_borrowed)  # type: ignore[attr-defined]

@@ -4,26 +4,37 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Generator, Iterable
+from functools import wraps
 from threading import Semaphore, Thread
-from typing import TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
+Arguments = ParamSpec("Arguments")
 Item = TypeVar("Item")
 
 
 def cores() -> int:
-    """Return the number of threads: the same as for numba's parallel loops, so NUMBA_NUM_THREADS limits both."""
+    """Return the number of threads. NUMBA_NUM_THREADS limits it, as it limits numba's own parallel loops."""
     bound = os.environ.get("NUMBA_NUM_THREADS", "")
-    return max(1, int(bound) if bound.isdecimal() else os.cpu_count() or 1)
+    if bound.isdecimal():
+        return max(1, int(bound))
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def on_every_core(work: Callable[[int, int], None]) -> None:
-    """Call work(first, step) on every core at once. Each call does every step-th task, starting at `first`.
+def on_every_core(kernel: Callable[Concatenate[int, int, Arguments], None]) -> Callable[Arguments, None]:
+    """Make a compiled kernel(core, cores, ...) a function that runs it on every core at once.
 
-    Use this for compiled kernels without parallel loops: for a kernel with many arrays in tuples, numba takes 14 s to
-    compile a parallel loop that does nothing but call another kernel.
+    core is 0 .. cores - 1. Where tasks are large or take different times, a kernel does the tasks range(core, count,
+    cores). Where they are small, it does those of part_of(): neighbours in memory.
+
+    Numba's own parallel loops are not used: their kernels take two to five times as long to compile.
     """
-    threads = cores()
-    over_chunks(lambda first, _: work(first, threads), threads, 1)
+
+    @wraps(kernel)
+    def run(*arguments: Arguments.args, **named: Arguments.kwargs) -> None:
+        threads = cores()
+        over_chunks(lambda core, _: kernel(core, threads, *arguments, **named), threads, 1)
+
+    return run
 
 
 def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> None:

@@ -8,21 +8,8 @@ import sys
 from pathlib import Path
 
 import numba
-import pytest
 
 from nerfbake.kernels.jit import compiling
-
-
-@pytest.mark.parametrize(("asked", "found"), [({}, "passive"), ({"OMP_WAIT_POLICY": "active"}, "active")])
-def test_threads_that_wait_leave_their_core_to_others_unless_the_user_says_otherwise(
-    asked: dict[str, str], found: str
-) -> None:
-    environment = {key: value for key, value in os.environ.items() if key != "OMP_WAIT_POLICY"} | asked
-    # What OpenMP's own library reads when it is loaded: a process's environment, and not Python's copy of it.
-    code = "import nerfbake.kernels.jit, ctypes; c = ctypes.CDLL(None); c.getenv.restype = ctypes.c_char_p; "
-    code += "print(c.getenv(b'OMP_WAIT_POLICY').decode())"
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == found
 
 
 def test_the_seconds_of_the_compiler_are_told_apart() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-import numba
 import numpy as np
 import pytest
 
@@ -117,14 +116,12 @@ def test_pixels_that_are_not_used_have_no_influence() -> None:
     assert not ((kept[..., 0] > 250) & (kept[..., 1] < 5)).any()
 
 
-def test_threads_do_not_matter() -> None:
-    views, threads = photographed(torus(), around(4)), numba.get_num_threads()
+def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = photographed(torus(), around(4))
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
     first = fit_texture(torus(), views, edge=EDGE).texture
-    numba.set_num_threads(1)
-    try:
-        second = fit_texture(torus(), views, edge=EDGE).texture
-    finally:
-        numba.set_num_threads(threads)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    second = fit_texture(torus(), views, edge=EDGE).texture
     np.testing.assert_array_equal(first, second)
 
 

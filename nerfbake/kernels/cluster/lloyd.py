@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 PARTS = 16
 TRIALS = 4  # draws, of which the best becomes a new seed: 3 % less inertia than one draw
@@ -53,8 +53,16 @@ def group(points: Singles, weight: npt.NDArray[np.float64], start: Ints) -> Grou
 
 def seed(points: Singles, weight: npt.NDArray[np.float64], K: int, random: np.random.Generator) -> Singles:
     """Choose K of the points, far apart, as (K, p): greedy k-means++ (Arthur and Vassilvitskii, 2007), weighted."""
-    chosen = np.empty(K, np.int64)
-    _seed(np.ascontiguousarray(points.T), np.ascontiguousarray(weight), random.random((K, TRIALS)), chosen)
+    across, weight, draws = np.ascontiguousarray(points.T), np.ascontiguousarray(weight), random.random((K, TRIALS))
+    chosen, nearest = np.empty(K, np.int64), np.full(len(points), np.inf, np.float32)
+    attempts, inertia = np.empty((TRIALS, len(points)), np.float32), np.empty(TRIALS)
+    for k in range(K):
+        reach = np.cumsum(nearest * weight if k else weight)
+        drawn = np.minimum(np.searchsorted(reach, draws[k] * reach[-1], side="right"), len(points) - 1)
+        _attempt(across, weight, drawn, nearest, attempts, inertia)
+        best = np.argmin(inertia)
+        chosen[k] = drawn[best]
+        nearest[:] = attempts[best]
     return points[chosen]
 
 
@@ -83,9 +91,10 @@ def nearest_members(label: npt.NDArray[np.int32], distance: Singles, K: int) -> 
     return member
 
 
-@compiled(parallel=True)
-def _radii(points: Singles, start: Ints, mean: Singles, radius: Singles) -> None:
-    for c in prange(len(mean)):
+@on_every_core
+@compiled()
+def _radii(core: int, cores: int, points: Singles, start: Ints, mean: Singles, radius: Singles) -> None:
+    for c in range(core, len(mean), cores):
         widest = 0.0
         for i in range(start[c], start[c + 1]):
             square = 0.0
@@ -95,10 +104,13 @@ def _radii(points: Singles, start: Ints, mean: Singles, radius: Singles) -> None
         radius[c] = np.sqrt(widest)
 
 
-@compiled(parallel=True)
-def _cell_sums(points: Singles, weight: npt.NDArray[np.float64], start: Ints, total: npt.NDArray[np.float64]) -> None:
+@on_every_core
+@compiled()
+def _cell_sums(
+    core: int, cores: int, points: Singles, weight: npt.NDArray[np.float64], start: Ints, total: npt.NDArray[np.float64]
+) -> None:
     p = points.shape[1]
-    for c in prange(len(total)):
+    for c in range(core, len(total), cores):
         for i in range(start[c], start[c + 1]):
             for t in range(p):
                 total[c, t] += weight[i] * points[i, t]
@@ -126,39 +138,43 @@ def squares(point: Singles, others: Singles, out: Singles) -> None:
             out[k] += a * a
 
 
-@compiled(parallel=True)
-def _seed(across: Singles, weight: npt.NDArray[np.float64], draws: npt.NDArray[np.float64], chosen: Ints) -> None:
-    """across (p, m): the points, dimension by dimension."""
+@on_every_core
+@compiled()
+def _attempt(
+    core: int,
+    cores: int,
+    across: Singles,
+    weight: npt.NDArray[np.float64],
+    drawn: Ints,
+    nearest: Singles,
+    attempts: Singles,
+    inertia: npt.NDArray[np.float64],
+) -> None:
+    """Write the squared distances (t, m) to the nearest seed, if each of the drawn points is one, and the inertia (t,).
+
+    across (p, m): the points, dimension by dimension. nearest (m,): the squared distances to the seeds so far.
+    """
     m = across.shape[1]
-    K, trials = draws.shape
-    nearest = np.ones(m, np.float32)  # the first draw depends on the weights only
-    attempt = np.empty((trials, m), np.float32)
-    inertia = np.empty(trials)
-    drawn = np.empty(trials, np.int64)
-    for k in range(K):
-        reach = np.cumsum(nearest * weight)
-        for trial in prange(trials):
-            at = min(np.searchsorted(reach, draws[k, trial] * reach[-1], side="right"), m - 1)
-            own = attempt[trial]
-            squares(across[:, at].copy(), across, own)
-            if k > 0:
-                for i in range(m):
-                    own[i] = own[i] if own[i] < nearest[i] else nearest[i]
-            # Four partial sums, always over the same terms.
-            a, b, c, d = 0.0, 0.0, 0.0, 0.0
-            for i in range(0, m - m % 4, 4):
-                a, b = a + own[i] * weight[i], b + own[i + 1] * weight[i + 1]
-                c, d = c + own[i + 2] * weight[i + 2], d + own[i + 3] * weight[i + 3]
-            for i in range(m - m % 4, m):
-                a += own[i] * weight[i]
-            inertia[trial], drawn[trial] = (a + b) + (c + d), at
-        best = np.argmin(inertia)
-        chosen[k] = drawn[best]
-        nearest[:] = attempt[best]
+    for trial in range(core, len(drawn), cores):
+        own = attempts[trial]
+        squares(across[:, drawn[trial]].copy(), across, own)
+        for i in range(m):
+            own[i] = own[i] if own[i] < nearest[i] else nearest[i]
+        # Four partial sums, always over the same terms.
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0
+        for i in range(0, m - m % 4, 4):
+            a, b = a + own[i] * weight[i], b + own[i + 1] * weight[i + 1]
+            c, d = c + own[i + 2] * weight[i + 2], d + own[i + 3] * weight[i + 3]
+        for i in range(m - m % 4, m):
+            a += own[i] * weight[i]
+        inertia[trial] = (a + b) + (c + d)
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _nearest_centres(
+    core: int,
+    cores: int,
     points: Singles,
     start: Ints,
     mean: Singles,
@@ -169,7 +185,7 @@ def _nearest_centres(
 ) -> None:
     """across (p, K): the centres, dimension by dimension."""
     p, K = across.shape
-    for c in prange(len(mean)):
+    for c in range(core, len(mean), cores):
         to_mean = np.empty(K, np.float32)
         squares(mean[c], across, to_mean)
         closest = f32(np.inf)
@@ -195,12 +211,18 @@ def _nearest_centres(
             label[i], distance[i] = which, best
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _label_sums(
-    points: Singles, weight: npt.NDArray[np.float64], label: npt.NDArray[np.int32], parts: npt.NDArray[np.float64]
+    core: int,
+    cores: int,
+    points: Singles,
+    weight: npt.NDArray[np.float64],
+    label: npt.NDArray[np.int32],
+    parts: npt.NDArray[np.float64],
 ) -> None:
     m, p = points.shape
-    for part in prange(len(parts)):
+    for part in range(core, len(parts), cores):
         for i in range(m * part // len(parts), m * (part + 1) // len(parts)):
             total = parts[part, label[i]]
             for t in range(p):

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles, f32
 from nerfbake.kernels.cluster.lloyd import PARTS, PointCells, squares
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.linear import solve_each
+from nerfbake.kernels.parallel import on_every_core
 
 _FAR = 1e9
 
@@ -51,10 +51,19 @@ def nearest_planes(
     return label
 
 
-@compiled(parallel=True)
-def _moments(points: Singles, features: Singles, weight: Floats, label: npt.NDArray[np.int32], moments: Floats) -> None:
+@on_every_core
+@compiled()
+def _moments(
+    core: int,
+    cores: int,
+    points: Singles,
+    features: Singles,
+    weight: Floats,
+    label: npt.NDArray[np.int32],
+    moments: Floats,
+) -> None:
     m, p = points.shape
-    for part in prange(len(moments)):
+    for part in range(core, len(moments), cores):
         x = np.ones(4)
         for i in range(m * part // len(moments), m * (part + 1) // len(moments)):
             total = moments[part, label[i]]
@@ -68,11 +77,12 @@ def _moments(points: Singles, features: Singles, weight: Floats, label: npt.NDAr
                     total[a, 4 + t] += scaled * points[i, t]
 
 
-@compiled(parallel=True)
-def _nearest_clusters(mean: Singles, across: Singles, found: npt.NDArray[np.int32]) -> None:
+@on_every_core
+@compiled()
+def _nearest_clusters(core: int, cores: int, mean: Singles, across: Singles, found: npt.NDArray[np.int32]) -> None:
     """across (p, K): the centres, dimension by dimension."""
     K, count = across.shape[1], found.shape[1]
-    for c in prange(len(mean)):
+    for c in range(core, len(mean), cores):
         away = np.empty(K, np.float32)
         squares(mean[c], across, away)
         own, held = found[c], 0
@@ -87,8 +97,11 @@ def _nearest_clusters(mean: Singles, across: Singles, found: npt.NDArray[np.int3
             own[at] = k
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _nearest_planes(
+    core: int,
+    cores: int,
     points: Singles,
     features: Singles,
     start: npt.NDArray[np.int64],
@@ -97,7 +110,7 @@ def _nearest_planes(
     label: npt.NDArray[np.int32],
 ) -> None:
     p, count = points.shape[1], candidates.shape[1]
-    for c in prange(len(candidates)):
+    for c in range(core, len(candidates), cores):
         # The candidates' planes, dimension by dimension: a vector register contains several of them.
         near, away = np.empty((p, 4, count), np.float32), np.empty(count, np.float32)
         for q in range(count):

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 Top = npt.NDArray[np.int32]
 
@@ -109,11 +109,11 @@ def new_batch(tasks: int, bricks: int, capacity: int) -> TaskBuffers:
     return TaskBuffers(np.empty((tasks, bricks), np.int32), np.zeros(tasks, np.int64), rows)
 
 
-# Parallel loops only call a function: with more code in the loop, numba was seen to mix up variables of its iterations.
-@compiled(parallel=True)
-def values_by_cell(values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
+@on_every_core
+@compiled()
+def values_by_cell(core: int, cores: int, values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
     """Convert the values of bricks into one row (n, 3 B + 1) for each cell."""
-    for brick in prange(len(first) - 1):
+    for brick in range(core, len(first) - 1, cores):
         _by_cell(values, np.int64(first[brick]), np.int64(first[brick + 1]), out)
 
 
@@ -125,10 +125,11 @@ def _by_cell(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
             out[begin + cell, k] = values[D * begin + k * count + cell]
 
 
-@compiled(parallel=True)
-def values_by_brick(values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
+@on_every_core
+@compiled()
+def values_by_brick(core: int, cores: int, values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
     """Convert one row (n, 3 B + 1) for each cell into the values of bricks: the inverse of values_by_cell()."""
-    for brick in prange(len(first) - 1):
+    for brick in range(core, len(first) - 1, cores):
         _by_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), out)
 
 
@@ -140,10 +141,11 @@ def _by_brick(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
             out[D * begin + k * count + cell] = values[begin + cell, k]
 
 
-@compiled(parallel=True)
-def copy_parents(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
+@on_every_core
+@compiled()
+def copy_parents(core: int, cores: int, rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
     """Fill the values of the new bricks: cell i copies old cell `rows[i]` and keeps its density in the world."""
-    for brick in prange(len(new.slots)):
+    for brick in range(core, len(new.slots), cores):
         _inherit(rows, old, new, brick)
 
 
@@ -161,13 +163,16 @@ def _inherit(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid, brick:
         new.values[start + (D - 1) * count + cell] *= np.float32(finer)
 
 
-@compiled(parallel=True)
-def round_cells(values: Singles, first: npt.NDArray[np.int32], steps: Singles, density_step: float) -> None:
+@on_every_core
+@compiled()
+def round_cells(
+    core: int, cores: int, values: Singles, first: npt.NDArray[np.int32], steps: Singles, density_step: float
+) -> None:
     """Round the coefficients of each cell to multiples of its step (n,), and its density to one of density_step.
 
     All steps are powers of two.
     """
-    for brick in prange(len(first) - 1):
+    for brick in range(core, len(first) - 1, cores):
         _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), steps, np.float32(density_step))
 
 

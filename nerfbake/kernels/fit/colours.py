@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles, as_input
 from nerfbake.kernels.fit.bricks import LOST, ROW, SIGMA, SIZE, BrickGrid, TaskBuffers, Whole
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.march.sh import fill_basis
 from nerfbake.kernels.octree.lookup import dilate
+from nerfbake.kernels.parallel import on_every_core
 
 TILE = 8
 _PLAIN = 3 / 255  # a colour that differs less from the background counts as background
@@ -38,9 +38,12 @@ def downscale(picture: npt.NDArray[np.uint8], background: Floats, masked: bool, 
     _shrink(as_input(picture), background, masked, scale, out)
 
 
-@compiled(parallel=True)
-def _shrink(picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles) -> None:
-    for y in prange(out.shape[0]):
+@on_every_core
+@compiled()
+def _shrink(
+    core: int, cores: int, picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles
+) -> None:
+    for y in range(core, out.shape[0], cores):
         _shrink_row(picture, background, masked, scale, y, out)
 
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.march.traversal import containing_cell
+from nerfbake.kernels.parallel import on_every_core
 
 Marks = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.uint16]
@@ -18,7 +18,6 @@ _HELD, _CLEAR = 1, 2
 TASKS = 4  # tasks that share the rays of a view
 
 
-@compiled(parallel=True)
 def mark_clear(
     low: Floats, size: Floats, eye: Floats, directions: Singles, held: Bits, met: Marks, clear: Counts, inside: Counts
 ) -> None:
@@ -28,32 +27,38 @@ def mark_clear(
     world. directions (m, 3) and held (m,): the rays, and whether each hits the object. met (TASKS, R, R, R): a buffer.
     """
     place = (eye - low) / size
-    for task in prange(TASKS):
-        _mark_part(task, place, size, directions, held, met)
-    for x in prange(len(clear)):
-        _count_slab(x, met, clear, inside)
+    _mark_parts(place, size, directions, held, met)
+    _count(met, clear, inside)
 
 
+@on_every_core
 @compiled()
-def _mark_part(task: int, place: Floats, size: Floats, directions: Singles, held: Bits, met: Marks) -> None:
-    """March the rays of one task and mark cells in the task's part of the buffer."""
-    own, rays = met[task], len(directions)
-    own[:] = 0
-    for ray in range(rays * task // TASKS, rays * (task + 1) // TASKS):
-        d0, d1, d2 = directions[ray, 0] / size[0], directions[ray, 1] / size[1], directions[ray, 2] / size[2]
-        _mark(place[0], place[1], place[2], d0, d1, d2, np.uint8(_HELD if held[ray] else _CLEAR), own)
+def _mark_parts(
+    core: int, cores: int, place: Floats, size: Floats, directions: Singles, held: Bits, met: Marks
+) -> None:
+    """March the rays of each task and mark cells in the task's part of the buffer."""
+    place, size, directions, held, met = borrowed((place, size, directions, held, met))
+    for task in range(core, TASKS, cores):
+        own = met[task]
+        own[:] = 0
+        begin, end = part_of(len(directions), task, TASKS)
+        for ray in range(begin, end):
+            d0, d1, d2 = directions[ray, 0] / size[0], directions[ray, 1] / size[1], directions[ray, 2] / size[2]
+            _mark(place[0], place[1], place[2], d0, d1, d2, np.uint8(_HELD if held[ray] else _CLEAR), own)
 
 
+@on_every_core
 @compiled()
-def _count_slab(x: int, met: Marks, clear: Counts, inside: Counts) -> None:
-    """Combine the marks of all tasks in one slab of cells."""
-    for y in range(clear.shape[1]):
-        for z in range(clear.shape[2]):
-            marks = np.uint8(0)
-            for task in range(TASKS):
-                marks |= met[task, x, y, z]
-            inside[x, y, z] += marks > 0
-            clear[x, y, z] += marks == _CLEAR
+def _count(core: int, cores: int, met: Marks, clear: Counts, inside: Counts) -> None:
+    """Combine the marks of all tasks."""
+    for x in range(core, len(clear), cores):
+        for y in range(clear.shape[1]):
+            for z in range(clear.shape[2]):
+                marks = np.uint8(0)
+                for task in range(TASKS):
+                    marks |= met[task, x, y, z]
+                inside[x, y, z] += marks > 0
+                clear[x, y, z] += marks == _CLEAR
 
 
 @compiled()

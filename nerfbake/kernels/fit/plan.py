@@ -12,15 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Ints
 from nerfbake.kernels.fit.bricks import EMPTY, EMPTY_WIDE, SIZE, Top, top_grid
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 Codes = npt.NDArray[np.int32]
 NONE = -1
-# Parallel loops only call a function: with more code in the loop, numba was seen to mix up variables of its iterations.
 
 
 class BrickPlan(NamedTuple):
@@ -91,9 +90,12 @@ def number_cells(plan: BrickPlan) -> FinalBricks:
     return FinalBricks(top, slots, first, places, made >> 1)
 
 
-@compiled(parallel=True)
-def _kept(slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits, codes: Codes) -> None:
-    for brick in prange(len(slots)):
+@on_every_core
+@compiled()
+def _kept(
+    core: int, cores: int, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits, codes: Codes
+) -> None:
+    for brick in range(core, len(slots), cores):
         _kept_in(brick, slots, first, keep, codes)
 
 
@@ -105,9 +107,10 @@ def _kept_in(brick: int, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int
         codes[brick, place] = row << 1 | slot & 1 if slot >= 0 and keep[row] else NONE
 
 
-@compiled(parallel=True)
-def _doubled(plan: BrickPlan, places: Ints, split: Bits, codes: Codes) -> None:
-    for brick in prange(len(places)):
+@on_every_core
+@compiled()
+def _doubled(core: int, cores: int, plan: BrickPlan, places: Ints, split: Bits, codes: Codes) -> None:
+    for brick in range(core, len(places), cores):
         _doubled_in(brick, plan, places, split, codes)
 
 
@@ -121,9 +124,10 @@ def _doubled_in(brick: int, plan: BrickPlan, places: Ints, split: Bits, codes: C
         codes[brick, place] = code | 1 if code >= 0 and not split[code >> 1] else code
 
 
-@compiled(parallel=True)
-def _number(codes: Codes, slots: npt.NDArray[np.int16], counts: Ints) -> None:
-    for brick in prange(len(codes)):
+@on_every_core
+@compiled()
+def _number(core: int, cores: int, codes: Codes, slots: npt.NDArray[np.int16], counts: Ints) -> None:
+    for brick in range(core, len(codes), cores):
         _number_in(brick, codes, slots, counts)
 
 
@@ -154,15 +158,18 @@ def _all_empty(codes: Codes, corner: int) -> bool:
     return held == 0
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _collect(
+    core: int,
+    cores: int,
     codes: Codes,
     slots: npt.NDArray[np.int16],
     first: npt.NDArray[np.int32],
     made: npt.NDArray[np.int32],
     places: npt.NDArray[np.int16],
 ) -> None:
-    for brick in prange(len(codes)):
+    for brick in range(core, len(codes), cores):
         _collect_in(brick, codes, slots, first, made, places)
 
 

@@ -81,23 +81,18 @@ class TaskState(NamedTuple):
     leave: Floats
 
 
-def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats) -> None:
+# Arrays are passed in tuples and read from there: for an array that is an argument, or a view of another array, each
+# call counts references, and threads wait for each other at every count. The loop over tasks is not a separate kernel:
+# then everything that it calls would be compiled twice.
+@on_every_core
+@compiled()
+def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats) -> None:
     """Fill the batch with the changes that the pixels require of the cells.
 
     sums (tasks, SUMS): the sum of the squared residuals of the colours; and for each channel of the pixels with alpha 1
     the sum of target times rendered colour, and of the rendered colour squared.
-    """
-    on_every_core(lambda first, step: _march_parts(bricks, batch, view, sums, first, step))
 
-
-# Arrays are passed in tuples and read from there: for an array that is an argument, or a view of another array, each
-# call counts references, and threads wait for each other at every count. The loop over tasks is not a separate kernel:
-# then everything that it calls would be compiled twice.
-@compiled()
-def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats, first: int, step: int) -> None:
-    """Process the pixels and the batch rows of every step-th task.
-
-    These tasks are spread over the picture, so all cores have equal work.
+    The tasks of a core are spread over the picture, so all cores have equal work.
     """
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
@@ -115,7 +110,7 @@ def _march_parts(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Flo
         np.empty(len(bricks.low)),
     )
     ends = np.zeros(rays + 1, np.int64)
-    for task in range(first, tasks, step):
+    for task in range(core, tasks, cores):
         batch.used[task] = 0
         batch.base[task, :] = UNMET
         sums[task, :] = 0

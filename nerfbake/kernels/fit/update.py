@@ -45,32 +45,26 @@ class LearningRates(NamedTuple):
     rays: float
 
 
-def take_steps(
-    bricks: BrickGrid, batch: TaskBuffers, eye: Floats, means: Singles, seen: Singles, steps: LearningRates
-) -> None:
-    """Step the values of all cells that the batch has hit. Source of the steps: docs/fitting.md, "How it is fitted".
-
-    means (n, 2): moving means of curvature and of weight, 0 for cells that were never hit. seen (n, 2): the largest
-    weight that a ray gave the cell, and the sum of weight times the residual of its pixels. Both are updated.
-    """
-    on_every_core(lambda first, step: _step_blocks(bricks, batch, eye, means, seen, steps, first, step))
-
-
+@on_every_core
 @compiled()
-def _step_blocks(
+def take_steps(
+    core: int,
+    cores: int,
     bricks: BrickGrid,
     batch: TaskBuffers,
     eye: Floats,
     means: Singles,
     seen: Singles,
     steps: LearningRates,
-    first: int,
-    step: int,
 ) -> None:
-    """Step the bricks in every step-th block of places of the top grid."""
+    """Step the values of all cells that the batch has hit. Source of the steps: docs/fitting.md, "How it is fitted".
+
+    means (n, 2): moving means of curvature and of weight, 0 for cells that were never hit. seen (n, 2): the largest
+    weight that a ray gave the cell, and the sum of weight times the residual of its pixels. Both are updated.
+    """
     r, places, B = bricks.top.shape[1], bricks.top.size, len(steps.ridge)
     sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_colour_buffer(B)
-    for block in range(first, (places + _BLOCK - 1) // _BLOCK, step):
+    for block in range(core, (places + _BLOCK - 1) // _BLOCK, cores):
         for place in range(block * _BLOCK, min((block + 1) * _BLOCK, places)):
             shell, at0, at1, at2 = place // (r * r * r), place // (r * r) % r, place // r % r, place % r
             brick = np.int64(bricks.top[shell * r + at0, at1, at2])

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
+from nerfbake.kernels.parallel import on_every_core
 
 
 def weighted_means(values: Singles, weights: Floats, group: int) -> Singles:
@@ -29,9 +29,11 @@ def weighted_means(values: Singles, weights: Floats, group: int) -> Singles:
     return out
 
 
-@compiled(parallel=True)
-def _means(values: Singles, weights: Floats, group: int, out: Singles) -> None:
-    for k in prange(len(out)):
+@on_every_core
+@compiled()
+def _means(core: int, cores: int, values: Singles, weights: Floats, group: int, out: Singles) -> None:
+    begin, end = part_of(len(out), core, cores)
+    for k in range(begin, end):
         whole = 0.0
         for row in range(k * group, (k + 1) * group):
             whole += weights[row]
@@ -150,11 +152,15 @@ def _steps_in(at: float, step: float) -> float:
     return min((1 - inside) / step if step > 0 else inside / -step if step < 0 else _FAR, _FAR)
 
 
-@compiled(parallel=True)
-def _sums(blocks: BlockNodes, table: Singles, planes: Singles, places: Floats, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _sums(
+    core: int, cores: int, blocks: BlockNodes, table: Singles, planes: Singles, places: Floats, out: Singles
+) -> None:
+    blocks, table, planes, places, out = borrowed((blocks, table, planes, places, out))
     m, C = out.shape
     side, cells = blocks.edge + 1, planes.shape[1] - 1
-    for part in prange((m + _AT_ONCE - 1) // _AT_ONCE):
+    for part in range(core, (m + _AT_ONCE - 1) // _AT_ONCE, cores):
         total = np.zeros(C)
         for n in range(part * _AT_ONCE, min((part + 1) * _AT_ONCE, m)):
             u, v, w = places[n, 0], places[n, 1], places[n, 2]

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles, f32
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.maths.linear import product, solve_each
+from nerfbake.kernels.parallel import on_every_core
 
 LEAST = 1 / 510  # half of the smallest colour in 8 bits: logits nearer to 0 and 1 make no visible difference
 _LANES = 64
@@ -47,10 +47,12 @@ def refit_coefficients(features: Singles, basis: Singles, inverse: Singles) -> S
     return out.reshape(len(features), -1)
 
 
-@compiled(parallel=True)
-def _show(features: Singles, basis: Singles, ray: Ints, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _show(core: int, cores: int, features: Singles, basis: Singles, ray: Ints, out: Singles) -> None:
     B = basis.shape[1]
-    for i in prange(len(features)):
+    begin, end = part_of(len(features), core, cores)
+    for i in range(begin, end):
         own = basis[ray[i]]
         for channel in range(3):
             total = f32(0.5)
@@ -59,11 +61,12 @@ def _show(features: Singles, basis: Singles, ray: Ints, out: Singles) -> None:
             out[i, channel] = max(total, f32(0))
 
 
-@compiled(parallel=True)
-def _refit(pairs: Singles, basis: Singles, inverse: Singles, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _refit(core: int, cores: int, pairs: Singles, basis: Singles, inverse: Singles, out: Singles) -> None:
     p, B = pairs.shape
     lowest, highest = f32(LEAST), f32(1 - LEAST)
-    for block in prange((p + _LANES - 1) // _LANES):
+    for block in range(core, (p + _LANES - 1) // _LANES, cores):
         begin, end = block * _LANES, min((block + 1) * _LANES, p)
         own, sums = np.zeros((B, _LANES), np.float32), np.zeros((len(inverse), _LANES), np.float32)
         x, powers = np.empty(_LANES, np.float32), np.empty(_LANES, np.int32)

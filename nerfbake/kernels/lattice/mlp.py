@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles, as_input, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.maths.linear import product
+from nerfbake.kernels.parallel import on_every_core
 
 LANES = 64  # features at a time
 
@@ -126,11 +126,12 @@ def relu(x: Singles) -> None:
             row[lane] = max(row[lane], f32(0))
 
 
-@compiled(parallel=True)
-def _along(features: Singles, layers: Layers, ray: Ints, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _along(core: int, cores: int, features: Singles, layers: Layers, ray: Ints, out: Singles) -> None:
     k, F = features.shape
     H = len(layers.by_feature)
-    for block in prange((k + LANES - 1) // LANES):
+    for block in range(core, (k + LANES - 1) // LANES, cores):
         begin, end = block * LANES, min((block + 1) * LANES, k)
         x, hidden = np.zeros((F, LANES), np.float32), np.zeros((H, LANES), np.float32)
         other, logits = np.empty((H, LANES), np.float32), np.empty((3, LANES), np.float32)
@@ -147,11 +148,12 @@ def _along(features: Singles, layers: Layers, ray: Ints, out: Singles) -> None:
                 out[begin + lane, channel] = logits[channel, lane]
 
 
-@compiled(parallel=True)
-def _project(features: Singles, layers: Layers, inverse: Singles, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _project(core: int, cores: int, features: Singles, layers: Layers, inverse: Singles, out: Singles) -> None:
     m, F = features.shape
     H, B = len(layers.by_feature), len(inverse)
-    for block in prange((m + LANES - 1) // LANES):
+    for block in range(core, (m + LANES - 1) // LANES, cores):
         begin, end = block * LANES, min((block + 1) * LANES, m)
         x, base = np.zeros((F, LANES), np.float32), np.zeros((H, LANES), np.float32)
         hidden, other = np.empty((H, LANES), np.float32), np.empty((H, LANES), np.float32)

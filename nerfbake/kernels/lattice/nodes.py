@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles, as_input
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.lattice.blocks import NO_PLANES, NOWHERE, raw_at
 from nerfbake.kernels.maths.elementary import exp_parts
+from nerfbake.kernels.parallel import on_every_core
 
 RELU, SOFTPLUS, OPACITY, EXPONENTIAL = 0, 1, 2, 3
 _LN2 = 0.6931471805599453
@@ -84,9 +84,12 @@ def in_nodes(places: Floats, shape: tuple[int, int, int], corners: bool) -> Floa
     return np.clip(at, 0, edges - 1)
 
 
-@compiled(parallel=True)
-def _densities(nodes: DensityNodes, places: Floats, out: Singles) -> None:
-    for i in prange(len(places)):
+@on_every_core
+@compiled()
+def _densities(core: int, cores: int, nodes: DensityNodes, places: Floats, out: Singles) -> None:
+    nodes, places, out = borrowed((nodes, places, out))
+    begin, end = part_of(len(places), core, cores)
+    for i in range(begin, end):
         out[i] = density_at(nodes, places[i, 0], places[i, 1], places[i, 2])
 
 
@@ -151,10 +154,13 @@ def _linked(nodes: DensityNodes, u: float, v: float, w: float) -> tuple[bool, fl
     return held, total
 
 
-@compiled(parallel=True)
-def _blended(links: npt.NDArray[np.int32], table: Singles, at: Floats, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _blended(core: int, cores: int, links: npt.NDArray[np.int32], table: Singles, at: Floats, out: Singles) -> None:
+    links, table, at, out = borrowed((links, table, at, out))
     X, Y, Z = links.shape
-    for n in prange(len(at)):
+    begin, end = part_of(len(at), core, cores)
+    for n in range(begin, end):
         own = out[n]
         own[:] = 0
         x, fx = _below(at[n, 0], X)

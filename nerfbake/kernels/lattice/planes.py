@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles, as_input
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 
 def touched_cells(nodes: Bits) -> Bits:
@@ -63,8 +63,11 @@ def values_of(links: npt.NDArray[np.int32], factors: Factors, out: Singles) -> N
     _values(links, *Factors._make(map(as_input, factors)), out)
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _values(
+    core: int,
+    cores: int,
     links: npt.NDArray[np.int32],
     xy: Singles,
     xz: Singles,
@@ -77,7 +80,7 @@ def _values(
 ) -> None:
     X, Y, Z = links.shape
     R, S, T = xy.shape[2], xz.shape[2], yz.shape[2]
-    for column in prange(X * Y):
+    for column in range(core, X * Y, cores):
         x, y = column // Y, column % Y
         parts = np.empty(R + S + T, np.float32)
         for z in range(Z):

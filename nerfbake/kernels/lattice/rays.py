@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.lattice.blocks import empty_steps
 from nerfbake.kernels.lattice.nodes import DensityNodes, density_at
 from nerfbake.kernels.march.traversal import compiled_exp_parts
+from nerfbake.kernels.parallel import on_every_core
 
 _BLOCK = 64  # rays that a core processes before it takes the next block
 
@@ -59,8 +59,11 @@ def composite_values(samples: Samples, values: Singles) -> Singles:
     return out
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _march(
+    core: int,
+    cores: int,
     nodes: DensityNodes,
     origin: Floats,
     directions: Floats,
@@ -78,8 +81,11 @@ def _march(
     keep False: count each ray's samples in first[ray + 1], and write the range of steps that contains them to spans (m,
     2). keep True: visit only these steps, and write the samples from first[ray] on.
     """
+    nodes, origin, directions, first, spans, places, weights, lost = borrowed(
+        (nodes, origin, directions, first, spans, places, weights, lost)
+    )
     m = len(directions)
-    for block in prange((m + _BLOCK - 1) // _BLOCK):
+    for block in range(core, (m + _BLOCK - 1) // _BLOCK, cores):
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, m)):
             start, end = _span(origin, directions, ray)
             through, far, number = 1.0, 0.0, 0
@@ -132,9 +138,11 @@ def _span(origin: Floats, directions: Floats, ray: int) -> tuple[float, float]:
     return start, max(start, end)
 
 
-@compiled(parallel=True)
-def _gather(first: Ints, weights: Singles, colours: Singles, out: Singles) -> None:
-    for ray in prange(len(out)):
+@on_every_core
+@compiled()
+def _gather(core: int, cores: int, first: Ints, weights: Singles, colours: Singles, out: Singles) -> None:
+    begin, end = part_of(len(out), core, cores)
+    for ray in range(begin, end):
         red, green, blue = 0.0, 0.0, 0.0
         for i in range(first[ray], first[ray + 1]):
             red += weights[i] * colours[i, 0]
@@ -143,9 +151,11 @@ def _gather(first: Ints, weights: Singles, colours: Singles, out: Singles) -> No
         out[ray, 0], out[ray, 1], out[ray, 2] = red, green, blue
 
 
-@compiled(parallel=True)
-def _sum(first: Ints, weights: Singles, values: Singles, out: Singles) -> None:
-    for ray in prange(len(out)):
+@on_every_core
+@compiled()
+def _sum(core: int, cores: int, first: Ints, weights: Singles, values: Singles, out: Singles) -> None:
+    begin, end = part_of(len(out), core, cores)
+    for ray in range(begin, end):
         total = out[ray]
         for i in range(first[ray], first[ray + 1]):
             weight, own = weights[i], values[i]

@@ -14,13 +14,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nerfbake import progress
 from nerfbake.kernels.arrays import Ints, Singles, f32
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.lattice.mlp import LANES, dense, relu
 from nerfbake.kernels.march.traversal import sigmoid_of
+from nerfbake.kernels.parallel import on_every_core
 
 BATCH = 2048  # pairs per round
 _GROUPS = 8
@@ -106,8 +106,11 @@ def _joined(tiles: Singles) -> Singles:
     return tiles.transpose(1, 0, 2).reshape(tiles.shape[1], -1)
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _backpropagate(
+    core: int,
+    cores: int,
     pairs: TrainingRows,
     weights: Weights,
     middle_across: Singles,
@@ -121,7 +124,7 @@ def _backpropagate(
 ) -> None:
     H, inputs = weights.first.shape
     each = len(row) // _GROUPS
-    for group in prange(_GROUPS):
+    for group in range(core, _GROUPS, cores):
         x, x_across = np.zeros((inputs, LANES), np.float32), np.zeros((len(by_first[0]), LANES, LANES), np.float32)
         one, two = np.empty((H, LANES), np.float32), np.empty((H, LANES), np.float32)
         across = np.empty((H // LANES, LANES, LANES), np.float32)

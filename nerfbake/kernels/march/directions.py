@@ -8,13 +8,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
 from nerfbake.kernels.march.sh import fill_basis
 from nerfbake.kernels.march.traversal import compiled_exp_parts, containing_cell, next_cell, span
+from nerfbake.kernels.parallel import on_every_core
 
 _BLOCK = 1024  # rays that a core processes before it takes the next block
 
@@ -44,10 +44,14 @@ def look_and_project(x: Floats, y: Floats, pose: Floats, turn: Floats, axes: Flo
     return ways, basis
 
 
-@compiled(parallel=True)
-def _look(x: Floats, y: Floats, pose: Floats, turn: Floats, axes: Floats, ways: Floats, basis: Singles) -> None:
+@on_every_core
+@compiled()
+def _look(
+    core: int, cores: int, x: Floats, y: Floats, pose: Floats, turn: Floats, axes: Floats, ways: Floats, basis: Singles
+) -> None:
+    x, y, pose, turn, axes, ways, basis = borrowed((x, y, pose, turn, axes, ways, basis))
     B, width = basis.shape[1], len(x)
-    for row in prange(len(y)):
+    for row in range(core, len(y), cores):
         look, functions = np.empty(3), np.empty(B)
         for column in range(width):
             for axis in range(3):
@@ -66,10 +70,12 @@ def _look(x: Floats, y: Floats, pose: Floats, turn: Floats, axes: Floats, ways: 
             )
 
 
-@compiled(parallel=True)
-def _face(looks: Floats, turn: Floats, axes: Floats, ways: Floats, basis: Singles) -> None:
+@on_every_core
+@compiled()
+def _face(core: int, cores: int, looks: Floats, turn: Floats, axes: Floats, ways: Floats, basis: Singles) -> None:
+    looks, turn, axes, ways, basis = borrowed((looks, turn, axes, ways, basis))
     B = basis.shape[1]
-    for block in prange((len(looks) + _BLOCK - 1) // _BLOCK):
+    for block in range(core, (len(looks) + _BLOCK - 1) // _BLOCK, cores):
         functions = np.empty(B)
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(looks))):
             turn_look(looks[ray, 0], looks[ray, 1], looks[ray, 2], turn, axes, ways, basis, ray, functions)

@@ -6,20 +6,23 @@ from math import log
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.traversal import compiled_exp_parts, containing_cell, next_cell, shuffled
+from nerfbake.kernels.march.traversal import compiled_exp_parts, containing_cell, next_cell
+from nerfbake.kernels.parallel import on_every_core
 
 HALF = log(2)  # the optical depth at which half of the light is left
 _OPAQUE = 7.0  # the optical depth at which a ray ends: 1/1000 of its light is left
 _ROWS = 4  # rows of a picture that a core processes before it takes the next ones
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def march_medians(
+    core: int,
+    cores: int,
     cells: Cells,
     densities: Singles,
     box: Floats,
@@ -34,10 +37,12 @@ def march_medians(
     Fills alpha (H, W), too. densities (leaves,) per world unit; box (2, 3) in cells; place (3, 4): cells of the world;
     pose (3, 4): camera to world, OpenGL axes; optics: fx, fy, cx, cy of a pinhole, in pixels.
     """
+    cells, densities, box, place, pose, optics, depth, alpha = borrowed(
+        (cells, densities, box, place, pose, optics, depth, alpha)
+    )
     H, W = depth.shape
     blocks = (H + _ROWS - 1) // _ROWS
-    for turn in prange(blocks):
-        block = shuffled(turn, blocks)
+    for block in range(core, blocks, cores):
         for y in range(block * _ROWS, min((block + 1) * _ROWS, H)):
             for x in range(W):
                 depth[y, x], alpha[y, x] = _march(cells, densities, box, place, pose, optics, x, y)

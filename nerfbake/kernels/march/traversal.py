@@ -11,14 +11,14 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import prange
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
 from nerfbake.kernels.maths.elementary import exp_parts
+from nerfbake.kernels.parallel import on_every_core
 
 SINGLES = 16  # float32 in a cache line, which is fetched as a whole
 
@@ -53,8 +53,11 @@ _HITS = 64  # leaves that a ray hits before their colours are added up
 compiled_exp_parts: Any = compiled()(exp_parts)
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def march(
+    core: int,
+    cores: int,
     cells: Cells,
     values: Singles,
     densities: Singles,
@@ -74,9 +77,11 @@ def march(
     """
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
+    cells, values, densities, basis = borrowed((cells, values, densities, basis))
+    box, origin, directions = borrowed((box, origin, directions))
     blocks = (len(directions) + _BLOCK - 1) // _BLOCK
-    for turn in prange(blocks):
-        block, rows, weights = shuffled(turn, blocks), np.empty(_HITS, np.int64), np.empty(_HITS)
+    for block in range(core, blocks, cores):
+        rows, weights = np.empty(_HITS, np.int64), np.empty(_HITS)
         looks = np.empty((3, _HITS), np.float32)
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
@@ -247,13 +252,3 @@ def span(box: Floats, origin: Floats, directions: Floats, ray: int, stop: float)
         elif low > 0 or high <= 0:
             end = -1.0
     return start, max(start, end), scale
-
-
-@compiled()
-def shuffled(turn: int, blocks: int) -> int:
-    """Return the block for this iteration.
-
-    Each core's run of iterations is spread over the picture, so all cores have equal work.
-    """
-    half = (blocks + 1) // 2
-    return 2 * turn if turn < half else 2 * (turn - half) + 1

@@ -11,27 +11,29 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend
 from nerfbake.kernels.march.traversal import (
     _BLOCK,
     compiled_exp_parts,
     containing_cell,
     next_cell,
-    shuffled,
     sigmoid_of,
     span,
     sums,
 )
+from nerfbake.kernels.parallel import on_every_core
 
 GAUSS = 0.5 - 0.5 / sqrt(3)  # of an interval: its first Gauss point; the second is as far from the end
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def march_smooth(
+    core: int,
+    cores: int,
     cells: Cells,
     values: Singles,
     densities: Singles,
@@ -47,11 +49,14 @@ def march_smooth(
 
     Positions count from the centre of the first cell, and the box extends from centre to centre.
     """
+    cells, values, densities, box, origin, directions, stop, basis, out = borrowed(
+        (cells, values, densities, box, origin, directions, stop, basis, out)
+    )
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
     blocks = (len(directions) + _BLOCK - 1) // _BLOCK
-    for turn in prange(blocks):
-        block, corners = shuffled(turn, blocks), np.zeros((8, 4))
+    for block in range(core, blocks, cores):
+        corners = np.zeros((8, 4))
         for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, len(directions))):
             start, end, scale = span(box, origin, directions, ray, stop[ray])
             d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 _TILE_ROWS, _TILE_COLUMNS = 8, 256  # size of a tile of the result: its 16 KB stay in the first-level cache
 _DEPENDENT = 1e-6  # of its length: a column that keeps less is dependent on the previous ones
@@ -39,11 +39,12 @@ def principal_axes(points: Floats, count: int, *, rounds: int = 4) -> Floats:
     return axes
 
 
-@compiled(parallel=True)
-def _product(a: Floats, b: npt.NDArray[Any], out: Floats) -> None:
+@on_every_core
+@compiled()
+def _product(core: int, cores: int, a: Floats, b: npt.NDArray[Any], out: Floats) -> None:
     m, n = out.shape
     wide = (n + _TILE_COLUMNS - 1) // _TILE_COLUMNS
-    for tile in prange((m + _TILE_ROWS - 1) // _TILE_ROWS * wide):
+    for tile in range(core, (m + _TILE_ROWS - 1) // _TILE_ROWS * wide, cores):
         top, left = tile // wide * _TILE_ROWS, tile % wide * _TILE_COLUMNS
         right = min(left + _TILE_COLUMNS, n)
         for s in range(len(b)):
@@ -122,10 +123,11 @@ def _factorise(band: Floats) -> None:
             band[i, i - j] = np.sqrt(total) if i == j else total / band[j, 0]
 
 
-@compiled(parallel=True)
-def _substitute(band: Floats, x: Floats) -> None:
+@on_every_core
+@compiled()
+def _substitute(core: int, cores: int, band: Floats, x: Floats) -> None:
     n, w = band.shape
-    for part in prange((x.shape[1] + _COLUMNS - 1) // _COLUMNS):
+    for part in range(core, (x.shape[1] + _COLUMNS - 1) // _COLUMNS, cores):
         # A contiguous copy: 64 columns of 2,197 rows are 1.1 MB.
         own = x[:, part * _COLUMNS : (part + 1) * _COLUMNS].copy()
         for i in range(n):

@@ -227,14 +227,15 @@ def restore(
     low, high = (np.searchsorted(blocks.heads, each[: b - 1]).astype(np.int32) for each in (merges.low, merges.high))
     sums = inverse(rows[:b], steps, merges._replace(low=low, high=high))
     values, last = np.zeros(rows.shape, np.float32), np.empty(len(rows))
-    on_every_core(
-        lambda first, step: _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last, first, step)
-    )
+    _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last)
     return values, last
 
 
+@on_every_core
 @compiled()
 def _restore(
+    core: int,
+    cores: int,
     rows: npt.NDArray[Any],
     steps: Floats,
     merges: Merges,
@@ -244,14 +245,11 @@ def _restore(
     leaf: Ints,
     values: npt.NDArray[np.float32],
     last: Floats,
-    first: int,
-    step: int,
 ) -> None:
-    """Restore every step-th block."""
     C = len(steps)
     own = np.empty(C - 1)
     low, high, low_count, high_count = merges.low, merges.high, merges.low_count, merges.high_count
-    for block in range(first, len(sums), step):
+    for block in range(core, len(sums), cores):
         begin = blocks.heads[block]
         points = np.empty((blocks.heads[block + 1] - begin, C))
         points[0] = sums[block]

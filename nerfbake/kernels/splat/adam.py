@@ -97,9 +97,7 @@ def take_steps(
     # In the order of the splats: in that of depth, loading the moments took three times as long as computing them.
     row_of = np.full(len(splats.means), -1, np.int32)
     row_of[order] = np.arange(len(order), dtype=np.int32)
-    on_every_core(
-        lambda first, step: _take_steps(splats, eye, antialiased, rows, row_of, entries, moments, sizes, first, step)
-    )
+    _take_steps(splats, eye, antialiased, rows, row_of, entries, moments, sizes)
 
 
 @compiled()
@@ -120,8 +118,11 @@ def _write_gradients(
                 gradient[order[row], k] = own[k]
 
 
+@on_every_core
 @compiled()
 def _take_steps(
+    core: int,
+    cores: int,
     splats: SplatArrays,
     eye: Eye,
     antialiased: bool,
@@ -130,12 +131,10 @@ def _take_steps(
     entries: Entries,
     moments: Moments,
     sizes: StepSizes,
-    first: int,
-    step: int,
 ) -> None:
     own, total, basis = np.zeros(moments.first.shape[1], np.float32), np.zeros(SUMS), np.zeros(splats.sh.shape[1])
     n = len(row_of)
-    for chunk in range(first, (n + _CHUNK - 1) // _CHUNK, step):
+    for chunk in range(core, (n + _CHUNK - 1) // _CHUNK, cores):
         for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
             row = row_of[i]
             if row >= 0 and _sum_entries(entries, row, total):

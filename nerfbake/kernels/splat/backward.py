@@ -56,19 +56,11 @@ class TargetPicture(NamedTuple):
     partial: bool
 
 
-def blend_back(
-    rows: Singles, lists: TileLists, columns: int, places: Floats, target: TargetPicture, sums: Singles, errors: Floats
-) -> None:
-    """Write the sums (entries, SUMS) of each entry of the lists, and the error of each tile.
-
-    errors (tiles,): the sum of the squared differences of the colours. The error that is differentiated is half of
-    that, plus alpha's. For the others see blend().
-    """
-    on_every_core(lambda first, step: _blend_back(rows, lists, columns, places, target, sums, errors, first, step))
-
-
+@on_every_core
 @compiled()
-def _blend_back(
+def blend_back(
+    core: int,
+    cores: int,
     rows: Singles,
     lists: TileLists,
     columns: int,
@@ -76,15 +68,18 @@ def _blend_back(
     target: TargetPicture,
     sums: Singles,
     errors: Floats,
-    first: int,
-    step: int,
 ) -> None:
+    """Write the sums (entries, SUMS) of each entry of the lists, and the error of each tile.
+
+    errors (tiles,): the sum of the squared differences of the colours. The error that is differentiated is half of
+    that, plus alpha's. For the others see blend().
+    """
     state, band = np.empty(PLANES * PIXELS, np.float32), np.empty((EDGE, 2), np.float32)
     near = np.empty((CHUNK, COLUMNS), np.float32)
     lanes = np.empty(SUMS * LANES, np.float32)
     height, width = target.pixels.shape[:2]
     even = places.shape[0] == 0
-    for tile in range(lists.begin + first, lists.end, step):
+    for tile in range(lists.begin + core, lists.end, cores):
         top, start = tile // columns * EDGE, tile % columns * EDGE
         high, wide = min(EDGE, height - top), min(EDGE, width - start)
         begin_tile(state, band, places, top, start, high, wide)

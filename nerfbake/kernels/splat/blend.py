@@ -68,23 +68,27 @@ class PicturePlanes(NamedTuple):
     background: Singles
 
 
-def blend(rows: Singles, lists: TileLists, columns: int, eye: Eye, places: Floats, out: PicturePlanes) -> None:
+@on_every_core
+@compiled()
+def blend(
+    core: int,
+    cores: int,
+    rows: Singles,
+    lists: TileLists,
+    columns: int,
+    eye: Eye,
+    places: Floats,
+    out: PicturePlanes,
+) -> None:
     """Write the pixels of these tiles.
 
     columns: tiles of a row. places (H, W, 2): where the pixels' centres are without lens distortion, or empty.
     """
-    on_every_core(lambda first, step: _blend(rows, lists, columns, eye, places, out, first, step))
-
-
-@compiled()
-def _blend(
-    rows: Singles, lists: TileLists, columns: int, eye: Eye, places: Floats, out: PicturePlanes, first: int, step: int
-) -> None:
     state, band = np.empty(PLANES * PIXELS, np.float32), np.empty((EDGE, 2), np.float32)
     near = np.empty((CHUNK, COLUMNS), np.float32)
     height, width = out.alpha.shape
     even = places.shape[0] == 0
-    for tile in range(lists.begin + first, lists.end, step):
+    for tile in range(lists.begin + core, lists.end, cores):
         top, start = tile // columns * EDGE, tile % columns * EDGE
         high, wide = min(EDGE, height - top), min(EDGE, width - start)
         begin_tile(state, band, places, top, start, high, wide)

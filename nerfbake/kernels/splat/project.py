@@ -70,21 +70,22 @@ def project(splats: SplatArrays, eye: Eye, antialiased: bool) -> tuple[Singles, 
     """
     n = len(splats.means)
     rows, keys = np.empty((n, COLUMNS), np.float32), np.empty(n, np.float32)
-    on_every_core(lambda first, step: _project(splats, eye, antialiased, rows, keys, first, step))
+    _project(splats, eye, antialiased, rows, keys)
     order = sort_by_depth(keys)
     sorted_rows = np.empty((len(order), COLUMNS), np.float32)
-    on_every_core(lambda first, step: _gather(rows, order, sorted_rows, first, step))
+    _gather(rows, order, sorted_rows)
     return sorted_rows, order
 
 
+@on_every_core
 @compiled()
 def _project(
-    splats: SplatArrays, eye: Eye, antialiased: bool, rows: Singles, keys: Singles, first: int, step: int
+    core: int, cores: int, splats: SplatArrays, eye: Eye, antialiased: bool, rows: Singles, keys: Singles
 ) -> None:
-    """Write the rows of every step-th chunk. A key is the depth, or 0 for a splat that is not visible."""
+    """Write the rows. A key is the depth, or 0 for a splat that is not visible."""
     n = len(splats.means)
     basis = np.empty(splats.sh.shape[1])
-    for chunk in range(first, (n + _CHUNK - 1) // _CHUNK, step):
+    for chunk in range(core, (n + _CHUNK - 1) // _CHUNK, cores):
         for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
             keys[i] = f32(0)
             if _project_one(splats, eye, antialiased, i, rows):
@@ -228,10 +229,11 @@ def _radix_sort(
         other_order[i] = order[i]
 
 
+@on_every_core
 @compiled()
-def _gather(rows: Singles, order: npt.NDArray[np.int32], out: Singles, first: int, step: int) -> None:
+def _gather(core: int, cores: int, rows: Singles, order: npt.NDArray[np.int32], out: Singles) -> None:
     m = len(order)
-    for chunk in range(first, (m + _CHUNK - 1) // _CHUNK, step):
+    for chunk in range(core, (m + _CHUNK - 1) // _CHUNK, cores):
         for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, m)):
             for k in range(COLUMNS):
                 out[i, k] = rows[order[i], k]

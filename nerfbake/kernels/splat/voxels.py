@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Floats, Singles, f32
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.maths.elementary import fibonacci, log
+from nerfbake.kernels.parallel import on_every_core
 
 EDGE = 8  # voxels along an axis of a brick
 SIZE = EDGE**3
@@ -64,11 +64,23 @@ def gaussians_of(means: Singles, scales: Singles, quats: Singles, opacity: Singl
     return found
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _place(
-    means: Singles, scales: Singles, quats: Singles, depth: Floats, low: Floats, h: float, ways: Floats, out: Gaussians
+    core: int,
+    cores: int,
+    means: Singles,
+    scales: Singles,
+    quats: Singles,
+    depth: Floats,
+    low: Floats,
+    h: float,
+    ways: Floats,
+    out: Gaussians,
 ) -> None:
-    for i in prange(len(means)):
+    means, scales, quats, depth, low, ways, out = borrowed((means, scales, quats, depth, low, ways, out))
+    begin, end = part_of(len(means), core, cores)
+    for i in range(begin, end):
         _place_one(means, scales, quats, depth, low, h, ways, out, i)
 
 
@@ -121,10 +133,11 @@ def _place_one(
     out.depth[i] = depth[i] * area / len(ways) / (sqrt(2 * pi) * volume)
 
 
-@compiled(parallel=True)
-def count_in_bricks(splats: Gaussians, counts: npt.NDArray[np.int32]) -> None:
+@on_every_core
+@compiled()
+def count_in_bricks(core: int, cores: int, splats: Gaussians, counts: npt.NDArray[np.int32]) -> None:
     """Write the number of splats that touch each brick of a grid (X, Y, Z)."""
-    for x in prange(counts.shape[0]):
+    for x in range(core, counts.shape[0], cores):
         _count_layer(splats, x, counts[x])
 
 
@@ -140,13 +153,16 @@ def _count_layer(splats: Gaussians, x: int, counts: npt.NDArray[np.int32]) -> No
                     counts[y, z] += 1
 
 
-@compiled(parallel=True)
-def list_in_bricks(splats: Gaussians, x0: int, starts: npt.NDArray[np.int64], order: Numbers) -> None:
+@on_every_core
+@compiled()
+def list_in_bricks(
+    core: int, cores: int, splats: Gaussians, x0: int, starts: npt.NDArray[np.int64], order: Numbers
+) -> None:
     """Write the numbers of the splats that touch each brick in the layers x0, x0 + 1, ... into order, from starts on.
 
     starts (layers, Y, Z) is changed.
     """
-    for layer in prange(starts.shape[0]):
+    for layer in range(core, starts.shape[0], cores):
         _list_layer(splats, x0 + layer, starts[layer], order)
 
 

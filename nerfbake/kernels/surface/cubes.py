@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake import memory
 from nerfbake.kernels.arrays import Coords, Floats, Ints, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
+from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.surface.samples import BITS, CUBE, EDGE, Top, sample_at
 
 _LEAST = 1e-3  # of an edge: how near a vertex may come to a sample, so that no triangle has two equal corners
@@ -160,8 +160,11 @@ def _crossed(top: Top, values: Singles, level: float, x: int, y: int, z: int) ->
     return found
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _count(
+    core: int,
+    cores: int,
     top: Top,
     places: Coords,
     values: Singles,
@@ -171,7 +174,8 @@ def _count(
     counts: Ints,
 ) -> None:
     """Count the vertices and the triangles of each brick, and number the vertices of each sample in its brick."""
-    for brick in prange(len(places)):
+    top, places, values, per_case, first, counts = borrowed((top, places, values, per_case, first, counts))
+    for brick in range(core, len(places), cores):
         vertices, triangles = 0, 0
         for cell in range(CUBE):
             x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
@@ -184,8 +188,11 @@ def _count(
         counts[brick, 0], counts[brick, 1] = vertices, triangles
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _fill(
+    core: int,
+    cores: int,
     top: Top,
     places: Coords,
     values: Singles,
@@ -197,7 +204,10 @@ def _fill(
     positions: Floats,
     faces: npt.NDArray[np.int32],
 ) -> None:
-    for brick in prange(len(places)):
+    top, places, values, table, starts_of, first, starts, positions, faces = borrowed(
+        (top, places, values, table, starts_of, first, starts, positions, faces)
+    )
+    for brick in range(core, len(places), cores):
         triangle = starts[brick, 1]
         for cell in range(CUBE):
             x = places[brick, 0] * EDGE + (cell >> 2 * BITS)

@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nerfbake.kernels.arrays import Coords, Floats, Ints, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend
 from nerfbake.kernels.march.traversal import compiled_exp_parts
+from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.surface.samples import BITS, CUBE, EDGE
 
 
@@ -33,9 +33,17 @@ class DepthViews(NamedTuple):
     optics: Floats
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def fuse_depths(
-    places: Coords, world: Floats, views: DepthViews, truncation: float, fused: Singles, nearest: Singles
+    core: int,
+    cores: int,
+    places: Coords,
+    world: Floats,
+    views: DepthViews,
+    truncation: float,
+    fused: Singles,
+    nearest: Singles,
 ) -> None:
     """Fill fused (b, 64) with the mean, over views, of the distance in front of what they see, -1 to 1 truncations.
 
@@ -43,7 +51,8 @@ def fuse_depths(
     -1, inside. Fills nearest (b, 64), too: the largest distance in front of what a view sees, in truncations, clamped
     to -1 .. 1. places (b, 3): bricks; world (3, 4): the world of the lattice.
     """
-    for brick in prange(len(places)):
+    places, world, views, fused, nearest = borrowed((places, world, views, fused, nearest))
+    for brick in range(core, len(places), cores):
         for cell in range(CUBE):
             x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
             y = places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1)
@@ -91,16 +100,26 @@ def _ahead(views: DepthViews, view: int, w0: float, w1: float, w2: float, trunca
     return True, (found - far) / truncation
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def sample_opacity(
-    places: Coords, cells: Cells, densities: Singles, cell_place: Floats, step: int, width: float, out: Singles
+    core: int,
+    cores: int,
+    places: Coords,
+    cells: Cells,
+    densities: Singles,
+    cell_place: Floats,
+    step: int,
+    width: float,
+    out: Singles,
 ) -> None:
     """Fill out (b, 64) with the opacity of one lattice step of the field around each sample.
 
     cell_place (3,): the cell position of sample (0, 0, 0) minus half a step; step: cells between samples; width: of a
     step, in world units. The density is the mean of the step^3 cells around a sample.
     """
-    for brick in prange(len(places)):
+    places, cells, densities, cell_place, out = borrowed((places, cells, densities, cell_place, out))
+    for brick in range(core, len(places), cores):
         for cell in range(CUBE):
             x = int(cell_place[0]) + step * (places[brick, 0] * EDGE + (cell >> 2 * BITS))
             y = int(cell_place[1]) + step * (places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1))

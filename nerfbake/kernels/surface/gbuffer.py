@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.maths.affine import inverse, rotate
+from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1
 _ROWS = 16  # in a band: each band is processed by one thread, so no two threads write to the same pixel
@@ -59,10 +59,11 @@ def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], p
     return found
 
 
-@compiled(parallel=True)
-def _turn(rays: Floats, matrix: Floats, out: Floats) -> None:
+@on_every_core
+@compiled()
+def _turn(core: int, cores: int, rays: Floats, matrix: Floats, out: Floats) -> None:
     """The same as rotate(), which took a third of the time."""
-    for y in prange(rays.shape[0]):
+    for y in range(core, rays.shape[0], cores):
         for x in range(rays.shape[1]):
             a, b, c = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
             for axis in range(3):
@@ -81,12 +82,21 @@ def _rising(at: Floats) -> Floats:
     return np.stack([np.maximum.accumulate(most) + margin, low])
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _bound(
-    points: Floats, faces: npt.NDArray[np.uint32], columns: Floats, rows: Floats, boxes: npt.NDArray[np.int32]
+    core: int,
+    cores: int,
+    points: Floats,
+    faces: npt.NDArray[np.uint32],
+    columns: Floats,
+    rows: Floats,
+    boxes: npt.NDArray[np.int32],
 ) -> None:
     """Fill (t, 4) the pixels that may see each triangle: left, top, right, bottom, the last two exclusive."""
-    for f in prange(len(faces)):
+    points, faces, columns, rows, boxes = borrowed((points, faces, columns, rows, boxes))
+    begin, end = part_of(len(faces), core, cores)
+    for f in range(begin, end):
         left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
         for corner in range(3):
             p, q = points[faces[f, corner]], points[faces[f, (corner + 1) % 3]]
@@ -120,8 +130,11 @@ def _below(table: Floats, row: int, value: float, strictly: bool) -> int:
     return first
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _fill(
+    core: int,
+    cores: int,
     points: Floats,
     faces: npt.NDArray[np.uint32],
     boxes: npt.NDArray[np.int32],
@@ -131,7 +144,7 @@ def _fill(
     distance: Floats,
 ) -> None:
     H = len(looks)
-    for band in prange((H + _ROWS - 1) // _ROWS):
+    for band in range(core, (H + _ROWS - 1) // _ROWS, cores):
         for f in range(len(faces)):
             top, bottom = max(boxes[f, 1], band * _ROWS), min(boxes[f, 3], (band + 1) * _ROWS)
             if top >= bottom:

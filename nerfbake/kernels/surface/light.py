@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.maths.elementary import sine_cosine
+from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.surface.octahedron import texel_directions, uv_of, with_gutter
 
 DIFFUSE = 0.0  # in place of a roughness
@@ -69,9 +69,20 @@ def filtered(light: Sources, roughness: float, edge: int) -> Singles:
     return np.asarray(with_gutter(found.reshape(1, edge, edge, 3), 1)[0])
 
 
-@compiled(parallel=True)
-def _filter(directions: Floats, light: Floats, angles: Floats, towards: Floats, squared: float, out: Singles) -> None:
-    for i in prange(len(towards)):
+@on_every_core
+@compiled()
+def _filter(
+    core: int,
+    cores: int,
+    directions: Floats,
+    light: Floats,
+    angles: Floats,
+    towards: Floats,
+    squared: float,
+    out: Singles,
+) -> None:
+    begin, end = part_of(len(towards), core, cores)
+    for i in range(begin, end):
         r, g, b, total = 0.0, 0.0, 0.0, 0.0
         for s in range(len(directions)):
             cosine = (
@@ -101,11 +112,20 @@ def highlights(light: Sources, normals: Singles, toward: Singles, roughness: flo
     return found
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _reflect(
-    directions: Floats, light: Floats, normals: Singles, toward: Singles, squared: float, out: Singles
+    core: int,
+    cores: int,
+    directions: Floats,
+    light: Floats,
+    normals: Singles,
+    toward: Singles,
+    squared: float,
+    out: Singles,
 ) -> None:
-    for i in prange(len(normals)):
+    begin, end = part_of(len(normals), core, cores)
+    for i in range(begin, end):
         nx, ny, nz = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])
         vx, vy, vz = float(toward[i, 0]), float(toward[i, 1]), float(toward[i, 2])
         nv = max(nx * vx + ny * vy + nz * vz, 1e-4)

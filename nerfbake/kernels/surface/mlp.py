@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake import progress
 from nerfbake.kernels.arrays import Singles, f32
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.maths.linear import product
+from nerfbake.kernels.parallel import on_every_core
 
 _ROWS = 1 << 16  # colours at a time, for reports of progress
 _LOG2_E = f32(1.4426950408889634)
@@ -154,18 +154,26 @@ def _sigmoid(x: Singles) -> None:
         x[j] = f32(1) / (f32(1) + power[j] * x[j])
 
 
-@compiled(parallel=True)
-def _evaluate(features: Singles, by_direction: Singles, by_feature: Singles, w1: Singles, out: Singles) -> None:
-    for i in prange(len(features)):
+@on_every_core
+@compiled()
+def _evaluate(
+    core: int, cores: int, features: Singles, by_direction: Singles, by_feature: Singles, w1: Singles, out: Singles
+) -> None:
+    features, by_direction, by_feature, w1, out = borrowed((features, by_direction, by_feature, w1, out))
+    begin, end = part_of(len(features), core, cores)
+    for i in range(begin, end):
         _show(features[i], by_direction, by_feature, w1, out[i])
 
 
 _exp_parts: Any = compiled()(exp_parts)
 
 
-@compiled(parallel=True)
-def _evaluate_each(inputs: Singles, w0: Singles, w1: Singles, out: Singles) -> None:
-    for i in prange(len(inputs)):
+@on_every_core
+@compiled()
+def _evaluate_each(core: int, cores: int, inputs: Singles, w0: Singles, w1: Singles, out: Singles) -> None:
+    inputs, w0, w1, out = borrowed((inputs, w0, w1, out))
+    begin, end = part_of(len(inputs), core, cores)
+    for i in range(begin, end):
         r, g, b = f32(0), f32(0), f32(0)
         for k in range(len(w0)):
             h = f32(0)
@@ -178,8 +186,11 @@ def _evaluate_each(inputs: Singles, w0: Singles, w1: Singles, out: Singles) -> N
             out[i, channel] = 1 / (1 + (s + s * q))
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _project(
+    core: int,
+    cores: int,
     features: Singles,
     by_direction: Singles,
     by_feature: Singles,
@@ -188,9 +199,13 @@ def _project(
     shift: Singles,
     out: Singles,
 ) -> None:
+    features, by_direction, by_feature, w1, basis, shift, out = borrowed(
+        (features, by_direction, by_feature, w1, basis, shift, out)
+    )
     n, p = basis.shape
     whole = n - n % 4
-    for i in prange(len(features)):
+    begin, end = part_of(len(features), core, cores)
+    for i in range(begin, end):
         output = np.empty(n, np.float32)
         _show(features[i], by_direction, by_feature, w1, output)
         out[i] = -shift
@@ -239,8 +254,11 @@ def _apart(
     out[0], out[1], out[2], out[3] = whole, whole_square, (e0 + e1) + (e2 + e3), (s0 + s1) + (s2 + s3)
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _differences(
+    core: int,
+    cores: int,
     features: Singles,
     by_direction: Singles,
     by_feature: Singles,
@@ -250,14 +268,21 @@ def _differences(
     weight: Singles,
     out: npt.NDArray[np.float64],
 ) -> None:
-    for i in prange(len(features)):
+    features, by_direction, by_feature, w1, table, index, weight, out = borrowed(
+        (features, by_direction, by_feature, w1, table, index, weight, out)
+    )
+    begin, end = part_of(len(features), core, cores)
+    for i in range(begin, end):
         truth = np.empty(table.shape[1], np.float32)
         _show(features[i], by_direction, by_feature, w1, truth)
         _apart(truth, table, index[i], weight[i], f32(0.5), out[i])
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _exact_differences(
+    core: int,
+    cores: int,
     by_feature: npt.NDArray[np.float64],
     by_direction: npt.NDArray[np.float64],
     w1: npt.NDArray[np.float64],
@@ -266,8 +291,12 @@ def _exact_differences(
     weight: Singles,
     out: npt.NDArray[np.float64],
 ) -> None:
+    by_feature, by_direction, w1, table, index, weight, out = borrowed(
+        (by_feature, by_direction, w1, table, index, weight, out)
+    )
     hidden, n = by_direction.shape
-    for i in prange(len(by_feature)):
+    begin, end = part_of(len(by_feature), core, cores)
+    for i in range(begin, end):
         truth = np.zeros(3 * n)
         for k in range(hidden):
             for j in range(n):

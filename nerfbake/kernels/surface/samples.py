@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Singles
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
+from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1
 BITS = 2
@@ -77,13 +77,23 @@ def sample_at(top: Top, values: Singles, x: int, y: int, z: int) -> float:
     return np.float64(values[brick, (x & low) << 2 * BITS | (y & low) << BITS | z & low])
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def least_along_rays(
-    top: Top, values: Singles, lattice: Floats, pose: Floats, optics: Floats, outside: float, out: Singles
+    core: int,
+    cores: int,
+    top: Top,
+    values: Singles,
+    lattice: Floats,
+    pose: Floats,
+    optics: Floats,
+    outside: float,
+    out: Singles,
 ) -> None:
     """Fill out (H, W) with the smallest value along each ray of a pinhole; `outside` where it meets no brick."""
+    top, values, lattice, pose, optics, out = borrowed((top, values, lattice, pose, optics, out))
     H, W = out.shape
-    for y in prange(H):
+    for y in range(core, H, cores):
         for x in range(W):
             out[y, x] = _least(top, values, lattice, pose, optics, outside, x, y)
 
@@ -142,10 +152,12 @@ def _exit(e: float, d: float, brick: int) -> float:
     return ((brick + 1) * EDGE - e) / d if d > 0 else (brick * EDGE - e) / d
 
 
-@compiled(parallel=True)
-def blur(top: Top, places: Coords, values: Singles, share: float, out: Singles) -> None:
+@on_every_core
+@compiled()
+def blur(core: int, cores: int, top: Top, places: Coords, values: Singles, share: float, out: Singles) -> None:
     """Fill out (b, 64): each value moved by `share` towards the mean of the 3^3 samples around it, weighted 1 2 1."""
-    for brick in prange(len(places)):
+    top, places, values, out = borrowed((top, places, values, out))
+    for brick in range(core, len(places), cores):
         for cell in range(CUBE):
             x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
             y = places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1)
@@ -161,11 +173,12 @@ def blur(top: Top, places: Coords, values: Singles, share: float, out: Singles) 
             out[brick, cell] = (1 - share) * values[brick, cell] + share * total / weights
 
 
-@compiled(parallel=True)
-def spread(top: Top, places: Coords, held: Bits, reach: int, out: Bits) -> None:
+@on_every_core
+@compiled()
+def spread(core: int, cores: int, top: Top, places: Coords, held: Bits, reach: int, out: Bits) -> None:
     """Fill out (b, 64): whether any sample up to `reach` away along each axis is held (b, 64)."""
     low = EDGE - 1
-    for brick in prange(len(places)):
+    for brick in range(core, len(places), cores):
         for cell in range(CUBE):
             x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
             y = places[brick, 1] * EDGE + (cell >> BITS & low)

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Ints, Singles, f32
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.maths.elementary import exp_parts
+from nerfbake.kernels.parallel import on_every_core
 
 HIDDEN = 32  # units, as in nerf2mesh; a constant, so that the loops over them are unrolled
 BLOCK = 64  # pixels that follow one another in memory
@@ -34,8 +34,11 @@ def _sigmoid(x: np.float32) -> np.float32:
     return f32(1 / (1 + (s + s * q)))
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def specular(
+    core: int,
+    cores: int,
     at: Singles,
     starts: npt.NDArray[np.int32],
     directions: Singles,
@@ -50,7 +53,9 @@ def specular(
     exact: the mean of the colours of its lookups, as it is rendered; else the colour of the mean of their features,
     which takes a quarter of the time.
     """
-    for i in prange(len(directions)):
+    at, starts, directions, features, w0, w1, out = borrowed((at, starts, directions, features, w0, w1, out))
+    begin, end = part_of(len(directions), core, cores)
+    for i in range(begin, end):
         early = np.empty(HIDDEN, np.float32)
         for k in range(HIDDEN):
             early[k] = directions[i, 0] * w0[0, k] + directions[i, 1] * w0[1, k] + directions[i, 2] * w0[2, k]
@@ -89,8 +94,11 @@ def specular(
         out[i, 0], out[i, 1], out[i, 2] = r / count, g / count, b / count
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def slopes(
+    core: int,
+    cores: int,
     blocks: Ints,
     at: Singles,
     starts: npt.NDArray[np.int32],
@@ -108,7 +116,10 @@ def slopes(
     rest (p, 3): what the specular colour should be. by_weight (b, 9, HIDDEN): the rows of w0 and the columns of w1.
     by_feature (b, BLOCK, 6): of the pixel's feature, and the squares of the colours' derivatives, summed.
     """
-    for block in prange(len(blocks)):
+    blocks, at, starts, directions, weights, rest, features, w0, w1, by_weight, by_feature = borrowed(
+        (blocks, at, starts, directions, weights, rest, features, w0, w1, by_weight, by_feature)
+    )
+    for block in range(core, len(blocks), cores):
         h, on = np.empty(HIDDEN, np.float32), np.empty(HIDDEN, np.float32)
         sums = by_weight[block]
         sums[:] = f32(0)

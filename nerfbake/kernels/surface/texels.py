@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles, f32
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import compiled, part_of
+from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1
 
@@ -51,8 +51,11 @@ def gather(
     return Lookups(at, starts), pixels
 
 
-@compiled(parallel=True)
+@on_every_core
+@compiled()
 def _gather(
+    core: int,
+    cores: int,
     triangle: npt.NDArray[np.int32],
     weights: Singles,
     faces: npt.NDArray[np.uint32],
@@ -63,7 +66,8 @@ def _gather(
     at: Singles,
 ) -> None:
     W = triangle.shape[1] // finer
-    for i in prange(len(pixels)):
+    begin, end = part_of(len(pixels), core, cores)
+    for i in range(begin, end):
         entry = starts[i]
         top, left = pixels[i] // W * finer, pixels[i] % W * finer
         for y in range(top, top + finer):
@@ -79,11 +83,15 @@ def _gather(
                     entry += 1
 
 
-@compiled(parallel=True)
-def residuals(at: Singles, starts: npt.NDArray[np.int32], texels: Singles, targets: Singles, out: Singles) -> None:
+@on_every_core
+@compiled()
+def residuals(
+    core: int, cores: int, at: Singles, starts: npt.NDArray[np.int32], texels: Singles, targets: Singles, out: Singles
+) -> None:
     """Fill (p, 3): the target of each pixel minus the mean of its lookups in texels (H, W, 3)."""
     H, W, _ = texels.shape
-    for i in prange(len(targets)):
+    begin, end = part_of(len(targets), core, cores)
+    for i in range(begin, end):
         r, g, b = f32(0), f32(0), f32(0)
         for entry in range(starts[i], starts[i + 1]):
             x, y = min(int(at[entry, 0]), W - 2), min(int(at[entry, 1]), H - 2)
@@ -141,12 +149,13 @@ def couple(at: Singles, starts: npt.NDArray[np.int32], weights: Singles, out: Si
             out[y + 1, x + 1, 0] += share * d * d
 
 
-@compiled(parallel=True)
-def smooth(used: Bits, strength: float, out: Singles) -> None:
+@on_every_core
+@compiled()
+def smooth(core: int, cores: int, used: Bits, strength: float, out: Singles) -> None:
     """Add to (H, W, 5) the coupling that keeps used texels similar to their used neighbours right and below."""
     H, W = used.shape
     s = f32(strength)
-    for y in prange(H):
+    for y in range(core, H, cores):
         for x in range(W):
             if not used[y, x]:
                 continue
@@ -190,10 +199,11 @@ def _total(rows: Floats) -> float:
     return float(np.cumsum(rows)[-1])  # from the first to the last; sum() adds in another order
 
 
-@compiled(parallel=True)
-def _weigh(matrix: Singles, rest: Singles, used: Bits, rows: Floats) -> None:
+@on_every_core
+@compiled()
+def _weigh(core: int, cores: int, matrix: Singles, rest: Singles, used: Bits, rows: Floats) -> None:
     H, W, C = rest.shape
-    for y in prange(H):
+    for y in range(core, H, cores):
         total = 0.0
         for x in range(W):
             if used[y, x] and matrix[y, x, 0] > 0:
@@ -202,20 +212,22 @@ def _weigh(matrix: Singles, rest: Singles, used: Bits, rows: Floats) -> None:
         rows[y] = total
 
 
-@compiled(parallel=True)
-def _turn(matrix: Singles, rest: Singles, used: Bits, keep: np.float32, along: Singles) -> None:
+@on_every_core
+@compiled()
+def _turn(core: int, cores: int, matrix: Singles, rest: Singles, used: Bits, keep: np.float32, along: Singles) -> None:
     H, W, C = rest.shape
-    for y in prange(H):
+    for y in range(core, H, cores):
         for x in range(W):
             if used[y, x] and matrix[y, x, 0] > 0:
                 for c in range(C):
                     along[y, x, c] = rest[y, x, c] / matrix[y, x, 0] + keep * along[y, x, c]
 
 
-@compiled(parallel=True)
-def _multiply(matrix: Singles, along: Singles, used: Bits, image: Singles, rows: Floats) -> None:
+@on_every_core
+@compiled()
+def _multiply(core: int, cores: int, matrix: Singles, along: Singles, used: Bits, image: Singles, rows: Floats) -> None:
     H, W, C = along.shape
-    for y in prange(H):
+    for y in range(core, H, cores):
         total = 0.0
         for x in range(W):
             if not used[y, x]:
@@ -244,9 +256,12 @@ def _multiply(matrix: Singles, along: Singles, used: Bits, image: Singles, rows:
         rows[y] = total
 
 
-@compiled(parallel=True)
-def _step(far: np.float32, along: Singles, image: Singles, found: Singles, rest: Singles) -> None:
-    for y in prange(len(found)):
+@on_every_core
+@compiled()
+def _step(
+    core: int, cores: int, far: np.float32, along: Singles, image: Singles, found: Singles, rest: Singles
+) -> None:
+    for y in range(core, len(found), cores):
         for x in range(found.shape[1]):
             for c in range(found.shape[2]):
                 found[y, x, c] += far * along[y, x, c]
@@ -289,10 +304,11 @@ def roughness(texels: Singles, used: Bits, strength: float) -> Singles:
     return out
 
 
-@compiled(parallel=True)
-def _roughness(texels: Singles, used: Bits, strength: np.float32, out: Singles) -> None:
+@on_every_core
+@compiled()
+def _roughness(core: int, cores: int, texels: Singles, used: Bits, strength: np.float32, out: Singles) -> None:
     H, W, C = texels.shape
-    for y in prange(H):
+    for y in range(core, H, cores):
         for x in range(W):
             if not used[y, x]:
                 continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -53,14 +52,13 @@ def test_slopes_are_those_of_the_error(number: int, place: tuple[int, ...], pair
     assert_allclose(found[number][place], (ends[0] - ends[1]) / 2e-5, rtol=1e-3, atol=1e-7)
 
 
-def test_the_error_falls_and_the_bits_hang_on_the_seed_alone(pairs: TrainingRows) -> None:
+def test_the_error_falls_and_the_bits_hang_on_the_seed_alone(
+    pairs: TrainingRows, monkeypatch: pytest.MonkeyPatch
+) -> None:
     start = training._start(np.random.default_rng(3), 8, UNITS)
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        alone = train(pairs, UNITS, rounds=50, seed=3)
-    finally:
-        numba.set_num_threads(before)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    alone = train(pairs, UNITS, rounds=50, seed=3)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
     together, other = train(pairs, UNITS, rounds=50, seed=3), train(pairs, UNITS, rounds=50, seed=4)
     for one, same in zip(alone, together, strict=True):
         assert_array_equal(one, same)

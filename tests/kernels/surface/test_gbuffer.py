@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -172,14 +171,11 @@ def test_the_nearest_wins_whatever_the_order() -> None:
     assert a.triangle.max() < 2 <= b.triangle.min()
 
 
-def test_threads_change_nothing() -> None:
+def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     view = camera(100, 100)
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        alone = see(view, sphere(), cube(0.9))
-    finally:
-        numba.set_num_threads(before)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    alone = see(view, sphere(), cube(0.9))
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
     for one, other in zip(alone, see(view, sphere(), cube(0.9)), strict=True):
         np.testing.assert_array_equal(one, other)
 
