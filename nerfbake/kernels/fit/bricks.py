@@ -114,15 +114,11 @@ def new_batch(tasks: int, bricks: int, capacity: int) -> TaskBuffers:
 def values_by_cell(core: int, cores: int, values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
     """Convert the values of bricks into one row (n, 3 B + 1) for each cell."""
     for brick in range(core, len(first) - 1, cores):
-        _by_cell(values, np.int64(first[brick]), np.int64(first[brick + 1]), out)
-
-
-@compiled()
-def _by_cell(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
-    D, count = out.shape[1], end - begin
-    for cell in range(count):
-        for k in range(D):
-            out[begin + cell, k] = values[D * begin + k * count + cell]
+        begin, end = np.int64(first[brick]), np.int64(first[brick + 1])
+        D, count = out.shape[1], end - begin
+        for cell in range(count):
+            for k in range(D):
+                out[begin + cell, k] = values[D * begin + k * count + cell]
 
 
 @on_every_core
@@ -130,15 +126,11 @@ def _by_cell(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
 def values_by_brick(core: int, cores: int, values: Singles, first: npt.NDArray[np.int32], out: Singles) -> None:
     """Convert one row (n, 3 B + 1) for each cell into the values of bricks: the inverse of values_by_cell()."""
     for brick in range(core, len(first) - 1, cores):
-        _by_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), out)
-
-
-@compiled()
-def _by_brick(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
-    D, count = values.shape[1], end - begin
-    for cell in range(count):
-        for k in range(D):
-            out[D * begin + k * count + cell] = values[begin + cell, k]
+        begin, end = np.int64(first[brick]), np.int64(first[brick + 1])
+        D, count = values.shape[1], end - begin
+        for cell in range(count):
+            for k in range(D):
+                out[D * begin + k * count + cell] = values[begin + cell, k]
 
 
 @on_every_core
@@ -146,21 +138,16 @@ def _by_brick(values: Singles, begin: Whole, end: Whole, out: Singles) -> None:
 def copy_parents(core: int, cores: int, rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
     """Fill the values of the new bricks: cell i copies old cell `rows[i]` and keeps its density in the world."""
     for brick in range(core, len(new.slots), cores):
-        _inherit(rows, old, new, brick)
-
-
-@compiled()
-def _inherit(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid, brick: int) -> None:
-    D, first = len(new.values) // len(rows), np.int64(new.first[brick])
-    count, start = np.int64(new.first[brick + 1]) - first, D * first
-    for cell in range(count):
-        row = np.int64(rows[first + cell])
-        held = np.searchsorted(old.first, row, side="right") - 1
-        old_first, old_count = np.int64(old.first[held]), np.int64(old.first[held + 1] - old.first[held])
-        for k in range(D):
-            new.values[start + k * count + cell] = old.values[D * old_first + k * old_count + row - old_first]
-        finer = len(old.top) * (1 + (new.places[first + cell] & 1)) / (len(new.top) * (1 + (old.places[row] & 1)))
-        new.values[start + (D - 1) * count + cell] *= np.float32(finer)
+        D, first = len(new.values) // len(rows), np.int64(new.first[brick])
+        count, start = np.int64(new.first[brick + 1]) - first, D * first
+        for cell in range(count):
+            row = np.int64(rows[first + cell])
+            held = np.searchsorted(old.first, row, side="right") - 1
+            old_first, old_count = np.int64(old.first[held]), np.int64(old.first[held + 1] - old.first[held])
+            for k in range(D):
+                new.values[start + k * count + cell] = old.values[D * old_first + k * old_count + row - old_first]
+            finer = len(old.top) * (1 + (new.places[first + cell] & 1)) / (len(new.top) * (1 + (old.places[row] & 1)))
+            new.values[start + (D - 1) * count + cell] *= np.float32(finer)
 
 
 @on_every_core
@@ -173,14 +160,10 @@ def round_cells(
     All steps are powers of two.
     """
     for brick in range(core, len(first) - 1, cores):
-        _round_brick(values, np.int64(first[brick]), np.int64(first[brick + 1]), steps, np.float32(density_step))
-
-
-@compiled()
-def _round_brick(values: Singles, begin: Whole, end: Whole, steps: Singles, density_step: Any) -> None:
-    D, count, one = len(values) // len(steps), end - begin, np.float32(1)
-    for k in range(D):
-        start = D * begin + k * count
-        for cell in range(count):
-            step = steps[begin + cell] if k < D - 1 else density_step
-            values[start + cell] = np.rint(values[start + cell] * (one / step)) * step
+        begin, end = np.int64(first[brick]), np.int64(first[brick + 1])
+        D, count, one = len(values) // len(steps), end - begin, np.float32(1)
+        for k in range(D):
+            start = D * begin + k * count
+            for cell in range(count):
+                step = steps[begin + cell] if k < D - 1 else np.float32(density_step)
+                values[start + cell] = np.rint(values[start + cell] * (one / step)) * step

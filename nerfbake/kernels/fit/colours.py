@@ -44,28 +44,23 @@ def _shrink(
     core: int, cores: int, picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, out: Singles
 ) -> None:
     for y in range(core, out.shape[0], cores):
-        _shrink_row(picture, background, masked, scale, y, out)
-
-
-@compiled()
-def _shrink_row(
-    picture: npt.NDArray[np.uint8], background: Floats, masked: bool, scale: int, y: int, out: Singles
-) -> None:
-    ground0, ground1, ground2 = background[0], background[1], background[2]
-    for x in range(out.shape[1]):
-        red, green, blue, held = 0.0, 0.0, 0.0, 0.0
-        for j in range(scale):
-            for i in range(scale):
-                row, column = y * scale + j, x * scale + i
-                alpha = picture[row, column, 3] / 255
-                c0, c1, c2 = picture[row, column, 0] / 255, picture[row, column, 1] / 255, picture[row, column, 2] / 255
-                red += c0 * alpha + ground0 * (1 - alpha)
-                green += c1 * alpha + ground1 * (1 - alpha)
-                blue += c2 * alpha + ground2 * (1 - alpha)
-                differs = max(abs(c0 - ground0), abs(c1 - ground1), abs(c2 - ground2))
-                held += alpha if masked else 1.0 if differs > _PLAIN else 0.0
-        out[y, x, 0], out[y, x, 1] = red / (scale * scale), green / (scale * scale)
-        out[y, x, 2], out[y, x, 3] = blue / (scale * scale), held / (scale * scale)
+        ground0, ground1, ground2 = background[0], background[1], background[2]
+        for x in range(out.shape[1]):
+            red, green, blue, held = 0.0, 0.0, 0.0, 0.0
+            for j in range(scale):
+                for i in range(scale):
+                    row, column = y * scale + j, x * scale + i
+                    alpha = picture[row, column, 3] / 255
+                    c0 = picture[row, column, 0] / 255
+                    c1 = picture[row, column, 1] / 255
+                    c2 = picture[row, column, 2] / 255
+                    red += c0 * alpha + ground0 * (1 - alpha)
+                    green += c1 * alpha + ground1 * (1 - alpha)
+                    blue += c2 * alpha + ground2 * (1 - alpha)
+                    differs = max(abs(c0 - ground0), abs(c1 - ground1), abs(c2 - ground2))
+                    held += alpha if masked else 1.0 if differs > _PLAIN else 0.0
+            out[y, x, 0], out[y, x, 1] = red / (scale * scale), green / (scale * scale)
+            out[y, x, 2], out[y, x, 3] = blue / (scale * scale), held / (scale * scale)
 
 
 @compiled()

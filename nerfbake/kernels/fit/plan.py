@@ -96,58 +96,43 @@ def _kept(
     core: int, cores: int, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits, codes: Codes
 ) -> None:
     for brick in range(core, len(slots), cores):
-        _kept_in(brick, slots, first, keep, codes)
-
-
-@compiled()
-def _kept_in(brick: int, slots: npt.NDArray[np.int16], first: npt.NDArray[np.int32], keep: Bits, codes: Codes) -> None:
-    for place in range(SIZE):
-        slot = slots[brick, place]
-        row = first[brick] + (slot >> 1)
-        codes[brick, place] = row << 1 | slot & 1 if slot >= 0 and keep[row] else NONE
+        for place in range(SIZE):
+            slot = slots[brick, place]
+            row = first[brick] + (slot >> 1)
+            codes[brick, place] = row << 1 | slot & 1 if slot >= 0 and keep[row] else NONE
 
 
 @on_every_core
 @compiled()
 def _doubled(core: int, cores: int, plan: BrickPlan, places: Ints, split: Bits, codes: Codes) -> None:
     for brick in range(core, len(places), cores):
-        _doubled_in(brick, plan, places, split, codes)
-
-
-@compiled()
-def _doubled_in(brick: int, plan: BrickPlan, places: Ints, split: Bits, codes: Codes) -> None:
-    x, y, z = places[brick, 0], places[brick, 1], places[brick, 2]
-    old = plan.top[x >> 1, y >> 1, z >> 1]
-    for place in range(SIZE):
-        i, j, k = 4 * (x & 1) + (place >> 7), 4 * (y & 1) + (place >> 4 & 3), 4 * (z & 1) + (place >> 1 & 3)
-        code = plan.codes[old, i << 6 | j << 3 | k]
-        codes[brick, place] = code | 1 if code >= 0 and not split[code >> 1] else code
+        x, y, z = places[brick, 0], places[brick, 1], places[brick, 2]
+        old = plan.top[x >> 1, y >> 1, z >> 1]
+        for place in range(SIZE):
+            i, j, k = 4 * (x & 1) + (place >> 7), 4 * (y & 1) + (place >> 4 & 3), 4 * (z & 1) + (place >> 1 & 3)
+            code = plan.codes[old, i << 6 | j << 3 | k]
+            codes[brick, place] = code | 1 if code >= 0 and not split[code >> 1] else code
 
 
 @on_every_core
 @compiled()
 def _number(core: int, cores: int, codes: Codes, slots: npt.NDArray[np.int16], counts: Ints) -> None:
     for brick in range(core, len(codes), cores):
-        _number_in(brick, codes, slots, counts)
-
-
-@compiled()
-def _number_in(brick: int, codes: Codes, slots: npt.NDArray[np.int16], counts: Ints) -> None:
-    cell = 0
-    for place in range(SIZE):
-        code, corner = codes[brick, place], place & ~0b001001001
-        if code < 0:
-            slot: Any = EMPTY
-            alone = _all_empty(codes[brick], corner) if place == corner else slots[brick, corner] == EMPTY_WIDE
-            if alone:
-                slot = EMPTY_WIDE
-        elif code & 1 and place != corner:
-            slot = np.int64(slots[brick, corner])
-        else:
-            slot = cell << 1 | code & 1
-            cell += 1
-        slots[brick, place] = slot
-    counts[brick] = cell
+        cell = 0
+        for place in range(SIZE):
+            code, corner = codes[brick, place], place & ~0b001001001
+            if code < 0:
+                slot: Any = EMPTY
+                alone = _all_empty(codes[brick], corner) if place == corner else slots[brick, corner] == EMPTY_WIDE
+                if alone:
+                    slot = EMPTY_WIDE
+            elif code & 1 and place != corner:
+                slot = np.int64(slots[brick, corner])
+            else:
+                slot = cell << 1 | code & 1
+                cell += 1
+            slots[brick, place] = slot
+        counts[brick] = cell
 
 
 @compiled()
@@ -170,22 +155,10 @@ def _collect(
     places: npt.NDArray[np.int16],
 ) -> None:
     for brick in range(core, len(codes), cores):
-        _collect_in(brick, codes, slots, first, made, places)
-
-
-@compiled()
-def _collect_in(
-    brick: int,
-    codes: Codes,
-    slots: npt.NDArray[np.int16],
-    first: npt.NDArray[np.int32],
-    made: npt.NDArray[np.int32],
-    places: npt.NDArray[np.int16],
-) -> None:
-    cell = 0
-    for place in range(SIZE):
-        slot = slots[brick, place]
-        if slot >= 0 and slot >> 1 == cell:
-            made[first[brick] + cell] = codes[brick, place]
-            places[first[brick] + cell] = place << 1 | slot & 1
-            cell += 1
+        cell = 0
+        for place in range(SIZE):
+            slot = slots[brick, place]
+            if slot >= 0 and slot >> 1 == cell:
+                made[first[brick] + cell] = codes[brick, place]
+                places[first[brick] + cell] = place << 1 | slot & 1
+                cell += 1

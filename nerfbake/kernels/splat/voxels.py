@@ -81,56 +81,41 @@ def _place(
     means, scales, quats, depth, low, ways, out = borrowed((means, scales, quats, depth, low, ways, out))
     begin, end = part_of(len(means), core, cores)
     for i in range(begin, end):
-        _place_one(means, scales, quats, depth, low, h, ways, out, i)
-
-
-@compiled()
-def _place_one(
-    means: Singles,
-    scales: Singles,
-    quats: Singles,
-    depth: Floats,
-    low: Floats,
-    h: float,
-    ways: Floats,
-    out: Gaussians,
-    i: int,
-) -> None:
-    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
-    axes = out.axes[i]
-    axes[0, 0], axes[0, 1], axes[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-    axes[1, 0], axes[1, 1], axes[1, 2] = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-    axes[2, 0], axes[2, 1], axes[2, 2] = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-    a, b, c = scales[i, 0] / h, scales[i, 1] / h, scales[i, 2] / h
-    # The depth along v is mass / ((2 pi) sqrt((v1 b c)^2 + (v2 a c)^2 + (v3 a b)^2)), which needs no division by the
-    # scales: a splat may be flat.
-    area = 0.0
-    for j in range(len(ways)):
-        p, q, r = ways[j, 0] * b * c, ways[j, 1] * a * c, ways[j, 2] * a * b
-        area += sqrt(p * p + q * q + r * r)
-    volume = 1.0
-    for k in range(3):
-        out.centre[i, k] = (means[i, k] - low[k]) / h
-        out.reach[i, k] = 0.0
-    for k in range(6):
-        out.form[i, k] = 0.0
-    for k in range(3):
-        own = scales[i, k] / h
-        variance = own * own + _BLUR
-        volume *= sqrt(variance)
-        out.length[i, k] = sqrt(2 * _END * variance)
-        u, v, t, half = axes[k, 0], axes[k, 1], axes[k, 2], 0.5 / variance
-        out.form[i, 0] += half * u * u
-        out.form[i, 1] += half * u * v
-        out.form[i, 2] += half * u * t
-        out.form[i, 3] += half * v * v
-        out.form[i, 4] += half * v * t
-        out.form[i, 5] += half * t * t
+        w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+        axes = out.axes[i]
+        axes[0, 0], axes[0, 1], axes[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+        axes[1, 0], axes[1, 1], axes[1, 2] = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+        axes[2, 0], axes[2, 1], axes[2, 2] = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+        a, b, c = scales[i, 0] / h, scales[i, 1] / h, scales[i, 2] / h
+        # The depth along v is mass / ((2 pi) sqrt((v1 b c)^2 + (v2 a c)^2 + (v3 a b)^2)), which needs no division by
+        # the scales: a splat may be flat.
+        area = 0.0
+        for j in range(len(ways)):
+            p, q, r = ways[j, 0] * b * c, ways[j, 1] * a * c, ways[j, 2] * a * b
+            area += sqrt(p * p + q * q + r * r)
+        volume = 1.0
+        for k in range(3):
+            out.centre[i, k] = (means[i, k] - low[k]) / h
+            out.reach[i, k] = 0.0
+        for k in range(6):
+            out.form[i, k] = 0.0
+        for k in range(3):
+            own = scales[i, k] / h
+            variance = own * own + _BLUR
+            volume *= sqrt(variance)
+            out.length[i, k] = sqrt(2 * _END * variance)
+            u, v, t, half = axes[k, 0], axes[k, 1], axes[k, 2], 0.5 / variance
+            out.form[i, 0] += half * u * u
+            out.form[i, 1] += half * u * v
+            out.form[i, 2] += half * u * t
+            out.form[i, 3] += half * v * v
+            out.form[i, 4] += half * v * t
+            out.form[i, 5] += half * t * t
+            for axis in range(3):
+                out.reach[i, axis] += variance * axes[k, axis] * axes[k, axis]
         for axis in range(3):
-            out.reach[i, axis] += variance * axes[k, axis] * axes[k, axis]
-    for axis in range(3):
-        out.reach[i, axis] = sqrt(2 * _END * out.reach[i, axis])
-    out.depth[i] = depth[i] * area / len(ways) / (sqrt(2 * pi) * volume)
+            out.reach[i, axis] = sqrt(2 * _END * out.reach[i, axis])
+        out.depth[i] = depth[i] * area / len(ways) / (sqrt(2 * pi) * volume)
 
 
 @on_every_core
@@ -138,19 +123,14 @@ def _place_one(
 def count_in_bricks(core: int, cores: int, splats: Gaussians, counts: npt.NDArray[np.int32]) -> None:
     """Write the number of splats that touch each brick of a grid (X, Y, Z)."""
     for x in range(core, counts.shape[0], cores):
-        _count_layer(splats, x, counts[x])
-
-
-@compiled()
-def _count_layer(splats: Gaussians, x: int, counts: npt.NDArray[np.int32]) -> None:
-    counts[:] = 0
-    for i in range(len(splats.centre)):
-        if _misses(splats, i, 0, x):
-            continue
-        for y in range(_first(splats, i, 1), _last(splats, i, 1, counts.shape[0])):
-            for z in range(_first(splats, i, 2), _last(splats, i, 2, counts.shape[1])):
-                if _touches(splats, i, x, y, z):
-                    counts[y, z] += 1
+        counts[x] = 0
+        for i in range(len(splats.centre)):
+            if _misses(splats, i, 0, x):
+                continue
+            for y in range(_first(splats, i, 1), _last(splats, i, 1, counts.shape[1])):
+                for z in range(_first(splats, i, 2), _last(splats, i, 2, counts.shape[2])):
+                    if _touches(splats, i, x, y, z):
+                        counts[x, y, z] += 1
 
 
 @on_every_core
@@ -163,19 +143,14 @@ def list_in_bricks(
     starts (layers, Y, Z) is changed.
     """
     for layer in range(core, starts.shape[0], cores):
-        _list_layer(splats, x0 + layer, starts[layer], order)
-
-
-@compiled()
-def _list_layer(splats: Gaussians, x: int, starts: npt.NDArray[np.int64], order: Numbers) -> None:
-    for i in range(len(splats.centre)):
-        if _misses(splats, i, 0, x):
-            continue
-        for y in range(_first(splats, i, 1), _last(splats, i, 1, starts.shape[0])):
-            for z in range(_first(splats, i, 2), _last(splats, i, 2, starts.shape[1])):
-                if _touches(splats, i, x, y, z):
-                    order[starts[y, z]] = i
-                    starts[y, z] += 1
+        for i in range(len(splats.centre)):
+            if _misses(splats, i, 0, x0 + layer):
+                continue
+            for y in range(_first(splats, i, 1), _last(splats, i, 1, starts.shape[1])):
+                for z in range(_first(splats, i, 2), _last(splats, i, 2, starts.shape[2])):
+                    if _touches(splats, i, x0 + layer, y, z):
+                        order[starts[layer, y, z]] = i
+                        starts[layer, y, z] += 1
 
 
 @compiled(merged=True)
