@@ -26,7 +26,7 @@ def on_every_core(kernel: Callable[Concatenate[int, int, Arguments], None]) -> C
     core is 0 .. cores - 1. Where tasks are large or take different times, a kernel does the tasks range(core, count,
     cores). Where they are small, it does those of part_of(): neighbours in memory.
 
-    Numba's own parallel loops are not used: their kernels take two to five times as long to compile.
+    Numba's own parallel loops are not used: their kernels take 1.4 to 4 times as long to compile.
     """
 
     @wraps(kernel)
