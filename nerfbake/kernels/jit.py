@@ -115,9 +115,9 @@ def _ignore_unreadable_index(dispatcher: Any) -> None:
 
 
 @compiled(merged=True)
-def part_of(count: int, core: int, cores: int) -> tuple[int, int]:
-    """Return the begin and the end of a core's part of 0 .. count. The parts are equal, in the order of the cores."""
-    return count * core // cores, count * (core + 1) // cores
+def part_of(count: int, part: int, parts: int) -> tuple[int, int]:
+    """Return the begin and the end of a part of 0 .. count. The parts are equal, and in order."""
+    return count * part // parts, count * (part + 1) // parts
 
 
 def _borrowed(typing: Any, held: Any) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Ints, Singles, f32
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.parallel import on_every_core
 
 PARTS = 16
@@ -223,7 +223,8 @@ def _label_sums(
 ) -> None:
     m, p = points.shape
     for part in range(core, len(parts), cores):
-        for i in range(m * part // len(parts), m * (part + 1) // len(parts)):
+        begin, end = part_of(m, part, len(parts))
+        for i in range(begin, end):
             total = parts[part, label[i]]
             for t in range(p):
                 total[t] += weight[i] * points[i, t]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats, Singles, f32
 from nerfbake.kernels.cluster.lloyd import PARTS, PointCells, squares
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.maths.linear import solve_each
 from nerfbake.kernels.parallel import on_every_core
 
@@ -65,7 +65,8 @@ def _moments(
     m, p = points.shape
     for part in range(core, len(moments), cores):
         x = np.ones(4)
-        for i in range(m * part // len(moments), m * (part + 1) // len(moments)):
+        begin, end = part_of(m, part, len(moments))
+        for i in range(begin, end):
             total = moments[part, label[i]]
             for a in range(3):
                 x[a + 1] = features[i, a]

@@ -23,7 +23,7 @@ from nerfbake.kernels.fit.bricks import (
 )
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
 from nerfbake.kernels.fit.hull import part_between
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.march.traversal import containing_cell
 from nerfbake.kernels.maths.elementary import exp
 from nerfbake.kernels.parallel import on_every_core
@@ -115,7 +115,8 @@ def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, vie
         batch.base[task, :] = UNMET
         sums[task, :] = 0
         own.mean[:] = 0
-        for pixel in range(pixels * task // tasks, pixels * (task + 1) // tasks):
+        begin, end = part_of(pixels, task, tasks)
+        for pixel in range(begin, end):
             own.seen[:] = 0
             for ray in range(rays):
                 ends[ray + 1] = _march_ray(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
