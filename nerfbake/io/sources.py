@@ -17,7 +17,6 @@ from nerfbake.errors import InvalidFile, NerfbakeError
 
 STREAM = "-"
 _CHUNK = 1 << 20
-_HEAD = 1 << 18  # bytes: a JPEG's thumbnail and colour profile precede its size
 _HUGE = 1 << 21  # bytes of a large page: one page fault instead of 512
 
 
@@ -115,13 +114,15 @@ class Folder(Mapping[str, memoryview]):
         with blame(str(path)):
             return sorted(entry.name for entry in os.scandir(path) if entry.is_file()) if path.is_dir() else []
 
-    def head(self, name: str) -> bytes:
-        """The first bytes of a file, enough for a picture's header; empty if there is no such file."""
+    def head(self, name: str, size: int) -> bytes:
+        """The first `size` bytes of a file, or all of a shorter one; empty if there is no such file."""
+        if name in self._more:
+            return bytes(self._more[name][:size])
         path = self._path / name
         with suppress(OSError):
             if path.is_file():
-                with open(path, "rb", buffering=0) as file:
-                    return file.read(_HEAD)
+                with open(path, "rb") as file:
+                    return file.read(size)
         return b""
 
     def __iter__(self) -> Iterator[str]:

@@ -89,6 +89,13 @@ def test_a_folders_files_are_read_once(tmp_path: Path) -> None:
         folder["c"]
 
 
+def test_the_head_of_a_file_is_its_first_bytes(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"three")
+    folder = sources.Folder(tmp_path, {"b": memoryview(b"more")})
+    assert [folder.head(name, 3) for name in ("a", "b", "c", ".")] == [b"thr", b"mor", b"", b""]
+    assert folder.head("a", 99) == b"three"
+
+
 def test_loaded_scenes_count_for_as_long_as_they_live(tmp_path: Path) -> None:
     tree = sample_n3tree(resolution=32)
     save(tmp_path / "a.npz", tree)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,10 @@ _OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
 _MAX_PATH = 1000  # characters
 _MAX_PART = 240  # bytes of a file name without extension
 _CAMERA_BYTES = 1000  # memory of one Camera object
+# Bytes of a picture that are read to find its size: enough for a thumbnail and a colour profile, which precede it; then
+# for the depth map and the second picture of a phone's portrait, which may also precede it.
+_HEADS = 1 << 18, 1 << 25
+_STARTS = (b"\xff\xd8", b"\x89PNG")  # of the pictures whose size can be read
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 Size = tuple[int, int]
@@ -37,8 +42,8 @@ class CaptureFolder(Protocol):
     def names(self, folder: str) -> list[str]:
         """Return the sorted names of the files in a subfolder ('' for this folder); [] if it does not exist."""
 
-    def head(self, name: str) -> bytes:
-        """Return the first bytes of a file; b'' if it does not exist."""
+    def head(self, name: str, size: int) -> bytes:
+        """Return the first `size` bytes of a file, or all of a shorter one; b'' if it does not exist."""
 
 
 def room_for(frames: int) -> None:
@@ -83,9 +88,13 @@ def _safe(path: str) -> str:
 
 
 class PictureSizes:
-    """Sizes from the headers of the pictures of a capture; each header is read once."""
+    """Sizes from the headers of the pictures of a capture; each header is read once.
+
+    unreadable: the first picture that exists, but whose size cannot be read; '' if there is none
+    """
 
     def __init__(self, folder: CaptureFolder | None) -> None:
+        self.unreadable = ""
         self._folder = folder
         self._known: dict[str, Size | None] = {}
         self._there: dict[str, set[str]] = {}  # names by folder, cached because a capture may have 100,000 frames
@@ -111,10 +120,14 @@ class PictureSizes:
         if found is None:
             return None
         inside = f"{place}/{found}" if place else found
-        try:
-            return size_of(self._folder.head(inside), inside)
-        except InvalidFile:
-            return None
+        for most in _HEADS:
+            head = self._folder.head(inside, most)
+            with suppress(InvalidFile):
+                return size_of(head, inside)
+            if len(head) < most or not head.startswith(_STARTS):
+                break
+        self.unreadable = self.unreadable or inside
+        return None
 
 
 def inside_of(path: str | None) -> str:
@@ -127,10 +140,15 @@ def inside_of(path: str | None) -> str:
     return "/".join(part for part in parts if part not in ("", "."))
 
 
-def size_note(frames: int, size: Size | None) -> tuple[str, ...]:
-    """Return the note for cameras without a known size; `size` is the size used instead, None for the default."""
+def size_note(frames: int, size: Size | None, unreadable: str) -> tuple[str, ...]:
+    """Return the note for cameras without a known size.
+
+    size: used instead, None for the default; unreadable: a picture whose size cannot be read, '' if there is none
+    """
     if not frames:
         return ()
     width, height = size or (DEFAULT_EDGE, DEFAULT_EDGE)
     source = "the first picture" if size else "the Blender scenes"
-    return (f"no size and no picture for {frames:,} of its cameras; using {width}x{height}, the size of {source}",)
+    of = f"{frames:,} of its cameras"
+    missing = f"no readable picture for {of} ({unreadable} cannot be read)" if unreadable else f"no picture for {of}"
+    return (f"no size and {missing}; using {width}x{height}, the size of {source}",)

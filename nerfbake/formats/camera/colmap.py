@@ -3,11 +3,13 @@
 cameras.bin   u64 count, each: u32 id, i32 model, u64 width, u64 height, f64 parameters (their number: MODELS)
 images.bin    u64 count, each: u32 id, f64 qw qx qy qz tx ty tz, u32 camera id, name, NUL, u64 points, 24 bytes a point
 cameras.txt   lines: id MODEL width height parameters...
-images.txt    two lines each: id qw qx qy qz tx ty tz camera-id name; then the points, in a line that may be empty
+images.txt    two lines each: id qw qx qy qz tx ty tz camera-id name; then x y id of each point, in a line that may be
+              empty
 
 The binary files are little-endian. Poses are world to camera in OpenCV's axes. Frames are sorted by name. The upper
-left corner of a picture is (0, 0) and the centre of its first pixel is (0.5, 0.5), as in nerfbake. Source: COLMAP's
-documentation, "Output format"; its sensor/models.h.
+left corner of a picture is (0, 0) and the centre of its first pixel is (0.5, 0.5), as in nerfbake. Of several models,
+sparse/0, sparse/1, ..., the one with the most images is read: the largest is not always the first.
+Source: COLMAP's documentation, "Output format"; its sensor/models.h, version 4.2.1.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Iterator
+from codecs import BOM_UTF8
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +27,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, inside_of, names_of, opengl, room_for
-from nerfbake.kernels.soundness import MAX_EDGE
+from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras, Lens, LensModel
 
@@ -40,6 +44,13 @@ MODELS = {
     8: ("SIMPLE_RADIAL_FISHEYE", 4),
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
 
 
@@ -58,6 +69,7 @@ class ColmapImage(NamedTuple):
     turn: rotation as a quaternion (w, x, y, z); shift: translation; model: id of the ColmapCamera
     """
 
+    number: int
     turn: tuple[float, ...]
     shift: tuple[float, ...]
     model: int
@@ -74,15 +86,15 @@ _MAX_NAME = 4096
 def decode_binary_models(view: memoryview, name: str) -> dict[int, ColmapCamera]:
     """Parse the cameras by id. Ids need not be consecutive."""
     count, at = _count(view, name)
-    models = {}
+    models = []
     for _ in range(count):
         (camera_id, number, width, height), at = _take(view, at, _MODEL, name)
         if number not in MODELS:
             raise InvalidFile(Problem(f"{name}: camera {camera_id}", f"has model {number}", f"0 to {max(MODELS)}"))
         model, size = MODELS[number]
         parameters, at = _take(view, at, struct.Struct(f"<{size}d"), name)
-        models[camera_id] = ColmapCamera(model, width, height, parameters)
-    return models
+        models.append((camera_id, ColmapCamera(model, width, height, parameters)))
+    return _by_id(models, name)
 
 
 def decode_binary_shots(view: memoryview, name: str) -> list[ColmapImage]:
@@ -90,7 +102,7 @@ def decode_binary_shots(view: memoryview, name: str) -> list[ColmapImage]:
     count, at = _count(view, name)
     shots = []
     for _ in range(count):
-        (_, *pose, model), at = _take(view, at, _SHOT, name)
+        (number, *pose, model), at = _take(view, at, _SHOT, name)
         end = bytes(view[at : at + _MAX_NAME]).find(0)
         if end < 0:
             raise InvalidFile(
@@ -99,7 +111,7 @@ def decode_binary_shots(view: memoryview, name: str) -> list[ColmapImage]:
         picture = bytes(view[at : at + end]).decode(errors="replace")
         (points,), at = _take(view, at + end + 1, _COUNT, name)
         at += _POINT * points
-        shots.append(ColmapImage(tuple(pose[:4]), tuple(pose[4:]), model, picture))
+        shots.append(ColmapImage(number, tuple(pose[:4]), tuple(pose[4:]), model, picture))
     if at > len(view):
         raise InvalidFile(Problem(name, f"ends after {len(view):,} bytes", f"{at:,} or more, according to its counts"))
     return shots
@@ -121,12 +133,13 @@ def _take(view: memoryview, at: int, what: struct.Struct, name: str) -> tuple[tu
 
 _LINE = re.compile(rb"[^\n]*\n?")
 _SIZES = dict(MODELS.values())
-_MAX_LINE = 8192  # bytes of a line that is parsed; lines of points are skipped
+_MAX_LINE = 8192  # bytes of a line that is parsed
+_POINTS_HEAD = 1024  # bytes of a line of points that are checked: in a line of an image, the name starts before
 
 
 def decode_text_models(view: memoryview, name: str) -> dict[int, ColmapCamera]:
     """Parse the cameras by id. Ids need not be consecutive."""
-    models = {}
+    models = []
     for number, line in _lines(view, name):
         camera_id, model, width, height, *parameters = _parts(line, 5, number, name)
         if model not in _SIZES:
@@ -136,29 +149,34 @@ def decode_text_models(view: memoryview, name: str) -> dict[int, ColmapCamera]:
             raise InvalidFile(Problem(f"{name}: line {number:,}", found, f"{_SIZES[model]} for {model}"))
         numbers = _numbers((camera_id, width, height, *parameters), number, name)
         key, *edges = (_whole(value, number, name) for value in numbers[:3])
-        models[key] = ColmapCamera(model, edges[0], edges[1], numbers[3:])
-    return models
+        models.append((key, ColmapCamera(model, edges[0], edges[1], numbers[3:])))
+    return _by_id(models, name)
 
 
 def decode_text_shots(view: memoryview, name: str) -> list[ColmapImage]:
     """Parse the images; the lines of points are skipped."""
     shots = []
-    for number, line in _lines(view, name, skip=1):
+    for number, line in _lines(view, name, points=True):
         parts = _parts(line, 10, number, name)
         numbers = _numbers(parts[:9], number, name)
-        model = _whole(numbers[8], number, name)
-        shots.append(ColmapImage(numbers[1:5], numbers[5:8], model, " ".join(parts[9:])))
+        key, model = (_whole(value, number, name) for value in (numbers[0], numbers[8]))
+        shots.append(ColmapImage(key, numbers[1:5], numbers[5:8], model, " ".join(parts[9:])))
     return shots
 
 
-def _lines(view: memoryview, name: str, *, skip: int = 0) -> Iterator[tuple[int, str]]:
-    """Yield (line number, text) of all lines that are neither empty nor comments. Skip `skip` lines after each."""
-    to_skip = found = 0
+def _lines(view: memoryview, name: str, *, points: bool = False) -> Iterator[tuple[int, str]]:
+    """Yield (line number, text) of all lines that are neither empty nor comments.
+
+    points: a line of points follows each of them, and is skipped.
+    """
+    view = view[3:] if bytes(view[:3]) == BOM_UTF8 else view
+    found, skip = 0, False
     for number, match in enumerate(_LINE.finditer(view), start=1):
-        if to_skip:
-            to_skip -= 1
-            continue
         start, end = match.span()
+        if skip:
+            _require_points(view[start:end], number, name)
+            skip = False
+            continue
         line = bytes(view[start : min(end, start + _MAX_LINE)]).strip()
         if not line or line.startswith(b"#"):
             continue
@@ -167,7 +185,24 @@ def _lines(view: memoryview, name: str, *, skip: int = 0) -> Iterator[tuple[int,
             what = f"has {end - start:,} bytes" if found <= MAX_FRAMES else f"is entry {found:,}"
             raise InvalidFile(Problem(f"{name}: line {number:,}", what, f"{_MAX_LINE:,} bytes, {MAX_FRAMES:,} entries"))
         yield number, line.decode(errors="replace")
-        to_skip = skip
+        skip = points
+
+
+def _require_points(line: memoryview, number: int, name: str) -> None:
+    """Raise InvalidFile if the start of a line that is skipped is not that of a line of points.
+
+    Some programs write no lines of points; then every second image would be skipped.
+    """
+    parts = bytes(line[:_POINTS_HEAD]).split()
+    complete = len(line) <= _POINTS_HEAD
+    try:
+        count = len(list(map(float, parts if complete else parts[:-1])))
+    except ValueError:
+        count = -1
+    if count < 0 or (complete and count % 3):
+        text = bytes(line[:60]).decode(errors="replace").strip()
+        found = f"is not the points of the image above, but {text}"
+        raise InvalidFile(Problem(f"{name}: line {number:,}", found, "x y id of each point, or an empty line"))
 
 
 def _parts(line: str, least: int, number: int, name: str) -> list[str]:
@@ -193,8 +228,21 @@ def _whole(value: float, number: int, name: str) -> int:
     return int(value)
 
 
-# Possible folders of the model: COLMAP's, then nerfstudio's and instant-ngp's.
-_PLACES = ("", "sparse/0/", "sparse/", "colmap/sparse/0/", "colmap_sparse/0/", "colmap_text/")
+def _by_id(models: list[tuple[int, ColmapCamera]], name: str) -> dict[int, ColmapCamera]:
+    _require_once("camera id", (key for key, _ in models), name)
+    return dict(models)
+
+
+def _require_once(what: str, keys: Iterable[int | str], name: str) -> None:
+    for key, times in Counter(keys).most_common(1):
+        if times > 1:
+            raise InvalidFile(Problem(f"{name}: {what} {key}", f"occurs {times:,} times", "each once"))
+
+
+# Possible folders of the models, {} for their numbers: COLMAP's, then nerfstudio's and instant-ngp's.
+_PLACES = ("", "sparse/{}/", "sparse/", "colmap/sparse/{}/", "colmap_sparse/{}/", "colmap_text/")
+_FIRST = tuple(place.format(0) for place in _PLACES)
+_MAX_MODELS = 50  # of a capture: COLMAP's default
 _PICTURES = "images/"  # relative to the capture's folder, independent of the folder of the model
 _KINDS = ("bin", "txt")  # in order of preference, as in COLMAP
 
@@ -221,19 +269,21 @@ _LAYOUTS = {
     "FULL_OPENCV": _Layout(2, "rational", (4, 5, 8, 9, 10, 11), (6, 7)),
     "SIMPLE_RADIAL_FISHEYE": _Layout(1, "fisheye", (3,)),
     "RADIAL_FISHEYE": _Layout(1, "fisheye", (3, 4)),
+    "SIMPLE_FISHEYE": _Layout(1, "fisheye"),
+    "FISHEYE": _Layout(2, "fisheye"),
 }
 
 
 def recognise(files: CaptureFolder) -> bool:
-    return _found(files) is not None
+    return bool(_found(files))
 
 
 def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     """Read the model of a folder. member: the file that the user named, if any; its extension selects .bin or .txt."""
-    place = ("", member.rpartition(".")[2]) if member else _found(files)
-    if place is None or not all(f"{place[0]}{name}.{place[1]}" in files for name in ("cameras", "images")):
+    found = [("", member.rpartition(".")[2])] if member else _found(files)
+    if not found or not _complete(files, *found[0]):
         raise InvalidFile(Problem("the model", "is incomplete", "cameras and images, both .bin or both .txt"))
-    folder, kind = place
+    folder, kind = found[0] if len(found) == 1 else max(found, key=lambda each: _count_images(files, *each))
     cameras, images = f"{folder}cameras.{kind}", f"{folder}images.{kind}"
     if kind == "bin":
         models = decode_binary_models(files[cameras], cameras)
@@ -243,18 +293,38 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
         shots = decode_text_shots(files[images], images)
     shots = sorted(shots, key=lambda shot: shot.name)
     room_for(len(shots))
+    _require_once("image id", (shot.number for shot in shots), images)
+    # Different names that are not UTF-8 may look equal, with U+FFFD for such bytes.
+    _require_once("image name", (shot.name for shot in shots if "\ufffd" not in shot.name), images)
     names = names_of(shot.name for shot in shots)
     placed = tuple(_camera(shot, name, models) for shot, name in zip(shots, names, strict=True))
-    return Cameras(placed, "COLMAP", images)
+    notes: tuple[str, ...] = ()
+    if len(found) > 1 or folder not in _FIRST:
+        which = f"the largest of {len(found):,} COLMAP models" if len(found) > 1 else "the only COLMAP model"
+        notes = (f"using {folder[:-1]}, {which}, with {plural(len(shots), 'image')}",)
+    return Cameras(placed, "COLMAP", images, notes)
 
 
-def _found(files: CaptureFolder) -> tuple[str, str] | None:
-    """Return the subfolder and the extension of the first model found."""
-    for folder in _PLACES:
-        for kind in _KINDS:
-            if f"{folder}cameras.{kind}" in files and f"{folder}images.{kind}" in files:
-                return folder, kind
-    return None
+def _found(files: CaptureFolder) -> list[tuple[str, str]]:
+    """Return the subfolder and the extension of each model in the first of _PLACES that has one, by number."""
+    for place in _PLACES:
+        folders = dict.fromkeys(place.format(number) for number in range(_MAX_MODELS))
+        found = {folder: kind for folder in folders for kind in reversed(_KINDS) if _complete(files, folder, kind)}
+        if found:
+            return list(found.items())
+    return []
+
+
+def _complete(files: CaptureFolder, folder: str, kind: str) -> bool:
+    return f"{folder}cameras.{kind}" in files and f"{folder}images.{kind}" in files
+
+
+def _count_images(files: CaptureFolder, folder: str, kind: str) -> int:
+    """Return the number of registered images of a model."""
+    name = f"{folder}images.{kind}"
+    if kind == "bin":
+        return int.from_bytes(files.head(name, _COUNT.size), "little")
+    return sum(1 for _ in _lines(files[name], name, points=True))
 
 
 def _camera(shot: ColmapImage, name: str, models: dict[int, ColmapCamera]) -> Camera:

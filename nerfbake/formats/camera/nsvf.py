@@ -1,7 +1,7 @@
 """Read NSVF captures, also used for Tanks and Temples and BlendedMVS.
 
 pose/NAME.txt    4 x 4 camera to world, OpenCV's axes; or in poses/
-intrinsics.txt   4 x 4 or 3 x 3 numbers; or 16 in a line; or a first line `f cx cy _`, followed by other data
+intrinsics.txt   4 x 4, 3 x 4 or 3 x 3 numbers; or 16 in a line; or a first line `f cx cy _`, followed by other data
 rgb/NAME.png     the pictures; only they contain the size
 Lines of two numbers are skipped. All splits (prefixes 0_, 1_, 2_) are read, sorted by name.
 Source: NSVF's data_utils.py; docs/formats/cameras.md, "Dialects".
@@ -21,6 +21,8 @@ _INSIDE = "intrinsics.txt"
 _POSES = ("pose", "poses")
 _MAX_SIZE = 1 << 16  # bytes of a file of a few numbers
 
+_FREE = (0, 0), (1, 1), (0, 2), (1, 2)  # places of fx, fy, cx, cy in a matrix
+
 _Rows = list[list[float]]
 
 
@@ -36,11 +38,11 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     sizes = PictureSizes(files)
     found = [sizes.of(f"rgb/{stem}") for stem in stems]
     default = next((size for size in found if size), None) or _around(cx, cy)
-    notes = (
-        (f"no picture in rgb; using {default[0]}x{default[1]}, with the principal point in the centre",)
-        if not any(found)
-        else ()
-    )
+    notes: tuple[str, ...] = ()
+    if not any(found):
+        missing = f"no readable picture in rgb ({sizes.unreadable} cannot be read)" if sizes.unreadable else ""
+        using = f"using {default[0]}x{default[1]}, with the principal point in the centre"
+        notes = (f"{missing or 'no picture in rgb'}; {using}",)
     cameras = []
     for stem, size, name in zip(stems, found, names_of(stems), strict=True):
         width, height = size or default
@@ -52,13 +54,17 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
 def _inside(rows: _Rows) -> tuple[float, float, float, float]:
     """Return fx, fy, cx, cy."""
     edges = [len(row) for row in rows]
-    if edges in ([16], [4] * 4, [3] * 3):
-        K = np.array(rows).reshape(-1, 3 if len(edges) == 3 else 4)
-        if K[0, 1] != 0:
-            raise InvalidFile(Problem(f"{_INSIDE}: skew", f"is {K[0, 1]:g}", "0"))
-        return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-    if not edges or edges[0] not in (3, 4):
-        raise InvalidFile(Problem(_INSIDE, f"has lines of {edges} numbers", "4 x 4, 3 x 3, or a first line f cx cy _"))
+    if edges in ([16], [4] * 4, [4] * 3, [3] * 3):
+        K = np.array(rows).reshape(-1, edges[-1] if len(edges) > 1 else 4)
+        for (row, column), allowed in np.ndenumerate(np.eye(3, K.shape[1])):
+            if (row, column) not in _FREE and K[row, column] != allowed:
+                name = "skew" if (row, column) == (0, 1) else f"K[{row}, {column}]"
+                raise InvalidFile(Problem(f"{_INSIDE}: {name}", f"is {K[row, column]:g}", f"{allowed:g}"))
+        fx, fy, cx, cy = (float(K[place]) for place in _FREE)
+        return fx, fy, cx, cy
+    if not edges or edges[0] not in (3, 4) or edges[:1] == edges[1:2]:  # equal lines are those of a matrix
+        found = f"has lines of {', '.join(map(str, edges[:8])) or 'no'} numbers"
+        raise InvalidFile(Problem(_INSIDE, found, "4 x 4, 3 x 4, 3 x 3, or a first line f cx cy _"))
     f, cx, cy = rows[0][:3]
     return f, f, cx, cy
 
@@ -76,7 +82,7 @@ def _rows(files: CaptureFolder, name: str) -> _Rows:
     if len(view) > _MAX_SIZE:
         raise InvalidFile(Problem(name, f"has {len(view):,} bytes", f"up to {_MAX_SIZE:,}"))
     try:
-        rows = [list(map(float, line.split())) for line in bytes(view).decode().splitlines()]
+        rows = [list(map(float, line.split())) for line in bytes(view).decode("utf-8-sig").splitlines()]
     except ValueError:
         raise InvalidFile(Problem(name, "holds a value that is not a number", "lines of numbers")) from None
     if not all(abs(value) <= MAX_WORLD for row in rows for value in row):

@@ -6,9 +6,9 @@ x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_
 cx, cy, w, h      pixels; default: the principal point in the centre, the size of the pictures
 samples           nerfbake's extension: rays along each edge of a pixel, default 1
 camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
-Except for frames and samples, each key may also be in a frame, which then takes precedence. instant-ngp files may
-contain comments. The poses do not include the transforms that instant-ngp and nerfstudio apply to the world for
-training (scale, offset, aabb_scale, applied_transform).
+Except for frames and samples, each key may also be in a frame, which then takes precedence. A key whose value is null
+counts as absent. instant-ngp files may contain comments. The poses do not include the transforms that instant-ngp and
+nerfstudio apply to the world for training (scale, offset, aabb_scale, applied_transform).
 Sources: instant-ngp's nerf_loader.cu and colmap2nerf.py; nerfstudio's nerfstudio_dataparser.py; and
 docs/formats/cameras.md, "Dialects".
 """
@@ -16,6 +16,7 @@ docs/formats/cameras.md, "Dialects".
 from __future__ import annotations
 
 import json
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -107,7 +108,7 @@ Frame = dict[str, Any]
 
 
 def parse(view: memoryview) -> tuple[Frame, list[Frame]]:
-    """Return all fields, and the frames. Comments are skipped, as in instant-ngp."""
+    """Return all fields, and the frames, without those that are null. Comments are skipped, as in instant-ngp."""
     fields = parse_object(view, "the JSON", comments=True)
     frames = fields.get("frames")
     if not isinstance(frames, list) or not 1 <= len(frames) <= MAX_FRAMES:
@@ -116,6 +117,9 @@ def parse(view: memoryview) -> tuple[Frame, list[Frame]]:
     for i, frame in enumerate(frames):
         if not isinstance(frame, dict):
             raise InvalidFile(Problem(f"frames[{i}]", f"is {kind_of(frame)}", "an object with a transform_matrix"))
+    for each in (fields, *frames):
+        for key in [key for key, value in each.items() if value is None]:
+            del each[key]
     return fields, frames
 
 
@@ -169,7 +173,7 @@ Intrinsics = dict[str, Any]  # arguments of Camera other than pose and name
 
 def recognise(view: memoryview) -> bool:
     """Return True for the first bytes of a transforms.json."""
-    head = bytes(view[:HEAD])
+    head = bytes(view[:HEAD]).removeprefix(BOM_UTF8)
     start = head.lstrip()[:2]
     has_key = any(key in head for key in (b"camera_angle_x", b"fl_x", b"frames", b"camera_model", b"aabb_scale"))
     return (start[:1] == b"{" or start in (b"//", b"/*")) and has_key
@@ -198,8 +202,9 @@ def decode(view: memoryview, *, beside: CaptureFolder | None = None) -> Cameras:
             intrinsics = _intrinsics(frame, fields, size, f"frames[{i}]")
         guessed += found is None and not _sized(fields, frame)
         cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **intrinsics))
+    notes = size_note(guessed, first, sizes.unreadable)
     samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
-    return Cameras(tuple(cameras), _dialect(fields, frames), notes=size_note(guessed, first), samples=samples)
+    return Cameras(tuple(cameras), _dialect(fields, frames), notes=notes, samples=samples)
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:

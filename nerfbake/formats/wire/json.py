@@ -10,8 +10,9 @@ from __future__ import annotations
 import gc
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,7 +96,7 @@ def whole(
 
 
 def table(value: Any, place: str, shape: tuple[int | None, ...]) -> npt.NDArray[np.float64]:
-    """Convert nested lists of numbers to an array of this shape; None stands for any length."""
+    """Convert nested lists of numbers to an array of this shape; None stands for any length, () for a single number."""
     allowed = f"{' x '.join('any' if edge is None else str(edge) for edge in shape)} numbers"
     try:
         with collector_paused():
@@ -104,11 +105,29 @@ def table(value: Any, place: str, shape: tuple[int | None, ...]) -> npt.NDArray[
         raise InvalidFile(Problem(place, "is not a table of numbers", allowed)) from None
     if array.ndim != len(shape) or any(a not in (None, b) for a, b in zip(shape, array.shape, strict=True)):
         raise InvalidFile(Problem(place, f"has shape {array.shape}", allowed))
+    if not set(map(type, _leaves(value, len(shape)))) <= {int, float}:  # NumPy also converts text, true and null
+        kinds = enumerate(_leaves(value, len(shape)))
+        at, leaf = next((at, leaf) for at, leaf in kinds if type(leaf) not in (int, float))
+        raise InvalidFile(Problem(_element(place, at, array.shape), f"is {kind_of(leaf)}", "a number"))
     if (bad := ~(np.abs(array) <= MAX_NUMBER)).any():
-        index = np.unravel_index(int(bad.argmax()), array.shape)
-        where = f"{place}[{', '.join(map(str, index))}]"
-        raise InvalidFile(Problem(where, f"is {array[index]:g}", f"{-MAX_NUMBER:g} to {MAX_NUMBER:g}"))
+        at = int(bad.argmax())
+        found = f"is {array.flat[at]:g}"
+        raise InvalidFile(Problem(_element(place, at, array.shape), found, f"{-MAX_NUMBER:g} to {MAX_NUMBER:g}"))
     return array
+
+
+def _leaves(value: Any, depth: int) -> Iterable[Any]:
+    """Iterate over the innermost values of lists of this depth; depth 0 is the value itself."""
+    leaves: Iterable[Any] = (value,)
+    for _ in range(depth):
+        leaves = chain.from_iterable(leaves)
+    return leaves
+
+
+def _element(place: str, at: int, shape: tuple[int, ...]) -> str:
+    """The place of the element number `at` of a table, counted row by row."""
+    index = ", ".join(str(int(edge)) for edge in np.unravel_index(at, shape))
+    return f"{place}[{index}]" if shape else place
 
 
 def shorten(value: Any) -> str:

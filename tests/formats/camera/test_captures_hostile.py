@@ -52,7 +52,7 @@ BINARY: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "2^64 cameras": ("cameras", lambda data: b"\xff" * 8 + data[8:], "counts 18,446,744,073,709,551,615"),
     "2^64 images": ("images", lambda data: b"\xff" * 8 + data[8:], "counts 18,446,744,073,709,551,615"),
     "one too many": ("images", lambda data: struct.pack("<Q", 4) + data[8:], "ends after"),
-    "an unknown model": ("cameras", lambda data: data[:12] + b"\x0b" + data[13:], "model 11; allowed: 0 to 10"),
+    "an unknown model": ("cameras", lambda data: data[:12] + b"\x12" + data[13:], "model 18; allowed: 0 to 17"),
     "a model below 0": ("cameras", lambda data: data[:12] + b"\xff" * 4 + data[16:], "camera 3 has model -1"),
     "a name without an end": ("images", lambda data: data[:72] + b"a" * 5000, "has a name without NUL at byte 72"),
     "2^64 points": ("images", lambda data: data[:-8] + b"\xff" * 8, "ends after"),
@@ -108,7 +108,7 @@ def test_lying_poses_are_refused(name: str, tmp_path: Path) -> None:
 NSVF = {
     "no number": ("intrinsics.txt", "a b c", "intrinsics.txt holds a value that is not a number"),
     "skew": ("intrinsics.txt", "5 1 2\n0 5 2\n0 0 1\n", "intrinsics.txt: skew is 1; allowed: 0"),
-    "two numbers": ("intrinsics.txt", "5 5\n", "intrinsics.txt has lines of [] numbers"),
+    "two numbers": ("intrinsics.txt", "5 5\n", "intrinsics.txt has lines of no numbers"),
     "NaN": ("intrinsics.txt", "nan 1 2 3\n", "holds a number that is not finite or too large"),
     "a negative focal length": ("intrinsics.txt", "-5 1 2 3\n", "has focal length -5"),
     "a short pose": ("pose/r_1.txt", "1 0 0 0\n", "pose/r_1.txt has 4 numbers; allowed: 4 x 4"),

@@ -12,8 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image as Pillow
 
 from nerfbake import load
+from nerfbake.catalog import format_of_content
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.camera import transforms as cameras_json
+from nerfbake.formats.camera.capture import PictureSizes
+from nerfbake.io.sources import Folder
 from nerfbake.scene.camera import Cameras, Lens
 
 EYE = np.eye(4).tolist()
@@ -27,6 +30,11 @@ def capture(**fields: Any) -> dict[str, Any]:
 def framed(**fields: Any) -> dict[str, Any]:
     """Two frames, the second with these fields of its own."""
     return capture(w=64, h=48, frames=[{"transform_matrix": EYE}, {"transform_matrix": EYE, **fields}])
+
+
+def placed(x: Any) -> list[list[Any]]:
+    """A pose with this x."""
+    return [[1, 0, 0, x], *EYE[1:]]
 
 
 def read(fields: Any) -> Cameras:
@@ -56,7 +64,7 @@ def test_samples_are_read_and_written() -> None:
     assert read(files[1]).samples == 2
 
 
-@pytest.mark.parametrize("samples", [0, -1, 9, 2.0, 10**30, "2", True, None, [2]])
+@pytest.mark.parametrize("samples", [0, -1, 9, 2.0, 10**30, "2", True, [2]])
 def test_samples_that_are_none_are_refused(samples: Any) -> None:
     with pytest.raises(InvalidFile, match=r"samples is .*; allowed: a whole number from 1 to 8"):
         read(capture(samples=samples))
@@ -161,7 +169,56 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
     sizes = [(camera.width, camera.height) for camera in cameras.cameras]
     assert sizes[:4] == [(30, 20), (30, 20), (20, 30), (9, 9)]
     assert sizes[4:] == [(30, 20)] * 8  # what cannot be found or read is as large as the first
-    assert cameras.notes == ("no size and no picture for 8 of its cameras; using 30x20, the size of the first picture",)
+    assert cameras.notes == (
+        "no size and no readable picture for 8 of its cameras (broken.png cannot be read); using 30x20, "
+        "the size of the first picture",
+    )
+
+
+def padded(picture: bytes, segments: int) -> bytes:
+    """A JPEG with this many segments of 65,000 bytes before its size, as phones write a depth map in extended XMP."""
+    segment = b"http://ns.adobe.com/xmp/extension/\0" + bytes(65_000)
+    return picture[:2] + (b"\xff\xe1" + (len(segment) + 2).to_bytes(2, "big") + segment) * segments + picture[2:]
+
+
+def test_the_size_of_a_picture_may_follow_megabytes(tmp_path: Path) -> None:
+    Pillow.new("RGB", (40, 30)).save(tmp_path / "a.jpg")
+    Pillow.new("RGB", (40, 30)).save(tmp_path / "b.png", icc_profile=np.random.default_rng(0).bytes(600_000))
+    (tmp_path / "a.jpg").write_bytes(padded((tmp_path / "a.jpg").read_bytes(), 50))
+    frames = [{"file_path": path, "transform_matrix": EYE} for path in ("a.jpg", "b.png")]
+    (tmp_path / "t.json").write_text(json.dumps(capture(frames=frames)))
+    cameras = load(tmp_path / "t.json", Cameras)
+    assert [(camera.width, camera.height) for camera in cameras.cameras] == [(40, 30)] * 2
+    assert cameras.notes == ()
+
+
+def test_only_the_start_of_other_files_is_read(tmp_path: Path) -> None:
+    class Files(Folder):
+        def head(self, name: str, size: int) -> bytes:
+            sizes.append(size)
+            return super().head(name, size)
+
+    sizes: list[int] = []
+    (tmp_path / "a.exr").write_bytes(bytes(1 << 20))
+    assert PictureSizes(Files(tmp_path, {})).of("a.exr") is None
+    assert sizes == [1 << 18]
+
+
+def test_null_counts_as_absent() -> None:
+    keys = ("k1", "p2", "k5", "cx", "cy", "fl_y", "x_fov", "camera_model", "is_fisheye", "distortion_params", "samples")
+    (camera,) = read(capture(w=64, h=48, fl_x=50, **dict.fromkeys(keys))).cameras
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.lens) == (50, 50, 32, 24, None)
+    second = read(framed(transform_matrix_start=None, fl_x=None, k1=None, w=None)).cameras[1]
+    assert (second.width, second.lens) == (64, None)
+    assert_allclose(second.fx, 32 / np.tan(0.35))
+    assert read(capture(w=None, h=None)).notes != ()
+
+
+def test_a_byte_order_mark_is_skipped() -> None:
+    data = b"\xef\xbb\xbf" + json.dumps(capture()).encode()
+    assert cameras_json.recognise(memoryview(data))
+    assert format_of_content("", memoryview(data)).name == "json"
+    assert cameras_json.decode(memoryview(data)).cameras[0].name == "r_7"
 
 
 @pytest.mark.parametrize(
@@ -175,6 +232,12 @@ def test_sizes_are_the_pictures_own(tmp_path: Path) -> None:
         (capture(frames=[{"transform_matrix": [[1, 2], [3]]}]), "not a table of numbers"),
         (capture(frames=[{"transform_matrix": np.full((4, 4), 1e308).tolist()}]), r"transform_matrix.*1e\+15"),
         (capture(frames=[{"transform_matrix": np.eye(3).tolist()}]), "has shape"),
+        (capture(frames=[{"transform_matrix": placed("1.5")}]), r"frames\[0\].transform_matrix\[0, 3\] is text; allow"),
+        (
+            capture(frames=[{"transform_matrix": placed(True)}]),
+            r"transform_matrix\[0, 3\] is true or false; allowed: a",
+        ),
+        (capture(frames=[{"transform_matrix": placed(None)}]), r"frames\[0\].transform_matrix\[0, 3\] is null; allow"),
         (capture(frames=[3]), r"frames\[0\] is a number"),
         (capture(camera_angle_x=0), "camera_angle_x is 0"),
         (capture(camera_angle_x=4), "camera_angle_x is 4"),

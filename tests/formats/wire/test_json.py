@@ -119,12 +119,26 @@ def test_tables() -> None:
     for value, said in (
         ([[1, 2], [3]], "it is not a table of numbers"),
         ([["x"]], "it is not a table"),
-        ([[None]], r"it\[0, 0\] is nan"),
+        ([[None]], r"it\[0, 0\] is null; allowed: a number"),
+        ([[1, "1.5"]], r"it\[0, 1\] is text; allowed: a number"),
+        ([["-4.0", "2"]], r"it\[0, 0\] is text"),
+        ([[0.5, 3, True]], r"it\[0, 2\] is true or false"),
+        ([[False]], r"it\[0, 0\] is true or false"),
         ([1, 2], r"it has shape \(2,\); allowed: any x 2 numbers"),
         ([[1, 2e15]], r"it\[0, 1\] is 2e\+15; allowed: -1e\+15 to 1e\+15"),
     ):
         with pytest.raises(InvalidFile, match=said):
             wire_json.table(value, "it", (None, 2) if "shape" in said else (1, None))
+    assert wire_json.table(2, "it", ()) == 2
+    assert wire_json.table([], "it", (None,)).shape == (0,)
+    for single, said in (
+        ("2", "it is text"),
+        (True, "it is true or false"),
+        (2e15, r"it is 2e\+15"),
+        ([2], "it has sh"),
+    ):
+        with pytest.raises(InvalidFile, match=said):
+            wire_json.table(single, "it", ())
 
 
 @given(VALUES)
