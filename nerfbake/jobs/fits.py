@@ -13,7 +13,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
 from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
 from nerfbake.jobs.meshes import build_mesh, require_mesh
-from nerfbake.jobs.photographs import ALL, PhotographOptions, cut_out, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, read_photographs
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
@@ -220,9 +220,7 @@ def fit_scene(
     source = as_source(source)
     album.require()
     recipe.schedule()
-    require_poses(steps, source)
-    posed = read_photographs(steps, source, album)
-    schedule = recipe.schedule(posed.trained)
+    posed, schedule = _read(steps, source, album, recipe, "N3Tree")
     course = FitRun(posed, schedule, recipe.rays(schedule))
     field = _fit(steps, source, posed.trained, schedule, recipe, course, None, [])
     with steps.phase("putting the field together"):
@@ -262,9 +260,8 @@ def fit_file(
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
-    require_poses(steps, source)
-    posed = read_photographs(steps, source, album)
-    judges, schedule = posed.judges, recipe.schedule(posed.trained)
+    posed, schedule = _read(steps, source, album, recipe, kind)
+    judges = posed.judges
     if judges.scenery and kind not in ("N3Tree", *_OF_INNER_CUBE):
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
         raise UsageError(f"{found}; allowed: a PlenOctree, a mesh or splats of the inner cube, or masks of the object")
@@ -299,6 +296,30 @@ def fit_file(
     if report is not None:
         report(fitted)
     return fitted
+
+
+def _read(
+    steps: Steps, source: Source, album: PhotographOptions, recipe: FitOptions, kind: str
+) -> tuple[SplitViews, Schedule]:
+    """Read the photographs of a capture, and return the schedule for them.
+
+    Pictures with scenery are reduced to the size that the last stage uses: larger ones only take longer to measure. A
+    mesh and splats are then fitted to them once more, so they need the larger ones.
+    """
+    from nerfbake.scene.schedule import scenery_scale  # here, so that --help does not import NumPy
+
+    require_poses(steps, source)
+    posed = read_photographs(steps, source, album)
+    schedule = recipe.schedule(posed.trained)
+    if not posed.trained.scenery or kind in _OF_INNER_CUBE:
+        return posed, schedule
+    edge = min(min(camera.width, camera.height) for views in posed for camera in views.cameras.cameras)
+    if (factor := scenery_scale(edge, schedule.finest)) > 1:
+        posed = SplitViews(*(views.reduced(factor) for views in posed))
+        schedule = recipe.schedule(posed.trained)
+        first = posed.trained.cameras.cameras[0]
+        steps.say(f"{source.name}: fits to and measures on pictures of {first.width}x{first.height} pixels")
+    return posed, schedule
 
 
 def _require(target: Target) -> str:

@@ -20,6 +20,8 @@ from nerfbake.stages.pictures_to_views import Scenery, build_views
 HOLDOUT = 8  # every eighth view is held out if the capture has no test views
 _LEAST = 2  # lowest number of training views
 _ABOVE = 3  # parent folders of a COLMAP model that may contain its pictures
+# The shorter edge of a picture in pixels. More pixels are finer than the smallest cells, 1 / 1024 of the box.
+MOST_EDGE = 1200
 
 Colour = tuple[float, float, float]
 
@@ -113,17 +115,24 @@ def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
         cameras.require_covered()
         return build_views(
             cameras,
-            _pictures(cameras, files, masks),
+            _pictures(steps, path, cameras, files, masks),
+            edge=MOST_EDGE,
             background=album.background,
             scenery=album.scenery,
             rough=masks is not None,
         )
 
 
-def _pictures(cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | None) -> Iterator[Any]:
-    """Yield the pixels of each picture, with its mask as alpha. Only one picture and mask are in memory at a time."""
-    from nerfbake.stages.pictures_to_views import apply_mask  # here, so that --help does not import NumPy
+def _pictures(
+    steps: Steps, path: str, cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | None
+) -> Iterator[Any]:
+    """Yield the pixels of each picture, with its mask as alpha. Only one picture and mask are in memory at a time.
 
+    Prints that build_views() reduces large pictures.
+    """
+    from nerfbake.stages.pictures_to_views import apply_mask, reduction_factor  # so that --help does not import NumPy
+
+    told = False
     for i, (camera, file) in enumerate(zip(cameras.cameras, files, strict=True)):
         size = camera.width, camera.height
         pixels = io.load_photograph(file, size)
@@ -131,6 +140,11 @@ def _pictures(cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | N
             mask = io.load_photograph(masks[i], size)
             with io.blame(str(masks[i])):
                 pixels = apply_mask(pixels, mask)
+        if not told and (factor := reduction_factor(pixels, MOST_EDGE)) > 1:
+            height, width = pixels.shape[:2]
+            sizes = f"from {width}x{height} to {width // factor}x{height // factor} pixels"
+            steps.say(f"{path}: reduces large pictures, such as {sizes}, each the mean of {factor}x{factor}")
+            told = True
         yield pixels
 
 

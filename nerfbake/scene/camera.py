@@ -205,6 +205,14 @@ class Camera(CompactRepr):
             centre = width / 2 + (self.cx - self.width / 2) * grown, height / 2 + (self.cy - self.height / 2) * grown
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
+    def reduced(self, factor: int) -> Camera:
+        """The camera of the picture in which each pixel is factor x factor pixels; incomplete ones are cut off."""
+        if factor == 1:
+            return self
+        edges = max(self.width // factor, 1), max(self.height // factor, 1)
+        focal, centre = (self.fx / factor, self.fy / factor), (self.cx / factor, self.cy / factor)
+        return replace(self, width=edges[0], height=edges[1], focal=focal, centre=centre)
+
     def part(self, columns: slice, rows: slice, *, finer: int = 1) -> Camera:
         """The camera of a crop of the picture, with each pixel divided into finer x finer pixels."""
         width, height = (finer * (pixels.stop - pixels.start) for pixels in (columns, rows))

@@ -95,6 +95,11 @@ class Schedule(tuple[Stage, ...]):
         return self[-1].cells
 
     @property
+    def finest(self) -> int:
+        """Cells along an axis that are as wide as the smallest ones, which were split."""
+        return self.resolution * (2 if any(stage.split for stage in self) else 1)
+
+    @property
     def epochs(self) -> int:
         """Epochs of all stages together."""
         return sum(stage.epochs for stage in self)
@@ -171,6 +176,11 @@ SCENERY_PRESETS = {"fast": (3, 2, 2, (1,)), "balanced": (3, 2, 3, (2, 1)), "best
 _SCENERY_MINUTES = {"fast": 1.0, "balanced": 2.0, "best": 5.0}
 
 
+def scenery_scale(edge: int, cells: int) -> int:
+    """The factor that reduces a picture with a shorter edge of `edge` pixels to about 1.5 times the cells of a cube."""
+    return max(1, round(edge / (1.5 * cells)))
+
+
 def scenery_schedule(
     name: str = "balanced", *, resolution: int = 256, views: int = VIEWS, edge: int = 512, minutes: float | None = None
 ) -> Schedule:
@@ -193,7 +203,7 @@ def scenery_schedule(
         return max(1, min(round(factor * epochs * VIEWS / views), MAX_EPOCHS))
 
     def scale(cells: int) -> int:
-        return max(1, min(round(edge / (1.5 * cells)), MAX_SCALE))
+        return min(scenery_scale(edge, cells), MAX_SCALE)
 
     half = max(resolution // 2, 32)
     first, second, third, last = SCENERY_PRESETS[name]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import MAX_WORLD, Scene
@@ -61,6 +62,16 @@ class Views(Scene):
         """These views alone, in this order; the pictures are shared."""
         cameras = replace(self.cameras, cameras=tuple(self.cameras.cameras[i] for i in numbers))
         return replace(self, cameras=cameras, pictures=tuple(self.pictures[i] for i in numbers))
+
+    def reduced(self, factor: int) -> Views:
+        """These views with pictures that are smaller by a whole factor."""
+        if factor == 1:
+            return self
+        from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
+
+        cameras = replace(self.cameras, cameras=tuple(camera.reduced(factor) for camera in self.cameras.cameras))
+        pictures = tuple(memory.kept(reduced_picture(picture, factor)) for picture in self.pictures)
+        return replace(self, cameras=cameras, pictures=pictures)
 
     def photograph(self, number: int) -> npt.NDArray[np.float32]:
         """A picture composited over the background, (H, W, 3) sRGB in 0..1."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -37,7 +36,7 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that views.used() excludes
     are left out. samples: rays along each edge of a pixel.
     """
-    picture, camera = views.pictures[view], scaled_camera(views.cameras.cameras[view], scale)
+    picture, camera = views.pictures[view], views.cameras.cameras[view].reduced(scale)
     image = np.empty((camera.height, camera.width, 4), np.float32)
     kernels.downscale(picture, np.array(views.background, np.float64), views.masked, scale, image)
     if ring is not None:
@@ -54,15 +53,6 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     pixels = pixels[:found].copy()
     directions = _directions(camera, pixels, samples)
     return RayTargets(camera.pose[:3, 3].copy(), pixels, kernels.gather_pixels(image, pixels), directions)
-
-
-def scaled_camera(camera: Camera, scale: int) -> Camera:
-    """Return the camera for a picture reduced by the factor `scale`; incomplete rows and columns are cut off."""
-    if scale == 1:
-        return camera
-    centre = camera.cx / scale, camera.cy / scale
-    edges = max(camera.width // scale, 1), max(camera.height // scale, 1)
-    return replace(camera, width=edges[0], height=edges[1], focal=(camera.fx / scale, camera.fy / scale), centre=centre)
 
 
 def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int) -> Singles:

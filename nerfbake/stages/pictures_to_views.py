@@ -29,6 +29,7 @@ def build_views(
     background: Colour | None = None,
     scenery: Scenery = "auto",
     rough: bool = False,
+    edge: int | None = None,
 ) -> Views:
     """Combine cameras with their pictures, (H, W, 4) uint8 of straight sRGB colour and alpha.
 
@@ -39,7 +40,8 @@ def build_views(
 
     scenery: keep fits everything that the pictures show, where alpha is 255, over the mean of all these pixels; drop
     fits an object in front of a background; auto keeps it if the pictures show scenery behind the object and have no
-    alpha, and no background was given. rough: alpha comes from masks that may cut off parts of the object.
+    alpha, and no background was given. rough: alpha comes from masks that may cut off parts of the object. edge: the
+    pixels that the shorter edge of a picture may have; a larger picture is reduced by reduction_factor().
 
     Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery that is not to be kept,
     for pictures that show only background, and for a picture that has no pixel that is used.
@@ -55,7 +57,12 @@ def build_views(
     """
     kept, fitting = [], []
     for camera, pixels in zip(cameras.cameras, pictures, strict=False):
-        fitting.append(_resized(camera, pixels))
+        camera = _resized(camera, pixels)
+        if edge is not None and (factor := reduction_factor(pixels, edge)) > 1:
+            from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
+
+            camera, pixels = camera.reduced(factor), memory.kept(reduced_picture(pixels, factor))
+        fitting.append(camera)
         kept.append(pixels)
     if len(kept) != len(cameras.cameras):
         raise InvalidScene(Problem("pictures", f"are {len(kept):,}", f"{len(cameras.cameras):,}, one a camera"))
@@ -70,6 +77,11 @@ def build_views(
         found = "show nothing but the background"
         raise InvalidScene(Problem("the pictures", found, "an object in front of it in at least one picture"))
     return views
+
+
+def reduction_factor(pixels: Pixels, edge: int) -> int:
+    """Return the smallest whole number that reduces the shorter edge of a picture to at most `edge` pixels."""
+    return int(-(-min(pixels.shape[:2]) // edge))
 
 
 def _require_used(cameras: Cameras, pictures: list[Pixels]) -> None:

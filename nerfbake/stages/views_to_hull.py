@@ -13,7 +13,7 @@ from nerfbake.scene.basis import Basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_solid, field_of_cells
-from nerfbake.stages._ray_targets import ray_targets, scaled_camera
+from nerfbake.stages._ray_targets import ray_targets
 
 MIN_VIEWS = 2
 _EDGE = 128  # approximate number of pixels along a silhouette's shorter edge
@@ -72,7 +72,7 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
     for view, camera in enumerate(views.cameras.cameras):
         scale = max(1, min(camera.width, camera.height) // _EDGE)
         looks = ray_targets(views, view, scale=scale, samples=1, ring=None)
-        own = scaled_camera(camera, scale)
+        own = camera.reduced(scale)
         held = np.zeros((1, own.height, own.width), bool)
         held.flat[looks.pixels] = looks.targets[:, 3] > 0
         held = dilated(held).reshape(-1)[looks.pixels]  # pixels next to an object may still belong to it

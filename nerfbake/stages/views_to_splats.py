@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import frexp
 
 import numpy as np
@@ -14,6 +14,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import power
+from nerfbake.kernels.picture.reduction import reduced_picture
 from nerfbake.kernels.splat.adam import Entries, Moments, StepSizes, new_moments, take_steps
 from nerfbake.kernels.splat.backward import SUMS, TargetPicture, blend_back, entries_by_row
 from nerfbake.kernels.splat.blend import TileLists
@@ -106,7 +107,7 @@ def fit_splats(splats: Splats, views: Views, *, epochs: int = EPOCHS, seed: int 
         for done, number in enumerate(order):
             camera, pixels = views.cameras.cameras[number], targets[number]
             if (epoch * count + done) % _SMALL_EVERY == _SMALL_EVERY - 1 and min(pixels.shape[:2]) >= 2:
-                camera, pixels = _halved(camera, pixels)
+                camera, pixels = camera.reduced(2), _over(reduced_picture(views.pictures[number], 2), views.background)
             part = (epoch * count + done) / max(epochs * count - 1, 1)
             target = TargetPicture(pixels, np.array(views.background, np.float32), _alpha_weight(views), views.scenery)
             state.error = _visit(state, camera, target, _sizes(part, bands))
@@ -142,20 +143,6 @@ def _over(picture: npt.NDArray[np.uint8], background: tuple[float, float, float]
     out = picture.copy()
     out[..., :3] = np.rint(picture[..., :3] * alpha + (1 - alpha) * (255 * np.array(background, np.float32)))
     return out
-
-
-def _halved(camera: Camera, pixels: npt.NDArray[np.uint8]) -> tuple[Camera, npt.NDArray[np.uint8]]:
-    """Return a picture with the means of 2 x 2 pixels, and its camera. A last odd row or column is left out.
-
-    Alpha is 255 only where all four pixels have it.
-    """
-    H, W = pixels.shape[0] // 2, pixels.shape[1] // 2
-    four = [pixels[y : 2 * H : 2, x : 2 * W : 2].astype(np.uint16) for y in range(2) for x in range(2)]
-    mean = ((four[0] + four[1] + four[2] + four[3] + 2) // 4).astype(np.uint8)
-    whole = np.minimum(np.minimum(four[0], four[1]), np.minimum(four[2], four[3]))[..., 3]
-    mean[..., 3] = np.where(whole == 255, 255, np.minimum(mean[..., 3], 254))
-    focal, centre = (camera.fx / 2, camera.fy / 2), (camera.cx / 2, camera.cy / 2)
-    return replace(camera, width=W, height=H, focal=focal, centre=centre), mean
 
 
 def _visit(state: SplatFit, camera: Camera, target: TargetPicture, sizes: StepSizes) -> float:

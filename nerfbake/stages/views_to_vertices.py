@@ -29,7 +29,6 @@ from nerfbake.kernels.surface.triangles import face_normals, untangled, vertex_n
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
-from nerfbake.stages._ray_targets import scaled_camera
 
 _PIXELS = 400  # along a picture's longer edge, about: pictures are reduced by a whole factor
 _VIEWS = 50  # a round
@@ -124,7 +123,7 @@ def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, v
     """Add the equations of one picture."""
     full = views.cameras.cameras[view]
     scale = _scale(full)
-    camera = scaled_camera(full, scale)
+    camera = full.reduced(scale)
     camera.require_memory(_PIXEL_BYTES)
     image = np.empty((camera.height, camera.width, 4), np.float32)
     colours.downscale(views.pictures[view], np.array(views.background, np.float64), views.masked, scale, image)

@@ -287,6 +287,27 @@ def test_pictures_count_as_memory_once(tmp_path: Path) -> None:
         read(capture)
 
 
+def test_large_pictures_are_reduced_with_their_masks(
+    tmp_path: Path, listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerfbake.jobs.photographs.MOST_EDGE", 40)
+    capture = photographed(write_nerfstudio, tmp_path, Rig(140, 100, 175, 175, 70, 50, many(9).poses))
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for path in (capture / "images").iterdir():
+        mask = Pillow.new("L", (140, 100))
+        mask.paste(255, (30, 30, 91, 60))
+        mask.save(masks / path.name)
+    with memory_limit(600_000):
+        posed = read_photographs(listener, Source(str(capture)), PhotographOptions(masks=str(masks)))
+        assert left() >= 600_000 - 9 * 46 * 33 * 4
+    assert {picture.shape for picture in (*posed.trained.pictures, *posed.judges.pictures)} == {(33, 46, 4)}
+    assert posed.trained.cameras.cameras[0].fx == pytest.approx(175 / 3)
+    assert set(posed.trained.pictures[0][15, 8:34, 3].tolist()) == {0, 85, 255}
+    said = "reduces large pictures, such as from 140x100 to 46x33 pixels, each the mean of 3x3"
+    assert [line for line in listener.said if "reduces" in line] == [f"{capture}: {said}"]
+
+
 def test_a_picture_beside_the_cameras_file_is_found(tmp_path: Path) -> None:
     photographed(write_nerfstudio, tmp_path, many(5))
     (tmp_path / "transforms.json").rename(tmp_path / "mine.json")

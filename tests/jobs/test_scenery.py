@@ -39,6 +39,10 @@ def test_photographs_alone_become_a_scene(tmp_path: Path, capfd: pytest.CaptureF
     assert (room / "transforms.json").exists()
     tree = io.load(tmp_path / "a.npz", N3Tree)
     assert tree.shells == 6
+    # 1.5 times the 64 cells of the inner cube, rounded to a whole factor of the 240x180 pixels.
+    assert "fits to and measures on pictures of 120x90 pixels" in written.err
+    assert tree.held_out is not None
+    assert (tree.held_out.cameras.cameras[0].width, tree.held_out.cameras.cameras[0].height) == (120, 90)
     assert json.loads(written.out)["psnr"] > 15
     # The scenery has no place in an octree; the second fit finds the cameras that the first one wrote.
     with pytest.raises(

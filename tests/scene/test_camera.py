@@ -36,6 +36,16 @@ def test_a_simple_pinhole_has_the_same_rays_to_the_bit(size: tuple[int, int]) ->
         assert camera.resized(9, 8).rays()[1].tobytes() == old_rays(9, 8, 33.3 * 9 / size[0], POSE).tobytes()
 
 
+def test_a_reduced_camera_looks_through_the_middle_of_its_blocks() -> None:
+    camera = Camera(32, 21, (25.0, 24.0), POSE, centre=(13.0, 11.5))
+    assert camera.reduced(1) is camera
+    third = camera.reduced(3)
+    assert (third.width, third.height) == (10, 7)
+    # The middle pixel of a block, also beside the two columns that are cut off.
+    middle = camera.rays()[1].reshape(21, 32, 3)[1::3, 1:30:3]
+    assert_allclose(third.rays()[1].reshape(7, 10, 3), middle, atol=1e-12)
+
+
 def test_a_resized_camera_looks_through_the_same_corners() -> None:
     lens = Lens("polynomial", (-0.1, 0.02), (0.001, 0.002))
     camera = Camera(30, 20, (25.0, 24.0), POSE, centre=(13.0, 11.5), lens=lens)

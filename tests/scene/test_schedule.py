@@ -3,7 +3,17 @@ from __future__ import annotations
 import pytest
 
 from nerfbake.errors import InvalidScene
-from nerfbake.scene.schedule import PRESETS, Schedule, Stage, parse_schedule, preset_schedule, schedule_for
+from nerfbake.scene.schedule import (
+    PRESETS,
+    SCENERY_PRESETS,
+    Schedule,
+    Stage,
+    parse_schedule,
+    preset_schedule,
+    scenery_scale,
+    scenery_schedule,
+    schedule_for,
+)
 
 
 def test_a_schedule_reads_as_it_is_written() -> None:
@@ -101,3 +111,17 @@ def test_few_views_are_seen_the_more_often() -> None:
     assert [5 * stage.epochs for stage in hundred] == [stage.epochs for stage in twenty]
     assert {stage.epochs for stage in many} == {1}
     assert schedule_for(2, views=20).epochs == 5 * schedule_for(2).epochs
+
+
+@pytest.mark.parametrize("name", SCENERY_PRESETS)
+@pytest.mark.parametrize(("resolution", "edge", "factor"), [(64, 378, 4), (256, 756, 2), (256, 1008, 3), (512, 700, 1)])
+def test_pictures_with_scenery_are_as_large_as_the_last_stage_needs(
+    name: str, resolution: int, edge: int, factor: int
+) -> None:
+    schedule = scenery_schedule(name, resolution=resolution, edge=edge)
+    assert schedule.finest == resolution
+    assert scenery_scale(edge, schedule.finest) == factor == schedule[-1].scale
+    # The schedule for the reduced pictures, which a run prints, reduces the original ones by the same factor.
+    again = scenery_schedule(name, resolution=resolution, edge=edge // factor)
+    assert scenery_scale(edge, parse_schedule(str(again)).finest) == factor
+    assert again[-1].scale == 1

@@ -10,6 +10,7 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import Camera, Cameras, build_views
 from nerfbake.errors import InvalidScene
+from nerfbake.kernels.picture.reduction import reduced_picture
 from nerfbake.stages.pictures_to_views import apply_mask
 from tests.support.photographs import Pixels, over, spot
 
@@ -28,6 +29,16 @@ def test_a_larger_print_of_the_same_view_resizes_its_camera() -> None:
     views = build_views(cameras(), [spot(24, 18)])
     (camera,) = views.cameras.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (24, 18, 20.0, 22.0, 10.0, 8.0)
+
+
+@pytest.mark.parametrize(("edge", "size"), [(18, (24, 18)), (17, (12, 9)), (8, (8, 6)), (5, (6, 4)), (1, (1, 1))])
+def test_large_pictures_are_reduced_by_a_whole_factor(edge: int, size: tuple[int, int]) -> None:
+    picture = spot(24, 18)
+    views = build_views(cameras(), [picture], edge=edge)
+    (camera,), factor = views.cameras.cameras, 18 // size[1]
+    assert (camera.width, camera.height) == size
+    assert camera.cx == pytest.approx(10.0 / factor)  # of the 24 columns, also if some are cut off
+    assert_array_equal(views.pictures[0], reduced_picture(picture, factor))
 
 
 @pytest.mark.parametrize(("width", "height"), [(5, 4), (4, 3), (3, 2), (24, 18), (25, 19), (23, 17)])

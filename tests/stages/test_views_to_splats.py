@@ -23,7 +23,6 @@ from nerfbake import (
 )
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels import parallel
-from nerfbake.stages.views_to_splats import _halved
 
 
 def pictures(cameras: object, field: object) -> Views:
@@ -75,21 +74,6 @@ def test_the_same_seed_gives_the_same_bytes(
     for name in ("means", "scales", "quats", "opacity", "sh"):
         assert_array_equal(getattr(found[0], name), getattr(found[1], name))
     assert (found[0].means != found[2].means).any()
-
-
-def test_a_halved_picture_shows_the_same() -> None:
-    field = build_field(sample_n3tree(resolution=16))
-    camera = orbit_cameras(field, width=41, height=30).cameras[0]
-    pixels = render_field(field, camera, background=None, samples=4).pixels
-    small, made = _halved(camera, pixels)
-    assert (small.width, small.height, made.shape) == (20, 15, (15, 20, 4))
-    again = render_field(field, small, background=None, samples=8).pixels
-    assert np.abs(made[..., 3].astype(int) - again[..., 3]).max() <= 12
-    _, partial = _halved(camera, np.full((30, 41, 4), [9, 9, 9, 255], np.uint8))
-    assert (partial == [9, 9, 9, 255]).all()
-    holed = np.full((30, 41, 4), 255, np.uint8)
-    holed[4, 4, 3] = 254
-    assert _halved(camera, holed)[1][2, 2, 3] == 254
 
 
 def test_what_cannot_be_fitted_is_one_line(scene: tuple[Splats, Views, Views, Views]) -> None:
