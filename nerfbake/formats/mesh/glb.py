@@ -6,26 +6,28 @@ The reader returns the meshes of the default scene, in the scene's coordinates. 
 
 The writer is in glb_writer.py. Of a file with levels of detail (MSFT_lod), the finest is read.
 
-Source: glTF 2.0, sections 3.6 and 4.4; KHR_mesh_quantization, EXT_texture_webp, MSFT_lod.
+Source: glTF 2.0, sections 3.6 and 4.4; KHR_mesh_quantization, KHR_texture_transform, EXT_texture_webp,
+KHR_materials_pbrSpecularGlossiness, MSFT_lod.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
-from nerfbake.formats.wire.json import parse_object
+from nerfbake.formats.wire.json import kind_of, number, parse_object
 from nerfbake.formats.wire.picture import Coding, decode_texture
-from nerfbake.kernels.maths.affine import compose, determinant, transform_points
-from nerfbake.kernels.maths.elementary import cast
+from nerfbake.kernels.maths.affine import compose, determinant, length, transform_points
+from nerfbake.kernels.maths.elementary import cast, sine_cosine
 from nerfbake.kernels.picture.metrics import from_linear
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
 
@@ -120,7 +122,9 @@ def _chunks(view: memoryview) -> tuple[memoryview, memoryview]:
 
 
 _MATERIALS = "KHR_materials_"  # prefix of extensions that only change the reflection of light, which is ignored
-_KNOWN = ("KHR_mesh_quantization", "EXT_texture_webp")
+_GLOSSY = "KHR_materials_pbrSpecularGlossiness"  # holds the base colour under names of its own
+_MOVED = "KHR_texture_transform"
+_KNOWN = ("KHR_mesh_quantization", _MOVED, "EXT_texture_webp")
 # Extensions that do not affect triangles and their colours: lights, animation, audio and metadata.
 _BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
 _BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld", "MSFT_lod"}
@@ -149,8 +153,8 @@ def _meshes_of(document: Document) -> tuple[Mesh, ...]:
     found: list[Mesh] = []
     for index, matrix in placed_meshes(document):
         mesh = document.item("meshes", index)
-        for number, primitive in enumerate(_list(mesh, "primitives", f"meshes[{index}]")):
-            place = f"meshes[{index}].primitives[{number}]"
+        for k, primitive in enumerate(_list(mesh, "primitives", f"meshes[{index}]")):
+            place = f"meshes[{index}].primitives[{k}]"
             if not isinstance(primitive, dict):
                 raise malformed(place, f"is a {type(primitive).__name__}", "an object")
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN):
@@ -190,19 +194,14 @@ def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
 
 
 def _matrix(node: dict[str, Any], place: str) -> Floats:
-    def numbers(key: str, *default: float) -> Floats:
-        try:
-            values = np.array(node.get(key, default), np.float64)
-        except (ValueError, TypeError):
-            values = np.empty(0)
-        if values.shape != (len(default),) or not np.isfinite(values).all():
-            raise malformed(f"{place}.{key}", "is not a list of numbers", f"{len(default)} finite numbers")
-        return values
-
     if "matrix" in node:
-        return numbers("matrix", *np.eye(4).reshape(-1)).reshape(4, 4).T
-    x, y, z, w = numbers("rotation", 0, 0, 0, 1)
-    turn = np.array(
+        return _numbers(node, "matrix", place, *([0.0] * 16)).reshape(4, 4).T
+    turn = _numbers(node, "rotation", place, 0, 0, 0, 1)
+    if not turn.any():
+        raise malformed(f"{place}.rotation", "has length 0", "a quaternion of length 1")
+    turn /= np.abs(turn).max()  # so that no square overflows
+    x, y, z, w = turn / length(turn)
+    axes = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
             [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -210,8 +209,8 @@ def _matrix(node: dict[str, Any], place: str) -> Floats:
         ]
     )
     matrix = np.eye(4)
-    matrix[:3, :3] = turn * numbers("scale", 1, 1, 1)
-    matrix[:3, 3] = numbers("translation", 0, 0, 0)
+    matrix[:3, :3] = axes * _numbers(node, "scale", place, 1, 1, 1)
+    matrix[:3, 3] = _numbers(node, "translation", place, 0, 0, 0)
     return matrix
 
 
@@ -265,26 +264,35 @@ class _Looks:
         Factors are linear. They are converted to sRGB and multiply the sRGB texture, which is a close approximation.
         """
         uvs, texture, light = None, None, np.ones((1, 3))
-        surface: Any = {}
+        base = _Base(None, None, "")
         if "material" in primitive:
-            surface = self._document.item("materials", primitive["material"]).get("pbrMetallicRoughness", {})
-        if not isinstance(surface, dict):
-            raise malformed(f"{place}.material", "is not a material", "pbrMetallicRoughness as an object")
-        painted = "COLOR_0" in attributes or "baseColorFactor" in surface
-        if "baseColorFactor" in surface:
-            light = light * _colour(surface["baseColorFactor"], place)
+            index = primitive["material"]
+            base = _base_of(self._document.item("materials", index), f"materials[{index}]")
+        if base.factor is not None:
+            light = light * base.factor
         if "COLOR_0" in attributes:
             light = light * cast(self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3], np.float64)
-        info = surface.get("baseColorTexture")
-        if isinstance(info, dict) and (key := f"TEXCOORD_{info.get('texCoord', 0)}") in attributes:
-            uvs = cast(self._document.accessor(attributes[key], ("VEC2",)), np.float32)
-            texture = self._texture(info.get("index"))
+        if isinstance(base.texture, dict):
+            uvs = self._corners(base.texture, attributes, base.place)
+            texture = None if uvs is None else self._texture(base.texture.get("index"))
         v = len(mesh.positions)
         if len(light) not in (1, v) or (uvs is not None and len(uvs) != v):
             raise malformed(place, "has attributes of different counts", f"{v:,}, as POSITION")
+        painted = base.factor is not None or "COLOR_0" in attributes
         with np.errstate(invalid="ignore"):
             colours = np.broadcast_to(from_linear(light), mesh.positions.shape) if painted else None
         return replace(mesh, uvs=uvs, texture=texture, colours=colours)
+
+    def _corners(
+        self, texture: dict[str, Any], attributes: dict[str, Any], place: str
+    ) -> npt.NDArray[np.float32] | None:
+        """Return the texture coordinates that a reference to a texture asks for; None if the mesh lacks them."""
+        move, at = _extension(texture, _MOVED, place), f"{place}.extensions.{_MOVED}"
+        chosen = whole(move or {}, "texCoord", at, whole(texture, "texCoord", place, 0))
+        if (key := f"TEXCOORD_{chosen}") not in attributes:
+            return None
+        uvs = self._document.accessor(attributes[key], ("VEC2",))
+        return cast(uvs if move is None else _moved(uvs, move, at), np.float32)
 
     def _texture(self, index: Any) -> npt.NDArray[np.uint8]:
         source = _source(self._document.item("textures", index), f"textures[{index}]")
@@ -301,21 +309,62 @@ class _Looks:
 
 def _source(texture: dict[str, Any], place: str) -> int:
     """Return the picture of a texture: its PNG or JPEG, or else its WebP."""
-    extensions = texture.get("extensions", {})
-    webp = extensions.get("EXT_texture_webp") if isinstance(extensions, dict) else None
-    if "source" not in texture and isinstance(webp, dict):
+    webp = _extension(texture, "EXT_texture_webp", place)
+    if "source" not in texture and webp is not None:
         return whole(webp, "source", f"{place}.extensions.EXT_texture_webp")
     return whole(texture, "source", place)
 
 
-def _colour(factor: Any, place: str) -> Floats:
-    try:
-        colour = np.array(factor, np.float64)
-    except (ValueError, TypeError):
-        colour = np.empty(0)
-    if colour.shape != (4,) or not np.isfinite(colour).all():
-        raise InvalidScene(Problem(f"{place}.material", "has no base colour", "4 finite numbers"))
-    return colour[:3]
+class _Base(NamedTuple):
+    """The base colour of a material: its linear factor (3,), the reference to its texture, and that one's place."""
+
+    factor: Floats | None
+    texture: Any
+    place: str
+
+
+def _base_of(material: dict[str, Any], place: str) -> _Base:
+    surface, factor, texture = material.get("pbrMetallicRoughness", {}), "baseColorFactor", "baseColorTexture"
+    at = f"{place}.pbrMetallicRoughness"
+    if (glossy := _extension(material, _GLOSSY, place)) is not None:
+        surface, factor, texture, at = glossy, "diffuseFactor", "diffuseTexture", f"{place}.extensions.{_GLOSSY}"
+    if not isinstance(surface, dict):
+        raise malformed(at, f"is {kind_of(surface)}", "an object")
+    light = _numbers(surface, factor, at, 1, 1, 1, 1)[:3] if factor in surface else None
+    return _Base(light, surface.get(texture), f"{at}.{texture}")
+
+
+def _moved(uvs: npt.NDArray[Any], move: dict[str, Any], place: str) -> Floats:
+    """Return scaled, then rotated, then shifted texture coordinates, (v, 2).
+
+    The rotation is counter-clockwise where v points down, as the extension's text and its example say, and as other
+    programs do. The matrix in its README has the other sign: github.com/KhronosGroup/glTF/issues/1563.
+    """
+    scale, shift = _numbers(move, "scale", place, 1, 1), _numbers(move, "offset", place, 0, 0)
+    sine, cosine = sine_cosine(math.fmod(number(move, "rotation", place, default=0.0), math.tau))
+    with np.errstate(over="ignore", invalid="ignore"):
+        u, v = (cast(uvs, np.float64) * scale).T
+        return np.stack([cosine * u + sine * v, cosine * v - sine * u], axis=1) + shift
+
+
+def _extension(entry: dict[str, Any], name: str, place: str) -> dict[str, Any] | None:
+    extensions = entry.get("extensions")
+    found = extensions.get(name) if isinstance(extensions, dict) else None
+    if found is not None and not isinstance(found, dict):
+        raise malformed(f"{place}.extensions.{name}", f"is {kind_of(found)}", "an object")
+    return found
+
+
+def _numbers(entry: dict[str, Any], key: str, place: str, *default: float) -> Floats:
+    """Return a list of as many numbers as the default has. Parsed JSON holds no others than finite ones."""
+    values = entry.get(key, default)
+    if (
+        not isinstance(values, list | tuple)
+        or len(values) != len(default)
+        or not all(type(value) in (int, float) for value in values)
+    ):
+        raise malformed(f"{place}.{key}", "is not a list of numbers", f"{len(default)} finite numbers")
+    return np.array(values, np.float64)
 
 
 def _list(entry: dict[str, Any], key: str, place: str) -> list[Any]:

@@ -2,38 +2,50 @@
 
     newmtl NAME     map_Kd [-option value ...] PICTURE
 
-Pictures stand beside the .obj as PNG or JPEG. Other pictures and missing files are ignored, as are names with a folder:
-a file from elsewhere must not choose what is read.
+Pictures stand beside the .obj as PNG or JPEG. Other pictures and missing files are ignored, as are names with a folder
+other than ./: a file from elsewhere must not choose what is read. Names may contain spaces and #; a line that starts
+with # is a comment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
+from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.picture import decode_texture
 
 _ENDINGS = (".png", ".jpg", ".jpeg")
 _LONGEST = 200  # bytes of a file name
+_MOST = 100  # names of libraries
+_HERE = re.compile(rb"\A(?:\.[/\\]++)++")  # the folder of the .obj, as MeshLab names it
+BOM = b"\xef\xbb\xbf"  # of UTF-8; some editors write it first
 _MTL = "newmtl {}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\n"
 
 
 class Materials:
-    """The textures of the materials in a library beside an .obj; each picture is decoded once."""
+    """The textures of the materials in the libraries beside an .obj; each picture is decoded once.
 
-    def __init__(self, library: bytes | None, beside: Mapping[str, memoryview] | None) -> None:
+    libraries: what each mtllib line names. The first library that has a material counts. Raises InvalidFile for more
+    than 100.
+    """
+
+    def __init__(self, libraries: Iterable[bytes], beside: Mapping[str, memoryview] | None) -> None:
         self._beside = {} if beside is None else beside
-        self._pictures = _pictures(self._file(library) or b"")
+        self._pictures: dict[bytes, bytes] = {}
+        for name in self._names(libraries):
+            self._pictures = _pictures(bytes(self._beside[name])) | self._pictures
         self._textures: dict[str, npt.NDArray[np.uint8]] = {}
 
     def texture(self, material: bytes) -> npt.NDArray[np.uint8] | None:
         """The texture (H, W, 3) of a material; None if it has none. Raises InvalidFile, MemoryLimit."""
-        name = _plain(self._pictures.get(material))
-        if name is None or not name.lower().endswith(_ENDINGS) or name not in self._beside:
+        name = self._there(self._pictures.get(material))
+        if name is None or not name.lower().endswith(_ENDINGS):
             return None
         if name not in self._textures:
             texture = decode_texture(self._beside[name], name, any_mode=True)
@@ -41,28 +53,42 @@ class Materials:
             self._textures[name] = texture
         return self._textures[name]
 
-    def _file(self, name: bytes | None) -> bytes | None:
-        plain = _plain(name)
-        return bytes(self._beside[plain]) if plain is not None and plain in self._beside else None
+    def _names(self, libraries: Iterable[bytes]) -> list[str]:
+        """The names of the libraries that are there. A line names one, whose name may contain spaces, or several."""
+        lines: set[bytes] = set()
+        found: dict[bytes, str | None] = {}
+        for line in libraries:
+            if line in lines:
+                continue
+            lines.add(line)
+            names = [line] if self._there(line) else line.split(None, _MOST)
+            found |= {name: self._there(name) for name in names}
+            if max(len(lines), len(found)) > _MOST:
+                raise InvalidFile(Problem("mtllib", f"names more than {_MOST} libraries", f"{_MOST} at most"))
+        return [name for name in dict.fromkeys(found.values()) if name]
 
-
-def _plain(name: bytes | None) -> str | None:
-    """A file name without a folder, as the system spells it; None if it is none."""
-    if not name or len(name) > _LONGEST or b"/" in name or b"\\" in name or b"\0" in name or name in (b".", b".."):
-        return None
-    return name.decode("utf-8", "surrogateescape")
+    def _there(self, name: bytes | None) -> str | None:
+        """The name of a file beside the .obj, as the system spells it; None if it names none, or one in a folder."""
+        name = _HERE.sub(b"", name or b"")
+        if not name or len(name) > _LONGEST or b"/" in name or b"\\" in name or b"\0" in name or name in (b".", b".."):
+            return None
+        plain = name.decode("utf-8", "surrogateescape")
+        return plain if plain in self._beside else None
 
 
 def _pictures(content: bytes) -> dict[bytes, bytes]:
-    """The picture of each material that has one."""
-    found, material = {}, b""
-    for line in content.splitlines():
-        word, _, rest = line.strip().partition(b" ")
+    """The picture of each material; b"" for none."""
+    found: dict[bytes, bytes] = {}
+    material = b""
+    for line in content.removeprefix(BOM).splitlines():
+        word, rest = (*line.split(None, 1), b"", b"")[:2]
+        rest = rest.strip()
         if word == b"newmtl":
-            material = rest.strip()
-        if word == b"map_Kd" and rest.split():
+            material = rest
+            found.setdefault(material, b"")
+        if word == b"map_Kd" and rest:
             # Options come before the name, which may contain spaces.
-            found[material] = rest.split()[-1] if rest.strip().startswith(b"-") else rest.strip()
+            found[material] = rest.split()[-1] if rest.startswith(b"-") else rest
     return found
 
 

@@ -3,11 +3,12 @@ r"""Read and write meshes as Wavefront text (.obj): positions, texture coordinat
     v x y z [w] [r g b]     vt u v     usemtl NAME     f v[/vt[/vn]] v[/vt[/vn]] v[/vt[/vn]] ...
 
 Indices start at 1 and count through the whole file. Negative indices count back from their line: -1 is the last entry
-before it. A \ at the end of a line joins it with the next line, and # starts a comment. All other statements are
-ignored. The parser works on whole columns at a time.
+before it. w is ignored. A \ at the end of a line joins it with the next line. # starts a comment at the start of a line
+and after numbers, but names may contain it. All other statements are ignored. The parser works on whole columns at a
+time.
 
-Coordinates are those of the field. Materials and textures stand in files beside the .obj: `mtllib NAME` names the
-library, see mtl.py. A textured mesh is written as three files, because other programs look for them there: NAME.obj,
+Coordinates are those of the field. Materials and textures stand in files beside the .obj: `mtllib NAME ...` names the
+libraries, see mtl.py. A textured mesh is written as three files, because other programs look for them there: NAME.obj,
 NAME.mtl and NAME.png. A mesh without texture is one file.
 """
 
@@ -25,7 +26,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.mesh.mtl import Materials, encode_mtl
+from nerfbake.formats.mesh.mtl import BOM, Materials, encode_mtl
 from nerfbake.formats.wire.picture import encode_picture
 from nerfbake.kernels.surface.fans import fan
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
@@ -59,7 +60,7 @@ def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | N
         ends = np.flatnonzero(np.diff(corners.material[order], append=-1)) + 1
         require_few(len(ends))
         parts = np.split(order, ends[:-1])
-        known, materials = text.material_names(), Materials(text.library(), beside)
+        known, materials = text.material_names(), Materials(text.libraries(), beside)
         found = []
         for part in sorted(parts, key=lambda part: part[0]):  # in the order in which materials first occur in the file
             mesh = _mesh(corners, part, points, colours, places)
@@ -105,9 +106,7 @@ class _Text:
 
     def __init__(self, view: memoryview, name: str) -> None:
         self._name = name
-        whole = bytes(view).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
-        if b"#" in whole:
-            whole = re.sub(rb"#[^\n]*+", b"", whole)
+        whole = bytes(view).removeprefix(BOM).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
         # Normalise the text: every line starts with its first word, and the last one is followed by other bytes.
         self._bytes = np.frombuffer(re.sub(rb"\n[ \t\r\n]++", b"\n", b"\n" + whole + b"\n") + bytes(8), np.uint8)
         breaks = np.flatnonzero(self._bytes == ord("\n"))
@@ -131,19 +130,23 @@ class _Text:
             raise self._fault(f"{len(starts):,} words, of which only {len(values):,} are numbers", _ALLOWED)
         return _Numbers(values, np.bincount(line, minlength=len(lines)))
 
-    def columns(self, numbers: _Numbers, first: int, end: int) -> Floats:
-        """Return columns first to end of the numbers, (lines, end - first). Raises InvalidFile for shorter lines."""
+    def columns(self, numbers: _Numbers, first: int, end: int, skipped: Ints | int = 0) -> Floats:
+        """Return columns first to end of the numbers, (lines, end - first). Raises InvalidFile for shorter lines.
+
+        skipped: how many columns further right they are, on each line.
+        """
         values, counts = numbers
         if (counts < end).any():
             raise self._fault(f"a line of {counts[(counts < end).argmax()]} numbers", f"{end} or more")
-        begin = np.cumsum(counts) - counts
+        begin = np.cumsum(counts) - counts + skipped
         return np.asarray(values[begin[:, None] + np.arange(first, end)], np.float64)
 
     def vertices(self) -> tuple[Floats, Floats | None]:
         """Return positions (v, 3), and colours (v, 3) if all vertices have one."""
         found = self.numbers(self.lines(b"v"))
         coloured = len(found.counts) and (found.counts >= 6).all()
-        return self.columns(found, 0, 3), self.columns(found, 3, 6) if coloured else None
+        weighted = (found.counts == 7).astype(np.int64)  # x y z w r g b
+        return self.columns(found, 0, 3), self.columns(found, 3, 6, weighted) if coloured else None
 
     def places(self) -> Floats:
         """Return the texture coordinates, (p, 2)."""
@@ -199,19 +202,19 @@ class _Text:
         found[have] = index
         return found
 
-    def library(self) -> bytes | None:
-        """Return the name of the first library of materials, if there is one."""
-        return next(iter(self._rests(b"mtllib")), None)
+    def libraries(self) -> Iterator[bytes]:
+        """Yield what each mtllib line names: one library of materials or several."""
+        return self._rests(b"mtllib")
 
     def material_names(self) -> list[bytes]:
         """Return the names of the materials in the order of their numbers. The first is used before any is named."""
         return [b"", *dict.fromkeys(self._rests(b"usemtl"))]
 
-    def _rests(self, word: bytes) -> list[bytes]:
-        """Return what follows this word on each of its lines."""
+    def _rests(self, word: bytes) -> Iterator[bytes]:
+        """Yield what follows this word on each of its lines."""
         lines = self.lines(word)
         places = zip(self._starts[lines] + len(word), self._ends[lines], strict=True)
-        return [self._bytes[start:end].tobytes().strip() for start, end in places]
+        return (self._bytes[start:end].tobytes().strip() for start, end in places)
 
     def _materials(self, lines: Ints) -> Ints:
         """Return the material number of each of these lines, (faces,)."""
@@ -220,13 +223,14 @@ class _Text:
         return np.array([0, *named])[np.searchsorted(self.lines(b"usemtl"), lines)]
 
     def _behind_words(self, lines: Ints) -> bytes:
-        """Return these lines without their first word, each with its line break."""
+        """Return these lines without their first word and their comment, each with its line break."""
         wanted = np.zeros(len(self._starts), bool)
         wanted[lines] = True
         mask = np.repeat(wanted, self._ends - self._starts + 1)
         mask[self._starts[lines] - 1] = False
         mask[self._starts[lines][self._bytes[self._starts[lines] + 1] > ord(" ")]] = False
-        return bytes(self._bytes[1 : 1 + len(mask)][mask].data)
+        text = bytes(self._bytes[1 : 1 + len(mask)][mask].data)
+        return re.sub(rb"#[^\n]*+", b"", text) if b"#" in text else text
 
     def _refuse(self, text: bytes, at: int) -> None:
         word = text[at : at + 40].split()[0].decode("latin-1")
@@ -272,7 +276,7 @@ def _lines(form: str, rows: npt.NDArray[Any]) -> bytes:
     return text.getvalue()
 
 
-_KEYWORD = re.compile(rb"^(v|vt|vn|mtllib|o|g|usemtl) ", re.MULTILINE)
+_KEYWORD = re.compile(rb"^(?:%b)?(v|vt|vn|mtllib|o|g|usemtl)[ \t]" % BOM, re.MULTILINE)
 
 
 def recognise(view: memoryview) -> bool:

@@ -5,8 +5,9 @@ r"""Read and write meshes as .ply: positions, vertex colours, polygons.
     element face T\n property list uchar int vertex_indices\n end_header\n
     V rows of 3 f32 (and 3 u8) | T rows of u8 3, 3 i32
 
-Colours are sRGB. The reader takes text and both byte orders, other properties in any order, and polygons of any size.
-Files with f_dc_0 or packed_position are splats, which splat/ply.py reads, as are files without faces.
+Colours are sRGB; their type decides whether they go to 1 (float), 65,535 (ushort) or 255 (other integers). The reader
+takes text and both byte orders, other properties in any order, and polygons of any size. Files with f_dc_0 or
+packed_position are splats, which splat/ply.py reads, as are files without faces.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def decode(view: memoryview) -> Meshes:
         missing = "vertex" if "vertex" not in tables else "face"
         raise InvalidFile(Problem("the mesh", f"has no element {missing}", _ALLOWED))
     positions = _columns(tables["vertex"], ("x", "y", "z"))
-    colours = _colours(tables["vertex"])
+    colours = _colours(tables["vertex"], header)
     faces = tables["face"]
     if not isinstance(faces, _Polygons):
         raise InvalidFile(Problem("element face", "has no list vertex_indices", _ALLOWED))
@@ -220,13 +221,13 @@ def _columns(rows: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
         return np.stack([np.asarray(rows[name], np.float64) for name in names], axis=1)
 
 
-def _colours(rows: Any) -> npt.NDArray[np.float32] | None:
+def _colours(rows: Any, header: wire.Header) -> npt.NDArray[np.float32] | None:
     names = ("red", "green", "blue")
     if not all(_has(rows, name) for name in names):
         return None
-    found = _columns(rows, names)
-    whole = found.max(initial=0) > 1 if isinstance(rows, dict) else rows.dtype["red"].kind == "u"
-    return (found / 255 if whole else found).astype(np.float32)
+    kinds = dict(next(each for each in header.elements if each.name == "vertex").numbers)
+    white = [1 if kinds[name][0] == "f" else 65_535 if kinds[name] == "u2" else 255 for name in names]
+    return (_columns(rows, names) / white).astype(np.float32)
 
 
 def encode(scene: Meshes) -> Iterator[bytes]:

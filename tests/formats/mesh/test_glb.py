@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import trimesh
 from PIL import Image
@@ -261,6 +262,85 @@ def image(textures: Any = None, **entry: Any) -> dict[str, Any]:
     }
 
 
+CORNER_UVS = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+
+
+def textured(reference: dict[str, Any], uvs: npt.NDArray[Any] = CORNER_UVS, **changes: Any) -> bytes:
+    """A triangle whose material is `reference`, to a texture of one texel, with texture coordinates of any type."""
+    file = io.BytesIO()
+    Image.new("RGB", (1, 1), (9, 8, 7)).save(file, "PNG")
+    pieces = [BODY, uvs.tobytes(), file.getvalue()]
+    views = document()["bufferViews"]
+    views += [
+        {"buffer": 0, "byteOffset": len(b"".join(pieces[:k])), "byteLength": len(piece)}
+        for k, piece in enumerate(pieces)
+        if k
+    ]
+    entry = image(bufferView=3) | {"materials": [reference], "bufferViews": views}
+    entry["accessors"][2] |= {"bufferView": 2, "componentType": {"f": 5126, "u": 5123}[uvs.dtype.kind]}
+    return glb(document(**(entry | changes)), b"".join(pieces))
+
+
+def moved(**transform: Any) -> dict[str, Any]:
+    return {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": {MOVED: transform}}}}
+
+
+MOVED, GLOSSY = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
+
+
+@pytest.mark.parametrize(
+    ("transform", "wanted"),
+    [
+        ({}, [[0, 1], [1, 1], [1, 0], [0, 0]]),
+        ({"scale": [0.5, 2]}, [[0, 2], [0.5, 2], [0.5, 0], [0, 0]]),
+        ({"offset": [3, -1], "scale": [1, 2]}, [[3, 1], [4, 1], [4, -1], [3, -1]]),
+        # The example of the extension: the lower left quadrant of the picture, rotated clockwise by 90 degrees.
+        (
+            {"offset": [0, 1], "rotation": 1.57079632679, "scale": [0.5, 0.5]},
+            [[0.5, 1], [0.5, 0.5], [0, 0.5], [0, 1]],
+        ),
+        # The scale comes first: with (2, 1) and a quarter turn, 2 ends up along v.
+        ({"rotation": np.pi / 2, "scale": [2, 1]}, [[1, 0], [1, -2], [0, -2], [0, 0]]),
+    ],
+)
+def test_texture_coordinates_are_transformed(transform: dict[str, Any], wanted: Any) -> None:
+    required: dict[str, Any] = {"extensionsUsed": [MOVED], "extensionsRequired": [MOVED]}
+    for more in ({}, required):
+        (found,) = decoded(textured(moved(**transform), **more)).meshes
+        np.testing.assert_allclose(found.require_uvs(), wanted, atol=1e-6)
+        assert found.texture is not None
+
+
+def test_integers_become_texture_coordinates_by_their_transform() -> None:
+    """Gltfpack writes them so."""
+    content = textured(moved(offset=[0.25, 0], scale=[1 / 4095] * 2), (CORNER_UVS * 4095).astype(np.uint16))
+    (found,) = decoded(content).meshes
+    np.testing.assert_allclose(found.require_uvs(), CORNER_UVS + np.array([0.25, 0]), atol=1e-7)
+
+
+def test_a_transform_may_choose_other_texture_coordinates() -> None:
+    attributes = {"POSITION": 0, "TEXCOORD_7": 2}
+    look = moved(texCoord=7)
+    look["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 0
+    (found,) = decoded(textured(look, meshes=primitive(material=0, attributes=attributes))).meshes
+    np.testing.assert_array_equal(found.require_uvs(), CORNER_UVS)
+
+
+@pytest.mark.parametrize("required", [[], [GLOSSY]])
+def test_an_older_materials_base_colour_is_its_diffuse_colour(required: list[str]) -> None:
+    older = {"diffuseTexture": {"index": 0}, "diffuseFactor": [0.2140411, 1, 0, 1]}
+    look = {"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}, "extensions": {GLOSSY: older}}
+    (found,) = decoded(textured(look, extensionsUsed=[GLOSSY], extensionsRequired=required)).meshes
+    np.testing.assert_array_equal(found.texture, [[[9, 8, 7]]])
+    np.testing.assert_allclose(np.array(found.colours), [[0.5, 1, 0]] * 4, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1, 1.5, 1e200, 1e-200])
+def test_a_rotation_of_any_length_only_turns(size: float) -> None:
+    (found,) = decoded(glb(document(nodes=[{"mesh": 0, "rotation": [0, 0, size, size]}]), BODY)).meshes
+    np.testing.assert_allclose(found.positions, [[0, 0, 0], [0, 1, 0], [-1, 0, 0], [-1, 1, 0]], atol=1e-6)
+
+
 def deep(depth: int) -> dict[str, Any]:
     return {"nodes": [{"children": [i + 1]} for i in range(depth)] + [{"children": [0]}]}
 
@@ -283,6 +363,28 @@ LIES: dict[str, tuple[bytes, str]] = {
     "a node of text": (glb(document(nodes=["mesh"]), BODY), "nodes[0] is a str"),
     "no such mesh": (glb(document(nodes=[{"mesh": -1}]), BODY), "meshes have no entry -1"),
     "a short matrix": (glb(document(nodes=[{"mesh": 0, "matrix": [1]}]), BODY), "nodes[0].matrix is not a"),
+    "text as a scale": (glb(document(nodes=[{"mesh": 0, "scale": ["2", "2", "2"]}]), BODY), "nodes[0].scale is not a"),
+    "a true scale": (glb(document(nodes=[{"mesh": 0, "scale": [True] * 3}]), BODY), "nodes[0].scale is not a list"),
+    "no rotation": (
+        glb(document(nodes=[{"mesh": 0, "rotation": [0, 0, 0, 0.0]}]), BODY),
+        "nodes[0].rotation has length 0; allowed: a quaternion of length 1",
+    ),
+    "an endless rotation": (glb(b'{"nodes": [{"rotation": [0, 0, 0, 1e999]}]}'), "JSON chunk cannot be parsed"),
+    "a true colour": (
+        textured({"pbrMetallicRoughness": {"baseColorFactor": [True, "0.5", 0, 1]}}),
+        "materials[0].pbrMetallicRoughness.baseColorFactor is not a list of numbers; allowed: 4 finite numbers",
+    ),
+    "a transform of text": (
+        textured(moved(scale=["1", 1])),
+        "baseColorTexture.extensions.KHR_texture_transform.scale is not a list of numbers; allowed: 2 finite numbers",
+    ),
+    "a transform that is none": (
+        textured({"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": {MOVED: 5}}}}),
+        "baseColorTexture.extensions.KHR_texture_transform is a number; allowed: an object",
+    ),
+    "a rotation of text": (textured(moved(rotation="x")), "KHR_texture_transform.rotation is x; allowed: a number"),
+    "coordinates by no number": (textured(moved(texCoord=-1)), "KHR_texture_transform.texCoord is -1"),
+    "coordinates far away": (textured(moved(scale=[1e300, 1])), "mesh uvs[1, 0] is inf"),
     "no positions": (glb(document(meshes=primitive(attributes={})), BODY), "accessors have no entry None"),
     "terabytes": (glb(document(**accessor(count=1 << 39)), BODY), "accessors[0] has 549,755,813,888 entries"),
     "no corners": (glb(document(**accessor(count=0)), BODY), "accessors[0] has 0 entries"),
@@ -371,6 +473,11 @@ def with_odd_values(value: Any) -> Iterator[Any]:
 def test_any_value_anywhere_is_refused_or_harmless(tmp_path: Path) -> None:
     save(tmp_path / "a.glb", painted())
     whole, body = parts((tmp_path / "a.glb").read_bytes())
+    transform = {"offset": [0, 0], "rotation": 0, "scale": [1, 1], "texCoord": 0}
+    reference = whole["materials"][2]["pbrMetallicRoughness"]["baseColorTexture"]
+    reference["extensions"] = {MOVED: transform}
+    older = {"diffuseTexture": reference, "diffuseFactor": [1, 1, 1, 1]}
+    whole["materials"][1]["extensions"] = {GLOSSY: older}
     whole["nodes"][0] |= {"children": [], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
     whole["nodes"][1] |= {"matrix": np.eye(4).reshape(-1).tolist()}
     refused = 0

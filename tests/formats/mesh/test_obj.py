@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from nerfbake import Meshes, load, save
 from nerfbake.errors import BudgetMissed, NerfbakeError, OutputError
@@ -85,7 +86,10 @@ def test_a_texture_needs_a_file_with_room_beside_it(tmp_path: Path) -> None:
     [
         ("../a.mtl", "map_Kd a.png"),
         ("gone.mtl", "map_Kd a.png"),
+        ("./../a.mtl", "map_Kd a.png"),
         ("a.mtl", "map_Kd ../a.png"),
+        ("a.mtl", "map_Kd ./../a.png"),
+        ("a.mtl", "map_Kd ./below/../../a.png"),
         ("a.mtl", "map_Kd /etc/passwd.png"),
         ("a.mtl", "map_Kd gone.png"),
         ("a.mtl", "map_Kd a.tga"),
@@ -108,6 +112,81 @@ def test_options_of_a_map_are_skipped(tmp_path: Path) -> None:
     save(tmp_path / "a.obj", TEXTURED)
     (tmp_path / "a.mtl").write_text("newmtl other\nmap_Kd b.png\n\nnewmtl mesh_0\n\tmap_Kd -s 1 1 1 a.png\n")
     assert load(tmp_path / "a.obj", Meshes).meshes[0].texture is not None
+
+
+RED, BLUE = [200, 0, 0], [0, 0, 200]
+A, B = "newmtl A\nmap_Kd red.png\n", "newmtl B\nmap_Kd b #2.png\n"
+# Of each case: the lines of the .obj that name libraries, and the libraries.
+LIBRARIES: dict[str, tuple[str, dict[str, str]]] = {
+    "this folder": ("mtllib ./a.mtl", {"a.mtl": "newmtl A\nmap_Kd ./red.png\nnewmtl B\nmap_Kd .\\b #2.png\n"}),
+    "tabs": ("mtllib\ta.mtl", {"a.mtl": "newmtl\tA\nmap_Kd\tred.png\nnewmtl\tB\n\tmap_Kd\tb #2.png\t\n"}),
+    "two on a line": ("mtllib a.mtl\tb.mtl", {"a.mtl": A, "b.mtl": B}),
+    "two lines": ("mtllib gone.mtl\nmtllib a.mtl\nmtllib b.mtl", {"a.mtl": A, "b.mtl": B}),
+    "the first counts": ("mtllib a.mtl b.mtl", {"a.mtl": A, "b.mtl": A.replace("red", "gone") + B}),
+    "a space in a name": ("mtllib a b.mtl", {"a b.mtl": A + B, "a": "newmtl A\n", "b.mtl": "newmtl B\n"}),
+    "# in a name": ("mtllib #a.mtl", {"#a.mtl": "# " + A.replace("red", "gone").replace("\n", "\n#") + "\n" + A + B}),
+    "a byte order mark": ("mtllib a.mtl", {"a.mtl": "\ufeff" + A + B}),
+}
+
+
+def two_triangles(folder: Path, head: str, first: str, second: str, libraries: dict[str, str]) -> list[Any]:
+    """The first texel of each of two triangles, whose materials may show red.png and "b #2.png"."""
+    for name, content in libraries.items():
+        (folder / name).write_text(content)
+    for name, colour in (("red.png", RED), ("b #2.png", BLUE)):
+        Image.new("RGB", (2, 2), tuple(colour)).save(folder / name)
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    faces = f"usemtl {first}\nf 1/1 2/2 3/3\nusemtl\t{second}\nf 3/3 2/2 1/1\n"
+    (folder / "a.obj").write_text(f"{head}\n{corners}{faces}")
+    textures = [mesh.texture for mesh in load(folder / "a.obj", Meshes).meshes]
+    return [None if texture is None else texture[0, 0].tolist() for texture in textures]
+
+
+@pytest.mark.parametrize("case", LIBRARIES)
+def test_every_way_to_name_a_library_and_a_picture(case: str, tmp_path: Path) -> None:
+    head, libraries = LIBRARIES[case]
+    assert two_triangles(tmp_path, head, "A", "B", libraries) == [RED, BLUE]
+
+
+def test_materials_whose_names_differ_behind_a_hash_stay_apart(tmp_path: Path) -> None:
+    library = A.replace("A", "Material #1") + B.replace("B", "Material #2")
+    found = two_triangles(tmp_path, "mtllib a.mtl", "Material #1", "Material #2", {"a.mtl": library})
+    assert found == [RED, BLUE]
+
+
+@pytest.mark.parametrize("lines", ["mtllib " + 101 * "{} ", 101 * "mtllib {}\n"])
+def test_more_libraries_than_any_writer_names_are_refused(lines: str, tmp_path: Path) -> None:
+    triangle = "\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_text(lines.format(*(f"{k}.mtl" for k in range(101))) + triangle)
+    with pytest.raises(NerfbakeError, match=r"a\.obj: mtllib names more than 100 libraries; allowed: 100 at most"):
+        load(tmp_path / "a.obj")
+    (tmp_path / "a.obj").write_text(lines.format(*(101 * ["a.mtl"])) + triangle)
+    assert len(load(tmp_path / "a.obj", Meshes).meshes) == 1
+
+
+def parsed(text: str) -> Any:
+    (found,) = obj.decode(memoryview(text.encode())).meshes
+    return found
+
+
+def test_comments_stand_on_lines_of_their_own_and_behind_numbers() -> None:
+    plain = parsed("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    noted = (
+        "#v 9 9 9\n # v 9 9 9\nv 0 0 0 # v 9\nv 1 0 0\t#1 2 3\nv 0 1 0#4\nvt 0 0 # u\nf 1/1 2/1 3/1 # 4 5 #\n#f 1 1 1\n"
+    )
+    assert_same_mesh(parsed(noted), plain)
+
+
+def test_a_byte_order_mark_hides_no_line() -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 1 2 3\n"
+    assert_same_mesh(parsed("\ufeff" + text), parsed(text))
+
+
+def test_a_weight_is_not_a_colour() -> None:
+    for colours in ("1 0 .25", "9 1 0 .25"):
+        found = parsed(f"v 0 0 0 {colours}\nv 1 0 0 {colours}\nv 0 1 0 1 0 .25\nf 1 2 3\n")
+        np.testing.assert_array_equal(found.colours, [[1, 0, 0.25]] * 3)
+    assert parsed("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n").colours is None
 
 
 def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
@@ -142,5 +221,7 @@ def test_a_damaged_obj_is_read_or_refused(tmp_path: Path) -> None:
 
 def test_a_stream_is_known_by_its_first_bytes() -> None:
     assert obj.recognise(memoryview(b"# Blender\nmtllib a.mtl\nv 0 0 0\n"))
+    assert obj.recognise(memoryview(b"\xef\xbb\xbfv 0 0 0\n"))
+    assert obj.recognise(memoryview(b"v\t0 0 0\n"))
     assert not obj.recognise(memoryview(b'{"frames": [],\n"v": 1}'))
     assert not obj.recognise(memoryview(b"\0v 1 2 3\nv "))

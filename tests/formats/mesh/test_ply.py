@@ -19,6 +19,7 @@ from tests.support.hostile import damaged, refused_as_it_is
 from tests.support.meshes import assert_same_mesh, cube, painted, polygon_ply, sphere, square
 from tests.support.splats import splats
 
+COLOURS = ("red", "green", "blue")
 GRADIENT = np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3)
 COLOURED = replace(cube(0.2), colours=GRADIENT)
 
@@ -61,6 +62,25 @@ def test_colours_in_text_are_bytes() -> None:
     (found,) = ply.decode(memoryview(polygon_ply([(0, 1, 2)]))).meshes
     wanted = np.array([[1, 0, 0], [0.2, 0.4, 0.8]])
     np.testing.assert_allclose(np.array(found.colours)[[0, 3]], wanted, atol=1e-7)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize(
+    ("kind", "stored", "white"),
+    [("uchar", "u1", 255), ("uint8", "u1", 255), ("ushort", "u2", 65535), ("int", "i4", 255), ("float", "f4", 1)],
+)
+def test_the_type_of_colours_decides_what_white_is(form: str, kind: str, stored: str, white: int) -> None:
+    order = ">" if "big" in form else "<"
+    rows = np.zeros(3, [("place", f"{order}f4", 3), ("colour", order + stored, 3)])
+    rows["place"], rows["colour"] = np.eye(3), [[1, 0, 0], [0, 1, 1], [0, 0, 1]]  # almost black unless floats
+    face = np.array([(3, (0, 1, 2))], [("count", "u1"), ("corners", f"{order}i4", 3)])
+    columns = [f"property float {axis}" for axis in "xyz"] + [f"property {kind} {name}" for name in COLOURS]
+    head = ["ply", f"format {form} 1.0", "element vertex 3", *columns, "element face 1"]
+    head += ["property list uchar int vertex_indices", "end_header", ""]
+    text = "".join(" ".join(map(str, (*row["place"], *row["colour"]))) + "\n" for row in rows) + "3 0 1 2\n"
+    body = text.encode() if form == "ascii" else rows.tobytes() + face.tobytes()
+    (found,) = ply.decode(memoryview("\n".join(head).encode() + body)).meshes
+    np.testing.assert_array_equal(found.colours, (rows["colour"].astype(float) / white).astype(np.float32))
 
 
 def test_the_content_tells_meshes_from_splats(tmp_path: Path) -> None:
