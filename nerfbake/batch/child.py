@@ -76,11 +76,13 @@ class ChildProcesses:
                 except OSError as error:  # an argument that is too long for the system
                     return ProcessResult(_NOT_STARTED, False, f"cannot be started: {error.strerror}", None, 0.0, 0)
                 self._running.add(process.pid)
-            if hasattr(os, "waitid"):  # keep the process ID reserved, so that stop() never signals another process
+            if has_waitid := hasattr(os, "waitid"):
+                # Keep the process ID reserved until it is forgotten, so that stop() never signals another process.
                 os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
-            with self._lock:
-                self._running.discard(process.pid)
+                self._forget(process.pid)
             _, status, usage = os.wait4(process.pid, 0)
+            if not has_waitid:
+                self._forget(process.pid)
             result = results.read_result(readable)
         trim_log(log)
         code = process.returncode = os.waitstatus_to_exitcode(status)
@@ -95,6 +97,10 @@ class ChildProcesses:
             time.perf_counter() - begun,
             peak,
         )
+
+    def _forget(self, leader: int) -> None:
+        with self._lock:
+            self._running.discard(leader)
 
     def stop(self, number: int = signal.SIGTERM) -> None:
         """Send this signal to all running processes and to their children."""

@@ -10,13 +10,16 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
-from nerfbake.cli.params import ByteSize, Command, as_json, console_options, max_memory, without_effect
+from nerfbake.cli.params import ByteSize, Command, as_json, console_options, is_whole, max_memory, without_effect
 from nerfbake.cli.paths import Reads, StateFolder, Writes, declared
 from nerfbake.errors import UsageError
 
 if TYPE_CHECKING:
     from nerfbake.batch.items import CommandLine
     from nerfbake.jobs.batches import Item
+
+
+_MOST_SHARDS = 9_999_999
 
 
 class Shard(click.ParamType[tuple[int, int]]):
@@ -28,7 +31,7 @@ class Shard(click.ParamType[tuple[int, int]]):
         if isinstance(value, tuple):
             return value
         number, slash, count = value.partition("/")
-        if not (slash and number.isdecimal() and count.isdecimal() and len(count) < 8 and int(number) < int(count)):
+        if not (slash and is_whole(count, 1, _MOST_SHARDS) and is_whole(number, 0, int(count) - 1)):
             self.fail(f"{value!r} is not a shard; allowed: i/n, from 0/n to n-1/n", param, ctx)
         return int(number), int(count)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -81,6 +82,11 @@ def _require_number(
     return number
 
 
+def is_whole(word: str, low: int, high: int) -> bool:
+    """Return whether a word is a whole number from low to high, with no more digits than high."""
+    return word.isdecimal() and len(word) <= len(str(high)) and low <= int(word) <= high
+
+
 class ByteSize(click.ParamType[int]):
     """A number of bytes: 512MB, 4GiB or 1000000."""
 
@@ -93,9 +99,10 @@ class ByteSize(click.ParamType[int]):
             return value
         number = value.lower().rstrip("bkmgti ")
         unit = self.units.get(value.lower()[len(number) :].strip())
-        if unit is None or not number.replace(".", "", 1).isdecimal() or not float(number) * unit >= 1:
+        size = float(number) * (unit or 0) if number.replace(".", "", 1).isdecimal() else 0.0
+        if not 1 <= size <= sys.maxsize:
             self.fail(f"{value!r} is not a size; allowed: 4GiB, 512MB, 1000000, ...", param, ctx)
-        return int(float(number) * unit)
+        return int(size)
 
 
 class Resolution(click.ParamType[tuple[int, int, int]]):
@@ -107,7 +114,7 @@ class Resolution(click.ParamType[tuple[int, int, int]]):
         if isinstance(value, tuple):
             return value
         edges = value.lower().split("x")
-        if len(edges) not in (1, 3) or not all(e.isdecimal() and len(e) < 5 and 1 <= int(e) <= 4096 for e in edges):
+        if len(edges) not in (1, 3) or not all(is_whole(edge, 1, 4096) for edge in edges):
             self.fail(f"{value!r} is not a resolution; allowed: R or WxHxD, each 1 to 4096", param, ctx)
         w, h, d = (int(edge) for edge in (edges * 3 if len(edges) == 1 else edges))
         return w, h, d
@@ -154,7 +161,7 @@ class PixelSize(click.ParamType[tuple[int, int]]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         edges = value.lower().split("x") if isinstance(value, str) else ()
-        if len(edges) != 2 or not all(edge.isdecimal() and 1 <= int(edge) <= 16384 for edge in edges):
+        if len(edges) != 2 or not all(is_whole(edge, 1, 16384) for edge in edges):
             self.fail(f"{value!r} is not a size; allowed: WxH, each 1 to 16384", param, ctx)
         return int(edges[0]), int(edges[1])
 
@@ -337,7 +344,7 @@ def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
         @click.option(
             "--epochs",
             type=click.IntRange(0, 100),
-            help="Passes over pictures of the splats, to which the voxels are fitted (splats only).  [default: 2]",
+            help="Passes over pictures of the splats, to which the voxels are fitted (splats only).  [default: 1]",
         )
         @functools.wraps(function)
         def command(

@@ -16,6 +16,7 @@ from nerfbake.cli.params import (
     PixelSize,
     console_options,
     grid_options,
+    is_whole,
     lookup,
     samples,
     source_argument,
@@ -38,7 +39,7 @@ class Background(click.ParamType[tuple[float, float, float] | None]):
         if value in self.known:
             return self.known[value]
         parts = value.split(",") if isinstance(value, str) else []
-        if len(parts) != 3 or not all(part.isdecimal() and int(part) < 256 for part in parts):
+        if len(parts) != 3 or not all(is_whole(part, 0, 255) for part in parts):
             known = ", ".join(self.known)
             self.fail(f"{value!r} is not a colour; allowed: {known}, or R,G,B in 0..255", param, ctx)
         return tuple(int(part) / 255 for part in parts)

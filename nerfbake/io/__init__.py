@@ -15,6 +15,7 @@ from nerfbake.io.reading import Truth as Truth
 from nerfbake.io.reading import check as check
 from nerfbake.io.reading import decode_files as decode_files
 from nerfbake.io.reading import find_photograph as find_photograph
+from nerfbake.io.reading import is_folder as is_folder
 from nerfbake.io.reading import load as load
 from nerfbake.io.reading import load_files as load_files
 from nerfbake.io.reading import load_folder as load_folder

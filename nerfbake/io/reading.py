@@ -81,13 +81,19 @@ def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True)
     return found
 
 
+def is_folder(path: str | Path) -> bool:
+    """Return whether there is a folder at this path. Raises InvalidFile, for example for a name that is too long."""
+    with blame(str(path)):
+        return Path(path).is_dir()
+
+
 def load_split(source: str | Path) -> tuple[str, str] | None:
     """Return the paths of the training cameras and the test cameras of a folder that keeps them in two files.
 
     None for any other folder or file.
     """
     path = Path(source)
-    if not path.is_dir():
+    if not is_folder(path):
         return None
     with blame(str(source)):
         files = Folder(path, {})

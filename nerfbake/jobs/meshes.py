@@ -13,10 +13,9 @@ from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of, split_pictures
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import picture_views
 from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes
@@ -72,10 +71,7 @@ class MeshViews(NamedTuple):
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
             around = scatter_cameras(field, frames=self.frames, edge=self.edge)
             judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
-            with progress.part(0, self.frames / (self.frames + FRAMES)):
-                trained = picture_views(field, around, SAMPLES)
-            with progress.part(self.frames / (self.frames + FRAMES), 1):
-                return SplitViews(trained, picture_views(field, judges, SAMPLES))
+            return split_pictures(field, around, judges, SAMPLES)
 
 
 class MeshOptions(NamedTuple):
@@ -271,7 +267,7 @@ def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:
     path = given.path
     if path == io.STREAM or given.to is not None:
         return given
-    folder = Path(path).is_dir() or path.endswith("/") or not Path(path).suffix
+    folder = io.is_folder(path) or path.endswith("/") or not Path(path).suffix
     return FolderTarget(path, given.force) if folder else given
 
 

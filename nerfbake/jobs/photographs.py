@@ -11,9 +11,10 @@ from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, Problem, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
-from nerfbake.jobs.views import read_cameras
+from nerfbake.jobs.views import picture_views, read_cameras
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.pictures_to_views import Scenery, build_views
 
@@ -98,12 +99,21 @@ def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceFiel
             return SplitViews(trained, cut_out_field(posed.judges, field))
 
 
+def split_pictures(scene: RadianceField | Splats, around: Cameras, judges: Cameras, samples: int) -> SplitViews:
+    """Render a scene: pictures to fit to, and pictures that are held out."""
+    share = len(around.cameras) / (len(around.cameras) + len(judges.cameras))
+    with progress.part(0, share):
+        trained = picture_views(scene, around, samples)
+    with progress.part(share, 1):
+        return SplitViews(trained, picture_views(scene, judges, samples))
+
+
 def _held_out(views: Views, every: int, name: str) -> SplitViews:
     """Hold out every N-th view, starting with the first."""
     numbers = range(len(views.pictures))
     trained = [i for i in numbers if i % every]
     if len(trained) < _LEAST:
-        found = f"are {len(numbers)}, and every {every}th is held out"
+        found = f"are {len(numbers)}, and one of every {every} is held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more others"), source=name)
     return SplitViews(views.take(trained), views.take(numbers[::every]))
 
@@ -159,7 +169,7 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
             found, allowed = "names no picture in the folder of the capture", "a PNG or a JPEG there, or below"
             raise InvalidFile(Problem(f"camera {camera.name or i}", found, allowed), source=path)
     names = [camera.picture for camera in cameras.cameras]
-    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    folder = Path(path) if io.is_folder(path) else Path(path).parent
     # A COLMAP model is in a subfolder of the folder with the pictures.
     folders = [folder, *folder.resolve().parents[:_ABOVE]] if cameras.dialect == "COLMAP" else [folder]
     folder = next((each for each in folders if any(io.find_photograph(each, name) for name in names)), folder)
@@ -175,7 +185,7 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
 
 def _masks(folder: str, cameras: Cameras) -> list[Path]:
     """Return the path of each picture's mask: the picture's path or name in the folder, with any picture extension."""
-    if not Path(folder).is_dir():
+    if not io.is_folder(folder):
         raise InvalidFile("is not a folder; allowed: a folder with a mask for each picture", source=folder)
     found = []
     for camera in cameras.cameras:

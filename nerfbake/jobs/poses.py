@@ -77,9 +77,9 @@ def find_poses(
     folder = Path(source.path)
     if not 0 <= seed <= MAX_SEED:
         raise UsageError(f"`seed` is {seed}; allowed: 0 to {MAX_SEED}")
+    place, names = _pictures_of(folder, source.name)
     if find_spec("pycolmap") is None:
         raise UsageError(Problem("finding poses", "needs pycolmap, which is not installed", _EXTRA))
-    place, names = _pictures_of(folder, source.name)
     _require_outputs(folder, force)
     groups = _same_sizes(steps, place, names)
     if sequential is None:
@@ -103,34 +103,39 @@ def require_poses(steps: Steps, source: Source) -> None:
     Raises NerfbakeError as find_poses() does.
     """
     folder = Path(source.path)
-    if not folder.is_dir():
+    if not io.is_folder(folder):
         return
     try:
         io.load_split(folder)
     except InvalidFile:
-        if not any(
-            is_picture(file) for place in (folder, folder / _PICTURES) if place.is_dir() for file in place.iterdir()
-        ):
+        places = [place for place in (folder, folder / _PICTURES) if place.is_dir()]
+        if not any(is_picture(file) or _is_heic(file.name) for place in places for file in place.iterdir()):
             raise
         steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
         find_poses(source, steps=steps)
 
 
+def _is_heic(name: str) -> bool:
+    """Return whether a file has the extension of an iPhone's photographs."""
+    return name.lower().endswith((".heic", ".heif"))
+
+
 def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
     """Return the folder that has the pictures, and their sorted names."""
-    if not folder.is_dir():
+    if not io.is_folder(folder):
         found = "is not a folder" if folder.exists() else "does not exist"
         raise InvalidFile(f"{found}; allowed: a folder of photographs", source=name)
     names: list[str] = []
-    place = folder
+    place, heic = folder, ""
     for place in (folder / _PICTURES, folder):
         with io.blame(str(place)):
             files = sorted(place.iterdir()) if place.is_dir() else []
         names = [file.name for file in files if is_picture(file) and file.is_file() and not file.name.startswith(".")]
         if names:
             break
+        heic = heic or next((file.name for file in files if _is_heic(file.name)), "")
     if len(names) < LEAST:
-        found = f"are {len(names)}" if names else "are missing"
+        found = f"are {len(names)}" if names else f"are HEIC, such as {heic}" if heic else "are missing"
         allowed = f"{LEAST} or more .jpg, .jpeg or .png in the folder or in its subfolder {_PICTURES}"
         raise InvalidFile(Problem("the pictures", found, allowed), source=name)
     for each in names:
@@ -239,11 +244,13 @@ def _process(request: Mapping[str, Any], words: IO[bytes]) -> Iterator[subproces
     with subprocess.Popen(
         _COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, env=environment
     ) as process:
+        assert process.stdin is not None
         try:
-            assert process.stdin is not None
             with suppress(BrokenPipeError):  # it has crashed already
                 process.stdin.write(json.dumps(request).encode() + b"\n")
                 process.stdin.flush()
             yield process
         finally:
             process.kill()
+            with suppress(BrokenPipeError):  # what a crashed process did not read is still in the buffer
+                process.stdin.close()

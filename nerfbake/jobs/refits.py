@@ -11,9 +11,8 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import without_scenery
 from nerfbake.jobs.octrees import read_octree
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs, split_pictures
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import picture_views
 from nerfbake.kernels.arrays import Points
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
@@ -70,7 +69,7 @@ class RefitTarget(NamedTuple):
             shown = scene if isinstance(scene, Splats) else build_field(scene)
             around = scatter_cameras(shown, frames=self.frames, edge=self.edge)
             judges = orbit_cameras(shown, frames=FRAMES, width=self.edge, height=self.edge)
-            return SplitViews(*(picture_views(shown, cameras, samples) for cameras in progress.each((around, judges))))
+            return split_pictures(shown, around, judges, samples)
 
 
 class RefitOptions(NamedTuple):

@@ -11,9 +11,8 @@ from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of, split_pictures
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import picture_views
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -55,9 +54,7 @@ class SplatsModel(NamedTuple):
             whole = without_strays(field)
             around = scatter_cameras(whole, frames=self.frames, edge=self.edge, zoom=_ZOOM)
             judges = orbit_cameras(whole, frames=FRAMES, width=self.edge, height=self.edge)
-            with progress.part(0, self.frames / (self.frames + FRAMES)):
-                trained = picture_views(field, around, around.samples)
-            return SplitViews(trained, picture_views(field, judges, judges.samples))
+            return split_pictures(field, around, judges, around.samples)
 
 
 FROM_FIELD = SplatsModel()

@@ -95,7 +95,8 @@ class Volume(Scene):
         """A volume of these grids alone, given by label or by number in the file, from 0. Raises InvalidScene."""
         labels, grids = self.labels, []
         for name in wanted:
-            if name not in labels and not (name.isascii() and name.isdecimal() and int(name[:9]) < len(labels)):
+            short = name.isascii() and name.isdecimal() and len(name) < 10
+            if name not in labels and not (short and int(name) < len(labels)):
                 raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(labels)))
             grids.append(self.grids[labels.index(name) if name in labels else int(name)])
         return replace(self, grids=tuple(grids), unread=())

@@ -11,7 +11,7 @@ from click.types import FloatParamType
 from nerfbake import catalog
 from nerfbake.cli.main import cli, run
 from nerfbake.cli.params import ByteSize
-from nerfbake.jobs import fits, hulls, lattices
+from nerfbake.jobs import fits, hulls, lattices, splat_fields
 from nerfbake.scene.camera import MAX_SAMPLES
 
 REFUSED = [
@@ -93,6 +93,23 @@ def test_sizes(text: str, size: int) -> None:
     assert ByteSize().convert(text, None, None) == size
 
 
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (["info", "a.npz", "--max-memory", "9" * 400], "is not a size"),
+        (["render", "a.npz", "--out", "a.png", "--size", "1" * 5000 + "x2"], "is not a size; allowed: WxH"),
+        (["render", "a.npz", "--out", "a.png", "--background", "1" * 5000 + ",0,0"], "is not a colour"),
+        (["svo", "a.npz", "b.svo.pb", "--resolution", "1" * 5000], "is not a resolution"),
+        (["batch", "run", "list.txt", "--shard", "1" * 5000 + "/3", "--", "info", "{}"], "is not a shard"),
+    ],
+)
+def test_numbers_of_thousands_of_digits_are_refused(
+    line: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(line) == 2
+    assert said in capsys.readouterr().err
+
+
 def help_of(command: str) -> str:
     found = cli.commands[command]
     return " ".join(found.get_help(click.Context(found, terminal_width=1000)).split())
@@ -101,6 +118,7 @@ def help_of(command: str) -> str:
 def test_what_the_help_repeats_is_what_the_jobs_have() -> None:
     """Commands import their jobs when they run, so that the help stays fast: it cannot use the jobs' constants."""
     assert f"[default: {hulls.LEVEL};" in help_of("hull")
+    assert f"voxels are fitted (splats only). [default: {splat_fields.EPOCHS}]" in help_of("svo")
     assert f"its finest, at most {lattices.FINEST}]" in help_of("lattice")
     written = ", ".join(form.name for scene in fits.CONVERSIONS for form in catalog.formats_of(scene))
     assert f"if its extension names none: {written}." in help_of("fit")

@@ -265,7 +265,9 @@ def test_what_is_wrong_is_one_line(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_views_are_refused(count: int, tmp_path: Path) -> None:
     capture = photographed(write_nerfstudio, tmp_path, many(count))
-    with pytest.raises(InvalidFile, match=rf"the views are {count}, and every 8th is held out; allowed: 2 or more"):
+    with pytest.raises(
+        InvalidFile, match=rf"the views are {count}, and one of every 8 is held out; allowed: 2 or more"
+    ):
         read(capture)
     if count == 1:
         with pytest.raises(InvalidFile, match="the views are 1 to fit to and 1 held out; allowed: 2 or more"):
@@ -306,6 +308,15 @@ def test_large_pictures_are_reduced_with_their_masks(
     assert set(posed.trained.pictures[0][15, 8:34, 3].tolist()) == {0, 85, 255}
     said = "reduces large pictures, such as from 140x100 to 46x33 pixels, each the mean of 3x3"
     assert [line for line in listener.said if "reduces" in line] == [f"{capture}: {said}"]
+
+
+def test_a_name_that_is_too_long_is_named(tmp_path: Path) -> None:
+    name = "x" * 300
+    with pytest.raises(InvalidFile, match=f"{name}: File name too long"):
+        read(name)
+    capture = photographed(write_nerfstudio, tmp_path, many(5))
+    with pytest.raises(InvalidFile, match=f"{name}: File name too long"):
+        read(capture, masks=name)
 
 
 def test_a_picture_beside_the_cameras_file_is_found(tmp_path: Path) -> None:

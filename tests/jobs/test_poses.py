@@ -20,7 +20,10 @@ from PIL import Image as Pillow
 
 from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
-from nerfbake.jobs import PosesResult, find_poses, poses
+from nerfbake.errors import InvalidFile
+from nerfbake.jobs import PosesResult, Source, find_poses, poses
+from nerfbake.jobs.poses import require_poses
+from nerfbake.jobs.steps import SILENT
 from tests.conftest import REPOSITORY
 from tests.jobs.listener import Listener
 from tests.support.fake_pycolmap import CRASHES_ONCE, SLEEPS, replace_pycolmap, write_pycolmap
@@ -314,10 +317,17 @@ def test_a_folder_without_enough_pictures_is_refused(tmp_path: Path) -> None:
     (tmp_path / ".hidden.png").write_text("none")
     allowed = "allowed: 3 or more .jpg, .jpeg or .png in the folder or in its subfolder images"
     assert refused(tmp_path) == f"1 {tmp_path}: the pictures are missing; {allowed}"
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "IMG_0001.HEIC").write_bytes(b"")
+    assert refused(tmp_path) == f"1 {tmp_path}: the pictures are HEIC, such as IMG_0001.HEIC; {allowed}"
+    with pytest.raises(InvalidFile, match=r"the pictures are HEIC"):
+        require_poses(SILENT, Source(str(tmp_path)))
     for name in ("a.JPG", "b.jpeg"):
         (tmp_path / name).write_bytes(b"")
     assert refused(tmp_path) == f"1 {tmp_path}: the pictures are 2; {allowed}"
     assert refused(tmp_path / "gone") == f"1 {tmp_path}/gone: does not exist; allowed: a folder of photographs"
+    with pytest.raises(InvalidFile, match="x: File name too long"):
+        find_poses("x" * 300)
     assert refused(tmp_path / "a.JPG") == f"1 {tmp_path}/a.JPG: is not a folder; allowed: a folder of photographs"
 
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageOps
+from PIL import Image
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
@@ -77,10 +77,17 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False, webp:
     kinds = ("PNG", "JPEG", "WEBP") if webp else ("PNG", "JPEG")
     with opened(view, name, *kinds, bytes_per_pixel=7 if webp else 3) as image:
         if any_mode:
-            return np.asarray(image.convert("RGB"))
+            return np.asarray(_eight_bits(image).convert("RGB"))
         if image.mode != "RGB":
             raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
         return np.asarray(image)
+
+
+def _eight_bits(picture: Image.Image) -> Image.Image:
+    """The upper 8 bits of a grey picture of 16 bits, of which Pillow's convert() clips all above 255; else itself."""
+    if not picture.mode.startswith("I"):
+        return picture
+    return Image.fromarray((np.asarray(picture) >> 8).astype(np.uint8))
 
 
 def decode_lossless_webp(view: memoryview, name: str, most: int) -> npt.NDArray[np.uint8]:
@@ -128,19 +135,13 @@ def encode_picture(texels: npt.NDArray[np.uint8], coding: Coding) -> bytes:
     return file.getvalue()
 
 
-_ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF 2.32, table 4
-_UPRIGHT = dict(
-    zip(
-        _QUARTER_TURNS,
-        (
-            Image.Transpose.TRANSPOSE,
-            Image.Transpose.ROTATE_270,
-            Image.Transpose.TRANSVERSE,
-            Image.Transpose.ROTATE_90,
-        ),
-        strict=True,
-    )
-)
+_ORIENTATION = 0x0112  # EXIF 2.32, table 4
+_UPRIGHT = {  # by orientation: the quarter turns
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 
 
@@ -154,10 +155,11 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
         if picture.mode not in _MODES:
             found = f"holds {picture.mode} pixels"
             raise InvalidFile(Problem("the picture", found, "grey, a palette or RGB, 8 bits a channel"))
-        if size is not None and _needs_turn(picture, size):
-            memory.require("the picture", 2 * 12 * picture.width * picture.height)
-            return np.asarray(ImageOps.exif_transpose(picture.convert("RGBA")))
-        return np.asarray(picture.convert("RGBA"))
+        turn = None if size is None else _turn(picture, size)
+        if turn is None:
+            return np.asarray(picture.convert("RGBA"))
+        memory.require("the picture", 2 * 12 * picture.width * picture.height)
+        return np.asarray(picture.convert("RGBA").transpose(turn))
 
 
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
@@ -169,12 +171,12 @@ def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = N
     size: (W, H) of the camera; the picture is rotated as in decode_photograph(). Raises InvalidFile, MemoryLimit.
     """
     with opened(view, "the picture", "PNG", "JPEG", bytes_per_pixel=12) as picture:
-        turned = size is not None and _needs_turn(picture, size)
+        turn = None if size is None else _turn(picture, size)
         picture.draft("RGB", (2 * edge, 2 * edge))  # a JPEG is decoded at a lower resolution, at least this large
-        small = picture.convert("RGBA")
+        small = _eight_bits(picture).convert("RGBA")
         small.thumbnail((edge, edge), Image.Resampling.BOX)
-        if turned:
-            small = small.transpose(_UPRIGHT[picture.getexif()[_ORIENTATION]])
+        if turn is not None:
+            small = small.transpose(turn)
         paper = Image.new("RGB", small.size, (255, 255, 255))
         paper.paste(small, mask=small.getchannel("A"))
         file = io.BytesIO()
@@ -182,12 +184,15 @@ def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = N
         return file.getvalue()
 
 
-def _needs_turn(picture: Image.Image, size: tuple[int, int]) -> bool:
-    """True if a picture has its camera's shape only after the quarter turn of its EXIF orientation."""
+def _turn(picture: Image.Image, size: tuple[int, int]) -> Image.Transpose | None:
+    """The quarter turn of a picture's EXIF orientation, if only the turned picture has its camera's shape, or None."""
     (width, height), (W, H) = picture.size, size
     if (width > height) == (W > H) or width == height or W == H:
-        return False
-    return picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS
+        return None
+    try:
+        return _UPRIGHT.get(picture.getexif().get(_ORIENTATION, 1))
+    except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
+        return None
 
 
 def encode_thumbnail(view: memoryview, edge: int, colours: int | None = None) -> bytes:
@@ -196,6 +201,6 @@ def encode_thumbnail(view: memoryview, edge: int, colours: int | None = None) ->
     A smaller picture keeps its size. colours: size of the palette; None: no palette. Raises InvalidFile, MemoryLimit.
     """
     with opened(view, "the picture", "PNG", "JPEG", "GIF", bytes_per_pixel=12) as picture:
-        small = picture.convert("RGBA")
+        small = _eight_bits(picture).convert("RGBA")
         small.thumbnail((edge, edge), Image.Resampling.BOX)
         return png_of(small if colours is None else small.quantize(colours, Image.Quantize.FASTOCTREE))

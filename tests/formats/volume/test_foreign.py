@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import load, save
-from nerfbake.errors import InvalidFile
+from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.io import check
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
@@ -148,6 +148,9 @@ def test_grids_without_names_are_in_the_order_of_their_numbers(files: Path, tmp_
         assert made.labels == [f"[{i}]" for i in range(12)]
         assert [grid.topology.m for grid in made.grids] == list(range(1, 13))
         assert made.only(["[11]", "3"]).grids == (made.grids[11], made.grids[3])
+        for name in ("12", "0000000003", "1000000000"):
+            with pytest.raises(InvalidScene, match=f"has no grid '{name}'"):
+                made.only([name])
 
 
 def test_grids_of_one_name_are_told_apart(files: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
-from nerfbake.formats.wire.picture import decode_photograph, encode_preview
+from nerfbake.formats.wire.picture import decode_photograph, decode_texture, encode_preview, encode_thumbnail
 from nerfbake.memory import memory_limit
 from tests.support.hostile import damaged
 
@@ -84,6 +85,32 @@ def test_a_preview_is_small_upright_and_on_white() -> None:
     assert np.abs(shown[5, 10] - [200, 0, 0]).max() < 8
     assert np.abs(shown[25, 10] - 255).max() < 8
     assert Pillow.open(io.BytesIO(encode_preview(file(Pillow.fromarray(tall)), 100))).size == (40, 60)
+
+
+def exif_of(*tags: tuple[int, int, int, bytes]) -> bytes:
+    entries = b"".join(struct.pack("<HHI4s", *tag) for tag in tags)
+    return b"Exif\0\0II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4)
+
+
+@pytest.mark.parametrize(
+    ("exif", "turned"),
+    [
+        (exif_of((0x112, 3, 1, struct.pack("<I", 6)), (0x131, 11, 1, struct.pack("<f", 1.0))), True),
+        (exif_of((0x112, 3, 9, b"????")), False),
+        (b"Exif\0\0II*\0", False),
+    ],
+)
+def test_damaged_exif_says_nothing_about_the_pixels(exif: bytes, turned: bool) -> None:
+    view = file(Pillow.new("RGB", (48, 64), (200, 100, 50)), "JPEG", exif=exif)
+    assert decode_photograph(view, (64, 48)).shape[:2] == ((48, 64) if turned else (64, 48))
+    assert encode_preview(view, 48, (64, 48))
+
+
+def test_a_grey_picture_of_16_bits_is_shown_with_its_upper_8() -> None:
+    view = file(Pillow.fromarray(np.full((3, 4), 20_000, np.uint16)))
+    assert (decode_texture(view, "a.png", any_mode=True) == 78).all()
+    thumbnail = Pillow.open(io.BytesIO(encode_thumbnail(view, 4)))
+    assert thumbnail.convert("RGBA").getpixel((0, 0)) == (78, 78, 78, 255)
 
 
 @pytest.mark.parametrize("orientation", [5, 6, 7, 8])
