@@ -126,7 +126,7 @@ def batch(
       nerfbake batch --jobs-file jobs.txt --state run --shard 3/40
       nerfbake batch --state run --report run/report.html
 
-    Exit codes: 0 all items are done, 1 some are not, 3 only quality budgets were missed, 4 the state or the report
+    Exit codes: 0 all items are done, 1 some are not, 3 only qualities were below their limit, 4 the state or the report
     cannot be written.
     """
     from nerfbake.batch.items import fill_template, parse_lines

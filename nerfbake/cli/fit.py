@@ -57,8 +57,8 @@ def photograph_options(function: Command) -> Command:
         "--masks",
         metavar="DIR",
         type=Reads(),
-        help="Folder with a mask NAME.png for each picture, white where the object is; with --scenery keep, white "
-        "where the picture is used.",
+        help="Folder with a mask NAME.png for each picture, white where the object is, or where a picture with scenery "
+        "is used.",
     )
     @click.option(
         "--test",
@@ -70,7 +70,7 @@ def photograph_options(function: Command) -> Command:
         "--holdout",
         metavar="N",
         type=click.IntRange(min=2),
-        help="Hold out every N-th view to measure the result.  [default: 8; none if SOURCE has test views]",
+        help="Hold out every N-th view to measure the result.  [default: 8; none if the capture has test views]",
     )
     @wraps(function)
     def command(
@@ -141,7 +141,7 @@ def fit_options(function: Command) -> Command:
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
         help="Schedule of about 30, 65 or 120 seconds on two cores; of 2, 4 or 7 minutes for objects in pictures of "
-        "600 pixels or more; with scenery of 1, 2 or 5 minutes.  [default: balanced]",
+        "600 pixels or more; of 35, 75 or 190 seconds with scenery.  [default: balanced]",
     )
     @click.option(
         "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."

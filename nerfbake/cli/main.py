@@ -74,7 +74,7 @@ class GroupedCommands(click.Group):
 @click.group(cls=GroupedCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="nerfbake")
 def cli() -> None:
-    """Turn photographs and trained radiance fields into octrees, volumes, web pages and shaders.
+    """Turn photographs, radiance fields and splats into octrees, volumes, meshes, splats, web pages and shaders.
 
     The file extension selects the format. Use '-' for stdin or stdout. Data go to stdout, messages to stderr.
 

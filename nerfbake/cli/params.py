@@ -41,8 +41,7 @@ def grid_options(function: Command, *, splats: bool = False) -> Command:
         "grids",
         multiple=True,
         metavar="NAME",
-        help="Use only this grid of a volume: a name, or a number from 0. Repeat for more grids. With `convert`, "
-        "'all' writes one file per grid.",
+        help="Use only this grid of a volume: a name, or a number from 0. Repeat for more grids.",
     )
     @click.option(
         "--up",
@@ -246,7 +245,7 @@ def target_argument(
 
     If the argument is not required and not given, `target` is None. output: the type of its path.
     """
-    names = ", ".join(form.name for scene in scenes for form in catalog.formats_of(scene))
+    names = ", ".join(dict.fromkeys(form.name for scene in scenes for form in catalog.formats_of(scene)))
 
     def add(function: Command) -> Command:
         @click.argument(
@@ -339,7 +338,7 @@ def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
             type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
             default=default,
             show_default=default is not None,
-            help=f"Up axis of splats, which becomes z (splats only): mostly -y, for .spz always.{told}",
+            help=f"Up axis of splats, which becomes z (splats only): -y in every .spz and in most other files.{told}",
         )
         @click.option(
             "--epochs",

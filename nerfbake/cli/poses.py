@@ -26,7 +26,7 @@ from nerfbake.cli.paths import PhotographsWithPoses
     type=click.IntRange(0, 2**31 - 1),
     default=0,
     show_default=True,
-    help="Random seed. The same seed gives almost the same poses again.",
+    help="Random seed. On one machine, the same seed gives the same poses.",
 )
 @click.option("--force", is_flag=True, help="Replace transforms.json and sparse/0 in PHOTOS.")
 @max_memory

@@ -189,8 +189,8 @@ def mesh_options(function: Command) -> Command:
 def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, console: Console, **options: Any) -> None:
     """Render pictures or a turntable.
 
-    Renders the PlenOctree, octree, volume or mesh IN as PNG or as an animated GIF. A density without colours is
-    rendered grey. A mesh is a .glb, .obj or .ply, a stage-1 folder of nerf2mesh or an atlas.
+    Renders the PlenOctree, octree, volume, lattice, splats or mesh IN as PNG or as an animated GIF. A density without
+    colours is rendered grey. A mesh is a .glb, .obj or .ply, a stage-1 folder of nerf2mesh or an atlas.
 
     \b
       nerfbake render chair.npz --out chair.png

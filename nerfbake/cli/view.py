@@ -107,8 +107,8 @@ def view(source: Source, target: Target | None, console: Console, **options: Any
 
     Writes OUT, a single HTML file that shows IN in any browser and that you can mail.
 
-    IN is a PlenOctree, an octree, a volume, a mesh, or a folder with a mesh: nerf2mesh's stage 1 or an atlas. Without
-    OUT, writes a temporary page and opens it in the browser.
+    IN is a PlenOctree, an octree, a volume, a lattice, splats, a mesh, or a folder with a mesh: nerf2mesh's stage 1 or
+    an atlas. Without OUT, writes a temporary page and opens it in the browser.
 
     \b
       nerfbake view chair.npz
