@@ -55,6 +55,13 @@ def require_shape(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dt
         raise InvalidScene(Problem(name, found, f"{shape} {np.dtype(dtype)}"))
 
 
+def set_vectors(scene: Scene, *names: str) -> None:
+    """Replace these attributes by copies (3,) float64. A single number stands for all three."""
+    for name in names:
+        value = np.broadcast_to(np.asarray(getattr(scene, name), np.float64), 3).copy()
+        object.__setattr__(scene, name, value)
+
+
 def place_problems(name: str, place: npt.NDArray[np.float64]) -> list[Problem]:
     """Coordinates that are not finite, or larger than MAX_WORLD."""
     return count_problem(name, ~(np.abs(place) <= MAX_WORLD), place, f"a finite number, up to {MAX_WORLD:g}")

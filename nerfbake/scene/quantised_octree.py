@@ -14,22 +14,15 @@ from nerfbake.kernels.octree import haar
 from nerfbake.kernels.octree.haar import restore
 from nerfbake.kernels.octree.node_values import LeafRows, NodeRows
 from nerfbake.kernels.octree.pyramid import Level, children_table, mean_edge
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.soundness import plural
-from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape
+from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape, set_vectors
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
 
 MAX_VALUE = (1 << 30) - 1  # largest coefficient, in steps
 STEPS = (1e-9, 1e9)  # range of steps and scales
 _CHUNK = 1 << 15  # leaves at a time
-
-
-def _zeros() -> npt.NDArray[np.float64]:
-    return np.zeros(3)
-
-
-def _ones() -> npt.NDArray[np.float64]:
-    return np.ones(3)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,8 +59,8 @@ class QuantisedOctree(Scene):
     density_step: float
     density_scale: float
     data_format: str
-    origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
-    voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
+    origin: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    voxel_size: npt.NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
 
     def __post_init__(self) -> None:
         size = tuple(int(edge) for edge in self.size)
@@ -87,9 +80,7 @@ class QuantisedOctree(Scene):
             object.__setattr__(self, name, float(getattr(self, name)))
             if not STEPS[0] <= getattr(self, name) <= STEPS[1]:
                 raise InvalidScene(Problem(name, f"is {getattr(self, name):g}", f"{STEPS[0]:g} to {STEPS[1]:g}"))
-        for name in ("origin", "voxel_size"):
-            value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
-            object.__setattr__(self, name, value)
+        set_vectors(self, "origin", "voxel_size")
 
     def __str__(self) -> str:
         size = "x".join(map(str, self.size))
@@ -155,14 +146,10 @@ class QuantisedOctree(Scene):
         merges = haar.merges_of(codes, self.grid_level)
         del codes
         memory.require("the leaves of the octree", self.m * self.values.shape[1] * (8 + 4))
-        mixing = np.ascontiguousarray((self.mixing * self.mixing_scale).T)
-        values, density = restore(self.values, self.steps, merges, mixing, leaf)
-        for first in range(0, self.m, _CHUNK):
-            part = slice(first, first + _CHUNK)
-            with np.errstate(over="ignore"):  # becomes infinite, which the octree's check rejects
-                dense = self.density_scale * expm1(np.maximum(density[part], 0))
-            values[part, -1] = cast(dense, np.float32)
-        return values
+        return with_density(
+            *restore(self.values, self.steps, merges, unit_mixing(self.mixing, self.mixing_scale), leaf),
+            self.density_scale,
+        )
 
     def restored(self) -> SparseVoxelOctree:
         """Return the decoded octree in layout `full`. Raises InvalidScene, MemoryLimit.
@@ -182,14 +169,31 @@ class QuantisedOctree(Scene):
         )
 
 
+def unit_mixing(mixing: npt.NDArray[np.int16], mixing_scale: float) -> npt.NDArray[np.float64]:
+    """(3B, 3B) the coefficients (columns) of each channel (rows)."""
+    return np.ascontiguousarray((mixing * mixing_scale).T)
+
+
+def with_density(
+    values: npt.NDArray[np.float32], v: npt.NDArray[np.float64], density_scale: float
+) -> npt.NDArray[np.float32]:
+    """Fill the last column of values (m, 3B + 1) with the densities of the channel v (m,), and return the values."""
+
+    def fill(begin: int, end: int) -> None:
+        with np.errstate(over="ignore"):  # becomes infinite, which the octree's check rejects
+            values[begin:end, -1] = cast(density_scale * expm1(np.maximum(v[begin:end], 0)), np.float32)
+
+    over_chunks(fill, len(values), _CHUNK)
+    return values
+
+
 def mask_levels(masks: npt.NDArray[np.uint8], levels: int) -> list[int]:
     """Nodes in each level according to these masks, the root's first.
 
     The sum of the first `levels` entries is the expected number of masks. The list ends where the masks end.
     """
-    bits = np.array([bin(mask).count("1") for mask in range(256)])
     sizes, first = [1], 0
     while len(sizes) <= levels and sizes[-1] and first + sizes[-1] <= len(masks):
         first += sizes[-1]
-        sizes.append(int(bits[masks[first - sizes[-1] : first]].sum()))
+        sizes.append(int(np.bitwise_count(masks[first - sizes[-1] : first]).sum()))
     return sizes if sizes[-1] else sizes[:-1]

@@ -13,9 +13,10 @@ from nerfbake.kernels.maths.elementary import log
 from nerfbake.kernels.maths.linear import cholesky, eigenvectors, product
 from nerfbake.kernels.octree import haar
 from nerfbake.kernels.octree.pyramid import mean_edge
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.basis import renderable_basis
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.quantised_octree import MAX_VALUE, QuantisedOctree
+from nerfbake.scene.quantised_octree import MAX_VALUE, QuantisedOctree, unit_mixing, with_density
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -33,8 +34,8 @@ _ROUNDING = 32767  # largest entry of the mixing matrix
 class Coefficients:
     """The transformed leaves of an octree, before rounding.
 
-    points  (m, 3B + 1) float32: the coefficients; points[order] are the rows of QuantisedOctree.values
-    order   (m,) int32
+    points  (m, 3B + 1) float32: the coefficients; points[merges.rows] are the rows of QuantisedOctree.values
+    merges, blocks  the pairs of the Haar transform; leaf (m,) int64: the leaf number of each point
 
     The other fields are those of QuantisedOctree.
     """
@@ -42,23 +43,27 @@ class Coefficients:
     octree: SparseVoxelOctree
     masks: npt.NDArray[np.uint8]
     points: npt.NDArray[np.float32]
-    order: npt.NDArray[np.int32]
+    merges: haar.Merges
+    blocks: haar.HaarBlocks
+    leaf: Rows
     mixing: npt.NDArray[np.int16]
     mixing_scale: float
     density_scale: float
 
     def rounded(self, step: float) -> QuantisedOctree:
         """Round to the nearest multiple of a step of colour. Raises InvalidScene if integers would be too large."""
-        steps = np.full(self.points.shape[1], step)
-        steps[-1] *= _DENSITY_STEPS
+        steps, order = self._steps(step), self.merges.rows
         memory.require("the rounded leaves", 4 * self.points.size)
         values = np.empty(self.points.shape, np.int32)
-        for first in range(0, len(values), _CHUNK):
-            part = np.rint(self.points[self.order[first : first + _CHUNK]] / steps)
+
+        def fill(begin: int, end: int) -> None:
+            part = np.rint(self.points[order[begin:end]] / steps)
             if (most := float(np.abs(part).max())) > MAX_VALUE:
                 found = f"rounds coefficients to up to {most:g} steps"
                 raise InvalidScene(Problem(f"a step of {step:g}", found, f"{MAX_VALUE:,}"))
-            values[first : first + _CHUNK] = part
+            values[begin:end] = part
+
+        over_chunks(fill, len(values), _CHUNK)
         return QuantisedOctree(
             size=self.octree.size,
             masks=self.masks,
@@ -72,6 +77,18 @@ class Coefficients:
             origin=self.octree.origin,
             voxel_size=self.octree.voxel_size,
         )
+
+    def leaf_values(self, step: float) -> npt.NDArray[np.float32]:
+        """Return rounded(step).leaf_values(), without the integers. Raises MemoryLimit."""
+        memory.require("the leaves of the octree", self.points.size * 4)
+        mixing = unit_mixing(self.mixing, self.mixing_scale)
+        values, v = haar.restore_rounded(self.points, self._steps(step), self.merges, self.blocks, mixing, self.leaf)
+        return with_density(values, v, self.density_scale)
+
+    def _steps(self, step: float) -> Floats:
+        steps = np.full(self.points.shape[1], step)
+        steps[-1] *= _DENSITY_STEPS
+        return steps
 
 
 def visible_leaves(octree: SparseVoxelOctree) -> Rows:
@@ -102,15 +119,19 @@ def transform(
     levels = haar.levels_of(masks, octree.grid_level)
     codes, leaf = haar.leaf_codes(levels, octree.grid_level)
     merges = haar.merges_of(codes, octree.grid_level)
+    blocks = haar.blocks_of(merges)
     mixing, mixing_scale, unmixing = _channels(values[keep[:: -(-len(keep) // _SAMPLE)]], gram)
     density_scale = 1 / (_DEPTH * mean_edge(octree.voxel_size))
     points = np.empty((len(keep), width), np.float32)
-    for first in range(0, len(keep), _CHUNK):
-        part = values[keep[leaf[first : first + _CHUNK]]].astype(np.float64)
-        points[first : first + _CHUNK, :-1] = product(part[:, :-1], unmixing.T)
-        points[first : first + _CHUNK, -1] = log(1 + part[:, -1] / density_scale)
-    haar.forward(points, merges)
-    return Coefficients(octree, masks, points, merges.rows, mixing, mixing_scale, density_scale)
+
+    def fill(begin: int, end: int) -> None:
+        part = values[keep[leaf[begin:end]]].astype(np.float64)
+        points[begin:end, :-1] = product(part[:, :-1], unmixing.T)
+        points[begin:end, -1] = log(1 + part[:, -1] / density_scale)
+
+    over_chunks(fill, len(keep), _CHUNK)
+    haar.forward(points, merges, blocks)
+    return Coefficients(octree, masks, points, merges, blocks, leaf, mixing, mixing_scale, density_scale)
 
 
 def _masks(octree: SparseVoxelOctree, rows: Rows) -> npt.NDArray[np.uint8]:

@@ -157,8 +157,8 @@ class _Tried(NamedTuple):
 class _Search:
     """A search over the share of pruned leaves and the step.
 
-    Only the octree of the last trial is in memory. Coding it takes longer than a trial, so it is coded only where its
-    size is needed.
+    Only one octree is in memory. Coding it takes longer than a trial, so it is made and coded only where its size is
+    needed.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class _Search:
             self._pruning = {0.0: judge.cost(own).error}
         self._trials = 0
         self._coefficients: tuple[float, Coefficients] | None = None  # of this share
-        self._last: QuantisedOctree | None = None  # with this step and self._coefficients
+        self._last: tuple[_Tried, QuantisedOctree] | None = None  # of the trial that was coded last
         self._sizes: dict[_Tried, int] = {}
 
     # -- the three goals ---------------------------------------------------------------------------------------
@@ -249,33 +249,36 @@ class _Search:
         self._trials += 1
         begin = _SHARED if len(self._pruning) > 1 else _WEIGHED
         with progress.part(_done(self._trials - 1, begin), _done(self._trials, begin)):
-            quantised = self._quantised(share, step)
-            keep, values = most_important(self._order, share), quantised.leaf_values()
+            self._last = None  # frees its leaves
+            keep, values = most_important(self._order, share), self._transformed(share).leaf_values(step)
             slots = np.where(values[:, -1] > 0, -2 - np.arange(len(keep)), EMPTY)
             tried = _Tried(step, share, *self._cost(keep, slots, values))
         self._tell(f"{tried}: {tried.loss:.3f} dB")
         return tried
 
-    def _quantised(self, share: float, step: float) -> QuantisedOctree:
+    def _transformed(self, share: float) -> Coefficients:
         if self._coefficients is None or self._coefficients[0] != share:
             keep = most_important(self._order, share)
             self._coefficients = self._last = None  # frees the old ones before the new ones are computed
             self._coefficients = share, transform(self._octree, self._rows, self._own.values, keep, self._gram)
-        if self._last is None or self._last.colour_step != step:
+        return self._coefficients[1]
+
+    def _quantised(self, tried: _Tried) -> QuantisedOctree:
+        if self._last is None or self._last[0] != tried:
             self._last = None  # frees its leaves
-            self._last = self._coefficients[1].rounded(step)
-        return self._last
+            self._last = tried, self._transformed(tried.share).rounded(tried.step)
+        return self._last[1]
 
     def _size(self, tried: _Tried) -> int:
         """Return the size in bytes of a trial's octree."""
         if tried not in self._sizes:
-            self._sizes[tried] = self._coded_size(self._quantised(tried.share, tried.step))
+            self._sizes[tried] = self._coded_size(self._quantised(tried))
             self._tell(f"{tried}: {self._sizes[tried]:,} bytes, {tried.loss:.3f} dB")
         return self._sizes[tried]
 
     def _made(self, tried: _Tried) -> Compression:
         size, judge, measured = self._size(tried), self._judge, self._judge.truth is not None
-        octree, cost = self._quantised(tried.share, tried.step), (tried.error, tried.loss)
+        octree, cost = self._quantised(tried), (tried.error, tried.loss)
         return Compression(octree, tried.share, size, *cost, measured, judge.source_psnr, judge.views)
 
     def _share_for_rounding(self, near: _Tried, step: float) -> float:

@@ -15,6 +15,7 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import Image
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.stages._coefficients import transform, visible_leaves
 from nerfbake.stages._loss import measuring_judge, predicting_judge
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.n3tree_to_octree import build_octree
@@ -87,6 +88,15 @@ def test_a_loss_is_given_up_after_one_trial_where_the_size_is_far_off(octree: Sp
 
 def test_more_loss_is_fewer_bytes(octree: SparseVoxelOctree) -> None:
     assert compressed(octree, max_loss=0.5).size < 0.8 * compressed(octree, max_loss=0.1).size
+
+
+@pytest.mark.parametrize("step", [0.03, 0.4])
+def test_a_trial_has_the_bits_of_the_octree_that_would_be_written(octree: SparseVoxelOctree, step: float) -> None:
+    rows = visible_leaves(octree)
+    keep = np.flatnonzero(np.random.default_rng(0).random(len(rows)) < 0.8)
+    gram = np.diag(np.linspace(1, 0.3, octree.data_dim // 3))
+    made = transform(octree, rows, octree.leaf_values(rows), keep, gram)
+    assert made.leaf_values(step).tobytes() == made.rounded(step).leaf_values().tobytes()
 
 
 def test_the_loss_is_that_of_the_octree_that_comes_back(octree: SparseVoxelOctree) -> None:

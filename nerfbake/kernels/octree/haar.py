@@ -108,12 +108,13 @@ def merges_of(codes: Ints, height: int) -> Merges:
     )
 
 
-def forward(points: Points, merges: Merges) -> None:
-    """Transform (m, C) values of points into coefficients, in place.
+def forward(points: Points, merges: Merges, blocks: HaarBlocks) -> None:
+    """Transform (m, C) values of points into coefficients, in place. blocks: blocks_of(merges).
 
     The difference of a pair replaces the first point of its upper half.
     """
-    _forward(points, merges.low, merges.high, merges.low_count, merges.high_count)
+    _forward_blocks(points, merges, blocks)
+    _forward_coarse(points, merges, len(blocks.heads) - 2)
 
 
 def inverse(rows: npt.NDArray[Any], steps: Floats, merges: Merges) -> Floats:
@@ -155,16 +156,30 @@ def _pair_up(codes: Ints, level: Ints, low: Counts, high_count: Counts) -> None:
         high_count[stack[depth]] = m - stack[depth]
 
 
+@on_every_core
 @compiled()
-def _forward(points: Points, low: Counts, high: Counts, low_count: Counts, high_count: Counts) -> None:
-    for pair in range(len(low) - 1, -1, -1):
-        p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
-        q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
-        a, b = low[pair], high[pair]
-        for c in range(points.shape[1]):
-            below, above = points[a, c], points[b, c]
-            points[a, c] = p * below + q * above
-            points[b, c] = p * above - q * below
+def _forward_blocks(core: int, cores: int, points: Points, merges: Merges, blocks: HaarBlocks) -> None:
+    for block in range(core, len(blocks.heads) - 1, cores):
+        for i in range(blocks.first[block + 1] - 1, blocks.first[block] - 1, -1):
+            _merge(points, merges, blocks.pairs[i])
+
+
+@compiled()
+def _forward_coarse(points: Points, merges: Merges, count: int) -> None:
+    for pair in range(count - 1, -1, -1):
+        _merge(points, merges, pair)
+
+
+@compiled(merged=True)
+def _merge(points: Points, merges: Merges, pair: int) -> None:
+    """Replace the halves of a pair by their sum and their difference."""
+    low_count, high_count = merges.low_count[pair], merges.high_count[pair]
+    p, q = np.sqrt(low_count / (low_count + high_count)), np.sqrt(high_count / (low_count + high_count))
+    a, b = merges.low[pair], merges.high[pair]
+    for c in range(points.shape[1]):
+        below, above = points[a, c], points[b, c]
+        points[a, c] = p * below + q * above
+        points[b, c] = p * above - q * below
 
 
 @compiled()
@@ -214,7 +229,7 @@ def blocks_of(merges: Merges) -> HaarBlocks:
 
 
 def restore(
-    rows: npt.NDArray[Any], steps: Floats, merges: Merges, mixing: Floats, leaf: Ints
+    rows: npt.NDArray[np.int32], steps: Floats, merges: Merges, mixing: Floats, leaf: Ints
 ) -> tuple[npt.NDArray[np.float32], Floats]:
     """(m, C) float32 coefficients by leaf number, with 0 in the last column, and (m,) the values of the last channel.
 
@@ -222,12 +237,34 @@ def restore(
     on, of the channel times mixing (C - 1, C - 1), whose rows are the channels. leaf (m,): the leaf number of each
     point.
     """
-    blocks = blocks_of(merges)
+    order = np.zeros(0, np.int32)
+    return _restored(rows, order, np.ones(len(steps)), steps, merges, blocks_of(merges), mixing, leaf)
+
+
+def restore_rounded(
+    points: npt.NDArray[np.float32], steps: Floats, merges: Merges, blocks: HaarBlocks, mixing: Floats, leaf: Ints
+) -> tuple[npt.NDArray[np.float32], Floats]:
+    """Return what restore() returns for the coefficients of forward(), rounded to multiples of `steps`."""
+    return _restored(points, merges.rows, steps, steps, merges, blocks, mixing, leaf)
+
+
+def _restored(
+    coefficients: npt.NDArray[Any],
+    order: Counts,
+    units: Floats,
+    steps: Floats,
+    merges: Merges,
+    blocks: HaarBlocks,
+    mixing: Floats,
+    leaf: Ints,
+) -> tuple[npt.NDArray[np.float32], Floats]:
+    """order: the place of each row in `coefficients`; without it, they are rows. units: of `coefficients`."""
     b = len(blocks.heads) - 1
     low, high = (np.searchsorted(blocks.heads, each[: b - 1]).astype(np.int32) for each in (merges.low, merges.high))
-    sums = inverse(rows[:b], steps, merges._replace(low=low, high=high))
-    values, last = np.zeros(rows.shape, np.float32), np.empty(len(rows))
-    _restore(rows, steps, merges, blocks, sums, mixing, leaf, values, last)
+    coarse = np.rint(coefficients[order[:b] if len(order) else slice(b)] / units)
+    sums = inverse(coarse, steps, merges._replace(low=low, high=high))
+    values, last = np.zeros(coefficients.shape, np.float32), np.empty(len(coefficients))
+    _restore(coefficients, order, units, steps, merges, blocks, sums, mixing, leaf, values, last)
     return values, last
 
 
@@ -236,7 +273,9 @@ def restore(
 def _restore(
     core: int,
     cores: int,
-    rows: npt.NDArray[Any],
+    coefficients: npt.NDArray[Any],
+    order: Counts,
+    units: Floats,
     steps: Floats,
     merges: Merges,
     blocks: HaarBlocks,
@@ -258,8 +297,10 @@ def _restore(
             p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
             q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
             a, b = low[pair] - begin, high[pair] - begin
+            row = order[pair + 1] if len(order) else pair + 1
             for c in range(C):
-                total, difference = points[a, c], rows[pair + 1, c] * steps[c]
+                # 0.0 makes a 0 of -0, as of an integer.
+                total, difference = points[a, c], (np.rint(coefficients[row, c] / units[c]) + 0.0) * steps[c]
                 points[a, c] = p * total - q * difference
                 points[b, c] = q * total + p * difference
         for point in range(len(points)):

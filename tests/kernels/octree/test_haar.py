@@ -21,7 +21,7 @@ def test_three_leaves_by_hand() -> None:
     assert merges.ends.tolist() == [1, 1, 2]
     assert merges.rows.tolist() == [0, 2, 1]
     points = np.array([[1.0], [3.0], [5.0]])
-    haar.forward(points, merges)
+    haar.forward(points, merges, haar.blocks_of(merges))
     # The mean is 3, times the root of 3; 3 - 1 and 5 - 2 in orthonormal units.
     assert_allclose(points[merges.rows, 0], [9 / np.sqrt(3), 3 * np.sqrt(2 / 3), np.sqrt(2)], rtol=1e-15)
 
@@ -47,7 +47,7 @@ def test_the_transform_is_orthonormal_and_comes_back(seed: int, m: int, levels: 
     assert_array_equal(np.sort(merges.rows), np.arange(len(codes)))
     points = random.normal(size=(len(codes), 3))
     made = points.copy()
-    haar.forward(made, merges)
+    haar.forward(made, merges, haar.blocks_of(merges))
     assert_allclose((made**2).sum(axis=0), (points**2).sum(axis=0))
     assert_allclose(made[0], points.sum(axis=0) / np.sqrt(len(codes)), atol=1e-12)
     rows, steps = made[merges.rows], np.array([1, 2, 0.5])
@@ -58,6 +58,6 @@ def test_a_single_leaf_is_its_own_mean() -> None:
     codes, _ = haar.leaf_codes(haar.levels_of(np.zeros(1, np.uint8), 3), 3)
     merges = haar.merges_of(codes, 3)
     points = np.array([[7.0]])
-    haar.forward(points, merges)
+    haar.forward(points, merges, haar.blocks_of(merges))
     assert points.tolist() == [[7.0]]
     assert merges.ends.tolist() == [0] * 9

@@ -29,6 +29,20 @@ def test_blocks_give_the_bits_of_the_whole_transform(seed: int, m: int, levels: 
     assert not values[:, -1].any()
 
 
+@given(st.integers(0, 2**32), st.integers(1, 400), st.integers(1, 6))
+def test_the_transform_in_blocks_has_the_bits_of_that_pair_by_pair(seed: int, m: int, levels: int) -> None:
+    random = np.random.default_rng(seed)
+    merges = haar.merges_of(np.unique(random.integers(0, 8**levels, m)), levels)
+    points = random.normal(size=(len(merges.low) + 1, 3)).astype(np.float32)
+    expected = points.copy()
+    for a, b, low, high in zip(*(each[::-1] for each in merges[:4]), strict=True):
+        p, q = np.sqrt(low / (low + high)), np.sqrt(high / (low + high))
+        below, above = expected[a].astype(float), expected[b].astype(float)
+        expected[a], expected[b] = p * below + q * above, p * above - q * below
+    haar.forward(points, merges, haar.blocks_of(merges))
+    assert_array_equal(points, expected)
+
+
 @pytest.mark.parametrize("levels", [1, 4, 5, 10])
 def test_a_block_is_a_cube(levels: int) -> None:
     codes = np.unique(np.random.default_rng(levels).integers(0, 8**levels, 3000))
