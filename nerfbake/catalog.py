@@ -200,8 +200,12 @@ def scene_name(path: str) -> str:
     """The name of a scene: its file name without the extensions of its format, or its folder's name."""
     name = PurePath(path).name
     plain = uncompressed(name)
-    suffix = next((form.suffix for form in FORMATS if plain.lower().endswith(form.suffix)), "")
-    return plain[: len(plain) - len(suffix)] or name
+    return plain[: len(plain) - len(format_suffix(plain))] or name
+
+
+def format_suffix(path: str) -> str:
+    """Return the longest extension of a format that the path ends with, in lower case; '' if there is none."""
+    return next((form.suffix for form in FORMATS if path.lower().endswith(form.suffix)), "")
 
 
 def compressed(form: Format) -> Format:

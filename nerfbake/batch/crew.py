@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
@@ -70,7 +70,6 @@ class MemoryQueue:
 
 PATIENCE = 10.0  # seconds between SIGTERM and SIGKILL
 _POLL = 0.2  # seconds; a signal that arrives just before a wait begins does not end the wait
-_AGAIN = {OutputError.exit_code}  # retried, as killed items are: a full disk may have space again
 
 
 class ItemEvent(NamedTuple):
@@ -136,7 +135,8 @@ class WorkerPool:
                 else:
                     if isinstance(event, int):
                         self.signal = self.signal or event
-                    fault = fault or (event if isinstance(event, BaseException) else None)
+                    else:
+                        fault = fault or event
                     deadline = deadline or time.monotonic() + PATIENCE
                     self._stop()
             for thread in work:
@@ -197,7 +197,8 @@ class WorkerPool:
         argv = item.forced() if self._state.may_replace(item) else item.argv
         self._events.put(ItemEvent(number, None))
         for path in item.writes:
-            _make_parents(path)
+            with suppress(OSError):  # the command itself reports that the folder cannot be created
+                Path(path).parent.mkdir(parents=True, exist_ok=True)
         result = self._children.run(argv, self._state.folder / "log" / identity.id)
         if result is None:  # the batch was stopped after the start was recorded
             result = ProcessResult(
@@ -208,7 +209,8 @@ class WorkerPool:
         if found.status != DONE and self._plan.fail_fast:
             self._over = True
         self._events.put(ItemEvent(number, found, event))
-        return found.status == KILLED or found.code in _AGAIN
+        # An OutputError is retried, as killed items are: a full disk may have space again.
+        return found.status == KILLED or found.code == OutputError.exit_code
 
 
 def _attempt_of(item: Item, result: ProcessResult) -> Attempt:
@@ -226,11 +228,3 @@ def _attempt_of(item: Item, result: ProcessResult) -> Attempt:
         missing = sorted({*item.writes} - {output.path for output in outputs})
         error = f"{missing[0]}: was not written, although the command succeeded"
     return Attempt(status, result.code, error, result.seconds, result.peak, outputs=outputs, psnr=result.psnr)
-
-
-def _make_parents(path: str) -> None:
-    """Create the folder of an output. If this fails, the command itself reports the error."""
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return

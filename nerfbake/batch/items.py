@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 from typing import NamedTuple
 
-from nerfbake.catalog import FORMATS, uncompressed
+from nerfbake.catalog import format_suffix, uncompressed
 from nerfbake.errors import UsageError, one_line
 from nerfbake.io import STREAM, rejected_path
 
@@ -68,12 +68,9 @@ class Item(NamedTuple):
 def _pasteable(word: str) -> str:
     if word.isprintable():
         return shlex.quote(word)
-    letters = (chr(byte) if 32 <= byte < 127 and chr(byte) not in "\\'" else f"\\x{byte:02x}" for byte in _bytes(word))
+    data = word.encode("utf-8", "surrogateescape")
+    letters = (chr(byte) if 32 <= byte < 127 and chr(byte) not in "\\'" else f"\\x{byte:02x}" for byte in data)
     return f"$'{''.join(letters)}'"
-
-
-def _bytes(word: str) -> bytes:
-    return word.encode("utf-8", "surrogateescape")
 
 
 _SEVERAL = -1  # number of the item for a path that several items read
@@ -142,7 +139,6 @@ def _conflict(items: Sequence[Item], number: int, found: str, allowed: str) -> U
 
 
 _BRACES = re.compile(r"\{\{|\}\}|\{[^{}]*\}|[{}]")
-_SUFFIXES = sorted({form.suffix for form in FORMATS}, key=len, reverse=True)
 
 
 class CommandLine(NamedTuple):
@@ -233,8 +229,8 @@ def _fields(path: str) -> dict[str, str]:
 
 def _stem(name: str) -> str:
     bare = uncompressed(name)
-    suffix = next((suffix for suffix in _SUFFIXES if bare.lower().endswith(suffix)), PurePath(bare).suffix)
-    return bare.removesuffix(bare[len(bare) - len(suffix) :]) or name
+    suffix = format_suffix(bare) or PurePath(bare).suffix
+    return bare[: len(bare) - len(suffix)] or name
 
 
 def _fill(word: str, parts: dict[str, str]) -> str:

@@ -37,7 +37,7 @@ def row_values(row: Row) -> list[float | None]:
 
 
 def row_texts(values: list[float | None]) -> list[str]:
-    """The values of figures() as text; '' for an unknown value."""
+    """The values of row_values() as text; '' for an unknown value."""
     digits = (".2f", ".0f", ".2f", ".2f", ".1%", ".2f")
     return ["" if value is None else format(value, form) for value, form in zip(values, digits, strict=True)]
 
@@ -241,8 +241,8 @@ class Totals(NamedTuple):
 
 
 def _most(rows: Sequence[Row], value: Callable[[Attempt], float | None]) -> list[Row]:
-    known = [(found, -at) for at, row in enumerate(rows) if row.attempt and (found := value(row.attempt)) is not None]
-    return [rows[-at] for _, at in sorted(known, reverse=True)[:WORST]]
+    known = [(found, row) for row in rows if row.attempt and (found := value(row.attempt)) is not None]
+    return [row for _, row in sorted(known, key=lambda pair: pair[0], reverse=True)[:WORST]]
 
 
 _LISTS: tuple[tuple[str, Callable[[Attempt], float | None]], ...] = (

@@ -30,6 +30,7 @@ from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Progress, Result, Statistics, Work, measure, seconds_of
 from nerfbake.bench.plot import Mark, scatter
 from nerfbake.bench.report import Report, Table
+from nerfbake.kernels.arrays import Ints, Singles
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Cameras
@@ -43,9 +44,6 @@ from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.shapes_to_n3tree import sample_n3tree
-
-Singles = npt.NDArray[np.float32]
-Numbers = npt.NDArray[np.int64]
 
 _SAMPLE = 100_000  # leaves from which a palette is computed
 _BATCH = 1 << 14
@@ -120,7 +118,7 @@ def _median_cut(bits: int) -> Contender:
     return packed
 
 
-def median_cut(points: Singles, bits: int) -> tuple[Singles, Numbers]:
+def median_cut(points: Singles, bits: int) -> tuple[Singles, Ints]:
     """Group points (m, 3) into boxes; return the means of the boxes (2^bits, 3) and the box of each point (m,).
 
     All points are one box at first. `bits` times, every box is split at the median of its longest axis.

@@ -104,8 +104,8 @@ def quality_options(function: Command) -> Command:
 def compress(source: Source, target: Target, as_json: bool, console: Console, **options: Any) -> None:
     """Compress a scene with little loss.
 
-    Compresses the PlenOctree, octree, lattice or splats IN to the smallest OUT that keeps the loss of quality within --max-loss, or to
-    the best OUT that is no larger than --max-size.
+    Compresses the PlenOctree, octree, lattice or splats IN to the smallest OUT that keeps the loss of quality within
+    --max-loss, or to the best OUT that is no larger than --max-size.
 
     \b
       nerfbake compress chair.npz chair.svoq

@@ -131,9 +131,9 @@ def mesh(
     """Turn a field into a textured mesh.
 
     Finds the surface of the PlenOctree, octree, volume, lattice or splats IN, simplifies it, and fits a texture to
-    photographs (--views), or to pictures of IN. OUT is a .glb, an .obj with its .mtl and texture beside it, a .ply with colours at
-    the vertices, or a folder without an extension: nerf2mesh's stage 1, with highlights, which `nerfbake atlas`, `view`
-    and `render` take. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
+    photographs (--views), or to pictures of IN. OUT is a .glb, an .obj with its .mtl and texture beside it, a .ply with
+    colours at the vertices, or a folder without an extension: nerf2mesh's stage 1, with highlights, which `nerfbake
+    atlas`, `view` and `render` take. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
 
     \b
       nerfbake mesh chair.npz chair.glb

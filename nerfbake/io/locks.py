@@ -15,13 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from nerfbake.errors import OutputError
-from nerfbake.io.own_files import open_own
+from nerfbake.io.own_files import lock, open_own
 from nerfbake.io.sources import blame
-
-try:
-    import fcntl
-except ImportError:  # this system has no flock: a lock file that was left behind must be taken over
-    fcntl = None  # type: ignore[assignment]
 
 _LONGEST = 4096  # bytes
 
@@ -53,7 +48,7 @@ def _acquire(path: Path, take_over: bool) -> int:
         except FileExistsError:
             handle, new = open_own(path, os.O_RDWR | os.O_CREAT), False
         try:
-            free = _lock(handle)
+            free = lock(handle)  # None: a lock file that was left behind must be taken over
             if not _is_at(path, handle):
                 os.close(handle)  # it was removed between open and lock: try again
                 continue
@@ -71,19 +66,6 @@ def _acquire(path: Path, take_over: bool) -> int:
             with suppress(OSError):
                 os.close(handle)
             raise
-
-
-def _lock(handle: int) -> bool | None:
-    """Lock an open file. False: another process holds the lock; None: this file system has no locks."""
-    if fcntl is None:
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return None
-    return True
 
 
 def _may_be_replaced(owner: bytes) -> bool:

@@ -1,4 +1,4 @@
-"""Open files that this program writes in folders where anybody may create files, and keep logs of other processes.
+"""Open and lock files in folders where anybody may create files, and keep logs of other processes.
 
 Symbolic links are never followed.
 """
@@ -14,6 +14,11 @@ from typing import IO
 
 from nerfbake.errors import OutputError
 from nerfbake.io.sources import blame
+
+try:
+    import fcntl
+except ImportError:  # this system has no flock
+    fcntl = None  # type: ignore[assignment]
 
 
 def require_no_link(path: str | Path) -> None:
@@ -34,6 +39,22 @@ def open_own(path: str | Path, flags: int) -> int:
         os.close(handle)
         raise OutputError("is not a regular file; allowed: a regular file", source=str(path))
     return handle
+
+
+def lock(handle: int) -> bool | None:
+    """Lock an open file or folder until it is closed.
+
+    False: another process holds the lock; None: this system or file system has no locks.
+    """
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
 
 
 KEPT = 64 << 10  # bytes at the end of a log that are kept

@@ -14,8 +14,7 @@ from nerfbake.errors import OutputError, PipeClosed, UsageError
 
 def print_text(text: str = "") -> None:
     """Print a line of data. Raises OutputError if it cannot be written, PipeClosed if the reader closed the pipe."""
-    if sys.stdout is None or sys.stdout.closed:
-        raise OutputError("is closed; allowed: a pipe, a file or a terminal", source="stdout")
+    _require_open("a pipe, a file or a terminal")
     with _blamed():
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
@@ -41,8 +40,7 @@ def json_line(facts: Mapping[str, Any]) -> str:
 
 def print_names(text: str) -> None:
     """Print a line, with the original bytes of file names. Raises OutputError, PipeClosed."""
-    if sys.stdout is None or sys.stdout.closed:
-        raise OutputError("is closed; allowed: a pipe, a file or a terminal", source="stdout")
+    _require_open("a pipe, a file or a terminal")
     with _blamed():
         sys.stdout.buffer.write(os.fsencode(text) + b"\n")
         sys.stdout.buffer.flush()
@@ -50,8 +48,7 @@ def print_names(text: str) -> None:
 
 def write_stdout(pieces: Iterable[bytes | memoryview]) -> int:
     """Write bytes to stdout; return their number. Raises OutputError, PipeClosed; UsageError for a terminal."""
-    if sys.stdout is None or sys.stdout.closed:
-        raise OutputError("is closed; allowed: a pipe or a file", source="stdout")
+    _require_open("a pipe or a file")
     if sys.stdout.isatty():
         raise UsageError("stdout is a terminal; allowed: a pipe or a file")
     size = 0
@@ -61,6 +58,11 @@ def write_stdout(pieces: Iterable[bytes | memoryview]) -> int:
             size += len(piece)
         sys.stdout.buffer.flush()
     return size
+
+
+def _require_open(allowed: str) -> None:
+    if sys.stdout is None or sys.stdout.closed:
+        raise OutputError(f"is closed; allowed: {allowed}", source="stdout")
 
 
 @contextmanager

@@ -20,12 +20,8 @@ from pathlib import Path
 from typing import IO
 
 from nerfbake.errors import BudgetMissed, OutputError
+from nerfbake.io.own_files import lock
 from nerfbake.io.sources import blame
-
-try:
-    import fcntl
-except ImportError:  # this system has no locks: nothing is swept
-    fcntl = None  # type: ignore[assignment]
 
 _PART, _OLD = "part", "old"
 _LONGEST_NAME = 200  # of 255 bytes, to leave room for the digits and the suffix
@@ -205,17 +201,14 @@ def _locked_part(target: Path, *, folder: bool = False) -> Iterator[Path]:
 
 def _is_ours(part: Path, handle: int) -> bool:
     """Lock a new part. False if another writer's _sweep() removed it before it was locked."""
-    try:
-        locked = _lock(handle)
-    except OSError:
-        return True  # a file system without locks, where _sweep() removes nothing
+    locked = lock(handle)
+    if locked is None:
+        return True  # without locks, _sweep() removes nothing
     return locked and part.exists() and os.path.samestat(part.stat(), os.fstat(handle))
 
 
 def _sweep(target: Path) -> None:
     """Remove what dead writers of this target have left; restore a folder that one of them had renamed."""
-    if fcntl is None:
-        return
     ours = re.compile(rf"\.{re.escape(_stem(target))}\.[0-9a-f]{{16}}\.({_PART}|{_OLD})")
     with suppress(OSError):
         for entry in os.scandir(target.parent):
@@ -227,8 +220,8 @@ def _sweep(target: Path) -> None:
 def _sweep_one(left: Path, target: Path, *, moved_aside: bool) -> None:
     handle = os.open(left, os.O_RDONLY)
     try:
-        if not _lock(handle):
-            return  # its writer is still running
+        if not lock(handle):
+            return  # its writer is still running, or this cannot be known
         if moved_aside and not target.exists():
             left.replace(target)
         elif left.is_dir():
@@ -237,16 +230,6 @@ def _sweep_one(left: Path, target: Path, *, moved_aside: bool) -> None:
             left.unlink(missing_ok=True)
     finally:
         os.close(handle)
-
-
-def _lock(handle: int) -> bool:
-    """Lock an open file or folder; False if another process holds the lock. Raises OSError if there are no locks."""
-    if fcntl is not None:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-    return True
 
 
 def _exchange(a: Path, b: Path) -> bool:

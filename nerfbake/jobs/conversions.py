@@ -80,9 +80,8 @@ def convert_file(
 
 def _is_ending(target: Target, scene: str) -> bool:
     """True if the target has the extension of a format of this scene type, even of one that is only read."""
-    ending = target.path if target.to is None else f".{target.to.removeprefix('.')}"
     suffixes = tuple(form.suffix for form in catalog.FORMATS if form.scene == scene)
-    return catalog.uncompressed(ending).lower().endswith(suffixes)
+    return catalog.uncompressed(target.ending).lower().endswith(suffixes)
 
 
 def convert_splats(

@@ -98,6 +98,11 @@ class Target(NamedTuple):
     profile: str | None = None
     voxel_type: str | None = None
 
+    @property
+    def ending(self) -> str:
+        """What selects the format: the path, or the extension that `to` stands for."""
+        return self.path if self.to is None else f".{self.to.removeprefix('.')}"
+
     def require(self, scene: str, **options: Any) -> catalog.Format:
         """Return the format to write. Call it before doing any work. Options that are None count as not given.
 

@@ -13,7 +13,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
 from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
 from nerfbake.jobs.meshes import build_mesh, require_mesh
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, read_photographs
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
@@ -188,17 +188,17 @@ class FitResult(NamedTuple):
     @property
     def psnr(self) -> float:
         """Mean PSNR over the views in dB."""
-        return sum(view.psnr for view in self.views) / len(self.views)
+        return mean_of(self.views, "psnr")
 
     @property
     def ssim(self) -> float:
         """Mean SSIM over the views."""
-        return sum(view.ssim for view in self.views) / len(self.views)
+        return mean_of(self.views, "ssim")
 
     @property
     def corrected(self) -> float:
         """Mean PSNR over the views in dB, with the exposure of each view corrected."""
-        return sum(view.corrected for view in self.views) / len(self.views)
+        return mean_of(self.views, "corrected")
 
 
 def fit_scene(
@@ -241,9 +241,9 @@ def fit_file(
     """Fit a sparse field to the photographs of a capture and return the quality of its file. This is `nerfbake fit`.
 
     Reads the cameras and pictures of `source` and `album`; a folder of photographs without cameras gets their poses
-    from find_poses() first. Writes `target`, whose extension selects the type of scene,
-    and checkpoints to the folder `state`. A run that was killed resumes from the last checkpoint and writes the same
-    bytes. Ctrl-C writes the current state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
+    from find_poses() first. Writes `target`, whose extension selects the type of scene, and checkpoints to the folder
+    `state`. A run that was killed resumes from the last checkpoint and writes the same bytes. Ctrl-C writes the current
+    state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
 
     dtype   number type of a PlenOctree's values; None: float16, or float32 if a value is too large for float16
     report  is called with the result
@@ -326,15 +326,15 @@ def _require(target: Target) -> str:
     """Return the type of scene of the target. Raises NerfbakeError if a field cannot be written there."""
     if target.path == io.STREAM:
         raise UsageError("fit measures the file that it wrote; allowed: an OUT other than '-'")
-    ending = target.path if target.to is None else f".{target.to.removeprefix('.')}"
-    kinds = [kind for kind in CONVERSIONS if catalog.is_ending(ending, kind)]
+    kinds = [kind for kind in CONVERSIONS if catalog.is_ending(target.ending, kind)]
     kind = kinds[0] if kinds else None
     # Meshes and splats share extensions. Such a file is a mesh if its format has a texture, and splats otherwise.
     if "Meshes" in kinds and io.format_for(target.path, "Meshes", to=target.to).choices("image"):
         kind = "Meshes"
     if kind is None:
         endings = ", ".join(form.suffix for kind in CONVERSIONS for form in catalog.formats_of(kind))
-        raise UsageError(f"{ending!r} is not the extension of a field or a mesh; allowed: {endings}, or `to=FORMAT`")
+        found = f"{target.ending!r} is not the extension of a field or a mesh"
+        raise UsageError(f"{found}; allowed: {endings}, or `to=FORMAT`")
     form = target.require(kind)
     if kind == "Meshes":
         require_mesh(target)

@@ -16,7 +16,6 @@ from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
-from nerfbake.scene.splats import Splats
 
 if TYPE_CHECKING:
     from nerfbake.scene.radiance_field import RadianceField
@@ -149,17 +148,13 @@ def compact_octree(
 def _lost(lattice: LatticeField, field: RadianceField) -> tuple[float, float]:
     """Return the PSNR in dB of pictures around the lattice, and the RMS error of its colours (0..255)."""
 
+    from nerfbake.jobs.views import orbit_psnr
     from nerfbake.stages.lattice_to_image import measure_lattice
-    from nerfbake.stages.scene_to_cameras import orbit_cameras
-    from nerfbake.stages.scenes_to_comparison import compare_scenes
 
-    views = orbit_cameras(lattice, frames=_FRAMES, width=_EDGE, height=_EDGE)
-    found = compare_scenes(lattice, field, views, keep_pictures=False)
-    return float(found.means["a_b"]["psnr"]), measure_lattice(lattice, field)
+    return orbit_psnr(lattice, field, _FRAMES, _EDGE), measure_lattice(lattice, field)
 
 
 def print_notes(steps: Steps, source: Source, scene: Any) -> None:
     """Print notes on the contents of a file that were left out or changed."""
-    if isinstance(scene, LatticeField | N3Tree | Splats):
-        for note in scene.notes:
-            steps.say(f"{source.name}: {note}")
+    for note in scene.notes:
+        steps.say(f"{source.name}: {note}")

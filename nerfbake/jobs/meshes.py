@@ -13,7 +13,7 @@ from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of, split_pictures
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, split_pictures
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.environment import EnvironmentMap
@@ -145,12 +145,12 @@ class MeshQuality(NamedTuple):
         """Mean PSNR over the views in dB; of a mesh with materials, under the map."""
         if self.lit:
             return sum(self.lit) / len(self.lit)
-        return sum(view.psnr for view in self.views) / len(self.views)
+        return mean_of(self.views, "psnr")
 
     @property
     def ssim(self) -> float:
         """Mean SSIM over the views."""
-        return sum(view.ssim for view in self.views) / len(self.views)
+        return mean_of(self.views, "ssim")
 
     @property
     def iou(self) -> float:
@@ -170,7 +170,7 @@ class MeshQuality(NamedTuple):
             return f"{told}, silhouettes' IoU {self.iou:.4f} on {self.judges}"
         plain = ""
         if self.diffuse is not None:
-            psnr, ssim = (sum(getattr(v, name) for v in self.diffuse) / len(self.diffuse) for name in ("psnr", "ssim"))
+            psnr, ssim = mean_of(self.diffuse, "psnr"), mean_of(self.diffuse, "ssim")
             plain = f" ({psnr:.2f} dB, SSIM {ssim:.4f} without highlights)"
         told = f"{self.psnr:.2f} dB, SSIM {self.ssim:.4f}{plain}, silhouettes' IoU {self.iou:.4f} on {self.judges}"
         return f"{told}; worst view {self.worst.name}: {self.worst.psnr:.2f} dB"
@@ -419,7 +419,7 @@ def _require_alike(steps: Steps, source: Source, field: RadianceField, judges: V
     some = judges.take(range(0, len(judges.pictures), -(-len(judges.pictures) // _CHECKED)))
     with source.blamed(steps, f"comparing with {views}"):
         found = measure_views(field, some)
-        psnr, plain = sum(view.psnr for view in found) / len(found), plain_psnr(some)
+        psnr, plain = mean_of(found, "psnr"), plain_psnr(some)
         if psnr < plain + _ALIKE:
             told = (
                 f"has {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"

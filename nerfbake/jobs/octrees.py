@@ -245,14 +245,15 @@ def bake_volume(
         scene, shown = sample_splats(
             steps, source, scene, options=splats, part=box, resolution=resolution, sigma_min=sigma_min, layout="compact"
         )
-        judged, resolution = None if judged is None else shown, None
+        resolution = None
+        if judged is not None:
+            judged = shown
     else:
         splats._replace(up=None).require_default()
         if box != "inner":
             raise UsageError("`box` has no effect on other scenes than splats; allowed: with splats")
     if isinstance(scene, LatticeField):
-        size = (resolution,) * 3 if isinstance(resolution, int) else resolution
-        scene, resolution = sample_lattice(steps, source, scene, resolution=size, sigma_min=sigma_min), None
+        scene, resolution = sample_lattice(steps, source, scene, resolution=resolution, sigma_min=sigma_min), None
     with source.blamed(steps, "building the grids"):
         own = not isinstance(scene, N3Tree)
         scene = compact_octree(scene, resolution, sigma_min)

@@ -26,7 +26,7 @@ from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import page_views
+from nerfbake.jobs.views import orbit_psnr, page_views
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.compression import Compression
@@ -49,9 +49,7 @@ from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.n3tree_to_page_shells import build_page_shells
 from nerfbake.stages.octree_to_compression import compress_octree
-from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scene_to_field import build_field, build_field_from_page, round_to_bytes
-from nerfbake.stages.scenes_to_comparison import compare_scenes
 from nerfbake.stages.stage1_to_image import render_stage1
 from nerfbake.stages.stage1_to_page_surface import build_page_surface
 
@@ -425,6 +423,5 @@ def _tell_rounding(steps: Steps, source: Source, field: RadianceField) -> None:
         rounded = round_field(field)
         if (rounded.values == field.values).all():
             return
-        views = orbit_cameras(field, frames=_FRAMES, width=_EDGE, height=_EDGE)
-        found = compare_scenes(field, rounded, views, keep_pictures=False)
-    steps.say(f"{source.name}: float16 gives {found.means['a_b']['psnr']:.2f} dB against its float32")
+        decibels = orbit_psnr(field, rounded, _FRAMES, _EDGE)
+    steps.say(f"{source.name}: float16 gives {decibels:.2f} dB against its float32")

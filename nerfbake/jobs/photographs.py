@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, Problem, UsageError
@@ -17,6 +17,9 @@ from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.pictures_to_views import Scenery, build_views
+
+if TYPE_CHECKING:
+    from nerfbake.stages.views_to_error import ViewError
 
 HOLDOUT = 8  # every eighth view is held out if the capture has no test views
 _LEAST = 2  # lowest number of training views
@@ -62,6 +65,11 @@ class SplitViews(NamedTuple):
 
     trained: Views
     judges: Views
+
+
+def mean_of(views: Sequence[ViewError], name: Literal["psnr", "ssim", "corrected"]) -> float:
+    """Return the mean of a figure over the views."""
+    return float(sum(getattr(view, name) for view in views) / len(views))
 
 
 def read_photographs(steps: Steps, source: Source, album: PhotographOptions = ALL) -> SplitViews:

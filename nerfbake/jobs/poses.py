@@ -67,7 +67,7 @@ def find_poses(
     sparse/0 to `source`. Needs pycolmap, which the extra `poses` installs. Raises NerfbakeError.
 
     sequential  match each picture only with the next ones, in the order of names; None: if there are more than 150
-    seed        the random seed; the same pictures and seed give almost the same poses again
+    seed        the random seed; on one machine, the same pictures and seed give the same poses
     force       replace existing outputs
 
     >>> find_poses("room").registered

@@ -11,7 +11,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import without_scenery
 from nerfbake.jobs.octrees import read_octree
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs, split_pictures
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, split_pictures
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.scene.brick_field import BrickField
@@ -106,8 +106,7 @@ class RefitResult(NamedTuple):
     @property
     def psnr(self) -> tuple[float, float]:
         """Mean PSNR over the views in dB, before and after."""
-        before, after = (sum(view.psnr for view in views) / len(views) for views in (self.before, self.after))
-        return before, after
+        return mean_of(self.before, "psnr"), mean_of(self.after, "psnr")
 
 
 def refit_file(

@@ -11,6 +11,7 @@ from nerfbake import progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
+from nerfbake.jobs.lattices import print_notes
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
@@ -62,8 +63,7 @@ def choose_splats(
     steps: Steps, source: Source, splats: Splats, options: SplatVoxels, part: Part = "inner"
 ) -> tuple[Splats, Points]:
     """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels."""
-    for note in splats.notes:
-        steps.say(f"{source.name}: {note}")
+    print_notes(steps, source, splats)
     least = options.opacity_min
     with source.blamed(steps, "cutting the splats"):
         turned = with_z_up(splats, options.up)
@@ -74,8 +74,7 @@ def choose_splats(
         else:
             box = world_box(part)
         cut = cut_splats(turned, box, opacity_min=least)
-    for note in cut.notes:
-        steps.say(f"{source.name}: {note}")
+    print_notes(steps, source, cut)
     return cut.splats, box
 
 
@@ -99,6 +98,7 @@ def sample_splats(
     those of build_octree_from_splats().
     """
 
+    from nerfbake.jobs.views import orbit_psnr
     from nerfbake.stages.scene_to_cameras import scatter_cameras
     from nerfbake.stages.splats_to_octree import build_octree_from_splats
 
@@ -122,7 +122,7 @@ def sample_splats(
     if options.epochs:
         octree = _refitted(steps, source, octree, kept, cameras, options.epochs)
     with source.blamed(steps, "measuring the loss"):
-        decibels = _measured(kept, octree)
+        decibels = orbit_psnr(kept, octree, _JUDGES, _EDGE)
     voxels = f"{'x'.join(map(str, octree.size))} voxels"
     steps.say(f"{source.name}: in {voxels}, {decibels:.2f} dB against {_JUDGES} pictures of the splats")
     return octree, kept
@@ -150,13 +150,3 @@ def pixel_of(cameras: Cameras, box: Points) -> float:
     """Return the edge of a pixel in world units, in the middle of a box."""
     camera, middle = cameras.cameras[0], box.mean(axis=0)
     return length(camera.pose[:3, 3] - middle) / camera.fx
-
-
-def _measured(splats: Splats, octree: SparseVoxelOctree) -> float:
-    """Return the mean PSNR in dB of pictures that the octree was not fitted to."""
-    from nerfbake.stages.scene_to_cameras import orbit_cameras
-    from nerfbake.stages.scenes_to_comparison import compare_scenes
-
-    views = orbit_cameras(splats, frames=_JUDGES, width=_EDGE, height=_EDGE)
-    found = compare_scenes(splats, octree, views, keep_pictures=False)
-    return float(found.means["a_b"]["psnr"])

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import BudgetMissed, Problem, UsageError
-from nerfbake.jobs.budgets import FRAMES
+from nerfbake.jobs.budgets import FRAMES, Budget
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, read_photographs_of, split_pictures
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, split_pictures
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
@@ -90,12 +90,12 @@ class SplatsResult(NamedTuple):
     @property
     def psnr(self) -> float:
         """Mean PSNR over the views in dB."""
-        return sum(view.psnr for view in self.views) / len(self.views)
+        return mean_of(self.views, "psnr")
 
     @property
     def ssim(self) -> float:
         """Mean SSIM over the views."""
-        return sum(view.ssim for view in self.views) / len(self.views)
+        return mean_of(self.views, "ssim")
 
 
 def bake_splats(
@@ -175,8 +175,7 @@ def _require(target: Target, min_psnr: float | None) -> None:
     if target.path == io.STREAM:
         raise UsageError("splats measures the file that it wrote; allowed: an OUT other than '-'")
     target.require("Splats")
-    if min_psnr is not None:
-        io.require_rejected_absent(target.path, force=target.force, folder=False)
+    Budget(min_psnr).require(target)
 
 
 def _read(steps: Steps, source: Source) -> RadianceField:

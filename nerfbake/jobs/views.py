@@ -66,6 +66,14 @@ def views_of(
     return read_cameras(steps, cameras).chosen(size=size, samples=samples)
 
 
+def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
+    """Return the mean PSNR in dB between pictures of two scenes, `edge` pixels wide and high, on an orbit around a."""
+    from nerfbake.stages.scenes_to_comparison import compare_scenes
+
+    views = orbit_cameras(a, frames=frames, width=edge, height=edge)
+    return float(compare_scenes(a, b, views, keep_pictures=False).means["a_b"]["psnr"])
+
+
 def picture_views(scene: RadianceField | Splats, cameras: Cameras, samples: int) -> Views:
     """Render pictures of a field or of splats, with alpha, to which something else is fitted."""
     from nerfbake.stages.field_to_image import render_field

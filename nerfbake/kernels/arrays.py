@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 Bits = npt.NDArray[np.bool_]
 Coords = npt.NDArray[np.int32]  # (..., 3) voxel coordinates
+Faces = npt.NDArray[Any]  # (t, 3) vertex numbers of triangles, integers of any width
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.signedinteger[Any]]  # integers of any width
 Ints = npt.NDArray[np.int64]

@@ -44,7 +44,7 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
     first error stops the other threads and is raised here.
     """
     starts = range(0, count, chunk)
-    threads = min(len(starts), cores())
+    threads = max(1, min(len(starts), cores()))
     errors: list[BaseException] = []
 
     def run(own: range) -> None:
@@ -58,7 +58,7 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
     others = [Thread(target=run, args=(starts[k::threads],)) for k in range(1, threads)]
     for thread in others:
         thread.start()
-    run(starts[::threads] if threads else starts)
+    run(starts[::threads])
     for thread in others:
         thread.join()
     if errors:

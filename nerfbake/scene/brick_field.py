@@ -133,8 +133,7 @@ class BrickField(Scene):
     @cached_property
     def brick_corners(self) -> Coords:
         """(b, 3) int32: the lowest cell of each brick, counted from the lowest corner of its shell."""
-        r = self.top.shape[1]
-        return (EDGE * (np.argwhere(self.top >= 0) % [r, r, r])).astype(np.int32)
+        return np.asarray(EDGE * (np.argwhere(self.top >= 0) % self.top.shape[1]), np.int32)
 
     @cached_property
     def corners(self) -> Coords:

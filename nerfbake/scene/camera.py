@@ -194,6 +194,11 @@ class Camera(CompactRepr):
         """Position of the optical axis, in pixels from the upper edge."""
         return self.height / 2 if self.centre is None else self.centre[1]
 
+    @property
+    def bends(self) -> bool:
+        """Whether a lens bends the rays."""
+        return self.lens is not None and self.lens.bends
+
     def resized(self, width: int, height: int) -> Camera:
         """The same view with another number of pixels; the horizontal field of view and the pixel's shape stay the
         same.
@@ -246,7 +251,7 @@ class Camera(CompactRepr):
 
         None if a lens bends the rays, so that a column has no common x.
         """
-        if self.lens is not None and self.lens.bends:
+        if self.bends:
             return None
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = -(np.arange(self.height) + 0.5 - self.cy) / self.fy
@@ -257,7 +262,7 @@ class Camera(CompactRepr):
 
         Raises InvalidScene if a pixel has no viewing direction through the lens.
         """
-        if self.lens is None or not self.lens.bends:
+        if not self.bends:
             return self._seen.points(np.arange(self.width), np.arange(self.height)[:, None])
         looks = self._looks()
         return looks[..., :2] / looks[..., 2:] if (looks[..., 2] > 0).all() else None
@@ -275,8 +280,9 @@ class Camera(CompactRepr):
 
         If all pixels on the rim have a viewing direction, so do all pixels inside it.
         """
-        if self.lens is None or not self.lens.bends:
+        if not self.bends:
             return []
+        assert self.lens is not None
         pixel = first_blind_pixel(self._seen, self.lens)
         return [] if pixel is None else [self._no_look(pixel, 1)]
 

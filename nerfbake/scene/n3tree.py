@@ -13,7 +13,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.octree.lookup import as_points, in_chunks, n3tree_cells
 from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.soundness import place, plural
-from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
+from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, set_vectors
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.held_out import HeldOut
 
@@ -76,9 +76,7 @@ class N3Tree(Scene):
             raise InvalidScene(Problem("data", found, f"{basis.data_dim} for data_format {self.data_format}"))
         if not 1 <= self.shells <= (MAX_SHELLS if shape[1] == 2 else 1):
             raise InvalidScene(Problem("shells", f"are {self.shells}", f"1 to {MAX_SHELLS}, and 1 unless N is 2"))
-        for name in ("offset", "invradius"):
-            value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
-            object.__setattr__(self, name, value)
+        set_vectors(self, "offset", "invradius")
 
     def __str__(self) -> str:
         nodes = plural(sum(map(len, self.levels)), "node")

@@ -16,7 +16,7 @@ from nerfbake.kernels.octree.lookup import as_points, in_chunks, octree_values
 from nerfbake.kernels.octree.walk import Walk, walk
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.soundness import all_finite, count_problem, plural
-from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems
+from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, set_vectors
 from nerfbake.scene.basis import parse_basis, voxel_dtype
 from nerfbake.scene.rows import LazyRows, RowsOfNodes
 
@@ -24,14 +24,6 @@ _PROVEN = 1 << 15  # rows at a time: temporaries stay in the cache, and memory i
 MAX_SIZE = 4096  # voxels along an axis
 Layout = Literal["full", "compact"]
 Lookup = Literal["nearest", "trilinear"]
-
-
-def _zeros() -> npt.NDArray[np.float64]:
-    return np.zeros(3)
-
-
-def _ones() -> npt.NDArray[np.float64]:
-    return np.ones(3)
 
 
 class _Order(NamedTuple):
@@ -73,8 +65,8 @@ class SparseVoxelOctree(Scene):
     node_children: npt.NDArray[np.int32]
     node_data: LazyRows = LazyRows("node_data", "node_rows")  # noqa: RUF009 - a descriptor, no default
     data_format: str = ""
-    origin: npt.NDArray[np.float64] = field(default_factory=_zeros)
-    voxel_size: npt.NDArray[np.float64] = field(default_factory=_ones)
+    origin: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    voxel_size: npt.NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     extra_data: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -100,9 +92,7 @@ class SparseVoxelOctree(Scene):
             if count % B:
                 raise InvalidScene(Problem("extra_data", f"has {count:,} numbers", f"a multiple of {B}"))
             object.__setattr__(self, "extra_data", self.extra_data.reshape(B, -1))
-        for name in ("origin", "voxel_size"):
-            value = np.broadcast_to(np.asarray(getattr(self, name), np.float64), 3).copy()
-            object.__setattr__(self, name, value)
+        set_vectors(self, "origin", "voxel_size")
 
     def __str__(self) -> str:
         size = "x".join(map(str, self.size))

@@ -79,11 +79,12 @@ class VdbTree(CompactRepr):
             raise InvalidScene(Problem(f"grid {self.name!r}", found, f"{self.values.shape[1:]}"))
         if self.grid_class is None:
             object.__setattr__(self, "grid_class", "fog volume" if self.values.shape[1] == 1 else "unknown")
-        if self.active is not None and (self.active.shape != self.values.shape[:1] or self.active.all()):
+        if self.active is not None:
             if self.active.shape != self.values.shape[:1]:
                 found = f"has {len(self.active):,} active states"
                 raise InvalidScene(Problem(f"grid {self.name!r}", found, f"{len(self.values):,}, one per value"))
-            object.__setattr__(self, "active", None)
+            if self.active.all():
+                object.__setattr__(self, "active", None)
 
     @property
     def dtype(self) -> np.dtype[Any]:

@@ -230,7 +230,8 @@ class VdbTopology:
     def box(self) -> tuple[Ints, Ints] | None:
         """The lowest and the highest voxel on each axis, both included; None if there are no voxels."""
         held = self.leaf_mask.any(axis=1)
-        ends = [(low[held], high[held]) for low, high in [self.leaf_boxes]]
+        low, high = self.leaf_boxes
+        ends = [(low[held], high[held])]
         ends += [(low.astype(np.int64), low.astype(np.int64) + edge - 1) for low, edge in self.tile_cubes]
         low, high = (np.concatenate([pair[side] for pair in ends]) for side in (0, 1))
         return (low.min(axis=0), high.max(axis=0)) if len(low) else None

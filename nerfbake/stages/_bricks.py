@@ -114,4 +114,4 @@ def cell_places(bricks: BrickGrid) -> tuple[Ints, Coords]:
     brick = np.repeat(np.argwhere(bricks.top >= 0), np.diff(bricks.first), axis=0)
     place = bricks.places >> 1
     within = np.stack([place >> 6, place >> 3 & 7, place & 7], axis=1)
-    return brick[:, 0] // r, (8 * (brick % [r, r, r]) + within).astype(np.int32)
+    return brick[:, 0] // r, (8 * (brick % r) + within).astype(np.int32)

@@ -26,7 +26,7 @@ def diffuse_and_inputs(colour: DeferredColour, features: Singles) -> Singles:
 
 
 def colour_function(colour: DeferredColour, directions: Points) -> Seen:
-    """Return a function of bare() values (k, 3 + others) and indices (k,) into `directions` to colours (k, 3)."""
+    """A function of diffuse_and_inputs() (k, 3 + others) and indices (k,) into `directions` to colours (k, 3)."""
     if colour.mlp is None:
         return lambda values, ray: np.asarray(np.minimum(values[:, :3], 1), np.float32)
     layers = layers_for(directions, colour.mlp.frequencies, *colour.mlp.weights)
@@ -39,7 +39,7 @@ def colour_function(colour: DeferredColour, directions: Points) -> Seen:
 
 
 def fit_of_deferred(colour: DeferredColour, directions: Points, B: int) -> Callable[[Singles], Singles]:
-    """Return a function of bare() values (m, 3 + others) to SH coefficients (m, 3 B) of colours behind a sigmoid.
+    """A function of diffuse_and_inputs() (m, 3 + others) to SH coefficients (m, 3 B) of colours behind a sigmoid.
 
     The coefficients are the least-squares fit of the colours' logits in these directions.
     """

@@ -24,7 +24,7 @@ def eye_of(camera: Camera) -> tuple[Eye, Floats]:
     low, high = np.zeros(2), np.array([camera.width, camera.height], np.float64)
     places = np.empty((0, 0, 2))
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    if camera.lens is not None and camera.lens.bends:
+    if camera.bends:
         plane = camera.plane()
         if plane is None:
             name = f"camera {camera.name}".strip()

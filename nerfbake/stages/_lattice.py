@@ -130,13 +130,13 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
 
         return fit
     if isinstance(lattice.colour, DeferredColour):
-        deferred, fit_bare = lattice.colour, fit_of_bare(lattice.colour, B)
-        return lambda features: fit_bare(diffuse_and_inputs(deferred, features))
+        deferred, fit_inputs = lattice.colour, fit_of_inputs(lattice.colour, B)
+        return lambda features: fit_inputs(diffuse_and_inputs(deferred, features))
     return lambda features: _constant(features, B)
 
 
-def fit_of_bare(colour: DeferredColour, B: int) -> Fit:
-    """Return the same function for the bare() values (m, 3 + others) of a deferred colour."""
+def fit_of_inputs(colour: DeferredColour, B: int) -> Fit:
+    """Return the same function for values of diffuse_and_inputs() (m, 3 + others)."""
     return fit_of_deferred(colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
 
 

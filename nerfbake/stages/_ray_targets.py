@@ -36,9 +36,7 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that views.used() excludes
     are left out. samples: rays along each edge of a pixel.
     """
-    picture, camera = views.pictures[view], views.cameras.cameras[view].reduced(scale)
-    image = np.empty((camera.height, camera.width, 4), np.float32)
-    kernels.downscale(picture, np.array(views.background, np.float64), views.masked, scale, image)
+    camera, image = reduced_view(views, view, scale)
     if ring is not None:
         held = image[None, ..., 3] > 0
         for _ in range(ring):
@@ -52,11 +50,19 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     found = kernels.number_pixels(np.ascontiguousarray(chosen), _tiles(camera.width, camera.height), pixels)
     pixels = pixels[:found].copy()
     directions = _directions(camera, pixels, samples)
-    return RayTargets(camera.pose[:3, 3].copy(), pixels, kernels.gather_pixels(image, pixels), directions)
+    return RayTargets(camera.pose[:3, 3].copy(), pixels, image.reshape(-1, 4)[pixels], directions)
+
+
+def reduced_view(views: Views, view: int, scale: int) -> tuple[Camera, Singles]:
+    """Return a view reduced by the factor `scale`: its camera, and (H, W, 4) colour over the background, and alpha."""
+    camera = views.cameras.cameras[view].reduced(scale)
+    image = np.empty((camera.height, camera.width, 4), np.float32)
+    kernels.downscale(views.pictures[view], np.array(views.background, np.float64), views.masked, scale, image)
+    return camera, image
 
 
 def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int) -> Singles:
-    if camera.lens is not None and camera.lens.bends:
+    if camera.bends:
         fine = camera.part(slice(0, camera.width), slice(0, camera.height), finer=samples)
         rays = fine.rays()[1].reshape(camera.height, samples, camera.width, samples, 3).transpose(0, 2, 1, 3, 4)
         return rays.reshape(-1, samples * samples * 3)[pixels].reshape(-1, 3).astype(np.float32)

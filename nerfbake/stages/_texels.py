@@ -10,10 +10,10 @@ import numpy as np
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
-from nerfbake.kernels.fit import colours
 from nerfbake.kernels.surface import gbuffer, texels
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
+from nerfbake.stages._ray_targets import reduced_view
 
 _BAND = 1 << 20  # rays at a time
 _BAND_BYTES = 220  # per ray of a band, as in _surface
@@ -79,9 +79,7 @@ def _look(
     mesh: Mesh, views: Views, number: int, scale: int, places: Singles, samples: int
 ) -> Iterator[tuple[texels.Lookups, Singles, Singles, Singles]]:
     """Yield the lookups, targets, cover and directions of a view, a band of rows at a time."""
-    camera = views.cameras.cameras[number].reduced(scale)
-    image = np.empty((camera.height, camera.width, 4), np.float32)
-    colours.downscale(views.pictures[number], np.array(views.background, np.float64), views.masked, scale, image)
+    camera, image = reduced_view(views, number, scale)
     photograph, alpha = image[..., :3], image[..., 3]
     used = alpha >= 1 if views.scenery and views.masked else np.ones(alpha.shape, bool)
     background = np.array(views.background, np.float32)

@@ -108,12 +108,12 @@ def _grids(
     data, node, B = rows.data, rows.node, (rows.data.shape[1] - 1) // 3
 
     def tree(name: str, values: npt.NDArray[Any]) -> VdbTree:
-        return VdbTree(name, topology, _rounded(name, values, dtype), np.zeros(values.shape[1], np.float32))
+        return VdbTree(name, topology, rounded(name, values, dtype), np.zeros(values.shape[1], np.float32))
 
     for grid in grids:
         if grid == "index":
             table = _TableRows(data, node)
-            whole = table if is_lazy(data, dtype) else _rounded(grid, np.asarray(table), dtype)
+            whole = table if is_lazy(data, dtype) else rounded(grid, np.asarray(table), dtype)
             yield IndexGrid("index", topology, whole)
         elif grid == "density":
             assert rows.sigma is not None
@@ -152,7 +152,8 @@ def _picked(data: RowsOfNodes, node: NodeNumbers, columns: list[int]) -> npt.NDA
     return picked
 
 
-def _rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+def rounded(name: str, values: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return the values of the grid `name` as dtype. Raises InvalidScene if one is too large for float16."""
     return cast_values(values, dtype, what=f"grid {name!r}", asked="`half`")
 
 

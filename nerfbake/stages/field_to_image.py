@@ -122,7 +122,6 @@ def _marched(
 
         # Positions are relative to cell centres. Interpolation extends the box to the next centre on each side.
         place, box = place - 0.5, field.box + np.array([[-1], [0]])
-    # An integer would be another type, for which numba would compile the kernel again.
     for first in progress.each(range(0, len(ways), _RAYS)):
         some = slice(first, first + _RAYS)
         march(
@@ -134,7 +133,7 @@ def _marched(
             ways[some],
             stop[some],
             basis[some],
-            float(cut),
+            float(cut),  # an integer would be another type, for which numba would compile the kernel again
             out[some],
         )
     return out

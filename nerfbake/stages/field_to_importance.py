@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory, progress
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.march.directions import collect_maxima
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.affine import rotate, transform_points
@@ -20,8 +21,6 @@ _CUT = 1e-4  # transmittance at which renderers end a ray
 _RAY_BYTES = 140  # per ray of a camera during the march
 _EVERY = 8  # every 8th ray that hits something is used for the mean over directions
 _SPHERE = 1 / (4 * np.pi)
-
-Floats = npt.NDArray[np.float64]
 
 
 class Importance(NamedTuple):

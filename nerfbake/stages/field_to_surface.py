@@ -8,10 +8,10 @@ import numpy as np
 
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Floats, Points
+from nerfbake.kernels.arrays import Faces, Floats, Points
 from nerfbake.kernels.maths.affine import determinant, transform_points
 from nerfbake.kernels.surface.cubes import march_cubes
-from nerfbake.kernels.surface.triangles import Faces, compacted, parts_of, smoothed
+from nerfbake.kernels.surface.triangles import compacted, parts_of, smoothed
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.radiance_field import RadianceField, require_field
@@ -37,10 +37,10 @@ def build_surface(
     box (2, 3): lowest and highest corner in the world; what is outside is left out. largest: keep the largest
     connected part alone.
 
-    The surface is where half of the light is lost, averaged over the views, or where the opacity of the cells passes
-    a level; the one is taken whose silhouettes are nearer to the field's own. Surfaces without any density behind
-    them, which close space that no camera saw, and small islands are removed. Raises InvalidScene for a field without
-    a surface, MemoryLimit.
+    The surface is a level of a weighted mix of the distance to where half of the light is lost, fused over the views,
+    and the opacity of the cells. The level is the one whose silhouettes are nearest to the field's own. Surfaces
+    without any density behind them, which close space that no camera saw, and small islands are removed. Raises
+    InvalidScene for a field without a surface, MemoryLimit.
 
     >>> from nerfbake import build_field, build_surface, sample_n3tree, scatter_cameras
     >>> field = build_field(sample_n3tree(resolution=32))

@@ -27,7 +27,7 @@ from nerfbake.scene.volume import OctreeFrame
 from nerfbake.stages._cube_levels import Block, octree_of_blocks
 from nerfbake.stages._deferred import diffuse_and_inputs
 from nerfbake.stages._half import cast_values
-from nerfbake.stages._lattice import features_of, fit_of, fit_of_bare, nodes_of, table_of
+from nerfbake.stages._lattice import features_of, fit_of, fit_of_inputs, nodes_of, table_of
 from nerfbake.stages.octree_to_octree import cut_octree
 
 _TOGETHER = 1 << 18  # samples that are evaluated at a time
@@ -166,7 +166,7 @@ def colour_blocks(lattice: LatticeField, held: FilledVoxels, B: int, sigma_min: 
     colour = lattice.colour
     assert isinstance(colour, DeferredColour)
     samples = _samples(lattice, held.size)
-    fit, looked = fit_of_bare(colour, B), features_of(lattice)
+    fit, looked = fit_of_inputs(colour, B), features_of(lattice)
     length = mean_edge((lattice.box[1] - lattice.box[0]) / held.size) / samples.times
     step = min(samples.at_once, _FITTED)
     for begin in progress.each(range(0, len(held.cells), step)):
@@ -217,24 +217,24 @@ def build_octree_from_lattice(
     (6, 6, 6)
     """
     lattice.require_usable()
-    wanted = parse_basis(basis)
+    wanted, least = parse_basis(basis), sigma_min or 0.0
     if wanted.kind != "SH":
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
     with progress.part(0, _FOUND):
         if lattice.blocks is not None:
-            held, levels = filled_voxels(lattice, resolution, wanted.size, sigma_min or 0.0), 0
+            held, levels = filled_voxels(lattice, resolution, wanted.size, least), 0
         else:
             size, levels = _sizes(lattice, resolution)
-            held = FilledVoxels(size, *_held(lattice, size, sigma_min or 0.0))
+            held = FilledVoxels(size, *_held(lattice, size, least))
     size, cells = held.size, held.cells
     if not len(cells):
-        raise InvalidScene(Problem("the lattice", "is empty", f"a density above {sigma_min or 0:g} somewhere"))
+        raise InvalidScene(Problem("the lattice", "is empty", f"a density above {least:g} somewhere"))
     memory.require("the voxels' values", len(cells) * wanted.data_dim * 4)
     values = np.empty((len(cells), wanted.data_dim), np.float32)
     values[:, -1] = held.sigma
     with progress.part(_FOUND, 1):
         if lattice.blocks is not None:
-            colour_blocks(lattice, held, wanted.size, sigma_min or 0.0, values)
+            colour_blocks(lattice, held, wanted.size, least, values)
         else:
             _colour(lattice, size, cells, wanted.size, values)
     data = cast_values(values, np.dtype(dtype), what="the lattice", asked="float16")

@@ -10,7 +10,8 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.surface.triangles import Faces, compacted, turned_over, untangled
+from nerfbake.kernels.arrays import Faces
+from nerfbake.kernels.surface.triangles import compacted, turned_over, untangled
 from nerfbake.scene.mesh import Mesh
 
 _FACE_BYTES = 600  # per face, while edges are collapsed

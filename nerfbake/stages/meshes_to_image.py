@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.surface.normals import face_normals
 from nerfbake.kernels.surface.texture import bilinear
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
@@ -54,8 +55,7 @@ def surface_colours(hits: Hits, *, lit: bool = True) -> npt.NDArray[np.float32]:
     colours = np.full((len(hits.faces), 3), GREY) if mesh.colours is None else hits.mixed(mesh.colours)
     if not lit:
         return colours
-    a, b, c = (mesh.positions[mesh.faces[hits.faces, corner]].astype(np.float64) for corner in range(3))
-    across = np.cross(b - a, c - a)
+    across = face_normals(mesh.positions, mesh.faces[hits.faces])
     length = np.linalg.norm(across, axis=1)
     facing = np.abs((across * hits.directions).sum(axis=1)) / np.where(length > 0, length, 1)
     return np.asarray(colours * (_AMBIENT + (1 - _AMBIENT) * facing[:, None]), np.float32)

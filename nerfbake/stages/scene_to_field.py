@@ -151,6 +151,10 @@ def _page_cells(page_field: PageField) -> Cells:
         tables[:] = number[0]  # the field is a single cell with one row
     bits = [1] * len(levels) + [CELL.bit_length() - 1]
     levels.append(tables)
+    return _cells_of_levels(levels, bits)
+
+
+def _cells_of_levels(levels: list[npt.NDArray[np.int32]], bits: list[int]) -> Cells:
     first = np.cumsum([0, *(level.size for level in levels[:-1])]).tolist()
     return cells_of(np.concatenate([level.reshape(-1) for level in levels]), bits, first=first)
 
@@ -206,8 +210,7 @@ def _brick_cells(bricks: BrickField) -> Cells:
         split[begin:end] = np.count_nonzero(brick_nodes(bricks.rows[begin:end], filled).split, axis=(1, 2))
 
     over_chunks(count, bricks.b, _CHUNK)
-    top = bricks.top.size
-    memory.require("the field's cells", 4 * (top + 64 * bricks.b + 8 * int(split.sum())))
+    memory.require("the field's cells", 4 * (bricks.top.size + 64 * bricks.b + 8 * int(split.sum())))
     blocks = np.empty((bricks.b, 64), np.int32)
     smallest = np.empty((int(split.sum()), 8), np.int32)
     number = exclusive_sum(split)
@@ -221,9 +224,8 @@ def _brick_cells(bricks: BrickField) -> Cells:
         smallest[below[found.split]] = cells[found.split]
 
     over_chunks(fill, bricks.b, _CHUNK)
-    levels = [np.maximum(bricks.top, EMPTY).reshape(-1), blocks.reshape(-1), smallest.reshape(-1)]
-    first = [0, top, top + blocks.size]
-    return cells_of(np.concatenate(levels), [(bricks.resolution // 8).bit_length() - 1, 2, 1], first=first)
+    levels = [np.maximum(bricks.top, EMPTY), blocks, smallest]
+    return _cells_of_levels(levels, [(bricks.resolution // 8).bit_length() - 1, 2, 1])
 
 
 _EDGE = 1e-6  # colours are clamped to this distance from 0 and 1, so that the sigmoid can be inverted
@@ -293,7 +295,7 @@ def _values_at(volume: Volume, grid: VdbTree, density: VdbTree) -> npt.NDArray[n
     if grid.topology.same_as(density.topology):
         return grid.values.astype(np.float32, copy=False)
     parts, first = [grid.sample(density.topology.coords)], density.topology.m
-    for level, (low, _) in reversed(list(enumerate(density.topology.tile_cubes[::-1]))):
+    for level, (low, _) in zip((2, 1, 0), density.topology.tile_cubes, strict=False):
         # Where the other grid has a node, its values may differ from voxel to voxel.
         finer = (grid.topology.nodes_at(low)[level] >= 0) & (density.values[first : first + len(low), 0] > 0)
         if finer.any():
@@ -329,9 +331,7 @@ def _voxel_cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Ce
             table[:] = of_tiles[2][0]  # the root is one tile, so that there is no level of root tiles
         levels.append(table)
         bits.append(width)
-    first = np.cumsum([0, *(level.size for level in levels[:-1])]).tolist()
-    cells = cells_of(np.concatenate([level.reshape(-1) for level in levels]), bits, first=first)
-    return cells, low * 4096
+    return _cells_of_levels(levels, bits), low * 4096
 
 
 FieldSource = N3Tree | SparseVoxelOctree | Volume | BrickField

@@ -13,6 +13,7 @@ from nerfbake import memory
 from nerfbake.kernels.cluster.colours import codes_of
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.maths.elementary import Extremes, extremes
+from nerfbake.kernels.surface.normals import welded
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera, Cameras
@@ -131,8 +132,9 @@ def _range(values: list[float]) -> list[float]:
 
 
 def _lens(camera: Camera) -> str:
-    if camera.lens is None or not camera.lens.bends:
+    if not camera.bends:
         return "pinhole"
+    assert camera.lens is not None
     k = ", ".join(f"k{i} {value:g}" for i, value in enumerate(camera.lens.k, start=1) if value)
     p = ", ".join(f"p{i} {value:g}" for i, value in enumerate(camera.lens.p, start=1) if value)
     return f"{camera.lens.model} ({', '.join(part for part in (k, p) if part)})" if k or p else camera.lens.model
@@ -214,7 +216,7 @@ def _surface(scene: Meshes) -> dict[str, Any]:
     from trimesh import graph  # imported here, because the import is slow and only meshes need it
 
     positions, corners, _ = joined_meshes(scene.meshes)
-    faces = _places(positions)[corners]
+    faces = welded(positions)[1][corners]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     if not len(faces):
         return {"pieces": 0, "closed": False, "same_winding": True}
@@ -222,16 +224,6 @@ def _surface(scene: Meshes) -> dict[str, Any]:
     closed, same_winding = graph.is_watertight(edges)
     labels = graph.connected_component_labels(edges)  # type: ignore[no-untyped-call]
     return {"pieces": len(np.unique(labels[faces[:, 0]])), "closed": closed, "same_winding": same_winding}
-
-
-def _places(positions: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-    """Return a number 0, 1, 2, ... for each vertex (v,); vertices at exactly the same position have the same number."""
-    order = np.lexsort(positions.T)
-    in_order = positions[order]
-    numbers = np.empty(len(positions), np.int64)
-    numbers[order[0]] = 0
-    numbers[order[1:]] = np.cumsum((in_order[1:] != in_order[:-1]).any(axis=1))
-    return numbers
 
 
 def summary_of_light(environment: EnvironmentMap) -> dict[str, Any]:

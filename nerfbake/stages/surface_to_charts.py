@@ -8,6 +8,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.surface import charts, packing
+from nerfbake.kernels.surface.normals import doubled_areas, welded
 from nerfbake.scene.mesh import Mesh
 
 MAX_TEXTURE = 8192  # texels along an edge
@@ -37,13 +38,13 @@ def unwrap_surface(mesh: Mesh, *, edge: int = 2048) -> Mesh:
     """
     require_texture(edge)
     memory.require("the charts of the mesh", _TRIANGLE_BYTES * len(mesh.faces) + _TEXEL_BYTES * edge * edge)
-    welded = _welded(mesh)
     positions = mesh.positions[mesh.faces].astype(np.float64)
-    flat = charts.flatten(positions, charts.neighbours(welded), least=_LEAST)
+    _, place = welded(mesh.positions)
+    beside = charts.neighbours(place[mesh.faces].astype(np.uint32))
+    flat = charts.flatten(positions, beside, least=_LEAST)
     order = np.argsort(flat.chart, kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(flat.chart))])
-    across = np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0])
-    areas = np.sqrt((across * across).sum(axis=1)) / 2
+    areas = doubled_areas(mesh.positions, mesh.faces) / 2
     texels = packing.pack(order, starts, flat.corners, areas, edge)
     if texels is None:
         found = f"is {edge} texels, too few for {len(starts) - 1:,} charts"
@@ -55,13 +56,6 @@ def require_texture(edge: int) -> None:
     """Raise InvalidScene unless a texture's edge has 16 to MAX_TEXTURE texels."""
     if not 16 <= edge <= MAX_TEXTURE:
         raise InvalidScene(Problem("the texture's edge", f"is {edge}", f"16 to {MAX_TEXTURE:,} texels"))
-
-
-def _welded(mesh: Mesh) -> npt.NDArray[np.uint32]:
-    """Return the faces with one vertex for each place."""
-    places = np.ascontiguousarray(mesh.positions + np.float32(0))  # -0 and 0 are the same place
-    _, place = np.unique(places.view("V12").reshape(-1), return_inverse=True)
-    return np.asarray(place[mesh.faces], np.uint32)
 
 
 def _split(mesh: Mesh, chart: npt.NDArray[np.int32], uvs: npt.NDArray[np.float32]) -> Mesh:

@@ -6,6 +6,7 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.surface.normals import welded
 from nerfbake.kernels.surface.texture import bilinear
 from nerfbake.scene.mesh import Mesh
 
@@ -28,8 +29,7 @@ def colour_vertices(mesh: Mesh) -> Mesh:
         raise InvalidScene(Problem("the mesh", "has no texture", "a texture, for the colours of its vertices"))
     memory.require("the colours of the vertices", _VERTEX_BYTES * len(mesh.positions))
     colours = bilinear(mesh.texture, mesh.require_uvs())
-    places = np.ascontiguousarray(mesh.positions + np.float32(0))  # -0 and 0 are the same place
-    _, first, place = np.unique(places.view("V12").reshape(-1), return_index=True, return_inverse=True)
+    first, place = welded(mesh.positions)
     count = np.bincount(place)
     # bincount() adds in order, so the sums are the same on every CPU.
     means = np.stack([np.bincount(place, colours[:, channel]) / count for channel in range(3)], axis=1)

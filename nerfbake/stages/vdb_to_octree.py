@@ -102,8 +102,8 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
     first = volume.grids[0]
     if isinstance(first, IndexGrid):
         return first.topology, first.values
-    density = volume.grid("density")
-    coefficients = [volume.grid(f"sh_{k}") for k in range(len(volume.grids) - 1) if f"sh_{k}" in _names(volume)]
+    density, names = volume.grid("density"), [grid.name for grid in volume.grids]
+    coefficients = [volume.grid(f"sh_{k}") for k in range(len(volume.grids) - 1) if f"sh_{k}" in names]
     if not coefficients:
         allowed = "density,sh or index; `grid=NAME` for an octree of that density alone"
         raise InvalidScene(Problem("the volume", f"has the grids {', '.join(volume.labels)}", allowed))
@@ -114,7 +114,3 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
     # (m, 3, B): all coefficients of red, then of green, then of blue.
     colours = np.stack([grid.values for grid in coefficients], axis=2).reshape(len(density.values), -1)
     return density.topology, np.concatenate([colours, density.values], axis=1)
-
-
-def _names(volume: Volume) -> list[str]:
-    return [grid.name for grid in volume.grids]

@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._half import cast_values
+from nerfbake.stages._voxel_grids import rounded
 
 
 def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volume:
@@ -27,14 +27,9 @@ def cast_volume(volume: Volume, *, dtype: Literal["float16", "float32"]) -> Volu
     wanted = np.dtype(dtype)
 
     def cast(grid: VdbTree | IndexGrid) -> VdbTree | IndexGrid:
-        what = f"grid {grid.name!r}"
         if isinstance(grid, IndexGrid):
-            return (
-                grid
-                if dtype == "float32"
-                else replace(grid, table=cast_values(grid.table, wanted, what=what, asked="`half`"))
-            )
-        background = cast_values(grid.background, wanted, what=what, asked="`half`").astype(np.float32)
-        return replace(grid, values=cast_values(grid.values, wanted, what=what, asked="`half`"), background=background)
+            return grid if dtype == "float32" else replace(grid, table=rounded(grid.name, grid.table, wanted))
+        background = rounded(grid.name, grid.background, wanted).astype(np.float32)
+        return replace(grid, values=rounded(grid.name, grid.values, wanted), background=background)
 
     return memory.kept(replace(volume, grids=tuple(map(cast, volume.grids))))

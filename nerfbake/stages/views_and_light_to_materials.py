@@ -14,14 +14,14 @@ from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles
 from nerfbake.kernels.cluster import lloyd
 from nerfbake.kernels.picture.metrics import decibels, from_linear, to_linear
 from nerfbake.kernels.surface import light, texels
-from nerfbake.kernels.surface.normals import vertex_normals
+from nerfbake.kernels.surface.normals import welded_normals
 from nerfbake.kernels.surface.raster import covered_texels
 from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
 from nerfbake.stages._texels import Seen, see, texel_places
 from nerfbake.stages.surface_to_charts import require_texture
-from nerfbake.stages.views_to_texture import DiffuseProblem, mean_texels, rounded
+from nerfbake.stages.views_to_texture import DiffuseProblem, first_guess, mean_texels, rounded
 
 CLUSTERS = 8
 _ROUGHNESSES = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -205,7 +205,7 @@ def _between(roughness: Floats) -> Iterator[tuple[int, Ints, Singles]]:
 def _normals(mesh: Mesh, edge: int) -> Singles:
     """(edge, edge, 3) the smooth normals of texels, continued beyond the charts."""
     out, known = np.zeros((edge, edge, 3), np.float32), np.zeros((edge, edge), np.bool_)
-    light.interpolate(texel_places(mesh, edge), mesh.faces, vertex_normals(mesh.positions, mesh.faces), out, known)
+    light.interpolate(texel_places(mesh, edge), mesh.faces, welded_normals(mesh.positions, mesh.faces), out, known)
     return texels.fill(out, known)
 
 
@@ -325,9 +325,5 @@ def _albedo(seen: Seen, lit: _Lit, used: Bits, roughness: Singles, specular: Sin
     bright = max(float(dark.max()), 1e-6)
     facing = np.where(lit.toward > _GRAZING, 1, 0.01) * np.where(seen.targets.max(axis=1) < _CLIPPED, 1, 0.1)
     weights = (seen.cover * seen.cover * (dark / bright) ** 2 * facing).astype(np.float32)
-    found = mean_texels(seen, weights, targets, used)
-    rest = np.empty_like(targets)
-    texels.residuals(*seen.lookups, found, targets, rest)
-    far = np.sqrt((rest * rest).sum(axis=1))
-    weights *= np.minimum(1, np.float32(0.3) / np.maximum(far, np.float32(0.3)))
+    found, rest = first_guess(seen, weights, targets, used)
     return texels.fill(DiffuseProblem(seen, weights, used).improved(found, rest, _STEPS), used)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from nerfbake import memory, progress
 from nerfbake.kernels.arrays import Bits, Floats, Singles
 from nerfbake.kernels.surface import specular, texels
+from nerfbake.kernels.surface.normals import face_normals
 from nerfbake.kernels.surface.raster import covered_texels, paint
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import SpecularField, Stage1
@@ -165,8 +166,7 @@ def _smoothed(features: Singles, steepness: Singles, used: Bits) -> Singles:
 
 def _normals(mesh: Mesh, edge: int) -> Singles:
     """(edge, edge, 3) the unit normal of the triangle at each texel, continued between charts."""
-    a, b, c = (mesh.positions[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
-    across = np.cross(b - a, c - a)
+    across = face_normals(mesh.positions, mesh.faces)
     length = np.sqrt((across * across).sum(axis=1))
     normals = (across / np.where(length > 0, length, 1)[:, None]).astype(np.float32)
     out, known = np.zeros((edge, edge, 3), np.float32), np.zeros((edge, edge), np.bool_)

@@ -100,7 +100,7 @@ def fit_splats(splats: Splats, views: Views, *, epochs: int = EPOCHS, seed: int 
     memory.require("the pictures of the fit", sum(picture.nbytes for picture in views.pictures))
     state = _started(splats)
     targets = [_over(picture, views.background) for picture in views.pictures]
-    bands = band_of(splats.B)
+    bands, alpha = band_of(splats.B), _ALPHA if views.masked and not views.scenery else 0.0
     count = len(targets)
     for epoch in range(epochs):
         order = np.random.default_rng([seed, epoch]).permutation(count)
@@ -109,7 +109,7 @@ def fit_splats(splats: Splats, views: Views, *, epochs: int = EPOCHS, seed: int 
             if (epoch * count + done) % _SMALL_EVERY == _SMALL_EVERY - 1 and min(pixels.shape[:2]) >= 2:
                 camera, pixels = camera.reduced(2), _over(reduced_picture(views.pictures[number], 2), views.background)
             part = (epoch * count + done) / max(epochs * count - 1, 1)
-            target = TargetPicture(pixels, np.array(views.background, np.float32), _alpha_weight(views), views.scenery)
+            target = TargetPicture(pixels, np.array(views.background, np.float32), alpha, views.scenery)
             state.error = _visit(state, camera, target, _sizes(part, bands))
             state.epoch, state.view = divmod(epoch * count + done + 1, count)
             yield state
@@ -121,10 +121,6 @@ def _started(splats: Splats) -> SplatFit:
     np.maximum(scales, np.float32(_LEAST_SCALE), out=scales)
     arrays = SplatArrays(means, scales, quats, opacity, sh)
     return SplatFit(arrays, new_moments(arrays), splats.antialiased)
-
-
-def _alpha_weight(views: Views) -> float:
-    return _ALPHA if views.masked and not views.scenery else 0.0
 
 
 def _sizes(part: float, bands: npt.NDArray[np.int64]) -> StepSizes:

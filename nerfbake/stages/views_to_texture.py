@@ -83,13 +83,18 @@ def mean_texels(seen: Seen, weights: Singles, targets: Singles, used: Bits) -> S
     return texels.fill(np.asarray(found / np.maximum(total, np.float32(_SEEN)), np.float32), known)
 
 
-def _solve(seen: Seen, used: Bits) -> Singles:
-    weights = seen.cover * seen.cover
-    found = mean_texels(seen, weights, seen.targets, used)
-    rest = np.empty_like(seen.targets)
-    texels.residuals(*seen.lookups, found, seen.targets, rest)
+def first_guess(seen: Seen, weights: Singles, targets: Singles, used: Bits) -> tuple[Singles, Singles]:
+    """mean_texels(), and its residuals (p, 3). Lowers, in place, the weights of pixels with large residuals."""
+    found, rest = mean_texels(seen, weights, targets, used), np.empty_like(targets)
+    texels.residuals(*seen.lookups, found, targets, rest)
     far = np.sqrt((rest * rest).sum(axis=1))
     weights *= np.minimum(1, np.float32(_DOUBT) / np.maximum(far, np.float32(_DOUBT)))
+    return found, rest
+
+
+def _solve(seen: Seen, used: Bits) -> Singles:
+    weights = seen.cover * seen.cover
+    found, rest = first_guess(seen, weights, seen.targets, used)
     problem = DiffuseProblem(seen, weights, used)
     for turn in range(_ROUNDS):
         if turn:

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
-from nerfbake.kernels.fit import colours
 from nerfbake.kernels.maths.affine import inverse, length, rotate
 from nerfbake.kernels.surface.gbuffer import gbuffer
 from nerfbake.kernels.surface.motion import (
@@ -25,10 +24,12 @@ from nerfbake.kernels.surface.motion import (
     limit_offsets,
     solve_offsets,
 )
-from nerfbake.kernels.surface.triangles import face_normals, untangled, vertex_normals
+from nerfbake.kernels.surface.normals import doubled_areas, face_normals
+from nerfbake.kernels.surface.triangles import untangled, vertex_normals
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
+from nerfbake.stages._ray_targets import reduced_view
 
 _PIXELS = 400  # along a picture's longer edge, about: pictures are reduced by a whole factor
 _VIEWS = 50  # a round
@@ -102,8 +103,7 @@ def _texture(mesh: Mesh, views: Views) -> Singles | None:
     texture = mesh.texture.astype(np.float32) / np.float32(255)
     corners = mesh.uvs[mesh.faces].astype(np.float64) * texture.shape[1::-1]
     (a, b), (c, d) = (np.moveaxis(corners[:, k] - corners[:, 0], 1, 0) for k in (1, 2))
-    areas = face_normals(mesh.positions, mesh.faces)
-    texels = np.abs(a * d - b * c).sum() / np.sqrt((areas * areas).sum(axis=1)).sum()  # in a square world unit
+    texels = np.abs(a * d - b * c).sum() / doubled_areas(mesh.positions, mesh.faces).sum()  # in a square world unit
     middle = mesh.positions.mean(axis=0, dtype=np.float64)
     away = [max(length(camera.pose[:3, 3] - middle), _NEAREST) for camera in views.cameras.cameras]
     pixels = [c.fx / _scale(c) / far for c, far in zip(views.cameras.cameras, away, strict=True)]
@@ -123,10 +123,8 @@ def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, v
     """Add the equations of one picture."""
     full = views.cameras.cameras[view]
     scale = _scale(full)
-    camera = full.reduced(scale)
-    camera.require_memory(_PIXEL_BYTES)
-    image = np.empty((camera.height, camera.width, 4), np.float32)
-    colours.downscale(views.pictures[view], np.array(views.background, np.float64), views.masked, scale, image)
+    full.reduced(scale).require_memory(_PIXEL_BYTES)
+    camera, image = reduced_view(views, view, scale)
     rays = camera.rays()[1].reshape(camera.height, camera.width, 3)
     seen = gbuffer(solid.positions.astype(np.float32), solid.faces.astype(np.uint32), camera.pose, rays)
     optics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
@@ -141,7 +139,7 @@ def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, v
 
 def _plane(camera: Camera, rays: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Where the pixels of a bent lens are on the plane in front of the camera; nothing for a pinhole."""
-    if camera.lens is None or not camera.lens.bends:
+    if not camera.bends:
         return np.empty((0, 0, 2))
     looks = rotate(rays, inverse(camera.pose[:3, :3]))
     return np.ascontiguousarray(looks[..., :2] / -looks[..., 2:])

@@ -62,6 +62,8 @@ def test_a_missing_library_is_wrong_usage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        (tmp_path / name).write_bytes(b"")
     assert run(["poses", str(tmp_path)]) == 2
     assert "pip install 'nerfbake[poses]'" in capsys.readouterr().err
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nerfbake.errors import OutputError
-from nerfbake.io import locks
+from nerfbake.io import own_files
 from nerfbake.io.locks import occupied
 
 
@@ -78,7 +78,7 @@ def test_a_lock_whose_writer_was_killed_before_it_wrote_is_replaced(tmp_path: Pa
 def test_where_there_are_no_locks_of_the_system_the_file_decides(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(locks, "fcntl", None)
+    monkeypatch.setattr(own_files, "fcntl", None)
     with occupied(tmp_path / "lock"):
         with pytest.raises(OutputError, match="is in use"):
             occupied(tmp_path / "lock").__enter__()

@@ -17,6 +17,7 @@ import pytest
 
 from nerfbake.errors import OutputError
 from nerfbake.io import targets
+from nerfbake.io.own_files import lock
 from nerfbake.io.targets import replacing, replacing_folder, require_absent, require_no_folder
 
 # Writes half of what it should under the target's name, says so, and waits to be killed.
@@ -150,10 +151,10 @@ def test_without_an_exchange_the_old_folder_comes_back_if_the_writer_dies(
 
 
 def test_where_there_are_no_locks_nothing_is_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_locks(handle: int) -> bool:
+    def no_locks(handle: int, how: int) -> None:
         raise OSError("no locks here")
 
-    monkeypatch.setattr(targets, "_lock", no_locks)
+    monkeypatch.setattr("fcntl.flock", no_locks)
     another = tmp_path / ".out.bin.0123456789abcdef.part"
     another.write_bytes(b"half")  # whoever writes it may be alive
     write(tmp_path / "out.bin", b"whole")
@@ -162,17 +163,16 @@ def test_where_there_are_no_locks_nothing_is_swept(tmp_path: Path, monkeypatch: 
 
 
 def test_a_part_that_a_sweeper_took_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lock = targets._lock
     taken: list[Path] = []
 
-    def swept_once(handle: int) -> bool:
+    def swept_once(handle: int) -> bool | None:
         if not taken:
             (part,) = tmp_path.iterdir()
             part.unlink()
             taken.append(part)
         return lock(handle)
 
-    monkeypatch.setattr(targets, "_lock", swept_once)
+    monkeypatch.setattr(targets, "lock", swept_once)
     write(tmp_path / "out.bin", b"whole")
     assert (tmp_path / "out.bin").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]

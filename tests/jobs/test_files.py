@@ -22,6 +22,11 @@ def test_a_path_is_enough() -> None:
     assert as_target(Target("a", to="svo.pb")).to == "svo.pb"
 
 
+def test_the_ending_of_a_target_is_that_of_its_format() -> None:
+    assert Target("a.npz").ending == "a.npz"
+    assert Target("a.npz", to="svo.pb").ending == Target("-", to=".svo.pb").ending == ".svo.pb"
+
+
 @pytest.mark.usefixtures("folder")
 def test_a_source_tells_its_step_and_is_blamed(listener: Listener) -> None:
     found = Source("a.npz").read_with_format(listener, N3Tree)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from nerfbake import SparseVoxelOctree, build_octree, sample_n3tree
-from nerfbake.formats.page.triangles import part_of
+from nerfbake.formats.page.triangles import package_text
 from nerfbake.io import load_page_content
 from nerfbake.scene.page import WIDE
 from tests.conformance.case import HOME, require_like
@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.tools, pytest.mark.slow]
 POINTS = 60_000
 
 # The page keeps its functions to itself: the same files once more.
-SCRIPT = "".join(part_of(name) for name in ("svoq.js", "svoq_values.js", "field.js"))
+SCRIPT = "".join(package_text(name) for name in ("svoq.js", "svoq_values.js", "field.js"))
 
 # What they find in a .svoq: numbers as they stand, and of each leaf its node and its values.
 READ = """(text) => {

@@ -11,7 +11,7 @@ import pytest
 
 from nerfbake import Cameras, Mesh, Meshes, Views, move_vertices, render_meshes
 from nerfbake.errors import InvalidScene
-from nerfbake.kernels.surface.triangles import face_normals
+from nerfbake.kernels.surface.normals import face_normals
 from nerfbake.scene.camera import Camera, Lens
 from tests.support.meshes import camera, sphere
 

@@ -28,7 +28,6 @@ class Library(NamedTuple):
     """A way to write the octree with a library. slow: minutes for a large scene, so it is measured once."""
 
     name: str
-    package: str
     encode: Callable[[SparseVoxelOctree], Any]
     decode: Callable[[memoryview, SparseVoxelOctree], Arrays]
     slow: bool = False
@@ -174,12 +173,12 @@ def _capnp_blob_decode(view: memoryview, octree: SparseVoxelOctree) -> Arrays:
 
 
 LIBRARIES = (
-    Library("json.dumps", "json", _json_encode, _json_decode, slow=True),
-    Library("pymongo bson, lists", "pymongo", _bson_encode, _bson_decode),
-    Library("pymongo bson, bytes", "pymongo", _bson_blob_encode, _bson_blob_decode),
-    Library("protobuf, extend(list)", "protobuf", _protobuf_encode, _protobuf_decode),
-    Library("flatbuffers, by element", "flatbuffers", _flatbuffers_naive_encode, _flatbuffers_decode, slow=True),
-    Library("flatbuffers, NumPy vector", "flatbuffers", _flatbuffers_encode, _flatbuffers_decode),
-    Library("pycapnp, lists", "pycapnp", _capnp_encode, _capnp_decode),
-    Library("pycapnp, Data", "pycapnp", _capnp_blob_encode, _capnp_blob_decode),
+    Library("json.dumps", _json_encode, _json_decode, slow=True),
+    Library("pymongo bson, lists", _bson_encode, _bson_decode),
+    Library("pymongo bson, bytes", _bson_blob_encode, _bson_blob_decode),
+    Library("protobuf, extend(list)", _protobuf_encode, _protobuf_decode),
+    Library("flatbuffers, by element", _flatbuffers_naive_encode, _flatbuffers_decode, slow=True),
+    Library("flatbuffers, NumPy vector", _flatbuffers_encode, _flatbuffers_decode),
+    Library("pycapnp, lists", _capnp_encode, _capnp_decode),
+    Library("pycapnp, Data", _capnp_blob_encode, _capnp_blob_decode),
 )

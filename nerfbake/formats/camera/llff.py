@@ -10,6 +10,7 @@ Sources: LLFF's README; NeX's load_llff.py; docs/formats/cameras.md, "Dialects".
 from __future__ import annotations
 
 import io
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -86,7 +87,7 @@ def _array(files: CaptureFolder, name: str) -> npt.NDArray[np.float64]:
     view = files[name]
     stream = io.BytesIO(view)
     shape, fortran, dtype = read_header(name, stream)
-    size = dtype.itemsize * int(np.prod(shape, dtype=object))
+    size = dtype.itemsize * math.prod(shape)
     if dtype.kind not in "fiu" or size != len(view) - stream.tell():
         found = f"declares {size:,} bytes of {dtype} before {len(view) - stream.tell():,}"
         raise InvalidFile(Problem(name, found, "the number of bytes in the file"))

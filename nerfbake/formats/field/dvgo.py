@@ -15,7 +15,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.factors import factors_of, rows_of, shape_of
 from nerfbake.formats.field.torch_model import TorchModel, every_node, layers_of
-from nerfbake.formats.wire.torch import is_torch
+from nerfbake.formats.wire.torch import mentions
 from nerfbake.kernels.arrays import Bits, Singles
 from nerfbake.kernels.maths.elementary import log, power
 from nerfbake.scene.lattice_field import Activation, Colour, LatticeField, MlpColour, RgbColour
@@ -158,13 +158,12 @@ def _is_layer(key: Any) -> bool:
     return False
 
 
-_HEAD = 1 << 20  # bytes at the start of the file that contain the pickle
 Nodes = npt.NDArray[np.int32]
 
 
 def recognise(view: memoryview) -> bool:
     """Return True for a torch file with the settings of DirectVoxGO."""
-    return is_torch(view) and b"model_kwargs" in bytes(view[:_HEAD])
+    return mentions(view, b"model_kwargs")
 
 
 def decode(view: memoryview) -> LatticeField:

@@ -122,7 +122,7 @@ def _shells(npz: NpzReader) -> int:
     if _SHELLS not in npz:
         return 1
     shells = npz.scalar(_SHELLS)
-    if not isinstance(shells, (int, np.integer)):
+    if not isinstance(shells, int):
         raise InvalidFile(Problem(_SHELLS, f"is {str(shells)[:40]}", "a number of shells"))
     return int(shells)
 
@@ -140,7 +140,7 @@ def _held_out(npz: NpzReader) -> HeldOut | None:
     except NerfbakeError as error:
         error.what = error.problem._replace(place=f"{names[0]}: {error.problem.place}")
         raise
-    if not isinstance(every, (int, np.integer)) or not 1 <= every <= MAX_EVERY:
+    if not isinstance(every, int) or not 1 <= every <= MAX_EVERY:
         raise InvalidFile(Problem(names[2], f"is {every}", f"1 to {MAX_EVERY:,}"))
     sizes = [thinned_size(camera, int(every)) for camera in cameras.cameras]
     ends = np.cumsum([height * width for height, width in sizes])

@@ -23,14 +23,13 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.torch_model import as_singles
-from nerfbake.formats.wire.torch import TorchReader, is_torch
+from nerfbake.formats.wire.torch import TorchReader, mentions
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import cast, exp, fibonacci
 from nerfbake.scene.n3tree import MAX_SHELLS, N3Tree
 
 Longs = npt.NDArray[np.int64]
-_HEAD = 1 << 20  # bytes at the start of the file that contain the pickle
 _LEVELS = 16
 _PER_WORLD_UNIT = 100.0  # of the activated density
 _BEND, _SLOPE, _SHIFT = 1.1, 0.909090909, -0.904689820  # of the activation: x above the bend, else e^(slope x + shift)
@@ -45,8 +44,7 @@ _CORNERS = np.array([(k >> 2 & 1, k >> 1 & 1, k & 1) for k in range(8)])  # x hi
 
 def recognise(view: memoryview) -> bool:
     """Return True for a torch file with SVRaster's voxels."""
-    head = bytes(view[:_HEAD])
-    return is_torch(view) and b"octpath" in head and b"_geo_grid_pts" in head
+    return mentions(view, b"octpath", b"_geo_grid_pts")
 
 
 def decode(view: memoryview) -> N3Tree:

@@ -15,13 +15,12 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.factors import Shape, factors_of, rows_of, shape_of
 from nerfbake.formats.field.torch_model import TorchModel, as_singles, every_node, format_setting, layers_of
-from nerfbake.formats.wire.torch import is_torch
+from nerfbake.formats.wire.torch import mentions
 from nerfbake.kernels.arrays import Bits, Points, Singles
 from nerfbake.kernels.lattice.planes import Factors, nodes_around, touched_cells
 from nerfbake.kernels.maths.elementary import cast
 from nerfbake.scene.lattice_field import MAX_EDGE, Activation, Colour, LatticeField, MlpColour, ShColour
 
-_HEAD = 1 << 20  # bytes at the start of the file that contain the start of the pickle
 _LAYERS = ("renderModule.mlp.0", "renderModule.mlp.2", "renderModule.mlp.4")
 _SH_FEATURES = 27
 _MOST_FREQUENCIES = 16
@@ -38,8 +37,7 @@ class _Mask(NamedTuple):
 
 def recognise(view: memoryview) -> bool:
     """Return True for a torch file with TensoRF's lines."""
-    head = bytes(view[:_HEAD])
-    return is_torch(view) and b"density_line" in head and b"basis_mat" in head
+    return mentions(view, b"density_line", b"basis_mat")
 
 
 def decode(view: memoryview) -> LatticeField:
@@ -100,8 +98,8 @@ def _factors(model: TorchModel, what: str, matrix: Singles | None) -> Factors:
     planes, lines = {}, {}
     for i in range(3):
         plane, line = (model.single(f"{what}_{each}.{i}") for each in ("plane", "line"))
-        for name, array, rank in ((f"{what}_plane.{i}", plane, 4), (f"{what}_line.{i}", line, 4)):
-            if array.ndim != rank or array.shape[0] != 1 or 0 in array.shape:
+        for name, array in ((f"{what}_plane.{i}", plane), (f"{what}_line.{i}", line)):
+            if array.ndim != 4 or array.shape[0] != 1 or 0 in array.shape:
                 raise InvalidFile(Problem(name, f"has shape {array.shape}", "(1, parts, nodes, nodes)"))
         if line.shape[3] != 1:
             raise InvalidFile(Problem(f"{what}_line.{i}", f"has shape {line.shape}", "(1, parts, nodes, 1)"))

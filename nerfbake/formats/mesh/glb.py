@@ -26,6 +26,7 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
 from nerfbake.formats.wire.json import kind_of, number, parse_object
 from nerfbake.formats.wire.picture import Coding, decode_texture
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose, determinant, length, transform_points
 from nerfbake.kernels.maths.elementary import cast, sine_cosine
 from nerfbake.kernels.picture.metrics import from_linear
@@ -131,8 +132,6 @@ _BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld", "MSFT_lod"}
 MAX_NODES = 50_000
 _MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-
-Floats = npt.NDArray[np.float64]
 
 
 def _meshes_of(document: Document) -> tuple[Mesh, ...]:

@@ -36,7 +36,7 @@ from nerfbake.formats.wire.picture import Coding, encode_picture, encode_texture
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose
 from nerfbake.kernels.picture.metrics import to_linear
-from nerfbake.kernels.surface.normals import vertex_normals
+from nerfbake.kernels.surface.normals import welded_normals
 from nerfbake.scene.mesh import Mesh, Meshes
 
 _BYTE, _USHORT, _FLOAT, _UINT32 = 5120, 5123, 5126, 5125
@@ -199,7 +199,7 @@ class _Body:
         return {"POSITION": self._integers(positions, _USHORT, **bounds)}, matrix
 
     def _normals(self, mesh: Mesh) -> int:
-        normals = vertex_normals(mesh.positions, mesh.faces)
+        normals = welded_normals(mesh.positions, mesh.faces)
         if not self._quantised:
             return self._accessor(normals, _FLOAT, "VEC3", _VERTICES)
         return self._integers(np.rint(127 * normals).astype(np.int8), _BYTE, normalized=True)

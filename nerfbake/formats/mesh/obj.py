@@ -28,6 +28,7 @@ from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.mesh.mtl import BOM, Materials, encode_mtl
 from nerfbake.formats.wire.picture import encode_picture
+from nerfbake.kernels.arrays import Floats, Ints
 from nerfbake.kernels.surface.fans import fan
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
 
@@ -40,8 +41,6 @@ _INDEX = rb"-?[0-9]{1,18}+"
 _CORNERS = re.compile(rb"\s*+(?:%b(?:/(?:%b)?(?:/(?:%b)?)?)?(?:\s++|$))*+" % (_INDEX, _INDEX, _INDEX))
 
 Bytes = npt.NDArray[np.uint8]
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 
 def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | None = None) -> tuple[Mesh, ...]:

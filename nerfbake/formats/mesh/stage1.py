@@ -38,7 +38,6 @@ class Mlp(NamedTuple):
 
     w0: npt.NDArray[np.float32]
     w1: npt.NDArray[np.float32]
-    bound: float
     cascades: int
 
 
@@ -46,21 +45,21 @@ def decode_mlp(view: memoryview) -> Mlp:
     """Parse mlp.json."""
     content = parse_object(view, _NAME)
     cascades = whole(content, "cascade", _NAME, default=1, low=1, high=MAX_CASCADES)
-    bound = number(content, "bound", _NAME, default=1.0, low=1e-9, high=1e9)
+    number(content, "bound", _NAME, default=1.0, low=1e-9, high=1e9)
     if extra := sorted(
         key for key in content if key.startswith("net.") and key not in ("net.0.weight", "net.1.weight")
     ):
         raise InvalidFile(
             Problem(_NAME, f"has {shorten(extra[0])}", "two layers without bias: net.0.weight and net.1.weight")
         )
-    return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), bound, cascades)
+    return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), cascades)
 
 
 def encode_mlp(mlp: Mlp) -> bytes:
     content = {
         "net.0.weight": mlp.w0.tolist(),
         "net.1.weight": mlp.w1.tolist(),
-        "bound": mlp.bound,
+        "bound": 1.0,
         "cascade": mlp.cascades,
     }
     return json.dumps(content).encode()
@@ -104,7 +103,7 @@ def decode(files: Mapping[str, memoryview]) -> Stage1:
 def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:
     """Yield the files by name. Textures are PNGs, so that features stay exact; files that were read are copied."""
     first = stage1.fields[0]
-    yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, 1.0, len(stage1.fields)))]
+    yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, len(stage1.fields)))]
     for cascade, field in enumerate(stage1.fields):
         yield f"feat1_{cascade}.png", [encode_texture(field.features)]
         yield from encode_surface(stage1.meshes[cascade], stage1.files, cascade)

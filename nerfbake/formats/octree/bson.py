@@ -47,11 +47,6 @@ _MAX_ELEMENTS = 1000
 _PER_VALUE = 16  # upper bound: bytes of Python objects for each byte of an array
 
 
-def starts_document(head: bytes) -> bool:
-    """True for the first bytes of a document whose first element is of a known type."""
-    return len(head) > 5 and head[4] in (*_FIXED_SIZES, _STRING, ARRAY, DOCUMENT)
-
-
 def document_head(small: dict[str, Any], *large: LargeElement) -> tuple[int, bytes]:
     """Return the size of the whole document, and the bytes of its size field and its small fields."""
     fields = bson.encode(small)[4:-1]
@@ -223,7 +218,8 @@ def _size(document: memoryview, at: int) -> int:
 def recognise(view: memoryview) -> bool:
     """True for the first bytes of a document with the fields of an octree."""
     head = bytes(view[:HEAD])
-    return starts_document(head) and b"type_url\0" in head
+    known = len(head) > 5 and head[4] in (*_FIXED_SIZES, _STRING, ARRAY, DOCUMENT)  # the type of the first element
+    return known and b"type_url\0" in head
 
 
 def encode(

@@ -11,6 +11,7 @@ In the `report` profile node_children and node_data are plain lists of numbers; 
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -142,9 +143,7 @@ def _large(fields: Mapping[str, Any], name: str, dtype: np.dtype[Any]) -> npt.ND
         return _numbers(value, name, dtype)
     if value.dtype != dtype.str:
         raise InvalidFile(Problem(name, f"has dtype {value.dtype[:40]!r}", f"{dtype.str!r}"))
-    size = dtype.itemsize
-    for edge in value.shape:  # Python's integers do not overflow
-        size *= edge
+    size = dtype.itemsize * math.prod(value.shape)
     fits = len(value.shape) == 2 and min(value.shape) >= 0 and size == len(value.data)
     if not fits or (name == "node_children" and value.shape[1] != 8):
         found = f"declares shape {value.shape} {value.dtype} over {len(value.data):,} bytes"
@@ -162,7 +161,9 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     if isinstance(value, np.ndarray):
         flat = value.reshape(-1)
     elif isinstance(value, list):
-        try:  # array() accepts only numbers: no text, no None, no lists
+        try:  # array() accepts only numbers: no text, no None, no lists. It takes true as 1, and false as 0
+            if name not in _LARGE and bool in map(type, value):
+                raise TypeError
             memory.hold(name, 9 * len(value))  # 8 bytes a number; the array over-allocates by an eighth
             flat = np.frombuffer(array("q" if dtype.kind == "i" else "d", value), f"{dtype.kind}8")
         except (TypeError, ValueError, OverflowError):
@@ -184,6 +185,7 @@ def _numbers(value: Any, name: str, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     return narrow
 
 
+_LARGE = ("node_children", "node_data")  # not searched for true and false: that takes as long as converting them
 _KINDS = {"i": "whole numbers", "f": "numbers"}
 
 

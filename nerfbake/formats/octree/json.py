@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from binascii import Error as Base64Error
 from binascii import a2b_base64, b2a_base64
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from typing import Any
 
@@ -41,7 +42,7 @@ _ROUNDED_TWICE = np.float32(7.038531e-26)
 
 def recognise(view: memoryview) -> bool:
     """True for the first bytes of a JSON object with the fields of an octree."""
-    head = bytes(view[:HEAD])
+    head = bytes(view[:HEAD]).removeprefix(BOM_UTF8)
     return head.lstrip()[:1] == b"{" and any(
         name in head for name in (b'"type_url"', b'"node_children"', b'"node_data"')
     )

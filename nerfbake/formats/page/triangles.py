@@ -58,9 +58,9 @@ def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:
         "centre": centre.tolist(),
         "reach": reach,
         "shaders": {
-            "vertex": part_of("mesh_vertex.glsl"),
-            "mesh": part_of("mesh.glsl"),
-            "atlas": part_of("atlas.glsl", "shaders/glsl"),
+            "vertex": package_text("mesh_vertex.glsl"),
+            "mesh": package_text("mesh.glsl"),
+            "atlas": package_text("atlas.glsl", "shaders/glsl"),
         },
     }
     return {"triangles": facts}
@@ -145,7 +145,7 @@ def _texels(texels: npt.NDArray[np.uint8]) -> bytes:
     return np.ascontiguousarray(np.diff(flat, axis=0, prepend=np.zeros((1, 3), np.uint8)).T).tobytes()
 
 
-def part_of(name: str, folder: str = "shaders/page") -> str:
+def package_text(name: str, folder: str = "shaders/page") -> str:
     """Read a text file of the package, wherever it was imported from."""
     data = pkgutil.get_data("nerfbake", f"{folder}/{name}")
     assert data is not None

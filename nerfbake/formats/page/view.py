@@ -33,7 +33,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, one_line
 from nerfbake.formats.octree import svoq
-from nerfbake.formats.page.triangles import ball_of, pack_triangles, part_of, surface_facts, triangle_facts
+from nerfbake.formats.page.triangles import ball_of, pack_triangles, package_text, surface_facts, triangle_facts
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.deflate import deflate_whole, inflate
 from nerfbake.formats.wire.picture import encode_thumbnail
@@ -119,9 +119,9 @@ def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
 
 
 def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
-    """Return the page before its data, and after them."""
-    script = '(() => {\n"use strict";\n' + "\n".join(map(part_of, _SCRIPTS)) + "})();\n"
-    style = part_of("page.css")
+    """Return the part of the page before its data, and the part after it."""
+    script = '(() => {\n"use strict";\n' + "\n".join(map(package_text, _SCRIPTS)) + "})();\n"
+    style = package_text("page.css")
     digests = {name: _digest(text) for name, text in (("script", script), ("style", style))}
     policy = "; ".join(
         [
@@ -140,7 +140,7 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
         "title": escape(one_line(page.title)),
         "style": style,
         "script": script,
-        "shader": "\n".join(map(part_of, _SHADERS)) if page.field else part_of("surface.glsl"),
+        "shader": "\n".join(map(package_text, _SHADERS)) if page.field else package_text("surface.glsl"),
         "cover": base64.b64encode(cover).decode(),
         "thumbnail": base64.b64encode(encode_thumbnail(memoryview(cover), *_THUMBNAIL)).decode(),
         "about": escape(f"All of the scene is in this file: {all_of_it}."),
@@ -148,7 +148,8 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
     }
     # One pass, so that placeholders inside a part are never replaced.
     head, tail = (
-        re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], text) for text in part_of("page.html").split("{{data}}")
+        re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], text)
+        for text in package_text("page.html").split("{{data}}")
     )
     return head, tail
 

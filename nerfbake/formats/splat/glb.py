@@ -29,10 +29,10 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.mesh.glb import Document, malformed, placed_meshes
 from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.picture.metrics import to_linear
 from nerfbake.scene.splats import BASES, Splats, join_splats, splats_of_rows
 
-Floats = npt.NDArray[np.float64]
 EXTENSION = "KHR_gaussian_splatting"
 MOST_DEGREE = 3
 _PREFIX = EXTENSION + ":"

@@ -24,11 +24,11 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.wire import ply as wire
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.splats import Splats, splats_of_rows
 
-Floats = npt.NDArray[np.float64]
 SH0 = 0.28209479177387814  # the first basis function
 MOST_DEGREE = 3
 _END = b"end_header\n"

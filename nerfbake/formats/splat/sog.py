@@ -31,10 +31,10 @@ from nerfbake.formats.splat.ply import exp_or_nan, sigmoid_or_nan, with_largest
 from nerfbake.formats.wire.json import key_place, kind_of, parse_object, shorten, table, whole
 from nerfbake.formats.wire.picture import decode_lossless_webp
 from nerfbake.formats.wire.zip_reader import ZipReader, npz_keys
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import expm1
 from nerfbake.scene.splats import Splats, join_splats, splats_of_rows
 
-Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 META, LOD = "meta.json", "lod-meta.json"
 _WIDTHS = (0, 3, 8, 15)  # pixels of an entry of the palette, by degree
@@ -163,7 +163,7 @@ class _Part:
         self.fields: dict[str, Any] = value
 
     def picture(self, index: int, pixels: int, most: int) -> Bytes:
-        """(pixels, ...) the first pixels of a picture, (pixels, 4), which must have from `pixels` to `most` of them."""
+        """(pixels, 4) the first pixels of a picture, which must have from `pixels` to `most` of them."""
         image = self.image(index, most)
         found = image.reshape(-1, 4)
         if len(found) < pixels:
@@ -256,7 +256,7 @@ def _rotations(pixels: Bytes) -> Floats:
 
 def _higher(part: _Part, n: int, version: int | None) -> Floats:
     """(n, 3 | 8 | 15, 3) the coefficients above the first."""
-    centroids = part.image(0, _A_ROW * _WIDTHS[-1] * _PALETTE // _A_ROW)
+    centroids = part.image(0, _WIDTHS[-1] * _PALETTE)
     rows, width = centroids.shape[:2]
     if version is None:
         degree = next((degree for degree in (1, 2, 3) if width == _A_ROW * _WIDTHS[degree]), 0)

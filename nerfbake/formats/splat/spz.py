@@ -35,10 +35,10 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import with_largest
 from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip
 from nerfbake.formats.wire.zstd import compress, decompress_exactly
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.scene.splats import BASES, Splats, splats_of_rows
 
-Floats = npt.NDArray[np.float64]
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
 _HEAD = struct.Struct("<4sIIBBBB")

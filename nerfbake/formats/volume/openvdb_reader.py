@@ -97,9 +97,8 @@ class _Nodes:
         values = kind.read(np.ascontiguousarray(tiles["value"]).data, kind.full)
         active = tiles["active"] != 0
         stored = active | (values != self.background).any(axis=1)
-        return StoredValues(np.zeros((0, 0), np.uint64), values[stored], active[stored]), tiles["origin"][
-            stored
-        ].astype(np.int32)
+        origins = tiles["origin"][stored].astype(np.int32)
+        return StoredValues(np.zeros((0, 0), np.uint64), values[stored], active[stored]), origins
 
     def _inner(self, size: int, found: list[StoredValues | None]) -> Words:
         """Read an inner node: return its child mask (`size` bytes), append its tiles to `found`."""

@@ -96,9 +96,7 @@ class NpzReader:
         raw = self._zip.unpacked(info.filename, key)
         stream = _Bytes(key, raw)
         shape, fortran, dtype = read_header(key, stream)
-        size = dtype.itemsize
-        for edge in shape:  # Python's integers do not overflow
-            size *= edge
+        size = dtype.itemsize * prod(shape)
         if stream.taken + size != len(raw):
             found = f"declares shape {shape} {dtype}, {stream.taken + size:,} bytes"
             raise InvalidFile(Problem(key, found, f"{len(raw):,} bytes, as in the zip directory"))

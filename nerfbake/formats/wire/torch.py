@@ -23,6 +23,7 @@ Source: Python's pickletools; torch's torch/_weights_only_unpickler.py, for what
 
 from __future__ import annotations
 
+import math
 import struct
 import zipfile
 from collections.abc import Callable
@@ -239,11 +240,17 @@ MAX_PICKLE = 16 << 20  # bytes: real checkpoints have some thousands
 _WHAT = "a file as torch.save (1.6 or newer) writes it"
 _LEGACY = bytes.fromhex("80028a0a6cfc9c46f920")  # first bytes of files of torch < 1.6
 _PICKLE = "/data.pkl"
+_HEAD = 1 << 20  # bytes at the start of the file that contain the start of the pickle
 
 
 def is_torch(view: memoryview) -> bool:
     """True for an archive with a member <p>/data.pkl."""
     return any(name.endswith(_PICKLE) for name in npz_keys(view))
+
+
+def mentions(view: memoryview, *names: bytes) -> bool:
+    """True for an archive with a member <p>/data.pkl, whose start contains all these names."""
+    return is_torch(view) and all(name in bytes(view[:_HEAD]) for name in names)
 
 
 class TorchReader:
@@ -290,9 +297,7 @@ class TorchReader:
             raise InvalidFile(
                 Problem(f"data/{storage.key:.40}", found, f"{storage.numbers * kind.itemsize:,} for {name}")
             )
-        count = 1
-        for edge in tensor.size:
-            count *= edge
+        count = math.prod(tensor.size)
         last = tensor.offset + sum((edge - 1) * step for edge, step in zip(tensor.size, tensor.stride, strict=True))
         if not 0 < count <= storage.numbers or last >= storage.numbers:
             found = f"of shape {tensor.size} reaches number {last:,}"

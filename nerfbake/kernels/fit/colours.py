@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Singles, as_input
+from nerfbake.kernels.compiled import compiled_fill_basis
 from nerfbake.kernels.fit.bricks import LOST, ROW, SIGMA, SIZE, BrickGrid, TaskBuffers, Whole
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.sh import fill_basis
 from nerfbake.kernels.octree.lookup import dilate
 from nerfbake.kernels.parallel import on_every_core
 
@@ -97,12 +97,6 @@ def pinhole_directions(
                 ray += 1
 
 
-def gather_pixels(image: Singles, pixels: npt.NDArray[Any]) -> Singles:
-    """(m, 4) values of the pixels."""
-    return np.asarray(image.reshape(-1, 4)[pixels], np.float32)
-
-
-compiled_fill_basis: Any = compiled()(fill_basis)
 _K0, _K1, _K2, _K20 = 0.5 / sqrt(pi), sqrt(3 / (4 * pi)), sqrt(15 / (4 * pi)), sqrt(5 / (16 * pi))
 _X, _Y, _Z, _SUM, _BASIS = 0, 1, 2, 3, 4  # rows of the buffer
 

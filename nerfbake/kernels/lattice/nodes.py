@@ -7,21 +7,20 @@ the last one, values are constant. A link below 0 reads as zeros.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles, as_input
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.lattice.blocks import NO_PLANES, NOWHERE, raw_at
-from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.parallel import on_every_core
 
 RELU, SOFTPLUS, OPACITY, EXPONENTIAL = 0, 1, 2, 3
 _LN2 = 0.6931471805599453
 _LEAST_LEFT = 1 / 510  # half of the smallest share in 8 bits
-_exp_parts: Any = compiled()(exp_parts)
 
 
 class DensityNodes(NamedTuple):
@@ -131,7 +130,7 @@ def _activated(kind: int, raw: float) -> float:
     if kind == SOFTPLUS:
         return softplus_of(raw)
     if kind == EXPONENTIAL:
-        whole, rest = _exp_parts(raw)
+        whole, rest = compiled_exp_parts(raw)
         return float(whole + whole * rest)
     return thickness_of(raw)
 
@@ -190,7 +189,7 @@ def softplus_of(x: float) -> float:
 
     With e = e^-|x|, uses the series of 2 artanh(e / (2 + e)), accurate to the last digits where e is small.
     """
-    whole, rest = _exp_parts(-abs(x))
+    whole, rest = compiled_exp_parts(-abs(x))
     small = whole + whole * rest
     s = small / (2 + small)
     z = s * s

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.lattice.blocks import empty_steps
 from nerfbake.kernels.lattice.nodes import DensityNodes, density_at
-from nerfbake.kernels.march.traversal import compiled_exp_parts
 from nerfbake.kernels.parallel import on_every_core
 
 _BLOCK = 64  # rays that a core processes before it takes the next block

@@ -5,26 +5,22 @@ A leaf whose largest weight is small may be removed without a visible difference
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts, compiled_fill_basis
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.sh import fill_basis
-from nerfbake.kernels.march.traversal import compiled_exp_parts, containing_cell, next_cell, span
+from nerfbake.kernels.march.traversal import containing_cell, next_cell, span
 from nerfbake.kernels.parallel import on_every_core
 
 _BLOCK = 1024  # rays that a core processes before it takes the next block
-
-compiled_fill_basis: Any = compiled()(fill_basis)
 
 
 def rotate_and_project(looks: Floats, turn: Floats, axes: Floats, B: int) -> tuple[Floats, Singles]:
     """(m, 3) turn @ each direction in looks (m, 3), and (m, B) the spherical harmonics at axes @ each direction.
 
-    turn, axes (3, 3). The result equals that of maths.linear.turned() and march.sh.sh_basis() to the bit, in an eighth
+    turn, axes (3, 3). The result equals that of maths.affine.rotate() and march.sh.sh_basis() to the bit, in an eighth
     of the time.
     """
     ways, basis = np.empty(looks.shape), np.empty((len(looks), B), np.float32)
@@ -122,6 +118,8 @@ def collect_maxima(
     not share `largest` between threads. alpha (m,): receives the opacity of each ray. A maximum does not depend on the
     order of the rays, so several threads collect the same values as one.
     """
+    cells, sigma, box, origin = borrowed((cells, sigma, box, origin))
+    directions, largest, alpha = borrowed((directions, largest, alpha))
     low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
     high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
     for ray in range(len(directions)):

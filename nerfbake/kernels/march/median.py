@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.traversal import compiled_exp_parts, containing_cell, next_cell
+from nerfbake.kernels.march.traversal import containing_cell, next_cell
 from nerfbake.kernels.parallel import on_every_core
 
 HALF = log(2)  # the optical depth at which half of the light is left

@@ -15,9 +15,9 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.parallel import on_every_core
 
 SINGLES = 16  # float32 in a cache line, which is fetched as a whole
@@ -49,8 +49,6 @@ prefetch: Any = (lambda array, row, column: None) if numba.config.DISABLE_JIT el
 
 _BLOCK = 256  # rays that a core processes before it takes the next block
 _HITS = 64  # leaves that a ray hits before their colours are added up
-
-compiled_exp_parts: Any = compiled()(exp_parts)
 
 
 @on_every_core

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend
 from nerfbake.kernels.march.traversal import (
     _BLOCK,
-    compiled_exp_parts,
     containing_cell,
     next_cell,
     sigmoid_of,

@@ -1,6 +1,6 @@
 """Values of octree nodes: copies of leaves, and means of the nodes below.
 
-widened() converts float16 to float32, three times as fast as a cast:
+to_float32() converts float16 to float32, three times as fast as a cast:
 
     half           s eeeee ffffffffff                  value  2^(e - 15)  (1 + f / 2^10)
     shifted by 13  s 000eeeee ffffffffff000...         reads  2^(e - 127) (1 + f / 2^10)

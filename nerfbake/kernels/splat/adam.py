@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles, f32
+from nerfbake.kernels.compiled import compiled_fill_basis
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.sh import fill_basis
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.splat.backward import SUMS
@@ -31,7 +31,6 @@ _BETA1, _BETA2 = 0.9, 0.999
 _EPSILON = 1e-15
 _FADES = 10_000  # steps after which the factors are 1
 _CHUNK = 1024  # splats of a task
-_fill_basis: Any = compiled()(fill_basis)
 
 
 class Entries(NamedTuple):
@@ -74,15 +73,6 @@ def new_moments(splats: SplatArrays) -> Moments:
     return Moments(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape[0], np.int32), fades)
 
 
-def splat_gradients(
-    splats: SplatArrays, eye: Eye, antialiased: bool, rows: Singles, order: npt.NDArray[np.int32], entries: Entries
-) -> Singles:
-    """Return the gradient (n, 11 + 3 B) of the error. The direction of the colours is held constant."""
-    gradient = np.zeros((len(splats.means), SH + 3 * splats.sh.shape[1]), np.float32)
-    _write_gradients(splats, eye, antialiased, rows, order, entries, gradient)
-    return gradient
-
-
 def take_steps(
     splats: SplatArrays,
     eye: Eye,
@@ -98,24 +88,6 @@ def take_steps(
     row_of = np.full(len(splats.means), -1, np.int32)
     row_of[order] = np.arange(len(order), dtype=np.int32)
     _take_steps(splats, eye, antialiased, rows, row_of, entries, moments, sizes)
-
-
-@compiled()
-def _write_gradients(
-    splats: SplatArrays,
-    eye: Eye,
-    antialiased: bool,
-    rows: Singles,
-    order: npt.NDArray[np.int32],
-    entries: Entries,
-    gradient: Singles,
-) -> None:
-    own, total, basis = np.zeros(gradient.shape[1], np.float32), np.zeros(SUMS), np.zeros(splats.sh.shape[1])
-    for row in range(len(order)):
-        if _sum_entries(entries, row, total):
-            _gradient(splats, eye, antialiased, rows, row, order[row], total, basis, own)
-            for k in range(len(own)):
-                gradient[order[row], k] = own[k]
 
 
 @on_every_core
@@ -255,7 +227,7 @@ def _gradient(
     for k in range(3):
         out[MEAN + k] = gx * turn[0, k] + gy * turn[1, k] + gz * turn[2, k]
     per = 1 / sqrt(dx * dx + dy * dy + dz * dz)
-    _fill_basis(dx * per, dy * per, dz * per, len(basis), basis)
+    compiled_fill_basis(dx * per, dy * per, dz * per, len(basis), basis)
     red = total[6] if rows[row, RED] > 0 else 0.0
     green = total[7] if rows[row, GREEN] > 0 else 0.0
     blue = total[8] if rows[row, BLUE] > 0 else 0.0

@@ -7,14 +7,14 @@ splats is made".
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats, Singles, f32
+from nerfbake.kernels.compiled import compiled_fill_basis
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.march.sh import fill_basis
 from nerfbake.kernels.parallel import on_every_core
 
 NEAR = 0.01  # smallest distance along the optical axis, in world units
@@ -27,7 +27,6 @@ X, X_REST, Y, Y_REST, XX, XY, YY, OPACITY, RED, GREEN, BLUE, DEPTH, REACH, INVER
 )
 COLUMNS = 16  # 64 bytes: a line of the cache
 _CHUNK = 2048  # splats of a task
-_fill_basis: Any = compiled()(fill_basis)
 _RADIX = 11  # bits
 _LN2 = 0.6931471805599454  # rounded up
 
@@ -172,7 +171,7 @@ def _shade(splats: SplatArrays, eye: Eye, i: int, basis: Floats, rows: Singles) 
     dy = np.float64(splats.means[i, 1]) - eye.origin[1]
     dz = np.float64(splats.means[i, 2]) - eye.origin[2]
     per = 1 / sqrt(dx * dx + dy * dy + dz * dz)
-    _fill_basis(dx * per, dy * per, dz * per, len(basis), basis)
+    compiled_fill_basis(dx * per, dy * per, dz * per, len(basis), basis)
     red, green, blue = 0.5, 0.5, 0.5
     for k in range(len(basis)):
         red += basis[k] * splats.sh[i, k, 0]

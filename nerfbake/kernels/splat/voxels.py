@@ -213,7 +213,7 @@ def fill_bricks(
             _add(splats, colours, order[j], bricks[brick], weights, sums)
         for place in range(SIZE):
             depth = sums[D - 1, place]
-            x, y, z = EDGE * bricks[brick, 0] + (place >> 6), EDGE * bricks[brick, 1] + (place >> 3 & 7), 0
+            x, y = EDGE * bricks[brick, 0] + (place >> 6), EDGE * bricks[brick, 1] + (place >> 3 & 7)
             z = EDGE * bricks[brick, 2] + (place & 7)
             if depth < least or not depth > 0 or x >= size[0] or y >= size[1] or z >= size[2]:
                 continue

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nerfbake.kernels.arrays import Coords, Floats, Ints, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend
-from nerfbake.kernels.march.traversal import compiled_exp_parts
 from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.surface.samples import BITS, CUBE, EDGE
 

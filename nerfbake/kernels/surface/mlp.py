@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from nerfbake import progress
 from nerfbake.kernels.arrays import Singles, f32
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled, part_of
-from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.maths.linear import product
 from nerfbake.kernels.parallel import on_every_core
 
@@ -165,9 +165,6 @@ def _evaluate(
         _show(features[i], by_direction, by_feature, w1, out[i])
 
 
-_exp_parts: Any = compiled()(exp_parts)
-
-
 @on_every_core
 @compiled()
 def _evaluate_each(core: int, cores: int, inputs: Singles, w0: Singles, w1: Singles, out: Singles) -> None:
@@ -182,7 +179,7 @@ def _evaluate_each(core: int, cores: int, inputs: Singles, w0: Singles, w1: Sing
             h = max(h, f32(0))
             r, g, b = r + h * w1[k, 0], g + h * w1[k, 1], b + h * w1[k, 2]
         for channel, total in enumerate((r, g, b)):
-            s, q = _exp_parts(-np.float64(total))
+            s, q = compiled_exp_parts(-np.float64(total))
             out[i, channel] = 1 / (1 + (s + s * q))
 
 
@@ -305,6 +302,6 @@ def _exact_differences(
                 truth[n + j] += h * w1[1, k]
                 truth[2 * n + j] += h * w1[2, k]
         for j in range(3 * n):
-            s, q = _exp_parts(-truth[j])
+            s, q = compiled_exp_parts(-truth[j])
             truth[j] = 1 / (1 + (s + s * q))
         _apart(truth, table, index[i], weight[i], f32(0), out[i])

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.arrays import Floats, Ints, Singles
+from nerfbake.kernels.arrays import Faces, Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.surface.triangles import Faces
 
 _STEP = 0.25  # pixels between two samples across a rim
 _REACHES = (3.0, 1.5)  # pixels to either side that are compared, if nothing else is there
@@ -251,7 +250,7 @@ def solve_offsets(faces: Faces, count: int, blocks: Equations, rounds: int) -> F
     for v in range(count):
         if diagonal[v] > 0:
             scaled[v] = rest[v] / diagonal[v]
-    way, power, first = scaled.copy(), 0.0, 0.0
+    way, power = scaled.copy(), 0.0
     for v in range(count):
         power += rest[v] * scaled[v]
     first = power

@@ -183,16 +183,16 @@ def spread(core: int, cores: int, top: Top, places: Coords, held: Bits, reach: i
             x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
             y = places[brick, 1] * EDGE + (cell >> BITS & low)
             z = places[brick, 2] * EDGE + (cell & low)
-            found = False
-            for i in range(max(x - reach, 0), min(x + reach + 1, top.shape[0] * EDGE)):
-                for j in range(max(y - reach, 0), min(y + reach + 1, top.shape[1] * EDGE)):
-                    for k in range(max(z - reach, 0), min(z + reach + 1, top.shape[2] * EDGE)):
-                        other = top[i >> BITS, j >> BITS, k >> BITS]
-                        found |= other >= 0 and held[other, (i & low) << 2 * BITS | (j & low) << BITS | k & low]
-                        if found:
-                            break
-                    if found:
-                        break
-                if found:
-                    break
-            out[brick, cell] = found
+            out[brick, cell] = _any_held(top, held, x, y, z, reach)
+
+
+@compiled(merged=True)
+def _any_held(top: Top, held: Bits, x: int, y: int, z: int, reach: int) -> bool:
+    low = EDGE - 1
+    for i in range(max(x - reach, 0), min(x + reach + 1, top.shape[0] * EDGE)):
+        for j in range(max(y - reach, 0), min(y + reach + 1, top.shape[1] * EDGE)):
+            for k in range(max(z - reach, 0), min(z + reach + 1, top.shape[2] * EDGE)):
+                brick = top[i >> BITS, j >> BITS, k >> BITS]
+                if brick >= 0 and held[brick, (i & low) << 2 * BITS | (j & low) << BITS | k & low]:
+                    return True
+    return False

@@ -7,20 +7,16 @@ of the pixels. So the result does not depend on the number of threads.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Ints, Singles, f32
+from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled, part_of
-from nerfbake.kernels.maths.elementary import exp_parts
 from nerfbake.kernels.parallel import on_every_core
 
 HIDDEN = 32  # units, as in nerf2mesh; a constant, so that the loops over them are unrolled
 BLOCK = 64  # pixels that follow one another in memory
-
-_exp_parts: Any = compiled()(exp_parts)
 
 
 @compiled(merged=True)
@@ -30,7 +26,7 @@ def _nearest(at: Singles, entry: int) -> tuple[int, int]:
 
 @compiled(merged=True)
 def _sigmoid(x: np.float32) -> np.float32:
-    s, q = _exp_parts(-np.float64(x))
+    s, q = compiled_exp_parts(-np.float64(x))
     return f32(1 / (1 + (s + s * q)))
 
 

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.arrays import Bits, Floats, Ints
+from nerfbake.kernels.arrays import Bits, Faces, Floats, Ints
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.surface.normals import face_normals
 
-Faces = npt.NDArray[Any]  # (t, 3) integers
 Number = TypeVar("Number", bound=np.floating[Any])
 
 _LAMBDA, _MU = 0.5, -0.53  # Taubin's steps: the second undoes the shrinking of the first
@@ -82,18 +82,6 @@ def untangled(positions: Floats, faces: Faces, rounds: int) -> Floats:
         _add_neighbours(moved, faces, mean)
         _step(moved, mean, degree, fixed, _LAMBDA)
     return moved
-
-
-def doubled_areas(positions: Floats, faces: Faces) -> Floats:
-    """(t,) twice the area of each face."""
-    normals = face_normals(positions, faces)
-    return np.asarray(np.sqrt((normals * normals).sum(axis=1)))
-
-
-def face_normals(positions: npt.NDArray[Any], faces: Faces) -> Floats:
-    """(t, 3) normals, as long as twice the area of the face."""
-    a, b, c = (positions[faces[:, k]].astype(np.float64) for k in range(3))
-    return np.asarray(np.cross(b - a, c - a), np.float64)
 
 
 def vertex_normals(positions: Floats, faces: Faces) -> Floats:

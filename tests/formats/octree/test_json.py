@@ -56,6 +56,13 @@ def test_what_pythons_own_json_writes_is_read() -> None:
     assert_same_octree(back, replace(octree, origin=np.zeros(3), voxel_size=np.ones(3)))
 
 
+def test_a_byte_order_mark_is_no_part_of_the_octree() -> None:
+    octree = small_octree()
+    data = b"\xef\xbb\xbf" + written("svo.json", "report", octree)
+    assert octree_json.recognise(memoryview(data))
+    assert_same_octree(read("svo.json", data), octree)
+
+
 def test_long_arrays_are_written_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     octree = small_octree()
     whole = [written("svo.json", profile, octree) for profile in ("report", "bulk")]
@@ -112,6 +119,9 @@ LIES: dict[str, tuple[bytes, str]] = {
     "data_dim lies": (document(data_dim=12), "data_dim is 12; allowed: 13"),
     "level sizes of another tree": (document(level_sizes=[1, 7, 9]), "level_sizes are"),
     "negative level sizes": (document(level_sizes=[18, -1]), "level_sizes adds up to 17 nodes"),
+    "origin of true and false": (document(origin=[0, True, False]), "origin holds a value that is not a number"),
+    "level sizes that are true": (document(level_sizes=[True, 8, 8]), "level_sizes holds a value that is not a number"),
+    "lobes that are true": (document(extra_data=[True] * 16), "extra_data holds a value that is not a number"),
     "origin of two": (document(origin=[0, 0]), "origin has 2 numbers; allowed: 3"),
     "unknown data_format": (document(data_format="SH99"), "data_format is 'SH99'"),
     "lobes of nothing": (document(data_format="", extra_data=[1.0]), "data_format is ''"),

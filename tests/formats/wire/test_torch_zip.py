@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from nerfbake.errors import InvalidFile, MemoryLimit
-from nerfbake.formats.wire.torch import MAX_OPCODES, TorchReader, is_torch, read_pickle
+from nerfbake.formats.wire.torch import MAX_OPCODES, TorchReader, is_torch, mentions, read_pickle
 from nerfbake.formats.wire.torch_writer import (
     Raw,
     TensorView,
@@ -97,6 +97,9 @@ def test_a_storage_without_its_crc_is_read_with_a_note_and_a_pickle_is_not() -> 
 def test_it_is_known_by_its_pickle() -> None:
     assert is_torch(memoryview(torch_file({})))
     assert not is_torch(memoryview(b"PK\3\4"))
+    assert mentions(memoryview(torch_file({"planes": 1, "lines": 2})), b"planes", b"lines")
+    assert not mentions(memoryview(torch_file({"planes": 1})), b"planes", b"lines")
+    assert not mentions(memoryview(b"planes"), b"planes")
     with pytest.raises(InvalidFile, match=r"torch before 1\.6; allowed: .* save it again"):
         TorchReader(memoryview(bytes.fromhex("80028a0a6cfc9c46f9206aa850192e")))
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Camera, Splats
 from nerfbake.kernels import parallel
-from nerfbake.kernels.splat.adam import Entries, exp_of_step, splat_gradients
+from nerfbake.kernels.splat.adam import SH, Entries, _gradient, _sum_entries, exp_of_step
 from nerfbake.kernels.splat.backward import SUMS, TargetPicture, blend_back, entries_by_row
 from nerfbake.kernels.splat.blend import TileLists
 from nerfbake.kernels.splat.project import SplatArrays, project
@@ -40,7 +40,12 @@ def gradient(scene: Splats, camera: Camera, pixels: np.ndarray, *, partial: bool
     target = TargetPicture(pixels, np.array(BACKGROUND, np.float32), ALPHA, partial)
     blend_back(rows, TileLists(0, len(counts), starts, ends, entries), tiles.columns, places, target, sums, errors)
     found = Entries(sums, *entries_by_row(entries, len(rows)))
-    return splat_gradients(arrays, eye, scene.antialiased, rows, order, found), float(errors.sum())
+    out = np.zeros((len(scene.means), SH + 3 * scene.B), np.float32)
+    total, basis = np.zeros(SUMS), np.zeros(scene.B)
+    for row, i in enumerate(order):
+        if _sum_entries(found, row, total):
+            _gradient(arrays, eye, scene.antialiased, rows, row, i, total, basis, out[i])
+    return out, float(errors.sum())
 
 
 def parameters(scene: Splats) -> list[np.ndarray]:
