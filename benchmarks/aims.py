@@ -65,7 +65,6 @@ CAPTURES = {
     "plush 504x378, fast": (Aim("at most", 60), Aim("at least", 26.9)),
     "plush 504x378, balanced": (Aim("at most", 120), Aim("at least", 26.9)),
     "plush 504x378, best": (Aim("at most", 300), Aim("at least", 26.9)),
-    "plush 1008x756, best": (Aim("at most", 300), Aim("at least", 26.9)),
     "mug 432x432, masks, fast": (Aim("at most", 60), Aim("at least", 27)),
     "room 200x200, fast": (Aim("at most", 60), Aim("at least", 26)),
 }

@@ -54,7 +54,6 @@ class Row(NamedTuple):
 ROOM, ROOM_FRAMES, ROOM_EDGE = "room", 24, 200
 ROWS = (
     *(Row(f"plush 504x378, {preset}", "plush", 2, ("--preset", preset)) for preset in ("fast", "balanced", "best")),
-    Row("plush 1008x756, best", "plush", 1, ("--preset", "best", "--resolution", "512")),
     Row("mug 432x432, masks, fast", "mug", 2, ("--preset", "fast")),
     Row(f"room {ROOM_EDGE}x{ROOM_EDGE}, fast", ROOM, 1, ("--preset", "fast")),
 )
