@@ -253,7 +253,7 @@ def test_captures(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row[0] for row in found["Depths of the room"]] == ["0000"]
     assert b"mug 432x432" in files["captures.svg"]
     with Pillow.open(BytesIO(files["captures_views.png"])) as sheet:
-        assert sheet.size == (4 * 240 + 3 * 4, 180 + 24 + 32 + 180 + 3 * 4)
+        assert sheet.size == (4 * 240 + 3 * 4, 24 + 32 + 180 + 2 * 4)
 
 
 def test_captures_that_are_missing_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
