@@ -240,8 +240,7 @@ class _Search:
     def at_step(self, step: float) -> Compression:
         """Quantise with this step; only the share of pruned leaves is searched."""
         whole = self._trial(0.0, step)
-        rounding = whole.error - self._pruning[0.0]
-        share = self._share_for(_PRUNED / (1 - _PRUNED) * max(rounding, 0.0))
+        share = self._share_for_rounding(whole, step)
         return self._made(self._trial(share, step) if share else whole)
 
     # -- parts of a trial --------------------------------------------------------------------------------------

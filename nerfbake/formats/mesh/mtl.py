@@ -10,6 +10,7 @@ with # is a comment.
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -24,7 +25,6 @@ _ENDINGS = (".png", ".jpg", ".jpeg")
 _LONGEST = 200  # bytes of a file name
 _MOST = 100  # names of libraries
 _HERE = re.compile(rb"\A(?:\.[/\\]++)++")  # the folder of the .obj, as MeshLab names it
-BOM = b"\xef\xbb\xbf"  # of UTF-8; some editors write it first
 _MTL = "newmtl {}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\n"
 
 
@@ -80,7 +80,7 @@ def _pictures(content: bytes) -> dict[bytes, bytes]:
     """The picture of each material; b"" for none."""
     found: dict[bytes, bytes] = {}
     material = b""
-    for line in content.removeprefix(BOM).splitlines():
+    for line in content.removeprefix(BOM_UTF8).splitlines():
         word, rest = (*line.split(None, 1), b"", b"")[:2]
         rest = rest.strip()
         if word == b"newmtl":

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import io
 import re
+from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
@@ -26,7 +27,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.mesh.mtl import BOM, Materials, encode_mtl
+from nerfbake.formats.mesh.mtl import Materials, encode_mtl
 from nerfbake.formats.wire.picture import encode_picture
 from nerfbake.kernels.arrays import Floats, Ints
 from nerfbake.kernels.surface.fans import fan
@@ -105,7 +106,7 @@ class _Text:
 
     def __init__(self, view: memoryview, name: str) -> None:
         self._name = name
-        whole = bytes(view).removeprefix(BOM).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
+        whole = bytes(view).removeprefix(BOM_UTF8).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
         # Normalise the text: every line starts with its first word, and the last one is followed by other bytes.
         self._bytes = np.frombuffer(re.sub(rb"\n[ \t\r\n]++", b"\n", b"\n" + whole + b"\n") + bytes(8), np.uint8)
         breaks = np.flatnonzero(self._bytes == ord("\n"))
@@ -275,7 +276,7 @@ def _lines(form: str, rows: npt.NDArray[Any]) -> bytes:
     return text.getvalue()
 
 
-_KEYWORD = re.compile(rb"^(?:%b)?(v|vt|vn|mtllib|o|g|usemtl)[ \t]" % BOM, re.MULTILINE)
+_KEYWORD = re.compile(rb"^(?:%b)?(v|vt|vn|mtllib|o|g|usemtl)[ \t]" % BOM_UTF8, re.MULTILINE)
 
 
 def recognise(view: memoryview) -> bool:

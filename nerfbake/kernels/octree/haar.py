@@ -124,7 +124,7 @@ def inverse(rows: npt.NDArray[Any], steps: Floats, merges: Merges) -> Floats:
     """
     points = np.empty(rows.shape)
     points[0] = rows[0] * steps
-    _inverse(rows, steps, points, merges.low, merges.high, merges.low_count, merges.high_count)
+    _inverse(rows, steps, points, merges)
     return points
 
 
@@ -173,8 +173,7 @@ def _forward_coarse(points: Points, merges: Merges, count: int) -> None:
 @compiled(merged=True)
 def _merge(points: Points, merges: Merges, pair: int) -> None:
     """Replace the halves of a pair by their sum and their difference."""
-    low_count, high_count = merges.low_count[pair], merges.high_count[pair]
-    p, q = np.sqrt(low_count / (low_count + high_count)), np.sqrt(high_count / (low_count + high_count))
+    p, q = _weights(merges, pair)
     a, b = merges.low[pair], merges.high[pair]
     for c in range(points.shape[1]):
         below, above = points[a, c], points[b, c]
@@ -183,30 +182,28 @@ def _merge(points: Points, merges: Merges, pair: int) -> None:
 
 
 @compiled()
-def _inverse(
-    rows: npt.NDArray[Any],
-    steps: Floats,
-    points: Floats,
-    low: Counts,
-    high: Counts,
-    low_count: Counts,
-    high_count: Counts,
-) -> None:
-    for pair in range(len(low)):
-        p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
-        q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
-        a, b = low[pair], high[pair]
+def _inverse(rows: npt.NDArray[Any], steps: Floats, points: Floats, merges: Merges) -> None:
+    for pair in range(len(merges.low)):
+        p, q = _weights(merges, pair)
+        a, b = merges.low[pair], merges.high[pair]
         for c in range(points.shape[1]):
             total, difference = points[a, c], rows[pair + 1, c] * steps[c]
             points[a, c] = p * total - q * difference
             points[b, c] = q * total + p * difference
 
 
+@compiled(merged=True)
+def _weights(merges: Merges, pair: int) -> tuple[float, float]:
+    """p and q of a pair."""
+    low, high = merges.low_count[pair], merges.high_count[pair]
+    return np.sqrt(low / (low + high)), np.sqrt(high / (low + high))
+
+
 _BITS = 12  # binary levels of a block: up to 4096 leaves
 
 
 class HaarBlocks(NamedTuple):
-    """Blocks of points that are restored independently.
+    """Blocks of points that are transformed and restored independently.
 
     heads (b + 1,): the first point of each block, then m. pairs (m - b,): the pairs in blocks, by block and from coarse
     to fine in each; first (b + 1,): where the pairs of each block begin.
@@ -287,16 +284,14 @@ def _restore(
 ) -> None:
     C = len(steps)
     own = np.empty(C - 1)
-    low, high, low_count, high_count = merges.low, merges.high, merges.low_count, merges.high_count
     for block in range(core, len(sums), cores):
         begin = blocks.heads[block]
         points = np.empty((blocks.heads[block + 1] - begin, C))
         points[0] = sums[block]
         for i in range(blocks.first[block], blocks.first[block + 1]):
             pair = blocks.pairs[i]
-            p = np.sqrt(low_count[pair] / (low_count[pair] + high_count[pair]))
-            q = np.sqrt(high_count[pair] / (low_count[pair] + high_count[pair]))
-            a, b = low[pair] - begin, high[pair] - begin
+            p, q = _weights(merges, pair)
+            a, b = merges.low[pair] - begin, merges.high[pair] - begin
             row = order[pair + 1] if len(order) else pair + 1
             for c in range(C):
                 # 0.0 makes a 0 of -0, as of an integer.
