@@ -107,10 +107,12 @@ class _Model:
         return self._decoded(self.root.get(key), key, (columns,))
 
     def coefficients(self, key: str, rows: int, count: int) -> Singles:
-        """(rows, count, 3) SH coefficients. In a quantised file they are a list."""
+        """(rows, count, 3): the first SH coefficients. In a quantised file they are a list."""
         value = self.root.get(key)
-        if not self._coded:
-            tables = [self._decoded(value, key, (3,) if key == "_sh0" else (None, 3))]
+        if not self._coded and key == "_sh0":
+            tables = [self._decoded(value, key, (3,))]
+        elif not self._coded:
+            tables = [self._decoded(value, key, (None, 3))[:, :count]]
         elif isinstance(value, list) and len(value) >= (3 if key == "_sh0" else count):
             parts = value[:3] if key == "_sh0" else value[:count]
             tables = [self._decoded(part, key, (1,) if key == "_sh0" else (1, 3)) for part in parts]
@@ -198,8 +200,8 @@ def _logits(model: _Model, n: int, B: int) -> Singles:
     memory.hold("the colours", 3 * 4 * n * 3 * B)
     sh = model.coefficients("_sh0", n, 1)
     if B > 1:
-        stored = model.coefficients("_shs", n, 15)
-        sh = np.concatenate([sh, stored[:, : B - 1]], axis=1)
+        # As many as the model may have at most: 15, unless it was trained with a lower degree.
+        sh = np.concatenate([sh, model.coefficients("_shs", n, B - 1)], axis=1)
     features = np.ascontiguousarray(sh.swapaxes(1, 2)).reshape(n, 3 * B)
     directions = fibonacci(_DIRECTIONS)
     basis, inverse = sh_basis(directions, B, np.float32), inverse_of(sh_basis(directions, B))

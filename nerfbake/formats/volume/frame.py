@@ -31,7 +31,7 @@ def frame_text(frame: OctreeFrame) -> str:
     return json.dumps(fields)
 
 
-def parse_frame(text: bytes) -> OctreeFrame:
+def parse_frame(text: bytes | memoryview) -> OctreeFrame:
     """Parse a frame from a file. Raises InvalidFile if the text is not a frame."""
     if len(text) > MAX_TEXT:
         raise InvalidFile(Problem(NAME, f"has {len(text):,} bytes", f"{MAX_TEXT:,} at most"))

@@ -1,4 +1,4 @@
-"""Read NanoVDB files of any program: segments of grids, one after the other.
+"""Read NanoVDB files of any program: segments of grids, one after the other, or grids alone (since version 32.6).
 
 Every count and offset is checked against the values of a breadth-first tree.
 
@@ -194,8 +194,9 @@ def read_file(view: memoryview) -> Volume:
     """Read all grids of a file as a volume. Raises InvalidFile, MemoryLimit."""
     read: list[_Grid] = []
     unread: list[Problem] = []
-    for meta, name, payload in _segments(view):
-        grid = _read_grid(_unpacked(meta, payload), name)
+    raw = bytes(view[:8]) == nano.GRID_MAGIC.to_bytes(8, "little")
+    for name, data in _raw_grids(view) if raw else _segments(view):
+        grid = _read_grid(data, name)
         if isinstance(grid, Problem):
             unread.append(grid)
             continue
@@ -218,15 +219,27 @@ def read_file(view: memoryview) -> Volume:
 
 
 # -- the file --------------------------------------------------------------------------------------------------
-def _segments(view: memoryview) -> Iterator[tuple[Any, str, memoryview]]:
-    """Yield the metadata, the name and the stored bytes of each grid."""
+def _raw_grids(view: memoryview) -> Iterator[tuple[str, memoryview]]:
+    """Yield the name and the bytes of each grid of a file without headers: grids, one after the other."""
+    at = count = 0
+    while at < len(view):
+        head = structs(view, at, nano.GRID, 1, "GridData")[0]
+        size, count = int(head["size"]), count + 1
+        if size < nano.GRID.itemsize or count > MAX_GRIDS:
+            raise InvalidFile(Problem("GridData", f"of grid {count:,} has size {size:,}", f"{MAX_GRIDS:,} whole grids"))
+        yield _text(head["name"]), view[at : at + size]
+        at += size
+
+
+def _segments(view: memoryview) -> Iterator[tuple[str, memoryview]]:
+    """Yield the name and the bytes of each grid."""
     at = count = 0
     while at < len(view):
         file = structs(view, at, nano.FILE, 1, "the file's header" if not at else "the data after the grids")[0]
-        if int(file["magic"]) != nano.MAGIC:
+        if int(file["magic"]) not in (nano.MAGIC, nano.FILE_MAGIC):
             found = f"starts with {one_line(bytes(view[at : at + 8]).decode('latin-1'))!r}"
             place = "the data after the grids" if at else "the file"
-            raise InvalidFile(Problem(place, found, "'NanoVDB0', as versions 32.4 to 32.6 do"))
+            raise InvalidFile(Problem(place, found, "'NanoVDB0', or 'NanoVDB2' since version 32.7"))
         count += int(file["grids"])
         if not int(file["grids"]) or count > MAX_GRIDS:
             raise InvalidFile(Problem("the file", f"contains {count:,} grids", f"1 to {MAX_GRIDS:,}"))
@@ -238,12 +251,15 @@ def _segments(view: memoryview) -> Iterator[tuple[Any, str, memoryview]]:
             metas.append((meta, _text(view[at - int(meta["name_size"]) : at])))
         for meta, name in metas:
             stored = int(meta["file_size"])
+            # Warp does not count the size before a compressed grid.
+            if int(meta["codec"]) and at + 8 <= len(view) and int.from_bytes(view[at : at + 8], "little") == stored:
+                stored += 8
             payload = view[at : at + stored]
             if len(payload) < stored:
                 found = f"ends after {len(payload):,} bytes"
                 raise InvalidFile(Problem("the grid", found, f"{stored:,}, the size in its metadata"))
             at += stored
-            yield meta, name, payload
+            yield name, _unpacked(meta, payload)
 
 
 def _unpacked(meta: Any, payload: memoryview) -> memoryview:
@@ -277,8 +293,9 @@ def _unblosced(payload: memoryview, size: int) -> bytes:
 def _read_grid(view: memoryview, name: str) -> _Grid | Problem:
     """Return the grid, or the problem if its type is not supported."""
     head = structs(view, 0, nano.GRID, 1, "GridData")[0]
-    if int(head["magic"]) != nano.MAGIC:
-        raise InvalidFile(Problem("GridData", f"has magic {int(head['magic']):016x}", f"{nano.MAGIC:016x}"))
+    if int(head["magic"]) not in (nano.MAGIC, nano.GRID_MAGIC):
+        found, allowed = f"has magic {int(head['magic']):016x}", f"{nano.MAGIC:016x} or {nano.GRID_MAGIC:016x}"
+        raise InvalidFile(Problem("GridData", found, allowed))
     if not int(head["flags"]) & nano.FLAG_LONG_NAME:
         name = _text(head["name"])
     number = int(head["type"])
@@ -307,9 +324,12 @@ def _verify(view: memoryview, head: Any, layout: nano.Layout) -> str:
     first, second = map(int, head["crc"])
     if first == second == nano.HALF_CHECKSUM:
         return "none"
-    tree = structs(view, nano.GRID.itemsize, nano.TREE, 1, "TreeData")[0]
-    # nanovdb_convert writes 0 if there are no upper nodes.
-    end = nano.GRID.itemsize + int(tree["offsets"][2] or tree["offsets"][3] + layout.root.itemsize)
+    if int(head["version"]) > nano.LAST_LONG_CHECKSUM:
+        end = nano.GRID.itemsize + nano.TREE.itemsize
+    else:
+        tree = structs(view, nano.GRID.itemsize, nano.TREE, 1, "TreeData")[0]
+        # nanovdb_convert writes 0 if there are no upper nodes.
+        end = nano.GRID.itemsize + int(tree["offsets"][2] or tree["offsets"][3] + layout.root.itemsize)
     found = zlib.crc32(view[16:end])
     if found != first:
         raise InvalidFile(Problem("the checksum", f"is {first:08x}", f"{found:08x}, the CRC-32 of the data"))

@@ -1,4 +1,4 @@
-"""Read OpenVDB files of any program, versions 222 to 224: grids of one or three floats, halves or doubles.
+"""Read OpenVDB files of any program, versions 222 to 225: grids of one or three floats, halves or doubles.
 
 A tree is stored as masks and tiles, node by node, then the values of all leaves. The size of a node's values is only
 stored with the values, so nodes are parsed sequentially. Values are decompressed after all masks have been read and the
@@ -20,7 +20,6 @@ from nerfbake.formats.wire.openvdb import (
     ACTIVE_MASK,
     MAGIC,
     PACKED,
-    VERSION,
     Stream,
     ValueType,
     read_leaves,
@@ -126,7 +125,8 @@ def _stacked(rows: list[Words], width: int) -> Words:
     return np.concatenate(rows or [np.zeros(0, np.uint64)]).astype(np.uint64).reshape(-1, width)
 
 
-OLDEST = 222  # first version with the current node layout
+# The first version with the current node layout, and the last: 225 (OpenVDB 13) adds grids of type half alone.
+OLDEST, NEWEST = 222, 225
 MAX_GRIDS = 1000
 _SCALES, _AFFINE = ("UniformScaleMap", "ScaleMap"), "AffineMap"
 _SCALES_AND_MOVES = ("UniformScaleTranslateMap", "ScaleTranslateMap")
@@ -167,8 +167,8 @@ def read_file(view: memoryview) -> Volume:
         raise InvalidFile(
             Problem("the file", f"starts with {magic & 0xFFFFFFFF:08x}", f"{MAGIC:08x}, as .vdb files do")
         )
-    if not OLDEST <= version <= VERSION:
-        raise InvalidFile(Problem("the file", f"has version {version}", f"{OLDEST} to {VERSION}"))
+    if not OLDEST <= version <= NEWEST:
+        raise InvalidFile(Problem("the file", f"has version {version}", f"{OLDEST} to {NEWEST}"))
     stream.take(36, "the UUID")
     stream.metadata()
     (count,) = stream.numbers("i", "the number of grids")
@@ -178,16 +178,17 @@ def read_file(view: memoryview) -> Volume:
     unread: list[Problem] = []
     for _ in range(count):
         header, unique = _read_header(stream, seekable=bool(offsets))
-        if (problem := _problem_of(header, read)) is not None:
+        grid: _Grid | Problem | None = _problem_of(header, read)
+        if grid is None:
+            # '' means no parent, even if an earlier grid has no name.
+            parent = read[header.parent] if header.parent else None
+            grid = _read_grid(stream, header, parent, seekable=bool(offsets))
+        if isinstance(grid, Problem):
             if not offsets:
-                raise InvalidFile(problem)  # without offsets the start of the next grid is unknown
-            unread.append(problem)
+                raise InvalidFile(grid)  # without offsets the start of the next grid is unknown
+            unread.append(grid)
             stream.at = header.end
             continue
-        parent = (
-            read[header.parent] if header.parent else None
-        )  # '' means no parent, even if an earlier grid has no name
-        grid = _read_grid(stream, header, parent, seekable=bool(offsets))
         # Grids of the same name without numbers are distinguished by their order in the file.
         read[unique if unique not in read else f"{unique}{SEPARATOR}{len(read)}"] = grid
     if not read:
@@ -243,14 +244,17 @@ def _kind_of(type_name: str) -> ValueType | None:
     return ValueType(channels, np.dtype("<f2" if half else full), np.dtype(full))
 
 
-def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekable: bool) -> _Grid:
+def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekable: bool) -> _Grid | Problem:
+    """Return the grid, or the problem if its map is not supported."""
     kind = _kind_of(header.type)
     assert kind is not None
     (flags,) = stream.numbers("I", header.what)
     if flags & ~(PACKED | ACTIVE_MASK):
         raise InvalidFile(Problem(header.what, f"has compression {flags}", "0 to 7: none, zip, active mask, blosc"))
     metadata = stream.metadata()
-    transform = _read_map(stream)
+    transform = _read_map(stream, header.what)
+    if isinstance(transform, Problem):
+        return transform
     if parent is None:
         tree = read_tree(stream, kind, flags, header.what)
     else:
@@ -268,7 +272,7 @@ def _read_grid(stream: Stream, header: _Header, parent: _Grid | None, *, seekabl
             tree.topology,
             tree.values,
             tree.background,
-            _class_of(metadata.get("class", b"")),
+            _class_of(bytes(metadata.get("class", b""))),
             tree.active,
             stored="double" if kind.dtype == np.float64 else "",
         )
@@ -282,11 +286,11 @@ def _class_of(text: bytes) -> GridClass:
     return next((known for known in GRID_CLASSES if known.encode() == text.strip().lower()), "unknown")
 
 
-def _read_map(stream: Stream) -> npt.NDArray[np.float64]:
+def _read_map(stream: Stream, what: str) -> npt.NDArray[np.float64] | Problem:
     """Read the transform from indices to world coordinates, (3, 4)."""
     kind = stream.text("the map")
     if kind not in _MAPS:
-        raise InvalidFile(Problem("the map", f"is a {one_line(kind[:60])}", ", ".join(_MAPS)))
+        return Problem(f"{what}: the map", f"is a {one_line(kind[:60])}", ", ".join(_MAPS))
     if kind == _AFFINE:
         square = stream.array("<f8", 16, kind).reshape(4, 4)
         return np.ascontiguousarray(square[:, :3].T)

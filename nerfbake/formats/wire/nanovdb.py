@@ -1,4 +1,4 @@
-"""The structs of NanoVDB files, 32.4 and 32.6, as NumPy dtypes, and the values of their nodes.
+"""The structs of NanoVDB files, 32.3 to 32.9, as NumPy dtypes, and the values of their nodes.
 
 Leaves contain values, or codes between the leaf's minimum and maximum. Source: docs/formats/vdb.md, "NanoVDB files".
 """
@@ -131,6 +131,9 @@ def _floats(values: Nodes) -> npt.NDArray[np.float32]:
 
 
 MAGIC = int.from_bytes(b"NanoVDB0", "little")
+# Since version 32.7 grids and files have magic numbers of their own.
+GRID_MAGIC, FILE_MAGIC = (int.from_bytes(each, "little") for each in (b"NanoVDB1", b"NanoVDB2"))
+LAST_LONG_CHECKSUM = 32 << 21 | 6 << 10  # version 32.6.0: the last whose first CRC includes the root
 CODECS = {"none": 0, "zip": 1, "blosc": 2}
 BLOSC_CHUNK = 1 << 30  # bytes of a grid in one blosc buffer
 HALF_CHECKSUM = 0xFFFFFFFF  # value of the second CRC if the file has only the first
@@ -260,7 +263,8 @@ LAYOUTS = {layout.number: layout for layout in (FLOAT, DOUBLE, VEC3F, FP4, FP8, 
 # Names of the grid types that are not supported.
 OTHERS = {
     3: "Int16", 4: "Int32", 5: "Int64", 7: "Vec3d", 8: "Mask", 9: "Half", 10: "UInt32", 11: "Boolean", 12: "RGBA8",
-    17: "Vec4f", 18: "Vec4d", 19: "Index", 21: "IndexMask", 22: "PointIndex", 23: "Vec3u8", 24: "Vec3u16",
+    17: "Vec4f", 18: "Vec4d", 19: "Index", 21: "IndexMask", 22: "OnIndexMask", 23: "PointIndex", 24: "Vec3u8",
+    25: "Vec3u16", 26: "UInt8",
 }  # fmt: skip
 # Blind data: the type numbers of the dtypes that a table may have.
 TABLE_TYPES = {"float32": 1, "float16": 9}

@@ -69,24 +69,23 @@ class Stream:
         kind = np.dtype(dtype)
         return np.frombuffer(self.take(count * kind.itemsize, what), kind)
 
-    def raw_text(self, what: str) -> bytes:
+    def text(self, what: str) -> str:
         (size,) = self.numbers("I", what)
         if size > MAX_TEXT:
             raise InvalidFile(Problem(what, f"has {size:,} bytes", f"{MAX_TEXT:,} at most"))
-        return bytes(self.take(size, what))
+        return bytes(self.take(size, what)).decode("utf-8", "replace")
 
-    def text(self, what: str) -> str:
-        return self.raw_text(what).decode("utf-8", "replace")
-
-    def metadata(self) -> dict[str, bytes]:
-        """Return raw values by name, whatever their types."""
+    def metadata(self) -> dict[str, memoryview]:
+        """Return raw values by name, whatever their types. OpenVDB lists the leaves of a grid in one of any size."""
         (count,) = self.numbers("I", "metadata")
         if count > MAX_ENTRIES:
             raise InvalidFile(Problem("metadata", f"has {count:,} entries", f"{MAX_ENTRIES:,} at most"))
         entries = {}
         for _ in range(count):
             name, _ = self.text("metadata"), self.text("metadata")
-            entries[name] = self.raw_text(f"metadata {name[:40]!r}")
+            what = f"metadata {name[:40]!r}"
+            (size,) = self.numbers("I", what)
+            entries[name] = self.take(size, what)
         return entries
 
 

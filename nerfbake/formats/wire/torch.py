@@ -184,9 +184,9 @@ class _Machine:
         if not isinstance(what, Global) or what.name not in BUILDERS or type(arguments) is not tuple:
             raise Fault("calls a value that is not a global", "a global and its arguments")
         # Memo entries can be passed to builders repeatedly, and each call makes a copy.
-        self._left -= len(arguments) + sum(len(each) for each in arguments if isinstance(each, str | list))
+        self._left -= len(arguments) + sum(len(each) for each in arguments if isinstance(each, str | list | dict))
         if self._left < 0:
-            raise Fault("builds more than the file contains", "each text and each list about once")
+            raise Fault("builds more than the file contains", "each text, list and dict about once")
         self._push(BUILDERS[what.name](arguments))
 
     def build(self) -> None:

@@ -97,10 +97,15 @@ def _wrong(what: str) -> NoReturn:
 
 
 def _dict(arguments: tuple[Any, ...]) -> Config:
-    """Build a dict from no arguments, a list of pairs, or pairs."""
+    """Build a dict from no arguments, a list of pairs, pairs, or a dict, as mmengine writes it."""
     made = Config()
-    pairs = list(arguments[0]) if len(arguments) == 1 and type(arguments[0]) is list else list(arguments)
-    fill(made, pairs)
+    match arguments:
+        case (dict() as items,):
+            made.update(items)
+        case (list() as pairs,):
+            fill(made, pairs)
+        case _:
+            fill(made, list(arguments))
     return made
 
 

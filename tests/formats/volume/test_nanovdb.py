@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
+from dataclasses import replace
 
 import blosc
 import numpy as np
@@ -59,6 +61,51 @@ def test_buffers_of_blosc_follow_each_other(monkeypatch: pytest.MonkeyPatch) -> 
     assert _unblosced(memoryview(data), sum(map(len, parts))) == b"".join(parts)
     with pytest.raises(InvalidFile, match="a blosc buffer's size would be at bytes"):
         _unblosced(memoryview(data), sum(map(len, parts)) + 100_000)
+
+
+START = nano.FILE.itemsize + nano.META.itemsize + len(b"density\0")
+
+
+def grid_since_32_7(data: bytes) -> bytearray:
+    """The grid of one of our uncompressed files as version 32.8 writes it: another magic, and the first CRC ends before
+    the root."""
+    grid = bytearray(data[START:])
+    grid[:8], grid[16:20] = b"NanoVDB1", (32 << 21 | 8 << 10).to_bytes(4, "little")
+    grid[8:12] = zlib.crc32(grid[16:736]).to_bytes(4, "little")
+    return grid
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_the_magic_numbers_since_version_32_7_are_read(kind: str) -> None:
+    data = encoded(volume(replace(GRIDS[kind](SCENES["a full leaf"]), name="density")))
+    newer = b"NanoVDB2" + data[8:START] + grid_since_32_7(data)
+    assert decoded(newer).checksum == "half"
+    assert encoded(decoded(newer)) == encoded(decoded(data))
+    with pytest.raises(InvalidFile, match="the checksum is"):
+        decoded(newer[: START + 600] + b"\xff" + newer[START + 601 :])
+
+
+def test_grids_one_after_the_other_without_headers_are_read() -> None:
+    """As nanovdb::GridHandle::write() and NVIDIA Flow write them."""
+    data = encoded(volume(tree(SCENES["a cloud"])))
+    raw = grid_since_32_7(data)
+    made = decoded(bytes(raw + raw))
+    assert made.labels == ["density[0]", "density[1]"]
+    for grid in made.grids:
+        assert_array_equal(grid.values, decoded(data).grids[0].values)
+    for broken, said in ((raw[:-1], "has size"), (raw + b"NanoVDB1", "GridData would be at bytes")):
+        with pytest.raises(InvalidFile, match=said):
+            decoded(bytes(broken))
+
+
+@pytest.mark.parametrize("pack", [lambda made: encoded(made, codec="zip"), lambda made: bloscked(encoded(made))])
+def test_a_size_that_leaves_out_the_8_bytes_before_a_compressed_grid_is_read(pack: Callable[[Volume], bytes]) -> None:
+    """As Warp writes it."""
+    made = volume(tree(SCENES["a cloud"]))
+    data = bytearray(pack(made))
+    meta = np.frombuffer(data, nano.META, 1, nano.FILE.itemsize)
+    meta["file_size"] -= 8
+    assert encoded(decoded(bytes(data))) == encoded(made)
 
 
 def test_an_index_with_its_tiles_in_another_order_is_read() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import warp as wp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import build_octree, build_vdb
+from nerfbake import build_octree, build_vdb, load
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume
 from tests.support.nanovdb import GRIDS, Codec, encoded
@@ -74,3 +75,18 @@ def test_warp_reads_the_table_before_an_octrees_frame() -> None:
     made = build_vdb(build_octree(n3tree(splits=[(0, (1, 0, 1))], data_format="SH9")), grids=("index",))
     held, _ = looked_up(made, "OnIndex", made.grids[0].topology.coords, "none")
     assert held.feature_array(0).numpy().tobytes() == made.grids[0].table.tobytes()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("codec", ["none", "zip", "blosc"])
+def test_what_warp_saves_is_read(codec: Any, tmp_path: Path) -> None:
+    """Its grids have NanoVDB's newer magic number, and the sizes of compressed ones leave out 8 bytes."""
+    tiles: Any = wp.array(np.array([[0, 0, 0], [-20, 4, 300]], np.int32), dtype=wp.int32, device="cpu")
+    for background, expected in ((1.5, [1.5]), (wp.vec3(1.0, 2.0, 3.0), [1, 2, 3])):
+        made = wp.Volume.allocate_by_tiles(tiles, 0.25, bg_value=background, translation=(1, 2, 3), device="cpu")
+        made.save_to_nvdb(str(tmp_path / "a.nvdb"), codec)
+        (grid,) = load(tmp_path / "a.nvdb", Volume).grids
+        assert grid.topology.leaf_origin.tolist() == [[0, 0, 0], [-24, 0, 296]]
+        assert (grid.values == expected).all()
+        assert_allclose(
+            load(tmp_path / "a.nvdb", Volume).transform, [[0.25, 0, 0, 1], [0, 0.25, 0, 2], [0, 0, 0.25, 3]]
+        )

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 from typing import Any, Literal
@@ -12,8 +13,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import build_octree, build_octree_from_volume, build_vdb, load, sample_n3tree, save
-from nerfbake.errors import InvalidScene, MemoryLimit
+from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.volume import openvdb as vdb_openvdb
+from nerfbake.formats.wire.openvdb import text
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
@@ -95,6 +97,33 @@ def test_each_grid_keeps_its_transform() -> None:
     back = decoded(encoded(Volume((one, dataclasses.replace(other, place=elsewhere)), transform())))
     assert_array_equal(back.transforms, [transform(), elsewhere])
     assert_array_equal(back.only(["other"]).transforms, [elsewhere])
+
+
+def test_version_225_of_openvdb_13_is_read() -> None:
+    data = encoded(volume(tree(SCENES["a cloud"])))
+    assert encoded(decoded(data[:8] + struct.pack("<I", 225) + data[12:])) == data
+
+
+def test_a_grid_in_a_cameras_frustum_leaves_the_others() -> None:
+    data = encoded(volume(tree(SCENES["one voxel"]), tree(SCENES["a full leaf"], name="other")))
+    at = data.rindex(b"UniformScaleTranslateMap")
+    back = decoded(data[:at] + b"NonlinearFrustumMap".ljust(24) + data[at + 24 :])
+    assert back.labels == ["density"]
+    assert "grid 'other': the map is a NonlinearFrustumMap" in str(back.unread[0])
+    with pytest.raises(InvalidFile, match="grid 'density': the map is a NonlinearFrustumMap"):
+        decoded(data.replace(b"UniformScaleTranslateMap", b"NonlinearFrustumMap".ljust(24)))
+
+
+def test_metadata_of_megabytes_are_passed_over() -> None:
+    """OpenVDB 6 to 12 list the size of each leaf in `file_delayed_load`, with up to 9 bytes a leaf."""
+    data = bytearray(encoded(volume(tree(SCENES["one voxel"]))))
+    data[20] = 0  # a stream: the positions that follow mean nothing
+    leaves = text("file_delayed_load") + text("__delayedload") + text(bytes(2 << 20))
+    assert data[57:61] == bytes(4)
+    data[57:61] = struct.pack("<I", 1) + leaves
+    assert decoded(bytes(data)).grids[0].topology.m == 1
+    with pytest.raises(InvalidFile, match="metadata 'file_delayed_load' would be at bytes"):
+        decoded(bytes(data[: 1 << 20]))
 
 
 # -- OpenVDB itself --------------------------------------------------------------------------------------------

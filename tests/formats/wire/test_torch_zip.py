@@ -65,18 +65,20 @@ def test_numbers_of_the_other_byte_order_and_of_16_bits() -> None:
 
 def test_numpys_arrays_numbers_and_dicts_of_configurations_are_read() -> None:
     config = glob("mmcv.utils.config", "ConfigDict") + b")\x81q\x05(" + text("k") + b"K\x07uh\x05b"
+    mmengine = glob("mmengine.config.config", "ConfigDict") + b"}" + text("k") + b"K\x08s\x85R"
     parameter = glob("torch._utils", "_rebuild_parameter") + b"(" + Writer().code(SIX) + b"\x88}tR"
     reader, root = read(
         {
             "array": numpy_array(np.arange(6, dtype=np.int16).reshape(2, 3)),
             "config": Raw(config),
+            "mmengine": Raw(mmengine),
             "ordered": ordered({"b": 1.5, "a": None}),
             "list": [1, -2, 1 << 40, True, (3, "x")],
             3: "three",
         }
     )
     assert_array_equal(reader.array(root["array"], "array"), [[0, 1, 2], [3, 4, 5]])
-    assert root["config"] == {"k": 7}
+    assert (root["config"], root["mmengine"]) == ({"k": 7}, {"k": 8})
     assert root["ordered"] == {"b": 1.5, "a": None}
     assert (root["list"], root[3]) == ([1, -2, 1 << 40, True, (3, "x")], "three")
     reader = TorchReader(memoryview(archive(b"\x80\x02" + parameter + b".", [SIX.tobytes()])))
@@ -165,6 +167,9 @@ def test_what_was_kept_is_not_copied_again_and_again() -> None:
     pairs = b"(" + b"K\x01K\x02\x86" * 5000 + b"tq\x02"
     with pytest.raises(InvalidFile, match="builds more than the file contains"):
         read_pickle(b"\x80\x02" + pairs + again + b".", "data.pkl")
+    items = b"}(" + b"".join(b"M" + k.to_bytes(2, "little") + b"K\x01" for k in range(5000)) + b"u\x85q\x02"
+    with pytest.raises(InvalidFile, match="builds more than the file contains"):
+        read_pickle(b"\x80\x02" + items + again + b".", "data.pkl")
 
 
 def test_shapes_of_thousands_of_edges_are_not_multiplied() -> None:
