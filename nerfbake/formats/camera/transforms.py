@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ LENS_KEYS = (*_K, *_P, "camera_model", "is_fisheye", "distortion_params")
 
 def lens_of(fields: Mapping[str, Any], where: str) -> Lens | None:
     """Parse lens distortion; None for a pinhole. Raises InvalidFile for an unknown model or field."""
-    values = {key: number(fields, key, where) for key in (*_K, *_P) if key in fields}
+    values = {key: _coefficient(fields, key, where) for key in (*_K, *_P) if key in fields}
     if "distortion_params" in fields:
         listed = fields["distortion_params"]
         if not isinstance(listed, list) or len(listed) != len(_LIST):
@@ -76,6 +77,14 @@ def lens_of(fields: Mapping[str, Any], where: str) -> Lens | None:
     k = [values.get(key, 0.0) for key in (_K if model == "rational" else _K[:4])]
     lens = Lens(model, tuple(k), (values.get("p1", 0.0), values.get("p2", 0.0)))
     return lens if lens.bends else None
+
+
+def _coefficient(fields: Mapping[str, Any], key: str, where: str) -> float:
+    """Return k1 to p2. nerfstudio copies them as text from a .csv of RealityCapture."""
+    if isinstance(text := fields[key], str):
+        with suppress(ValueError):
+            fields = {key: float(text)}
+    return number(fields, key, where)
 
 
 def lens_fields(lens: Lens | None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
     #?RADIANCE           or #?RGBE
     FORMAT=32-bit_rle_rgbe
     EXPOSURE=2           optional, several multiply: pixels are radiance times this
+    <tab>EXPOSURE=2      without effect: pcomb keeps the headers of its inputs in this way
                          an empty line
     -Y 512 +X 1024       rows from the top, columns from the left; other orders are rejected
     rows
@@ -75,7 +76,7 @@ def _header(head: bytes) -> tuple[tuple[int, int], float, int]:
         raise InvalidFile(Problem("the picture", "is not a Radiance picture", "#?RADIANCE at its start"))
     for number, line in enumerate(lines[:-1]):
         place += len(line) + 1
-        name, _, value = line.strip().partition(b"=")
+        name, _, value = line.rstrip().partition(b"=")
         if name == b"FORMAT" and value != b"32-bit_rle_rgbe":
             raise InvalidFile(Problem("FORMAT", f"is {_shown(value)}", "32-bit_rle_rgbe"))
         if name == b"EXPOSURE":

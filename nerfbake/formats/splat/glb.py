@@ -38,6 +38,7 @@ MOST_DEGREE = 3
 _PREFIX = EXTENSION + ":"
 _HEAD = 20  # bytes before the JSON chunk
 _KNOWN = (EXTENSION, "KHR_mesh_quantization")
+_OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_")  # extensions of parts that are left out
 _POINTS = 0
 _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
 _DISPLAY, _LINEAR = "srgb_rec709_display", "lin_rec709_display"
@@ -61,7 +62,7 @@ def decode(view: memoryview) -> Splats:
     document = Document(view)
     required = document.root.get("extensionsRequired", [])
     for extension in required if isinstance(required, list) else [required]:
-        if extension not in _KNOWN:
+        if extension not in _KNOWN and not str(extension).startswith(_OF_MESHES):
             raise malformed("extensionsRequired", f"has {str(extension)[:60]}", " and ".join(_KNOWN))
     parts: list[Splats] = []
     notes: dict[str, None] = {}

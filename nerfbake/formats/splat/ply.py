@@ -1,7 +1,8 @@
 r"""Read Gaussian splats from .ply files (3DGS, 2DGS, Mip-Splatting, PlayCanvas' compressed kind); write 3DGS.
 
 3DGS: element `vertex` with x y z, f_dc_0..2, f_rest_0.. (all red, all green, all blue), opacity (logit), scale_0..2
-(natural logarithm), rot_0..3 (w first, of any length), found by name in any order.
+(natural logarithm), rot_0..3 (w first, of any length), found by name in any order. CloudCompare writes scalar_ before
+all names but x y z; nerfstudio can write uchar red green blue for f_dc_0..2 (--ply-color-mode rgb).
 
 Compressed: element `chunk` with the bounds of 256 splats each, `vertex` with four uint, `sh` with bytes.
 
@@ -27,12 +28,12 @@ from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
 from nerfbake.scene.base import MAX_WORLD
-from nerfbake.scene.splats import Splats, splats_of_rows
+from nerfbake.scene.splats import BASES, Splats, splats_of_rows
 
 SH0 = 0.28209479177387814  # the first basis function
 MOST_DEGREE = 3
 _END = b"end_header\n"
-_REST = (0, 9, 24, 45)  # numbers of f_rest at degree 0 to 3
+_REST = tuple(3 * (B - 1) for B in BASES)  # numbers of f_rest at degree 0 to 4
 _CHUNK = 256  # splats
 _ROWS = 1 << 16  # written at a time
 _LEAST, _MOST = 1e-30, 1 - 2.0**-24  # opacities and scales as they are written: their logits and logarithms are finite
@@ -42,10 +43,9 @@ _BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 _SCALE_BOUNDS = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
 _COLOUR_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-_NEEDED = [
-    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"),
-    *(f"rot_{k}" for k in range(4)),
-]
+_DC, _RGB = ["f_dc_0", "f_dc_1", "f_dc_2"], ["red", "green", "blue"]
+_NEEDED = ["x", "y", "z", "opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"]
+_PREFIX = "scalar_"
 
 
 def recognise(view: memoryview) -> bool:
@@ -60,18 +60,30 @@ def decode(view: memoryview) -> Splats:
     """
     properties, comments, tables = wire.parse(view, "chunk", "vertex", "sh")
     names = properties.get("vertex", [])
+    if f"{_PREFIX}f_dc_0" in names:
+        tables["vertex"] = _without_prefix(tables["vertex"])
+        names = list(tables["vertex"].dtype.names or ())
     if "octlevel" in names:
         allowed = "Gaussian splats; of SVRaster, the checkpoint .pt"
         raise InvalidFile(Problem("the .ply", "holds SVRaster's voxels", allowed))
-    if not {*names} & {*_PACKED, "f_dc_0"}:
+    coloured = {*_RGB, "opacity", "scale_0"} <= {*names} and tables["vertex"].dtype["red"] == np.uint8
+    if not coloured and not {*names} & {*_PACKED, "f_dc_0"}:
         kind = "a mesh" if "face" in properties else "a point cloud"
         raise InvalidFile(Problem("the .ply", f"is {kind}", "Gaussian splats, with f_dc_0 and opacity"))
     rows = tables["vertex"]
-    memory.require("the splats", len(rows) * 2 * 8 * (12 + 3 * 16))
+    B = BASES[-1] if "f_rest_45" in names else BASES[MOST_DEGREE]
+    memory.require("the splats", len(rows) * 2 * 8 * (12 + 3 * B))
     antialiased = any(comment in ("SplatRenderMode: mip", "antialiased 1") for comment in comments)
     if "packed_position" in names:
         return _unpacked(tables, antialiased)
     return _plain(rows, antialiased)
+
+
+def _without_prefix(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The same rows with CloudCompare's prefix removed from the names, unless there is such a name already."""
+    names = rows.dtype.names or ()
+    short = [name if (bare := name.removeprefix(_PREFIX)) in names else bare for name in names]
+    return rows.view(np.dtype([(new, rows.dtype[name]) for new, name in zip(short, names, strict=True)]))
 
 
 def _columns(rows: npt.NDArray[Any], names: list[str], where: str) -> Floats:
@@ -102,8 +114,9 @@ def _with_rest(dc: Floats, rest: Floats, each: int) -> Floats:
 
 def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
     found = _columns(rows, _NEEDED, "vertex")
-    means, dc, logits, scales, quats = found[:, :3], found[:, 3:6], found[:, 6], exp_or_nan(found[:, 7:9]), found[:, 9:]
+    means, logits, scales, quats = found[:, :3], found[:, 3], exp_or_nan(found[:, 4:6]), found[:, 6:]
     known = rows.dtype.names or ()
+    dc = _columns(rows, _DC, "vertex") if _DC[0] in known else (_columns(rows, _RGB, "vertex") / 255 - 0.5) / SH0
     if "scale_2" in known:
         third = exp_or_nan(_columns(rows, ["scale_2"], "vertex"))
     else:
@@ -122,13 +135,13 @@ def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
 
 
 def exp_or_nan(logarithms: Floats) -> Floats:
-    """e^x, and NaN for infinite x: a row with a number that is not finite is dropped."""
-    return np.where(np.isfinite(logarithms), exp(logarithms), np.nan)
+    """e^x, 0 for minus infinity, and NaN for infinity: a row with a number that is not finite is dropped."""
+    return np.where(logarithms < np.inf, exp(logarithms), np.nan)
 
 
 def sigmoid_or_nan(logits: Floats) -> Floats:
-    """1 / (1 + e^-x), and NaN for infinite x."""
-    return np.where(np.isfinite(logits), sigmoid(logits), np.nan)
+    """1 / (1 + e^-x), 0 and 1 for infinite x: the logits that Niantic and PlayCanvas write for such opacities."""
+    return np.where(np.isnan(logits), np.nan, sigmoid(logits))
 
 
 def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:

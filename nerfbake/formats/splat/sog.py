@@ -8,6 +8,7 @@
     shN_centroids      the palette, 64 entries a row, each 3, 8 or 15 pixels wide: codebook[v]
 
 Version 1 has no `version`. It has a minimum and a maximum in place of each codebook, and alpha of sh0 is a logit.
+Splats are antialiased if meta.json has "antialias": true (older) or "model": "antialiased".
 
 A scene of several levels is a lod-meta.json with a tree; its leaves name ranges of rows in folders with a meta.json
 each, by level. Level 0 is the finest.
@@ -33,6 +34,7 @@ from nerfbake.formats.wire.picture import decode_lossless_webp
 from nerfbake.formats.wire.zip_reader import ZipReader, npz_keys
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import expm1
+from nerfbake.kernels.soundness import plural
 from nerfbake.scene.splats import Splats, join_splats, splats_of_rows
 
 Bytes = npt.NDArray[np.uint8]
@@ -106,7 +108,7 @@ def _finest(files: Mapping[str, memoryview]) -> Splats:
             start, count = (whole(finest, key, "lods", high=_MOST) for key in ("offset", "count"))
             places.setdefault(_path(names[file], "filenames"), []).append((start, count))
     notes = [f"of the levels of {LOD}, only the finest is read"]
-    if "environment" in root:
+    if root.get("environment") is not None:
         places.setdefault(_path(root["environment"], "environment"), []).append((0, -1))
     parts = []
     for path, ranges in places.items():
@@ -193,9 +195,23 @@ class _Part:
     def decoded(self, codes: Bytes, *, columns: bool = True) -> Floats:
         """The values of bytes: by the codebook, or in version 1 between minimum and maximum (of each column)."""
         if "codebook" in self.fields:
-            return self.numbers("codebook", 256)[codes]
+            return self._codebook(int(codes.max(initial=0)))[codes]
         low, high = (self.numbers(key, *codes.shape[1:2]) if columns else self.numbers(key) for key in ("mins", "maxs"))
         return np.asarray(low + (high - low) * (codes / 255))
+
+    def _codebook(self, last: int) -> Floats:
+        """The numbers of a codebook, up to the entry `last` or more: 256, or fewer for few splats.
+
+        PlayCanvas' older writers have null for the first, the logarithm of 0. Their engine extrapolates it in this way.
+        """
+        place, values = f"{self.place}.codebook", self.fields["codebook"]
+        null = isinstance(values, list) and values[:1] == [None]
+        numbers = table(values[1:] if null else values, place, (None,))
+        if len(numbers) + null <= max(last, null):
+            raise InvalidFile(
+                Problem(place, f"has {plural(len(numbers) + null, 'number')}", f"{last + 1}, as its picture names")
+            )
+        return np.append(numbers[0] + (numbers[0] - numbers[-1]) / 255, numbers) if null else numbers
 
 
 def _scene(files: Mapping[str, memoryview], path: str) -> Splats:
@@ -241,7 +257,7 @@ def _scene(files: Mapping[str, memoryview], path: str) -> Splats:
         _rotations(quats.picture(0, n, most)),
         opacity,
         sh,
-        antialiased=meta.get("antialias") is True,
+        antialiased=meta.get("antialias") is True or meta.get("model") == "antialiased",
     )
 
 

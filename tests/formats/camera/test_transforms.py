@@ -125,6 +125,22 @@ def test_a_frames_own_fields_count(own: dict[str, Any], expected: tuple[float, .
     assert_allclose(found, expected, rtol=1e-12)
 
 
+def test_coefficients_as_text_are_read() -> None:
+    # As nerfstudio's `ns-process-data realitycapture` copies them from a .csv.
+    frame = {
+        "transform_matrix": EYE,
+        "fl_x": 50,
+        "k1": "-0.02",
+        "k2": "1e-3",
+        "k3": "0",
+        "k4": "0",
+        "p1": "0",
+        "p2": "0",
+    }
+    (camera,) = read(capture(w=64, h=48, camera_model="OPENCV", frames=[frame])).cameras
+    assert camera.lens == Lens("polynomial", (-0.02, 0.001))
+
+
 def test_lenses_that_bend_nothing_are_pinholes() -> None:
     zeros = dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), 0)
     for fields in (zeros, {"camera_model": "OPENCV"}, {"camera_model": "PINHOLE", **zeros}, {"is_fisheye": False}):
@@ -253,6 +269,8 @@ def test_a_byte_order_mark_is_skipped() -> None:
         (capture(w=4, h=3, fl_x=True), "fl_x is True"),
         (capture(w=4, h=3, cx="middle"), "cx is middle"),
         (capture(w=4, h=3, k1=[1]), "k1 is a list"),
+        (capture(w=4, h=3, k1="some"), "k1 is some; allowed: a number"),
+        (capture(w=4, h=3, k1="nan"), "k1 is nan; allowed: a number"),
         (capture(w=4, h=3, k4=0.1), "k4 is 0.1; allowed: 0, or a camera_model that defines"),
         (capture(w=4, h=3, k5=0.1), "k5 is 0.1; allowed: 0, or camera_model FULL_OPENCV"),
         (capture(w=4, h=3, k1=1e9), r"k1 is 1e\+09; allowed: -1e\+06 to 1e\+06"),

@@ -36,6 +36,11 @@ def test_exposures_are_divided_out() -> None:
     assert_array_equal(radiance(twice) * 8, radiance(flat()))
 
 
+def test_headers_of_the_inputs_that_pcomb_keeps_have_no_effect() -> None:
+    kept = b"\na.hdr:\n\trpict -vf a.vf\n\tEXPOSURE=2\n\tFORMAT=32-bit_rle_xyze\npcomb -o a.hdr\n"
+    assert_array_equal(radiance(flat().replace(b"\n", kept, 1)), radiance(flat()))
+
+
 @pytest.mark.parametrize(
     ("data", "said"),
     [

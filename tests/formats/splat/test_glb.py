@@ -172,6 +172,12 @@ def test_logarithms_of_an_early_draft_are_told_by_their_signs() -> None:
     assert found.notes == ("its scales are logarithms, as in an early draft of the extension",)
 
 
+def test_extensions_of_meshes_that_are_left_out_may_be_required() -> None:
+    names = [NAME, "KHR_texture_transform", "KHR_materials_unlit", "EXT_texture_webp"]
+    data = changed(written(splats(3)), lambda document: document.update(extensionsRequired=names))
+    assert_same(decoded(data), splats(3))
+
+
 def test_what_is_not_as_usual_is_noted() -> None:
     scene = splats(3)
     data = changed(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nerfbake import Splats, load, save
-from nerfbake.errors import InvalidScene, NerfbakeError
+from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError
 from nerfbake.formats.splat import ply
 from tests.support.hostile import damaged, refused_as_it_is
 from tests.support.splats import packed_ply, ply_text, splats, text_ply
@@ -128,6 +128,60 @@ def test_the_filter_of_mip_splatting_grows_splats_and_keeps_their_mass() -> None
     np.testing.assert_allclose(found.opacity * found.scales.prod(axis=1), mass, rtol=1e-5)
 
 
+def with_column(data: bytes, name: str, values: list[float]) -> bytes:
+    """The same file with other numbers in one column."""
+    header, _, rows = data.partition(b"end_header\n")
+    names = [line.split()[2] for line in header.decode().splitlines() if line.startswith("property")]
+    table = np.frombuffer(rows, "<f4").reshape(-1, len(names)).copy()
+    table[:, names.index(name)] = values
+    return header + b"end_header\n" + table.tobytes()
+
+
+def test_infinite_logits_and_logarithms_are_the_numbers_that_they_stand_for() -> None:
+    # Niantic and PlayCanvas write logit(255 / 255), logit(0 / 255) and log(0) in this way.
+    scene = splats(4)
+    data = with_column(written(scene), "opacity", [np.inf, -np.inf, 0, np.nan])
+    found = ply.decode(memoryview(with_column(data, "scale_2", [0, -np.inf, -np.inf, 0])))
+    assert found.opacity.tolist() == [1, 0, 0.5]
+    assert found.scales[:, 2].tolist() == [1, 0, 0]
+    assert found.dropped == 1
+    found = ply.decode(memoryview(with_column(data, "scale_0", [0, np.inf, 0, 0])))
+    assert (found.n, found.dropped) == (2, 2)
+
+
+def test_names_with_cloudcompares_prefix_are_read() -> None:
+    scene = splats(6, degree=1, antialiased=True)
+    data = written(scene)
+    for name in (b"f_dc", b"f_rest", b"opacity", b"scale", b"rot"):
+        data = data.replace(b"float " + name, b"float scalar_" + name)
+    assert_same(ply.decode(memoryview(data)), scene)
+    twice = data.replace(b" nx\n", b" opacity\n")
+    assert ply.decode(memoryview(twice)).opacity.tolist() == [0.5] * 6  # nx is 0
+
+
+def test_colours_in_bytes_are_read() -> None:
+    names = ["x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    kinds = [f"float {name}" for name in names] + [f"uchar {name}" for name in ("red", "green", "blue")]
+    row = np.array([1, 2, 3, 0, 0, 0, 0, 1, 0, 0, 0], "<f4").tobytes() + bytes([255, 0, 51])
+    found = ply.decode(memoryview(ply_text({"vertex": (2, kinds)}) + row * 2))
+    np.testing.assert_allclose(found.sh[:, 0] * 0.28209479 + 0.5, [[1, 0, 0.2]] * 2, atol=1e-6)
+    assert (found.B, found.means[0].tolist(), found.opacity[0]) == (1, [1, 2, 3], 0.5)
+    with pytest.raises(InvalidFile, match="is a point cloud"):
+        ply.decode(memoryview(ply_text({"vertex": (1, [each.replace("uchar", "char") for each in kinds])}) + row))
+
+
+def test_degree_4_is_read() -> None:
+    scene = splats(5, degree=4)
+    names = ["x", "y", "z", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(72)), "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    rest = scene.sh[:, 1:].swapaxes(1, 2).reshape(5, 72)
+    logits = np.log(scene.opacity / (1 - scene.opacity))[:, None]
+    columns = (scene.means, scene.sh[:, 0], rest, logits, np.log(scene.scales), scene.quats)
+    rows = np.concatenate(columns, axis=1).astype("<f4").tobytes()
+    data = ply_text({"vertex": (5, [f"float {name}" for name in names])}) + rows
+    assert_same(ply.decode(memoryview(data)), scene)
+
+
 def test_the_compressed_kind_is_near_what_was_packed() -> None:
     scene = splats(300, degree=2)
     found = ply.decode(memoryview(packed_ply(scene)))
@@ -222,7 +276,7 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no end": (SOUND[:40], "does not end within"),
     "twice": (SOUND.replace(b" nx\n", b" x\n"), "has a property twice"),
     "no opacity": (SOUND.replace(b" opacity\n", b" opacitx\n"), "has no property opacity"),
-    "odd SH": (SOUND.replace(b" f_rest_8\n", b" f_best_8\n"), "has 8 properties f_rest; allowed: 0, 9, 24, 45"),
+    "odd SH": (SOUND.replace(b" f_rest_8\n", b" f_best_8\n"), "has 8 properties f_rest; allowed: 0, 9, 24, 45, 72"),
     "a gap in SH": (SOUND.replace(b" f_rest_8\n", b" f_rest_9\n"), "has no property f_rest_8"),
     "no chunks": (packed_ply(splats(3)).replace(b"element chunk", b"element chunq"), "element chunk has 0 rows"),
     "NaN": (SOUND[: -3 * 23 * 4] + b"\xff" * (3 * 23 * 4), "have 3 rows of 3 that cannot be drawn"),

@@ -66,6 +66,36 @@ def test_of_several_levels_the_finest_is_read(tmp_path: Path) -> None:
         assert found.notes == ("of the levels of lod-meta.json, only the finest is read",)
 
 
+def test_a_scene_without_an_environment_may_say_null() -> None:
+    found = decoded(sog_levels(PARTS, TREE, environment=None))
+    assert found.n == 4 + 3 + 3
+
+
+def test_the_model_of_newer_writers_is_read() -> None:
+    assert decoded(changed(lambda meta: meta.update(model="antialiased"))).antialiased
+    assert not decoded(changed(lambda meta: meta.update(model="2dgs"))).antialiased
+
+
+def test_the_logarithm_of_0_may_be_null_in_a_codebook() -> None:
+    numbers = np.log(np.linspace(0.01, 0.02, 256)).tolist()
+    whole = decoded(changed(lambda meta: meta["scales"].update(codebook=numbers)))
+    found = decoded(changed(lambda meta: meta["scales"].update(codebook=[None, *numbers[1:]])))
+    first = np.exp(numbers[1] + (numbers[1] - numbers[255]) / 255)  # as PlayCanvas' engine has it
+    smallest = whole.scales == np.float32(0.01)
+    assert smallest.any()
+    np.testing.assert_allclose(found.scales, np.where(smallest, first, whole.scales), rtol=1e-6)
+
+
+def test_few_splats_have_a_short_codebook() -> None:
+    scene = splats(2, degree=0)
+    files = sog_files(scene)
+    pixels = np.full((1, 8, 4), 255, np.uint8)
+    pixels[0, :2, :3] = np.arange(6).reshape(2, 3)  # each number is an entry of its own
+    short = {**files, "scales.webp": webp(pixels)}
+    found = decoded(changed(lambda meta: meta["scales"].update(codebook=np.log(scene.scales).ravel().tolist()), short))
+    np.testing.assert_allclose(found.scales, scene.scales, rtol=1e-6)
+
+
 # -- judges ----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("degree", range(4))
 def test_we_read_what_gaussforge_writes_as_it_does(degree: int) -> None:
@@ -138,7 +168,19 @@ LIES: dict[str, tuple[dict[str, bytes], str]] = {
     "no means": (changed(lambda meta: meta.pop("means")), "meta.json: means is null; allowed: an object"),
     "a short codebook": (
         changed(lambda meta: meta["scales"].update(codebook=[0.0] * 255)),
-        "scales.codebook has shape (255,); allowed: 256 numbers",
+        "scales.codebook has 255 numbers; allowed: 256, as its picture names",
+    ),
+    "an empty codebook": (
+        changed(lambda meta: meta["scales"].update(codebook=[None])),
+        "scales.codebook has 1 number; allowed: 256, as its picture names",
+    ),
+    "null in a codebook": (
+        changed(lambda meta: meta["scales"].update(codebook=[0.0] * 255 + [None])),
+        "scales.codebook[255] is null; allowed: a number",
+    ),
+    "a word for a codebook": (
+        changed(lambda meta: meta["scales"].update(codebook="abc")),
+        "scales.codebook is not a table of numbers",
     ),
     "a huge codebook": (changed(lambda meta: meta["scales"].update(codebook=[1e3] * 256)), "9 rows of 9 that cannot"),
     "NaN": ({**SOUND, "meta.json": SOUND["meta.json"].replace(b'"count": 9', b'"count": NaN')}, "cannot be parsed"),
