@@ -20,7 +20,8 @@ from nerfbake.errors import Problem, UsageError, one_line
 
 Piece = bytes | memoryview
 HEAD = 512  # bytes that are enough to recognise most formats
-_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"))  # a tuple for each kind of picture
+HEIC = (".heic", ".HEIC", ".heif", ".HEIF")
+_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"), HEIC)  # a tuple for each kind of picture
 PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # extensions that a capture may omit
 _SHOWN = 60  # characters of an invalid value in a message
 
@@ -151,6 +152,12 @@ class PhotographFormat(Protocol):
         """Return (H, W, 4) uint8, sRGB with straight alpha. Raises InvalidFile, MemoryLimit.
 
         size: (W, H) of the camera.
+        """
+
+    def jpeg_of_heic(self, view: memoryview, /) -> bytes | None:
+        """Return a HEIC as JPEG of the same size, with its EXIF data; None for a picture of another format.
+
+        Raises InvalidFile, MemoryLimit.
         """
 
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:

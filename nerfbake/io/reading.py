@@ -24,8 +24,8 @@ from nerfbake.catalog import (
     load_photographs,
     uncompressed,
 )
-from nerfbake.contract import PICTURES, StorableScene, picture_names
-from nerfbake.errors import InvalidFile, NerfbakeError, Problem
+from nerfbake.contract import HEIC, PICTURES, StorableScene, picture_names
+from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
 from nerfbake.io.sources import STREAM, Folder, blame, read_file, read_stdin, reading_name
 
 Kind = TypeVar("Kind")
@@ -214,7 +214,7 @@ def load_lines(source: str | Path) -> str:
 
 
 def find_photograph(folder: str | Path, name: str) -> Path | None:
-    """Return the PNG or JPEG of this name in a folder, in any spelling of picture_names(); None if there is none."""
+    """Return the photograph of this name in a folder, in any spelling of picture_names(); None if there is none."""
     if not name:
         return None
     paths = (Path(folder) / spelled for spelled in picture_names(name))
@@ -222,7 +222,7 @@ def find_photograph(folder: str | Path, name: str) -> Path | None:
 
 
 def is_picture(path: str | Path) -> bool:
-    """True if a file has the extension of a PNG or a JPEG."""
+    """True if a file has the extension of a PNG, a JPEG or a HEIC."""
     return Path(path).name.lower().endswith(PICTURES)
 
 
@@ -263,9 +263,23 @@ def load_photograph(path: str | Path, size: tuple[int, int] | None = None) -> An
         with memory.scope():
             view = read_file(Path(path))
             if not len(view):
-                raise InvalidFile("is empty; allowed: a PNG or a JPEG")
+                raise InvalidFile("is empty; allowed: a PNG, a JPEG or a HEIC")
             pixels = load_photographs().decode_photograph(view, size)
         return memory.kept(pixels)
+
+
+def copy_photograph(path: str | Path, to: str | Path) -> None:
+    """Copy a photograph; if it is a HEIC, as JPEG of the same name. Raises InvalidFile, MemoryLimit, OutputError."""
+    with blame(str(path)), memory.scope():
+        view = read_file(Path(path))
+        data = load_photographs().jpeg_of_heic(view) or view
+        with blame(str(to), OutputError):
+            Path(to).write_bytes(data)
+
+
+def is_heic(path: str | Path) -> bool:
+    """True if a file has the extension of a HEIC, which an iPhone stores."""
+    return Path(path).suffix.lower() in HEIC
 
 
 def load_thumbnail(path: str | Path, edge: int) -> bytes:

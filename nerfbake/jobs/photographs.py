@@ -174,7 +174,7 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
     """
     for i, camera in enumerate(cameras.cameras):
         if not camera.picture:
-            found, allowed = "names no picture in the folder of the capture", "a PNG or a JPEG there, or below"
+            found, allowed = "names no picture in the folder of the capture", "a PNG, a JPEG or a HEIC there, or below"
             raise InvalidFile(Problem(f"camera {camera.name or i}", found, allowed), source=path)
     names = [camera.picture for camera in cameras.cameras]
     folder = Path(path) if io.is_folder(path) else Path(path).parent
@@ -207,6 +207,6 @@ def _masks(folder: str, cameras: Cameras) -> list[Path]:
 def _all_of(names: Sequence[str], paths: Sequence[Path | None], source: str, noun: str) -> list[Path]:
     missing = [name for name, path in zip(names, paths, strict=True) if path is None]
     if missing:
-        problem = Problem(f"{noun} {missing[0]}", "is not there", "a PNG or a JPEG of that name", len(missing))
+        problem = Problem(f"{noun} {missing[0]}", "is not there", "a PNG, a JPEG or a HEIC of that name", len(missing))
         raise InvalidFile(problem, source=source)
     return [path for path in paths if path is not None]

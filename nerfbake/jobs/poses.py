@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
-from nerfbake.io.reading import is_picture
+from nerfbake.io.reading import copy_photograph, is_heic, is_picture
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
@@ -85,8 +85,11 @@ def find_poses(
     if sequential is None:
         sequential = len(names) > MOST_EXHAUSTIVE
     with _model_folder(folder, force) as part:
-        request = {"pictures": str(place), "groups": groups, "work": str(part / "work"), "model": str(part)}
+        pictures = _readable(steps, place, names, part / "pictures")
+        request = {"pictures": str(pictures), "groups": groups, "work": str(part / "work"), "model": str(part)}
         found = _run(steps, source.name, {**request, "sequential": sequential, "seed": seed, "threads": cores()})
+        if pictures != place:
+            shutil.rmtree(pictures)
         _require_model(steps, source.name, found["models"], len(names))
         io.save(folder / CAMERAS, _cameras(part, "" if place == folder else f"{_PICTURES}/"), force=force)
     result = PosesResult(source.path, len(names), found["models"][0], found["points"], found["error"])
@@ -109,15 +112,10 @@ def require_poses(steps: Steps, source: Source) -> None:
         io.load_split(folder)
     except InvalidFile:
         places = [place for place in (folder, folder / _PICTURES) if place.is_dir()]
-        if not any(is_picture(file) or _is_heic(file.name) for place in places for file in place.iterdir()):
+        if not any(is_picture(file) for place in places for file in place.iterdir()):
             raise
         steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
         find_poses(source, steps=steps)
-
-
-def _is_heic(name: str) -> bool:
-    """Return whether a file has the extension of an iPhone's photographs."""
-    return name.lower().endswith((".heic", ".heif"))
 
 
 def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
@@ -126,17 +124,16 @@ def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
         found = "is not a folder" if folder.exists() else "does not exist"
         raise InvalidFile(f"{found}; allowed: a folder of photographs", source=name)
     names: list[str] = []
-    place, heic = folder, ""
+    place = folder
     for place in (folder / _PICTURES, folder):
         with io.blame(str(place)):
             files = sorted(place.iterdir()) if place.is_dir() else []
         names = [file.name for file in files if is_picture(file) and file.is_file() and not file.name.startswith(".")]
         if names:
             break
-        heic = heic or next((file.name for file in files if _is_heic(file.name)), "")
     if len(names) < LEAST:
-        found = f"are {len(names)}" if names else f"are HEIC, such as {heic}" if heic else "are missing"
-        allowed = f"{LEAST} or more .jpg, .jpeg or .png in the folder or in its subfolder {_PICTURES}"
+        found = f"are {len(names)}" if names else "are missing"
+        allowed = f"{LEAST} or more .jpg, .jpeg, .png or .heic in the folder or in its subfolder {_PICTURES}"
         raise InvalidFile(Problem("the pictures", found, allowed), source=name)
     for each in names:
         if not each.isprintable() or "\\" in each:
@@ -159,6 +156,17 @@ def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
         for name in progress.each(names):
             groups.setdefault(io.load_photograph(place / name).shape, []).append(name)
     return list(groups.values())
+
+
+def _readable(steps: Steps, place: Path, names: list[str], copies: Path) -> Path:
+    """Return the folder from which pycolmap reads the pictures. It cannot read HEIC, so it then has copies in JPEG."""
+    if not any(map(is_heic, names)):
+        return place
+    with steps.phase(f"converting {len(names)} pictures"), io.blame(str(copies), OutputError):
+        copies.mkdir()
+        for name in progress.each(names):
+            copy_photograph(place / name, copies / name)
+    return copies
 
 
 @contextmanager
@@ -208,7 +216,7 @@ def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
         raise UsageError(Problem("pycolmap", f"cannot be imported ({event['missing']})", _EXTRA), source=name)
     if "unread" in event:
         picture = str(Path(request["pictures"]) / event["unread"])
-        raise InvalidFile("cannot be read by pycolmap; allowed: a PNG or a JPEG of 8 bits", source=picture)
+        raise InvalidFile("cannot be read by pycolmap; allowed: a PNG, a JPEG or a HEIC of 8 bits", source=picture)
     if "failed" in event:
         raise NerfbakeError(f"pycolmap failed: {event['failed']}", source=name)
     raise NerfbakeError(f"pycolmap crashed twice, the second time with {ended}", source=name)

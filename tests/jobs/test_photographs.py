@@ -241,7 +241,7 @@ def edit(capture: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> N
 
 
 WRONG: dict[str, tuple[Callable[[Path], None], str]] = {
-    "missing": (gone, r"capture: picture images/r_1\.png is not there; allowed: a PNG or a JPEG .* \(and 2 more\)$"),
+    "missing": (gone, r"capture: picture images/r_1\.png is not there; allowed: a PNG, a JPEG .* \(and 2 more\)$"),
     "unreadable": (unreadable, r"images/r_2\.png: the picture cannot be read .*; allowed: a whole PNG or JPEG$"),
     "of another shape": (of_another_shape, r"capture: picture images/r_2\.png has 10x14 pixels; allowed: .* 14x10$"),
     "leading out": (leading_out, r"capture: camera r_2 names no picture in the folder of the capture; allowed"),

@@ -21,12 +21,11 @@ from PIL import Image as Pillow
 from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
 from nerfbake.errors import InvalidFile
-from nerfbake.jobs import PosesResult, Source, find_poses, poses
-from nerfbake.jobs.poses import require_poses
-from nerfbake.jobs.steps import SILENT
+from nerfbake.jobs import PosesResult, find_poses, poses
 from tests.conftest import REPOSITORY
 from tests.jobs.listener import Listener
 from tests.support.fake_pycolmap import CRASHES_ONCE, SLEEPS, replace_pycolmap, write_pycolmap
+from tests.support.heic import write_heic
 from tests.support.rooms import FOCAL, HEIGHT, WIDTH, write_room
 
 Array = npt.NDArray[np.float64]
@@ -175,13 +174,18 @@ def test_many_pictures_give_the_same_bytes_on_any_number_of_threads(
 
 
 @pytest.mark.slow
-def test_a_picture_without_features_is_left_out_and_a_name_may_have_spaces(tmp_path: Path) -> None:
+def test_a_picture_without_features_is_left_out_and_one_may_have_spaces_or_be_heic(tmp_path: Path) -> None:
     write_room(tmp_path, frames=5)
+    write_heic(tmp_path / "0003.HEIC", tmp_path / "0003.png")
+    (tmp_path / "0003.png").unlink()
+    heic = (tmp_path / "0003.HEIC").read_bytes()
     (tmp_path / "0002.png").rename(tmp_path / "the third of them.png")
     Pillow.new("RGB", (WIDTH, HEIGHT), (128, 128, 128)).save(tmp_path / "grey.png")
     assert find_poses(tmp_path)[1:3] == (6, 5)
     names = [camera.picture for camera in load(tmp_path, Cameras).cameras]
-    assert names == ["0000.png", "0001.png", "0003.png", "0004.png", "the third of them.png"]
+    assert names == ["0000.png", "0001.png", "0003.HEIC", "0004.png", "the third of them.png"]
+    assert (tmp_path / "0003.HEIC").read_bytes() == heic
+    assert sorted(path.name for path in (tmp_path / "sparse" / "0").iterdir()) == MODEL_FILES
 
 
 def test_without_pycolmap_its_extra_is_named(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -315,14 +319,9 @@ def test_pictures_without_common_points_have_no_poses(photographs: Path) -> None
 def test_a_folder_without_enough_pictures_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("none")
     (tmp_path / ".hidden.png").write_text("none")
-    allowed = "allowed: 3 or more .jpg, .jpeg or .png in the folder or in its subfolder images"
+    allowed = "allowed: 3 or more .jpg, .jpeg, .png or .heic in the folder or in its subfolder images"
     assert refused(tmp_path) == f"1 {tmp_path}: the pictures are missing; {allowed}"
-    (tmp_path / "images").mkdir()
-    (tmp_path / "images" / "IMG_0001.HEIC").write_bytes(b"")
-    assert refused(tmp_path) == f"1 {tmp_path}: the pictures are HEIC, such as IMG_0001.HEIC; {allowed}"
-    with pytest.raises(InvalidFile, match=r"the pictures are HEIC"):
-        require_poses(SILENT, Source(str(tmp_path)))
-    for name in ("a.JPG", "b.jpeg"):
+    for name in ("a.JPG", "b.HEIC"):
         (tmp_path / name).write_bytes(b"")
     assert refused(tmp_path) == f"1 {tmp_path}: the pictures are 2; {allowed}"
     assert refused(tmp_path / "gone") == f"1 {tmp_path}/gone: does not exist; allowed: a folder of photographs"

@@ -41,7 +41,6 @@ OWN_LIBRARY = {
     "bench/compress": {"sklearn", "zstandard"},
     "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
-    "bench/view/browser": {"playwright"},
     "formats/atlas/folder": {"PIL"},  # for its version in atlas.json
     "formats/octree/bson": {"bson"},
     "formats/octree/flatbuffers": {"flatbuffers"},
@@ -53,7 +52,7 @@ OWN_LIBRARY = {
     "formats/wire/deflate": {"deflate", "zlib_ng"},
     "formats/wire/json": {"orjson"},
     "formats/wire/npz": {"zlib_ng"},
-    "formats/wire/picture": {"PIL"},
+    "formats/wire/picture": {"PIL", "pillow_heif"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
     "jobs/_matching": {"numpy"},  # in the process of pycolmap, which must not load kernels
@@ -67,6 +66,7 @@ HEAVY = {
     "deflate",
     "numba",
     "PIL",
+    "pillow_heif",
     "bson",
     "capnp",
     "flatbuffers",

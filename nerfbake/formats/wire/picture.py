@@ -1,13 +1,16 @@
 """Decode and encode pictures with Pillow: textures, photographs and thumbnails.
 
 Sizes are checked in the header before anything is inflated, and Pillow's errors become InvalidFile. Textures are PNG or
-JPEG with 8-bit RGB. Photographs are PNG or JPEG with 8-bit sRGB and straight alpha.
+JPEG with 8-bit RGB. Photographs are PNG, JPEG or HEIC with 8-bit sRGB and straight alpha.
 
 Data in pictures are lossless WebP.
 
 COLMAP, instant-ngp and nerfstudio estimate poses on the pixels as stored, so the EXIF orientation is ignored. The poses
 of some captures were estimated on pictures that had been rotated upright. There the width of the camera is the height
 of the stored picture; only then is the picture rotated.
+
+HEIC is what an iPhone stores. pillow-heif decodes it, an optional library, whose wheels contain libheif. A HEIC stores
+its rotation in the picture, not in EXIF, and is always decoded upright.
 """
 
 from __future__ import annotations
@@ -35,11 +38,17 @@ _LOSSY: dict[str, dict[str, Any]] = {
 }
 COMPRESSION = 3  # zlib's level: files 3 to 14 % larger than at 6, written in a third of the time
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError, OverflowError)
+_PHOTOGRAPHS = ("PNG", "JPEG", "HEIF")  # as Pillow calls them
 
 
 @contextmanager
 def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> Iterator[Image.Image]:
     """Open a picture; decode it inside the block. Raises InvalidFile, MemoryLimit."""
+    if "HEIF" in kinds and _is_heic(view):
+        _require_heif(name)
+        kinds = ("HEIF",)
+    else:
+        kinds = tuple(kind for kind in kinds if kind != "HEIF")
     try:
         with warnings.catch_warnings(), memory.lent(name, len(view)):  # Pillow reads from a copy
             warnings.simplefilter("ignore")  # large images are rejected below
@@ -55,6 +64,20 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
         raise InvalidFile(Problem(name, f"cannot be read ({error})", f"a whole {' or '.join(kinds)}")) from None
 
 
+def _is_heic(view: memoryview) -> bool:
+    return bytes(view[4:8]) == b"ftyp"  # ISO/IEC 14496-12, 4.3: the type of the first box
+
+
+def _require_heif(name: str) -> None:
+    """Make Pillow able to read HEIC. Raises InvalidFile if the library for it is missing."""
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        allowed = "a PNG or a JPEG, or HEIC after `pip install 'nerfbake[heic]'`"
+        raise InvalidFile(Problem(name, "is HEIC", allowed)) from None
+    register_heif_opener(thumbnails=False)
+
+
 def png_of(picture: Image.Image) -> bytes:
     """Encode a picture as PNG, without colour profile or date."""
     file = io.BytesIO()
@@ -63,8 +86,8 @@ def png_of(picture: Image.Image) -> bytes:
 
 
 def size_of(head: bytes, name: str) -> tuple[int, int]:
-    """Return width and height of a PNG or JPEG from its first bytes. Raises InvalidFile."""
-    with opened(memoryview(head), name, "PNG", "JPEG", bytes_per_pixel=0) as picture:
+    """Return width and height of a PNG or JPEG from its first bytes, or of a whole HEIC. Raises InvalidFile."""
+    with opened(memoryview(head), name, *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
         return picture.size
 
 
@@ -77,13 +100,13 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False, webp:
     kinds = ("PNG", "JPEG", "WEBP") if webp else ("PNG", "JPEG")
     with opened(view, name, *kinds, bytes_per_pixel=7 if webp else 3) as image:
         if any_mode:
-            return np.asarray(_eight_bits(image).convert("RGB"))
+            return np.asarray(eight_bits(image).convert("RGB"))
         if image.mode != "RGB":
             raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
         return np.asarray(image)
 
 
-def _eight_bits(picture: Image.Image) -> Image.Image:
+def eight_bits(picture: Image.Image) -> Image.Image:
     """The upper 8 bits of a grey picture of 16 bits, of which Pillow's convert() clips all above 255; else itself."""
     if not picture.mode.startswith("I"):
         return picture
@@ -151,7 +174,7 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
     size: (W, H) of the camera. If the EXIF orientation is a quarter turn and only the rotated picture has the camera's
     shape, the picture is rotated upright. Raises InvalidFile, MemoryLimit.
     """
-    with opened(view, "the picture", "PNG", "JPEG", bytes_per_pixel=12) as picture:
+    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
         if picture.mode not in _MODES:
             found = f"holds {picture.mode} pixels"
             raise InvalidFile(Problem("the picture", found, "grey, a palette or RGB, 8 bits a channel"))
@@ -162,6 +185,20 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
         return np.asarray(picture.convert("RGBA").transpose(turn))
 
 
+def jpeg_of_heic(view: memoryview) -> bytes | None:
+    """Encode a HEIC as JPEG of the same size, with its EXIF data. None for a picture of another format.
+
+    Raises InvalidFile, MemoryLimit.
+    """
+    if not _is_heic(view):
+        return None
+    with opened(view, "the picture", "HEIF", bytes_per_pixel=12) as picture:
+        file = io.BytesIO()
+        picture.convert("RGB").save(file, "JPEG", quality=_JPEG_QUALITY, exif=picture.info.get("exif") or b"")
+        return file.getvalue()
+
+
+_JPEG_QUALITY = 95
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
 
 
@@ -170,10 +207,10 @@ def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = N
 
     size: (W, H) of the camera; the picture is rotated as in decode_photograph(). Raises InvalidFile, MemoryLimit.
     """
-    with opened(view, "the picture", "PNG", "JPEG", bytes_per_pixel=12) as picture:
+    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
         turn = None if size is None else _turn(picture, size)
         picture.draft("RGB", (2 * edge, 2 * edge))  # a JPEG is decoded at a lower resolution, at least this large
-        small = _eight_bits(picture).convert("RGBA")
+        small = eight_bits(picture).convert("RGBA")
         small.thumbnail((edge, edge), Image.Resampling.BOX)
         if turn is not None:
             small = small.transpose(turn)
@@ -196,11 +233,11 @@ def _turn(picture: Image.Image, size: tuple[int, int]) -> Image.Transpose | None
 
 
 def encode_thumbnail(view: memoryview, edge: int, colours: int | None = None) -> bytes:
-    """Scale a PNG, a JPEG or the first picture of a GIF down to at most `edge` pixels an edge, as PNG.
+    """Scale a photograph or the first picture of a GIF down to at most `edge` pixels an edge, as PNG.
 
     A smaller picture keeps its size. colours: size of the palette; None: no palette. Raises InvalidFile, MemoryLimit.
     """
-    with opened(view, "the picture", "PNG", "JPEG", "GIF", bytes_per_pixel=12) as picture:
-        small = _eight_bits(picture).convert("RGBA")
+    with opened(view, "the picture", *_PHOTOGRAPHS, "GIF", bytes_per_pixel=12) as picture:
+        small = eight_bits(picture).convert("RGBA")
         small.thumbnail((edge, edge), Image.Resampling.BOX)
         return png_of(small if colours is None else small.quantize(colours, Image.Quantize.FASTOCTREE))

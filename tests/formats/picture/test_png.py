@@ -35,6 +35,13 @@ def test_what_is_written_is_read_and_pillow_reads_it_too(background: tuple[float
         assert_allclose(back.alpha, image.alpha, atol=1 / 255)
 
 
+def test_grey_of_16_bits_is_not_white() -> None:
+    file = io.BytesIO()
+    Pillow.fromarray(np.array([[0, 1000, 32896, 65535]], np.uint16)).save(file, "PNG")
+    found = image_png.decode(memoryview(file.getvalue()))
+    assert_allclose(found.colour[0, :, 0] * 255, [0, 3, 128, 255])
+
+
 def test_hostile_pictures_are_refused() -> None:
     good = b"".join(image_png.encode(picture(None)))
     huge = bytearray(good)

@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import io
 import struct
+import sys
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
+import pillow_heif
 import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
-from nerfbake.formats.wire.picture import decode_photograph, decode_texture, encode_preview, encode_thumbnail
+from nerfbake.formats.wire.picture import (
+    decode_photograph,
+    decode_texture,
+    encode_preview,
+    encode_thumbnail,
+    jpeg_of_heic,
+)
 from nerfbake.memory import memory_limit
 from tests.support.hostile import damaged
 
+ORIENTATION, EXIF, FOCAL_LENGTH = 0x0112, 0x8769, 0xA405  # FocalLengthIn35mmFilm
+SMOOTH = np.stack(np.broadcast_arrays(*np.ogrid[0:240:48j, 0:190:64j], 99), axis=-1).astype(np.uint8)
 PIXELS = np.random.default_rng(3).integers(0, 256, (5, 7, 4), np.uint8)
 
 
@@ -124,3 +135,47 @@ def test_a_preview_is_turned_as_the_photograph_is(orientation: int) -> None:
     preview = np.asarray(Pillow.open(io.BytesIO(encode_preview(view, 48, (32, 48))))).astype(int)
     assert preview.shape == whole.shape == (48, 32, 3)
     assert np.abs(preview - whole).mean() < 8
+
+
+@pytest.fixture(scope="module")
+def heic() -> memoryview:
+    """A lossless HEIC of 64 x 48 pixels, with an EXIF orientation and a focal length."""
+    pillow_heif.register_heif_opener()
+    exif = Pillow.Exif()
+    exif[ORIENTATION] = 6
+    exif.get_ifd(EXIF)[FOCAL_LENGTH] = 26
+    return file(Pillow.fromarray(SMOOTH), "HEIF", quality=-1, exif=exif)
+
+
+def test_heic_has_the_pixels_that_it_was_made_of(heic: memoryview) -> None:
+    pixels = decode_photograph(heic)
+    assert pixels.shape == (48, 64, 4)
+    assert np.abs(pixels[..., :3].astype(int) - SMOOTH).max() <= 4
+    assert_array_equal(decode_photograph(heic, (48, 64)), pixels)  # never rotated: it is stored upright
+    assert Pillow.open(io.BytesIO(encode_preview(heic, 32))).size == (32, 24)
+    assert Pillow.open(io.BytesIO(encode_thumbnail(heic, 32))).size == (32, 24)
+
+
+def test_heic_becomes_a_jpeg_of_its_size_and_focal_length(heic: memoryview) -> None:
+    made = jpeg_of_heic(heic)
+    assert made is not None
+    with Pillow.open(io.BytesIO(made)) as picture:
+        assert (picture.format, picture.size) == ("JPEG", (64, 48))
+        assert picture.getexif().get_ifd(EXIF)[FOCAL_LENGTH] == 26
+    assert jpeg_of_heic(memoryview(made)) is None
+    assert np.abs(decode_photograph(memoryview(made)).astype(int) - decode_photograph(heic)).max() <= 8
+
+
+def test_damaged_heic_is_refused(heic: memoryview) -> None:
+    for _, data in damaged(bytes(heic), flips=100):
+        with suppress(NerfbakeError):
+            decode_photograph(memoryview(data))
+    with pytest.raises(InvalidFile, match=r"the picture cannot be read .*; allowed: a whole HEIF"):
+        decode_photograph(heic[: len(heic) // 2])
+
+
+def test_without_its_library_heic_is_named(heic: memoryview, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    allowed = r"a PNG or a JPEG, or HEIC after `pip install 'nerfbake\[heic\]'`"
+    with pytest.raises(InvalidFile, match=f"the picture is HEIC; allowed: {allowed}"):
+        decode_photograph(heic)
