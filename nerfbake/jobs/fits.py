@@ -147,6 +147,8 @@ class FitOptions(NamedTuple):
             if views is not None and views.scenery:
                 sizes = {"resolution": self.resolution or 256, "views": len(views.pictures), "edge": edge}
                 return scenery_schedule(self.preset or PRESET, **sizes, minutes=self.minutes)
+            if views is not None:
+                asked["side"] = views.side()
             if self.minutes is not None:
                 return schedule_for(self.minutes, **asked)
             return preset_schedule(self.preset or PRESET, **asked)

@@ -57,6 +57,9 @@ _LARGE = 600
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
 _FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
+# Pictures are downscaled if this many pixels, squared, remain of an object: the chair has 367^2 at 800x800. The time of
+# a fit grows with the pixels, and so does the quality (docs/fitting.md), so fewer pixels are only for large objects.
+_LEAST_SIDE = 384
 
 
 class Schedule(tuple[Stage, ...]):
@@ -116,22 +119,35 @@ def resolution_for(edge: int) -> int:
 
 
 def preset_schedule(
-    name: str = "balanced", *, resolution: int | None = None, samples: int = 2, views: int = VIEWS, edge: int = 400
+    name: str = "balanced",
+    *,
+    resolution: int | None = None,
+    samples: int = 2,
+    views: int = VIEWS,
+    edge: int = 400,
+    side: float = 0.0,
 ) -> Schedule:
     """A preset's stages for a lattice of `resolution` cells along an axis, 16 or more; None: resolution_for(edge).
 
     samples: rays along an edge of a pixel. views: number of pictures. A fit takes as many steps for a few views as for
     a hundred, in about the same time. With samples = 1 the last epoch has single rays, so that pictures with single
-    rays look best. edge: the pictures' shorter edge in pixels.
+    rays look best. edge: the pictures' shorter edge in pixels. side: the object has side^2 pixels in a picture; from
+    768^2 on, all stages downscale the pictures.
     """
     if name not in PRESETS:
         raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(PRESETS)))
     resolution = resolution or resolution_for(edge)
-    return _stages(PRESETS[name], resolution, samples, views, edge)
+    return _stages(PRESETS[name], resolution, samples, views, edge, side)
 
 
 def schedule_for(
-    minutes: float, *, resolution: int | None = None, samples: int = 2, views: int = VIEWS, edge: int = 400
+    minutes: float,
+    *,
+    resolution: int | None = None,
+    samples: int = 2,
+    views: int = VIEWS,
+    edge: int = 400,
+    side: float = 0.0,
 ) -> Schedule:
     """The longest schedule that takes about `minutes` on two cores for a scene like NeRF-Synthetic's chair.
 
@@ -147,10 +163,10 @@ def schedule_for(
     large = resolution >= 512
     before, each = (_SECONDS_BEFORE_LARGE, _SECONDS_A_LARGE_EPOCH) if large else (_SECONDS_BEFORE, _SECONDS_AN_EPOCH)
     epochs = max(1, min(round((60 * minutes - before) / each), MAX_EPOCHS))
-    return _stages(epochs, resolution, samples, views, edge)
+    return _stages(epochs, resolution, samples, views, edge, side)
 
 
-def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int) -> Schedule:
+def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int, side: float) -> Schedule:
     def times(epochs: int) -> int:
         return max(1, min(round(epochs * VIEWS / views), MAX_EPOCHS))
 
@@ -168,7 +184,8 @@ def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int) -
         made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, again, prune))
     if samples == 1:
         made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.02))
-    return Schedule(made)
+    factor = max(1, int(side / _LEAST_SIDE))
+    return Schedule(stage._replace(scale=min(factor * stage.scale, MAX_SCALE)) for stage in made)
 
 
 # Epochs of the stages of R / 8, R / 4 and R / 2 cells, and of the stages in which some cells are split.

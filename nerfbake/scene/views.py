@@ -85,6 +85,11 @@ class Views(Scene):
         pixels = self.pictures[number]
         return pixels[..., 3] == 255 if self.scenery else np.ones(pixels.shape[:2], bool)
 
+    def side(self) -> float:
+        """The square root of the mean number of pixels that show the object, or scenery."""
+        shown = (picture[..., 3].size - np.count_nonzero(self.behind(i)) for i, picture in enumerate(self.pictures))
+        return float(np.sqrt(sum(shown) / max(len(self.pictures), 1)))
+
     def behind(self, number: int) -> npt.NDArray[np.bool_]:
         """(H, W) bool: the pixels of a picture that show only background: alpha 0, or its plain colour."""
         pixels = self.pictures[number]

@@ -63,6 +63,15 @@ def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() ->
     assert preset_schedule("best", edge=800, resolution=256).resolution == 256
 
 
+def test_pictures_of_a_large_object_are_downscaled_in_all_stages() -> None:
+    whole = preset_schedule("fast", edge=800, side=767)
+    assert whole == preset_schedule("fast", edge=800)
+    assert [stage.scale for stage in whole] == [4, 4, 2, 1, 1]
+    assert [stage.scale for stage in preset_schedule("fast", edge=800, side=768)] == [8, 8, 4, 2, 2]
+    assert [stage.scale for stage in schedule_for(3, edge=800, side=1152)] == [12, 12, 6, 3, 3]
+    assert preset_schedule("fast", edge=800, side=4096)[0].scale == 16
+
+
 @pytest.mark.parametrize("edge", [400, 800])
 def test_more_minutes_are_more_epochs(edge: int) -> None:
     schedules = [schedule_for(minutes, edge=edge) for minutes in (0.1, 1, 2, 4, 100)]
