@@ -147,7 +147,7 @@ class FitRun:
 
 
 _OFTEN = 30.0  # seconds between checkpoints
-_VERSION = 3
+_VERSION = 4
 
 
 class Checkpoint(NamedTuple):

@@ -17,7 +17,6 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Points
 from nerfbake.kernels.fit.bricks import EMPTY, SIZE, BrickGrid, top_grid
-from nerfbake.kernels.picture.metrics import decibels
 from nerfbake.scene.base import edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.brick_field import BrickField
@@ -51,7 +50,6 @@ def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int
         "seen": (np.float32, (n, 2)),
         "box": (np.float64, (2, 3)),
         "counters": (np.int64, (len(COUNTERS),)),
-        "sums": (np.float64, (2,)),
         "gains": (np.float64, (None, 3)),
         "text": (np.uint8, (None,)),
     }
@@ -100,12 +98,12 @@ def _require_bricks(own: Arrays) -> None:
 
 
 def _require_numbers(own: Arrays) -> None:
-    """Raise InvalidScene for numbers that are not possible in a fit, such as NaN or negative sums."""
+    """Raise InvalidScene for numbers that are not possible in a fit, such as NaN or negative means."""
     problems = place_problems("the state's box", own["box"])
     problems = problems or edge_problems("the state's box", own["box"][1] - own["box"][0])
-    for name in ("values", "means", "seen", "sums", "gains"):
+    for name in ("values", "means", "seen", "gains"):
         problems = problems or number_problems(f"the state's {name}", own[name])
-    for name in ("means", "seen", "sums", "counters"):
+    for name in ("means", "seen", "counters"):
         if not problems and (own[name] < 0).any():
             problems = [Problem(f"the state's {name}", "are below 0", "0 or more")]
     if not problems and ((own["gains"] < GAINS[0]) | (own["gains"] > GAINS[1])).any():
@@ -123,7 +121,6 @@ class FitState:
     divided        1 if there are cells of two widths, else 0
     gains          (views, 3): the factor for each channel between the field's colours and those of each view, or (0, 3)
                    if the views have the same exposure
-    error, values  sum of the squared pixel errors of this epoch, and their number (three per pixel)
     """
 
     schedule: Schedule
@@ -137,8 +134,6 @@ class FitState:
     built: int = 0
     divided: int = 0
     gains: Floats = attribute(default_factory=lambda: np.ones((0, 3)))
-    error: float = 0.0
-    values: float = 0.0
 
     @property
     def done(self) -> bool:
@@ -149,11 +144,6 @@ class FitState:
         """Number of cells of the lattice along an axis of the inner cube."""
         return int(8 * self.cells.bricks.top.shape[1])
 
-    @property
-    def train_psnr(self) -> float:
-        """PSNR in dB over the pixels of this epoch so far, each rendered before its step; 0 before the first pixel."""
-        return decibels(self.error / self.values) if self.error > 0 else 0.0
-
     def field(self) -> BrickField:
         """Return the field as fitted so far. Raises MemoryLimit."""
         return field_of_cells(self.cells, self.box, self.basis)
@@ -162,10 +152,9 @@ class FitState:
         """Return the arrays that of_arrays() takes, by name. They are not copies: the fit will change them."""
         made = {name: getattr(self.cells.bricks, name) for name in BRICKS}
         counters = np.array([getattr(self, name) for name in COUNTERS], np.int64)
-        sums = np.array([self.error, self.values])
         text = np.frombuffer(f"{self.basis} {self.schedule}".encode(), np.uint8)
         beside = {"box": self.box, "means": self.cells.means, "seen": self.cells.seen, "gains": self.gains}
-        return made | beside | {"counters": counters, "sums": sums, "text": text}
+        return made | beside | {"counters": counters, "text": text}
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> FitState:
@@ -177,7 +166,6 @@ class FitState:
         low, size, width = lattice_frame(held["box"], 8 * r, len(held["top"]) // r)
         bricks = BrickGrid(**made, low=low, size=size, width=width)
         counters = dict(zip(COUNTERS, map(int, held["counters"]), strict=True))
-        error, values = map(float, held["sums"])
         cells = BrickCells(bricks, held["means"], held["seen"])
         state = FitState(
             parse_schedule(schedule),
@@ -185,8 +173,6 @@ class FitState:
             box=held["box"],
             cells=cells,
             gains=held["gains"],
-            error=error,
-            values=values,
             **counters,
         )
         _require_sound(state)

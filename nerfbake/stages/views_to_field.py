@@ -202,7 +202,6 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None, weights: _W
     stage, cells = state.schedule[state.stage], state.cells
     if state.view == 0:
         cells.seen[:, 1] = 0
-        state.error = state.values = 0.0
     order = np.random.default_rng([state.seed, state.stage, state.epoch]).permutation(len(views.pictures))
     ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
     view = int(order[state.view])
@@ -223,10 +222,8 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None, weights: _W
     if views.scenery or views.rough:
         weights = weights._replace(most=_MOST, most_mean=np.inf)
     sums, batch = _marched(state, batch, looks, views, weights)
-    state.error += float(sums[0])
     if len(state.gains) and state.stage:
         _adapt_gains(state, view, sums)
-    state.values += 3 * len(looks.pixels)
     part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
     parts, ridge = (np.array(each, np.float32)[band_of(state.basis.size)] for each in (_PARTS, _RIDGE))
     rates = _rate(stage.density, part), _rate(stage.colour, part)

@@ -49,11 +49,12 @@ def test_a_fit_looks_like_its_pictures_whatever_their_lens(lens: Lens | None) ->
     schedule = parse_schedule(
         "cells=16,epochs=6,density=0.3..0.05,colour=0.5..0.2,prune=0.03/cells=32,epochs=12,density=0.1..0.03,prune=0.01"
     )
-    state = last(sample_views(lens=lens), schedule)
+    views = sample_views(lens=lens)
+    state = last(views, schedule)
     field = state.field()
     field.require_usable()
     assert field.resolution == 32
-    assert state.train_psnr > 23
+    assert measure_state(state, views, samples=1) > 23
     # What a pinhole shows of it, which a fit through a lens has never seen, would tell a field that is bent itself.
     shown = build_field_from_bricks(field)
     views = sample_views(frames=4)
@@ -147,7 +148,7 @@ def test_seeds_make_other_fits() -> None:
 def test_every_basis(basis: str) -> None:
     state = last(sample_views(), basis=basis)
     assert str(state.field().basis) == basis
-    assert state.train_psnr > 15
+    assert measure_state(state, sample_views(), samples=1) > 15
 
 
 def test_two_pictures_of_another_shape_are_enough() -> None:
@@ -166,7 +167,7 @@ def test_pictures_without_alpha_are_carved_by_their_background() -> None:
     plain = replace(views, pictures=tuple(flat), masked=False)
     hull = carve_hull(plain, resolution=16)
     assert 0 < hull.n < 16**3
-    assert last(plain).train_psnr > 13
+    assert measure_state(last(plain), plain, samples=1) > 13
 
 
 def test_two_wrong_masks_do_not_cut_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
