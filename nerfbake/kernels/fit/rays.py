@@ -24,7 +24,7 @@ from nerfbake.kernels.fit.bricks import (
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import compiled, part_of
-from nerfbake.kernels.march.traversal import containing_cell
+from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell
 from nerfbake.kernels.maths.elementary import exp
 from nerfbake.kernels.parallel import on_every_core
 
@@ -174,7 +174,6 @@ def _march_ray(
             containing_cell(o1 + t * d1, 0, edge - 1),
             containing_cell(o2 + t * d2, 0, edge - 1),
         )
-        up0, up1, up2 = d0 > 0, d1 > 0, d2 > 0
         exact = 3  # after a wide cell, the only axis along which the last bit of the place is valid; 3: all axes
         while t < end:
             b0, b1, b2 = x >> 3, y >> 3, z >> 3
@@ -194,30 +193,9 @@ def _march_ray(
                     (b2 - away + 1) << 3,
                     (2 * away - 1) << 3,
                 )
-                exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
-                exit1 = ((l1 + width if up1 else l1) - o1) * i1 if d1 != 0 else np.inf
-                exit2 = ((l2 + width if up2 else l2) - o2) * i2 if d2 != 0 else np.inf
-                if exit0 <= exit1 and exit0 <= exit2:
-                    t = max(t, exit0)
-                    x = l0 + width if up0 else l0 - 1
-                    y, z = (
-                        containing_cell(o1 + t * d1, l1, l1 + width - 1),
-                        containing_cell(o2 + t * d2, l2, l2 + width - 1),
-                    )
-                elif exit1 <= exit2:
-                    t = max(t, exit1)
-                    y = l1 + width if up1 else l1 - 1
-                    x, z = (
-                        containing_cell(o0 + t * d0, l0, l0 + width - 1),
-                        containing_cell(o2 + t * d2, l2, l2 + width - 1),
-                    )
-                else:
-                    t = max(t, exit2)
-                    z = l2 + width if up2 else l2 - 1
-                    x, y = (
-                        containing_cell(o0 + t * d0, l0, l0 + width - 1),
-                        containing_cell(o1 + t * d1, l1, l1 + width - 1),
-                    )
+                exit0, exit1, exit2 = exits(l0, l1, l2, width, o0, o1, o2, d0, d1, d2, i0, i1, i2)
+                t = max(min(exit0, exit1, exit2), t)
+                x, y, z, _ = next_cell(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
             else:
                 while True:
                     slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
@@ -232,9 +210,7 @@ def _march_ray(
                         slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
                     wide: Whole = slot & 1
                     l0, l1, l2, width = x & ~wide, y & ~wide, z & ~wide, 1 + wide
-                    exit0 = ((l0 + width if up0 else l0) - o0) * i0 if d0 != 0 else np.inf
-                    exit1 = ((l1 + width if up1 else l1) - o1) * i1 if d1 != 0 else np.inf
-                    exit2 = ((l2 + width if up2 else l2) - o2) * i2 if d2 != 0 else np.inf
+                    exit0, exit1, exit2 = exits(l0, l1, l2, width, o0, o1, o2, d0, d1, d2, i0, i1, i2)
                     ahead = max(min(exit0, exit1, exit2), t)
                     if slot >= 0:
                         row = base + (slot >> 1)
@@ -259,11 +235,11 @@ def _march_ray(
                             break
                     t = ahead
                     if exit0 <= exit1 and exit0 <= exit2:
-                        x, axis = l0 + width if up0 else l0 - 1, 0
+                        x, axis = l0 + width if d0 > 0 else l0 - 1, 0
                     elif exit1 <= exit2:
-                        y, axis = l1 + width if up1 else l1 - 1, 1
+                        y, axis = l1 + width if d1 > 0 else l1 - 1, 1
                     else:
-                        z, axis = l2 + width if up2 else l2 - 1, 2
+                        z, axis = l2 + width if d2 > 0 else l2 - 1, 2
                     exact = axis if wide else 3
                     if x >> 3 != b0 or y >> 3 != b1 or z >> 3 != b2:
                         break

@@ -11,7 +11,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts, compiled_fill_basis
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.traversal import containing_cell, next_cell, span
+from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell, span
 from nerfbake.kernels.parallel import on_every_core
 
 _BLOCK = 1024  # rays that a core processes before it takes the next block
@@ -135,9 +135,7 @@ def collect_maxima(
             slot, level = descend(cells, x, y, z)
             width = cells.width[level]
             l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
-            exit0 = ((l0 + width if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
-            exit1 = ((l1 + width if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
-            exit2 = ((l2 + width if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+            exit0, exit1, exit2 = exits(l0, l1, l2, width, o0, o1, o2, d0, d1, d2, i0, i1, i2)
             ahead = max(min(exit0, exit1, exit2), t)
             if slot != EMPTY:
                 row = -2 - slot

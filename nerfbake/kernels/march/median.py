@@ -11,7 +11,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.traversal import containing_cell, next_cell
+from nerfbake.kernels.march.traversal import clip, containing_cell, exits, next_cell
 from nerfbake.kernels.parallel import on_every_core
 
 HALF = log(2)  # the optical depth at which half of the light is left
@@ -70,9 +70,9 @@ def _march(
     e1 = place[1, 0] * pose[0, 3] + place[1, 1] * pose[1, 3] + place[1, 2] * pose[2, 3] + place[1, 3]
     e2 = place[2, 0] * pose[0, 3] + place[2, 1] * pose[1, 3] + place[2, 2] * pose[2, 3] + place[2, 3]
     start, end = 0.0, np.inf
-    start, end = _clip(box[0, 0] - e0, box[1, 0] - e0, d0, start, end)
-    start, end = _clip(box[0, 1] - e1, box[1, 1] - e1, d1, start, end)
-    start, end = _clip(box[0, 2] - e2, box[1, 2] - e2, d2, start, end)
+    start, end = clip(box[0, 0] - e0, box[1, 0] - e0, d0, start, end)
+    start, end = clip(box[0, 1] - e1, box[1, 1] - e1, d1, start, end)
+    start, end = clip(box[0, 2] - e2, box[1, 2] - e2, d2, start, end)
     median = np.inf
     if start >= end:
         return np.float32(median), np.float32(0)
@@ -86,9 +86,7 @@ def _march(
         slot, level = descend(cells, x, y, z)
         edge = cells.width[level]
         l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
-        exit0 = ((l0 + edge if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
-        exit1 = ((l1 + edge if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
-        exit2 = ((l2 + edge if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+        exit0, exit1, exit2 = exits(l0, l1, l2, edge, o0, o1, o2, d0, d1, d2, i0, i1, i2)
         ahead = max(min(exit0, exit1, exit2), t)
         if slot != EMPTY:
             sigma = np.float64(densities[-2 - slot])
@@ -104,11 +102,3 @@ def _march(
             break
     whole, rest = compiled_exp_parts(-lost)
     return np.float32(median), np.float32(1 - (whole + whole * rest))
-
-
-@compiled(merged=True)
-def _clip(low: float, high: float, d: float, start: float, end: float) -> Any:
-    """Clip a ray from start to end to low .. high along one axis, all relative to its origin."""
-    if d == 0:
-        return start, end if low <= 0 < high else -1.0
-    return max(start, min(low / d, high / d)), min(end, max(low / d, high / d))

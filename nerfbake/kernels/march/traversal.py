@@ -100,9 +100,7 @@ def march(
                 slot, level = descend(cells, x, y, z)
                 edge = cells.width[level]
                 l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
-                exit0 = ((l0 + edge if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
-                exit1 = ((l1 + edge if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
-                exit2 = ((l2 + edge if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+                exit0, exit1, exit2 = exits(l0, l1, l2, edge, o0, o1, o2, d0, d1, d2, i0, i1, i2)
                 ahead = max(min(exit0, exit1, exit2), t)
                 if slot != EMPTY:
                     row = -2 - slot
@@ -199,6 +197,29 @@ def sigmoid_of(x: Any) -> Any:
 
 
 @compiled(merged=True)
+def exits(
+    l0: float,
+    l1: float,
+    l2: float,
+    width: float,
+    o0: float,
+    o1: float,
+    o2: float,
+    d0: float,
+    d1: float,
+    d2: float,
+    i0: float,
+    i1: float,
+    i2: float,
+) -> Any:
+    """Return where a ray from o along d leaves the cell at l, along each axis; i: one over d."""
+    exit0 = ((l0 + width if d0 > 0 else l0) - o0) * i0 if d0 != 0 else np.inf
+    exit1 = ((l1 + width if d1 > 0 else l1) - o1) * i1 if d1 != 0 else np.inf
+    exit2 = ((l2 + width if d2 > 0 else l2) - o2) * i2 if d2 != 0 else np.inf
+    return exit0, exit1, exit2
+
+
+@compiled(merged=True)
 def next_cell(
     l0: float,
     l1: float,
@@ -244,9 +265,13 @@ def span(box: Floats, origin: Floats, directions: Floats, ray: int, stop: float)
     start, end = 0.0, stop * scale
     for axis in range(3):
         d = directions[ray, axis] / scale
-        low, high = box[0, axis] - origin[axis], box[1, axis] - origin[axis]
-        if d != 0:
-            start, end = max(start, min(low / d, high / d)), min(end, max(low / d, high / d))
-        elif low > 0 or high <= 0:
-            end = -1.0
+        start, end = clip(box[0, axis] - origin[axis], box[1, axis] - origin[axis], d, start, end)
     return start, max(start, end), scale
+
+
+@compiled(merged=True)
+def clip(low: float, high: float, d: float, start: float, end: float) -> Any:
+    """Clip a ray from start to end to low .. high along one axis, all relative to its origin."""
+    if d == 0:
+        return start, end if low <= 0 < high else -1.0
+    return max(start, min(low / d, high / d)), min(end, max(low / d, high / d))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Singles
 from nerfbake.kernels.jit import borrowed, compiled
+from nerfbake.kernels.march.traversal import clip
 from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1
@@ -115,9 +116,9 @@ def _least(
     e1 = lattice[1, 0] * pose[0, 3] + lattice[1, 1] * pose[1, 3] + lattice[1, 2] * pose[2, 3] + lattice[1, 3]
     e2 = lattice[2, 0] * pose[0, 3] + lattice[2, 1] * pose[1, 3] + lattice[2, 2] * pose[2, 3] + lattice[2, 3]
     start, end = 0.0, np.inf
-    start, end = _clip(e0, d0, top.shape[0] * EDGE - 1.0, start, end)
-    start, end = _clip(e1, d1, top.shape[1] * EDGE - 1.0, start, end)
-    start, end = _clip(e2, d2, top.shape[2] * EDGE - 1.0, start, end)
+    start, end = clip(-e0, top.shape[0] * EDGE - 1.0 - e0, d0, start, end)
+    start, end = clip(-e1, top.shape[1] * EDGE - 1.0 - e1, d1, start, end)
+    start, end = clip(-e2, top.shape[2] * EDGE - 1.0 - e2, d2, start, end)
     least, t = outside, start
     while t < end:
         q0, q1, q2 = e0 + t * d0, e1 + t * d1, e2 + t * d2
@@ -135,13 +136,6 @@ def _least(
         least = min(least, value)
         t += _STEP
     return least
-
-
-@compiled(merged=True)
-def _clip(e: float, d: float, edge: float, start: float, end: float) -> Any:
-    if d == 0:
-        return start, end if 0 <= e < edge else -1.0
-    return max(start, min(-e / d, (edge - e) / d)), min(end, max(-e / d, (edge - e) / d))
 
 
 @compiled(merged=True)
