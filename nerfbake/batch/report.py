@@ -91,7 +91,7 @@ _DIGITS = (".2f", ",.0f", ",.2f", ",.2f", ".1%", ".2f")
 _WRAPPED = "white-space: pre-wrap; overflow-wrap: anywhere"
 _ABOUT = (
     "Seconds and peaks are those of each item's own process. The ratio is of what it wrote to what it read. PSNR is "
-    "what the command itself said of its output. An item that waits has not been tried as it is now."
+    "the value that the command reported. A waiting item has not been tried with its current arguments and inputs."
 )
 
 
@@ -160,7 +160,7 @@ _FAULTS = (FAILED, KILLED, REJECTED, WAITING)  # in the order of the report
 
 
 class Row(NamedTuple):
-    """An item and its last attempt. attempt: None if the item has not been tried as it is now."""
+    """An item and its last attempt. attempt: None if it has not been tried with its current arguments and inputs."""
 
     item: Item
     attempt: Attempt | None

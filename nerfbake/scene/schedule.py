@@ -52,13 +52,13 @@ PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cel
 _AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
 # Pictures of this many pixels show cells of 1 / 512 of the box. The first stage has R / 8 cells: fog of R / 4 cells
 # hides twice as much behind it, and some of it never goes away. Before cells are split, more of them are pruned, which
-# makes the file smaller (docs/fitting.md).
+# makes the file smaller (docs/tuning.md).
 _LARGE = 600
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
 _FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
 # Pictures are downscaled if this many pixels, squared, remain of an object: the chair has 367^2 at 800x800. The time of
-# a fit grows with the pixels, and so does the quality (docs/fitting.md), so fewer pixels are only for large objects.
+# a fit grows with the pixels, and so does the quality (docs/tuning.md), so fewer pixels are only for large objects.
 _LEAST_SIDE = 384
 
 

@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 # The unit and the step of the density were measured on the chair at equal loss: a quarter of the unit costs 0.6 % of
-# the bytes, three times the unit 3.8 %, and the colour's step 0.7 % (docs/compression.md).
+# the bytes, three times the unit 3.8 %, and the colour's step 0.7 % (docs/tuning.md).
 _DEPTH = 6  # number of voxels of unit density that have an optical depth of 1
 _DENSITY_STEPS = 2  # step of density / step of colour
 _SAMPLE = 1 << 17  # largest number of leaves from which the channels are computed

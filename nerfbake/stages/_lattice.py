@@ -136,7 +136,7 @@ def fit_of(lattice: LatticeField, B: int) -> Fit:
 
 
 def fit_of_inputs(colour: DeferredColour, B: int) -> Fit:
-    """Return the same function for values of diffuse_and_inputs() (m, 3 + others)."""
+    """Like fit_of(), for values of diffuse_and_inputs() (m, 3 + others)."""
     return fit_of_deferred(colour, fibonacci(max(MLP_DIRECTIONS, 4 * B)), B)
 
 

@@ -21,9 +21,11 @@ _CELL_BYTES = 40
 
 
 def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> tuple[Points, BrickCells]:
-    """Return the inner cube (2, 3), and fog in all cells around it that two views or more see.
+    """Return the inner cube (2, 3), and the cells that a fit starts from: fog and a wall at its end.
 
-    box: the inner cube; None: around the point that the cameras look at. Raises InvalidScene, MemoryLimit.
+    Fog fills all cells that three views see (all views, if there are fewer), except close to a camera. The wall is at
+    the end of the outermost shell, where one view sees it. box: the inner cube; None: around the point that the cameras
+    look at. Raises InvalidScene, MemoryLimit.
     """
     box = _inner_cube(views) if box is None else box
     solid = _visible(views, box, resolution)

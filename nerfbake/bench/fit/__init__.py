@@ -1,1 +1,1 @@
-"""Benchmark of the octree formats and of their libraries."""
+"""Benchmark of fits on NeRF-Synthetic, beside published figures."""
