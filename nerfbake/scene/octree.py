@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -34,6 +35,14 @@ class _Order(NamedTuple):
 
     childless: npt.NDArray[np.bool_]
     ends: list[int]
+
+
+def whole_size(size: Sequence[int]) -> tuple[int, int, int]:
+    """Return the voxels along each axis. Raises InvalidScene if they are out of range."""
+    edges = tuple(int(edge) for edge in size)
+    if len(edges) != 3 or not all(1 <= edge <= MAX_SIZE for edge in edges):
+        raise InvalidScene(Problem("size", f"is {'x'.join(map(str, edges))}", f"1 to {MAX_SIZE} voxels an axis"))
+    return edges
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,10 +79,8 @@ class SparseVoxelOctree(Scene):
     extra_data: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        size = tuple(int(edge) for edge in self.size)
+        size = whole_size(self.size)
         object.__setattr__(self, "size", size)
-        if len(size) != 3 or not all(1 <= edge <= MAX_SIZE for edge in size):
-            raise InvalidScene(Problem("size", f"is {'x'.join(map(str, size))}", f"1 to {MAX_SIZE} voxels an axis"))
         if self.node_children.ndim != 2 or self.node_children.shape[1] != 8 or self.node_children.dtype != np.int32:
             found = f"has shape {self.node_children.shape}, dtype {self.node_children.dtype}"
             raise InvalidScene(Problem("node_children", found, "(c, 8) int32"))

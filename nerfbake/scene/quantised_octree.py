@@ -18,7 +18,7 @@ from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape, set_vectors
 from nerfbake.scene.basis import Basis, parse_basis
-from nerfbake.scene.octree import MAX_SIZE, SparseVoxelOctree
+from nerfbake.scene.octree import SparseVoxelOctree, whole_size
 
 MAX_VALUE = (1 << 30) - 1  # largest coefficient, in steps
 STEPS = (1e-9, 1e9)  # range of steps and scales
@@ -63,10 +63,7 @@ class QuantisedOctree(Scene):
     voxel_size: npt.NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
 
     def __post_init__(self) -> None:
-        size = tuple(int(edge) for edge in self.size)
-        object.__setattr__(self, "size", size)
-        if len(size) != 3 or not all(1 <= edge <= MAX_SIZE for edge in size):
-            raise InvalidScene(Problem("size", f"is {'x'.join(map(str, size))}", f"1 to {MAX_SIZE} voxels an axis"))
+        object.__setattr__(self, "size", whole_size(self.size))
         if (basis := parse_basis(self.data_format)).kind not in ("SH", "RGBA"):
             raise InvalidScene(Problem("data_format", f"is {self.data_format}", "SHk or RGBA"))
         D, m = basis.data_dim, len(self.values)

@@ -91,6 +91,23 @@ class Volume(Scene):
                 return grid
         raise InvalidScene(Problem("the volume", f"has no grid {name!r}", ", ".join(self.labels)))
 
+    def density(self) -> VdbTree:
+        """Return the grid `density`, or else the only grid with one channel.
+
+        Raises InvalidScene if there is no such grid, or if it is a level set.
+        """
+        scalars = [grid for grid in self.grids if isinstance(grid, VdbTree) and grid.values.shape[1] == 1]
+        named = [grid for grid in scalars if grid.name == "density"]
+        fogs = [grid for grid in scalars if grid.grid_class != "level set"]
+        if not named and len(fogs) != 1 and len(scalars) != 1:
+            allowed = "density among them, or index; `grid=NAME` for one of them"
+            raise InvalidScene(Problem("the volume", f"has the grids {', '.join(self.labels)}", allowed))
+        grid = (named or fogs or scalars)[0]
+        if grid.grid_class == "level set":
+            allowed = "a fog volume; level sets only for info, check, and convert between .vdb, .nvdb, .vdb.npz"
+            raise InvalidScene(Problem(f"grid {grid.name!r}", "is a level set", allowed))
+        return grid
+
     def only(self, wanted: Sequence[str]) -> Volume:
         """A volume of these grids alone, given by label or by number in the file, from 0. Raises InvalidScene."""
         labels, grids = self.labels, []

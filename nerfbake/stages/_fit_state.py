@@ -32,11 +32,8 @@ _MOST_TEXT = 1 << 16  # most bytes of the text of a basis and a schedule
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int, int]) -> Arrays:
-    """Validate the arrays of a state, and return copies of them.
-
-    resolutions: smallest and largest number of cells along an axis of the lattice. Raises InvalidScene, MemoryLimit.
-    """
+def _own_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Arrays:
+    """Validate the arrays of a state, and return copies of them. Raises InvalidScene, MemoryLimit."""
     b, n = (len(arrays[name]) if name in arrays and arrays[name].ndim else 0 for name in ("slots", "places"))
     grid = arrays["top"].shape if "top" in arrays and arrays["top"].ndim == 3 else (0, 0, 0)
     r, shells = grid[1], min(max(grid[0] // max(grid[1], 1), 1), MAX_SHELLS)
@@ -62,8 +59,9 @@ def own_arrays(arrays: Mapping[str, npt.NDArray[Any]], *, resolutions: tuple[int
             found = f"has shape {array.shape}, dtype {array.dtype}"
             words = ", ".join("any" if edge is None else str(edge) for edge in shape)
             raise InvalidScene(Problem(f"the state's {name}", found, f"({words}) {np.dtype(dtype)}"))
-    if not (resolutions[0] <= 8 * r <= resolutions[1] and not r & (r - 1) and n and arrays["text"].size <= _MOST_TEXT):
-        allowed = f"a power of two of bricks, {resolutions[0] // 8} to {resolutions[1] // 8}, with cells in them"
+    least, most = RESOLUTIONS[0], 2 * RESOLUTIONS[1]  # cells that were split are half as wide
+    if not (least <= 8 * r <= most and not r & (r - 1) and n and arrays["text"].size <= _MOST_TEXT):
+        allowed = f"a power of two of bricks, {least // 8} to {most // 8}, with cells in them"
         raise InvalidScene(Problem("the state's lattice", f"has {r} bricks an axis, {n:,} cells", allowed))
     memory.require("the state", memory.size_of({name: arrays[name] for name in shapes}))
     own = {name: np.array(arrays[name]) for name in shapes}
@@ -159,7 +157,7 @@ class FitState:
     @staticmethod
     def of_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> FitState:
         """Return the state with these arrays(), which are copied. Raises InvalidScene if they are not a valid state."""
-        held = own_arrays(arrays, resolutions=(RESOLUTIONS[0], 2 * RESOLUTIONS[1]))
+        held = _own_arrays(arrays)
         basis, _, schedule = held["text"].tobytes().decode("ascii", "replace").partition(" ")
         made: dict[str, Any] = {name: held[name] for name in BRICKS}
         r = held["top"].shape[1]

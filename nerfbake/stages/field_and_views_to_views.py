@@ -16,13 +16,13 @@ from nerfbake.stages.field_to_image import render_field
 _SEEN = 128  # of 255: alpha of a pixel that shows the field
 
 
-def cut_out_field(views: Views, field: RadianceField, *, samples: int = 1) -> Views:
+def cut_out_field(views: Views, field: RadianceField) -> Views:
     """Return photographs that show nothing but a field: the opacity of its pictures becomes their alpha.
 
     views: photographs with scenery. field: a part of what they show, such as the inner cube, in the same world. Pixels
     that views.used() excludes become transparent. Views that do not show the field are left out. The result is
-    `rough`, because the edges of a field are not exact, and something in front of it may hide it. samples: as in
-    render_field(). Raises InvalidScene if no view shows the field, MemoryLimit.
+    `rough`, because the edges of a field are not exact, and something in front of it may hide it. Raises
+    InvalidScene if no view shows the field, MemoryLimit.
 
     >>> from nerfbake import build_field, build_views, cut_out_field, orbit_cameras, render_field, sample_n3tree
     >>> field = build_field(sample_n3tree(resolution=8))
@@ -37,7 +37,7 @@ def cut_out_field(views: Views, field: RadianceField, *, samples: int = 1) -> Vi
     memory.require("the pictures of the field alone", sum(picture.nbytes for picture in views.pictures))
     kept, pictures = [], []
     for number, camera in progress.each(list(enumerate(views.cameras.cameras))):
-        alpha = np.where(views.used(number), render_field(field, camera, samples=samples).alpha, np.float32(0))
+        alpha = np.where(views.used(number), render_field(field, camera).alpha, np.float32(0))
         if not (255 * alpha >= _SEEN).any():
             continue
         picture = views.pictures[number].copy()

@@ -16,10 +16,12 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.kernels.octree.brick_nodes import BLOCK_PATHS, brick_nodes, numbered
+from nerfbake.kernels.octree.lookup import dilate
 from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import exclusive_sum, slots_of
 from nerfbake.scene.basis import Basis, parse_basis, renderable_basis
@@ -31,8 +33,6 @@ from nerfbake.scene.radiance_field import RadianceField, leaf_box, require_field
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._fog import density_of
-from nerfbake.stages._tile_levels import tile_levels
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 
 
@@ -145,7 +145,7 @@ def _page_cells(page_field: PageField) -> Cells:
     held = np.argwhere(top >= 0)
     number = top[tuple(held.T)].astype(np.int64)
     number = np.where(number >= WHOLE, -2 - (number - WHOLE), number)
-    levels = tile_levels(held, number, height=(max(top.shape) - 1).bit_length())
+    levels = _tile_levels(held, number, height=(max(top.shape) - 1).bit_length())
     tables = _tables(page_field)
     if not levels and len(number) and number[0] < EMPTY:
         tables[:] = number[0]  # the field is a single cell with one row
@@ -254,7 +254,7 @@ def build_field_from_volume(volume: Volume) -> RadianceField:
             raise InvalidScene(Problem(f"table of {first.name!r}", found, f"{3 * basis.size + 1} for {basis}"))
         transform = volume.transform
     else:
-        density = density_of(volume)
+        density = volume.density()
         topology, (colours, basis) = density.topology, _colours(volume, density)
         values = np.concatenate([colours, density.values.astype(np.float32, copy=False)], axis=1)
         transform = volume.transform_of(density)
@@ -317,7 +317,7 @@ def _voxel_cells(topology: VdbTopology, held: npt.NDArray[np.bool_]) -> tuple[Ce
     outer = topology.root_origin if tiles is None else np.concatenate([topology.root_origin, tiles.root_origin])
     places = outer.astype(np.int64) >> 12
     low = places.min(axis=0, initial=1 << 31)
-    levels = tile_levels(places - low, np.concatenate([np.arange(len(topology.root_origin)), of_tiles[2]]))
+    levels = _tile_levels(places - low, np.concatenate([np.arange(len(topology.root_origin)), of_tiles[2]]))
     bits = [1] * len(levels)
     masks = topology.upper_mask, topology.lower_mask, topology.leaf_mask
     of_nodes = tiles and [(tiles.upper_mask, of_tiles[1]), (tiles.lower_mask, of_tiles[0])]
@@ -360,3 +360,21 @@ def build_field(scene: FieldSource) -> RadianceField:
         known = ", ".join(kind.__name__ for kind in _STAGES)
         raise UsageError(f"{type(scene).__name__} has no radiance field; allowed: {known}")
     return _STAGES[type(scene)](scene)
+
+
+def _tile_levels(tiles: Ints, number: Ints, *, height: int | None = None) -> list[npt.NDArray[Any]]:
+    """Return octree levels (nodes, 8) above tiles at (u, 3), coordinates from 0; the last level stores their numbers.
+
+    height: number of levels; None: as few as possible, which is none for a single tile at the origin.
+    """
+    height = int(tiles.max(initial=0)).bit_length() if height is None else height
+    x, y, z = (dilate(tiles[:, axis]) for axis in range(3))
+    below = x << 2 | y << 1 | z
+    levels: list[npt.NDArray[Any]] = []
+    for _ in range(height):
+        above, parent = np.unique(below >> 3, return_inverse=True)
+        table = np.full((len(above), 8), EMPTY, np.int32)
+        table[parent, below & 7] = number
+        levels.insert(0, table)
+        below, number = above, np.arange(len(above))
+    return levels

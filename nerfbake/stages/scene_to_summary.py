@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
+from nerfbake.errors import UsageError
 from nerfbake.kernels.cluster.colours import codes_of
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.maths.elementary import Extremes, extremes
@@ -305,32 +306,18 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     of checksum. For a mesh triangles, pieces and colours. For cameras pictures, lenses and positions. For stage 1 and
     atlases textures, maps and errors. For splats counts, boxes and ranges.
 
-    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None.
+    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None. Raises UsageError for
+    a type of scene that has no summary.
 
     >>> from nerfbake import sample_n3tree, summarise_scene
     >>> facts = summarise_scene(sample_n3tree(resolution=8))
     >>> facts["kind"], facts["basis"], facts["dtype"]
     ('PlenOctree (N3Tree)', 'SH', 'float16')
     """
-    if isinstance(scene, Volume):
-        return _of_volume(scene)
-    if isinstance(scene, LatticeField):
-        return summary_of_lattice(scene)
-    if isinstance(scene, Meshes):
-        return summary_of_meshes(scene)
-    if isinstance(scene, Cameras):
-        return summary_of_cameras(scene)
-    if isinstance(scene, Stage1):
-        return summary_of_stage1(scene)
-    if isinstance(scene, BakedAtlas):
-        return summary_of_atlas(scene)
-    if isinstance(scene, EnvironmentMap):
-        return summary_of_light(scene)
-    if isinstance(scene, Image | Depth):
-        return summary_of_picture(scene)
-    if isinstance(scene, Splats):
-        return summary_of_splats(scene)
-    return _of_n3tree(scene) if isinstance(scene, N3Tree) else _of_octree(scene)
+    if type(scene) not in _SUMMARIES:
+        known = ", ".join(kind.__name__ for kind in _SUMMARIES)
+        raise UsageError(f"{type(scene).__name__} has no summary; allowed: {known}")
+    return _SUMMARIES[type(scene)](scene)
 
 
 def _of_n3tree(tree: N3Tree) -> dict[str, Any]:
@@ -469,3 +456,19 @@ def _ranges(found: Extremes, data_format: str) -> dict[str, Any]:
         "dc": found.range(columns[columns % B == 0]),
         "higher": found.range(columns[columns % B != 0]),
     }
+
+
+_SUMMARIES: dict[type, Callable[[Any], dict[str, Any]]] = {
+    N3Tree: _of_n3tree,
+    LatticeField: summary_of_lattice,
+    SparseVoxelOctree: _of_octree,
+    Volume: _of_volume,
+    Meshes: summary_of_meshes,
+    Cameras: summary_of_cameras,
+    Stage1: summary_of_stage1,
+    BakedAtlas: summary_of_atlas,
+    Image: summary_of_picture,
+    Depth: summary_of_picture,
+    EnvironmentMap: summary_of_light,
+    Splats: summary_of_splats,
+}

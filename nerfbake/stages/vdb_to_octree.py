@@ -15,7 +15,6 @@ from nerfbake.scene.vdb import IndexGrid
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import OctreeFrame, Volume
 from nerfbake.stages._cube_levels import Block, blocks_of, octree_of_blocks
-from nerfbake.stages._fog import density_of
 
 
 def build_octree_from_volume(volume: Volume) -> SparseVoxelOctree:
@@ -59,7 +58,7 @@ def build_octree_from_density(volume: Volume) -> SparseVoxelOctree:
     >>> build_octree_from_density(smoke).data_dim
     1
     """
-    grid = density_of(volume)
+    grid = volume.density()
     for problem in (*grid.structure_problems(), *grid.value_problems()):
         raise InvalidScene(problem)
     axis, sign, voxel_size, origin = _axes(volume.transform_of(grid))

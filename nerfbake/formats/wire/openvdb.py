@@ -49,8 +49,8 @@ def text(value: str | bytes) -> bytes:
 class Stream:
     """A sequential reader of a file."""
 
-    def __init__(self, view: memoryview, at: int = 0) -> None:
-        self.view, self.at = view, at
+    def __init__(self, view: memoryview) -> None:
+        self.view, self.at = view, 0
 
     def take(self, size: int, what: str) -> memoryview:
         """Return the next `size` bytes. Raises InvalidFile if there are fewer."""

@@ -26,14 +26,14 @@ def product(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> Floats:
     return out
 
 
-def principal_axes(points: Floats, count: int, *, rounds: int = 4) -> Floats:
+def principal_axes(points: Floats, count: int) -> Floats:
     """(d, count) orthonormal columns that span nearly all of the spread of (m, d) points, the largest first.
 
-    Orthogonal iteration from a fixed start. Columns beyond the rank of the points are zero.
+    Four rounds of orthogonal iteration from a fixed start. Columns beyond the rank of the points are zero.
     """
     axes = np.random.default_rng(0).random((points.shape[1], count)) - 0.5
     across = np.ascontiguousarray(points.T)
-    for _ in range(rounds):
+    for _ in range(4):
         axes = product(across, product(points, axes))
         _orthonormalise(axes)
     return axes
