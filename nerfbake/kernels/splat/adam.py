@@ -22,6 +22,8 @@ from nerfbake.kernels.splat.project import (
     RED,
     Eye,
     SplatArrays,
+    axes_of,
+    picture_rows,
 )
 
 # Columns of a gradient: with respect to the mean, the logarithms of the scales, the quaternion, the logit of the
@@ -149,18 +151,7 @@ def _gradient(
     z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
     x = (turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz) / z
     y = (turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz) / z
-    held_x, held_y = min(max(x, eye.limits[0]), eye.limits[1]), min(max(y, eye.limits[2]), eye.limits[3])
-    fx, fy = eye.fx / z, eye.fy / z
-    u0, u1, u2 = (
-        fx * (turn[0, 0] - held_x * turn[2, 0]),
-        fx * (turn[0, 1] - held_x * turn[2, 1]),
-        fx * (turn[0, 2] - held_x * turn[2, 2]),
-    )
-    v0, v1, v2 = (
-        fy * (turn[1, 0] - held_y * turn[2, 0]),
-        fy * (turn[1, 1] - held_y * turn[2, 1]),
-        fy * (turn[1, 2] - held_y * turn[2, 2]),
-    )
+    u0, u1, u2, v0, v1, v2 = picture_rows(eye, x, y, z)
     w, a, b, c = (
         np.float64(splats.quats[i, 0]),
         np.float64(splats.quats[i, 1]),
@@ -168,9 +159,7 @@ def _gradient(
         np.float64(splats.quats[i, 3]),
     )
     s0, s1, s2 = np.float64(splats.scales[i, 0]), np.float64(splats.scales[i, 1]), np.float64(splats.scales[i, 2])
-    r00, r01, r02 = 1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b)
-    r10, r11, r12 = 2 * (a * b - w * c), 1 - 2 * (a * a + c * c), 2 * (b * c + w * a)
-    r20, r21, r22 = 2 * (a * c + w * b), 2 * (b * c - w * a), 1 - 2 * (a * a + b * b)
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = axes_of(splats.quats, i)
     p0, q0 = s0 * (u0 * r00 + u1 * r01 + u2 * r02), s0 * (v0 * r00 + v1 * r01 + v2 * r02)
     p1, q1 = s1 * (u0 * r10 + u1 * r11 + u2 * r12), s1 * (v0 * r10 + v1 * r11 + v2 * r12)
     p2, q2 = s2 * (u0 * r20 + u1 * r21 + u2 * r22), s2 * (v0 * r20 + v1 * r21 + v2 * r22)
@@ -218,10 +207,10 @@ def _gradient(
     gx = eye.fx * (xx * total[1] + xy * total[2])
     gy = eye.fy * (xy * total[1] + yy * total[2])
     gz = -(du0 * u0 + du1 * u1 + du2 * u2 + dv0 * v0 + dv1 * v1 + dv2 * v2) / z
-    if held_x == x:
-        gx -= fx * (du0 * turn[2, 0] + du1 * turn[2, 1] + du2 * turn[2, 2])
-    if held_y == y:
-        gy -= fy * (dv0 * turn[2, 0] + dv1 * turn[2, 1] + dv2 * turn[2, 2])
+    if eye.limits[0] <= x <= eye.limits[1]:
+        gx -= eye.fx / z * (du0 * turn[2, 0] + du1 * turn[2, 1] + du2 * turn[2, 2])
+    if eye.limits[2] <= y <= eye.limits[3]:
+        gy -= eye.fy / z * (dv0 * turn[2, 0] + dv1 * turn[2, 1] + dv2 * turn[2, 2])
     gz -= (gx * x + gy * y) / z
     gx, gy = gx / z, gy / z
     for k in range(3):

@@ -133,35 +133,45 @@ def picture_covariance(
     scales: Singles, quats: Singles, i: int, eye: Eye, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Return xx, xy, yy in square pixels, without BLUR. x, y: of the centre, at distance 1; z: its depth."""
-    w, a, b, c = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
-    turn = eye.turn
+    u0, u1, u2, v0, v1, v2 = picture_rows(eye, x, y, z)
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = axes_of(quats, i)
+    s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+    p0, q0 = s0 * (u0 * r00 + u1 * r01 + u2 * r02), s0 * (v0 * r00 + v1 * r01 + v2 * r02)
+    p1, q1 = s1 * (u0 * r10 + u1 * r11 + u2 * r12), s1 * (v0 * r10 + v1 * r11 + v2 * r12)
+    p2, q2 = s2 * (u0 * r20 + u1 * r21 + u2 * r22), s2 * (v0 * r20 + v1 * r21 + v2 * r22)
+    return p0 * p0 + p1 * p1 + p2 * p2, p0 * q0 + p1 * q1 + p2 * q2, q0 * q0 + q1 * q1 + q2 * q2
+
+
+@compiled(merged=True)
+def picture_rows(eye: Eye, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float]:
+    """Return the two rows of J W, for J the Jacobian of the projection. x, y, z: as in picture_covariance()."""
+    turn, fx, fy = eye.turn, eye.fx / z, eye.fy / z
     x, y = min(max(x, eye.limits[0]), eye.limits[1]), min(max(y, eye.limits[2]), eye.limits[3])
-    # The rows of J W, for J the Jacobian of the projection.
-    fx, fy = eye.fx / z, eye.fy / z
-    u0, u1, u2 = (
+    return (
         fx * (turn[0, 0] - x * turn[2, 0]),
         fx * (turn[0, 1] - x * turn[2, 1]),
         fx * (turn[0, 2] - x * turn[2, 2]),
-    )
-    v0, v1, v2 = (
         fy * (turn[1, 0] - y * turn[2, 0]),
         fy * (turn[1, 1] - y * turn[2, 1]),
         fy * (turn[1, 2] - y * turn[2, 2]),
     )
-    # The columns of R S, the axes of the splat, projected.
-    xx, xy, yy = 0.0, 0.0, 0.0
-    s = np.float64(scales[i, 0])
-    r0, r1, r2 = 1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b)
-    p, q = s * (u0 * r0 + u1 * r1 + u2 * r2), s * (v0 * r0 + v1 * r1 + v2 * r2)
-    xx, xy, yy = p * p, p * q, q * q
-    s = np.float64(scales[i, 1])
-    r0, r1, r2 = 2 * (a * b - w * c), 1 - 2 * (a * a + c * c), 2 * (b * c + w * a)
-    p, q = s * (u0 * r0 + u1 * r1 + u2 * r2), s * (v0 * r0 + v1 * r1 + v2 * r2)
-    xx, xy, yy = xx + p * p, xy + p * q, yy + q * q
-    s = np.float64(scales[i, 2])
-    r0, r1, r2 = 2 * (a * c + w * b), 2 * (b * c - w * a), 1 - 2 * (a * a + b * b)
-    p, q = s * (u0 * r0 + u1 * r1 + u2 * r2), s * (v0 * r0 + v1 * r1 + v2 * r2)
-    return xx + p * p, xy + p * q, yy + q * q
+
+
+@compiled(merged=True)
+def axes_of(quats: Singles, i: int) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Return the axes of a splat, the columns of its rotation, one after the other."""
+    w, a, b, c = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+    return (
+        1 - 2 * (b * b + c * c),
+        2 * (a * b + w * c),
+        2 * (a * c - w * b),
+        2 * (a * b - w * c),
+        1 - 2 * (a * a + c * c),
+        2 * (b * c + w * a),
+        2 * (a * c + w * b),
+        2 * (b * c - w * a),
+        1 - 2 * (a * a + b * b),
+    )
 
 
 @compiled(merged=True)
