@@ -20,7 +20,7 @@ from nerfbake import memory
 from nerfbake.kernels.arrays import Coords, Floats, Ints, Singles
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.parallel import on_every_core
-from nerfbake.kernels.surface.samples import BITS, CUBE, EDGE, Top, sample_at
+from nerfbake.kernels.surface.samples import BITS, CUBE, Top, place_of, sample_at, slot_of
 
 _LEAST = 1e-3  # of an edge: how near a vertex may come to a sample, so that no triangle has two equal corners
 _AXES = ((4, 2, 1), (2, 1, 4), (1, 4, 2))  # corner bits: an axis, and the two others in cyclic order
@@ -178,9 +178,7 @@ def _count(
     for brick in range(core, len(places), cores):
         vertices, triangles = 0, 0
         for cell in range(CUBE):
-            x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
-            y = places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1)
-            z = places[brick, 2] * EDGE + (cell & EDGE - 1)
+            x, y, z = place_of(places, brick, cell)
             first[brick, cell] = vertices
             crossed = _crossed(top, values, level, x, y, z)
             vertices += (crossed >> 2) + (crossed >> 1 & 1) + (crossed & 1)
@@ -210,9 +208,7 @@ def _fill(
     for brick in range(core, len(places), cores):
         triangle = starts[brick, 1]
         for cell in range(CUBE):
-            x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
-            y = places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1)
-            z = places[brick, 2] * EDGE + (cell & EDGE - 1)
+            x, y, z = place_of(places, brick, cell)
             vertex, here = first[brick, cell], sample_at(top, values, x, y, z)
             for axis in range(3):
                 there = sample_at(top, values, x + (axis == 0), y + (axis == 1), z + (axis == 2))
@@ -228,9 +224,8 @@ def _fill(
                     edge = table.edges[case, k, corner]
                     start, axis = starts_of[edge], edge >> 2
                     i, j, m = x + (start >> 2), y + (start >> 1 & 1), z + (start & 1)
-                    low = EDGE - 1
                     owner = top[i >> BITS, j >> BITS, m >> BITS]
-                    own = first[owner, (i & low) << 2 * BITS | (j & low) << BITS | m & low]
+                    own = first[owner, slot_of(i, j, m)]
                     crossed = _crossed(top, values, level, i, j, m)
                     before = (crossed >> 2 if axis > 0 else 0) + (crossed >> 1 & 1 if axis > 1 else 0)
                     faces[triangle, corner] = own + before

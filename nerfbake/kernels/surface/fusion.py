@@ -15,7 +15,7 @@ from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend
 from nerfbake.kernels.parallel import on_every_core
-from nerfbake.kernels.surface.samples import BITS, CUBE, EDGE
+from nerfbake.kernels.surface.samples import CUBE, place_of
 
 
 class DepthViews(NamedTuple):
@@ -54,9 +54,7 @@ def fuse_depths(
     places, world, views, fused, nearest = borrowed((places, world, views, fused, nearest))
     for brick in range(core, len(places), cores):
         for cell in range(CUBE):
-            x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
-            y = places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1)
-            z = places[brick, 2] * EDGE + (cell & EDGE - 1)
+            x, y, z = place_of(places, brick, cell)
             w0 = world[0, 0] * x + world[0, 1] * y + world[0, 2] * z + world[0, 3]
             w1 = world[1, 0] * x + world[1, 1] * y + world[1, 2] * z + world[1, 3]
             w2 = world[2, 0] * x + world[2, 1] * y + world[2, 2] * z + world[2, 3]
@@ -121,9 +119,8 @@ def sample_opacity(
     places, cells, densities, cell_place, out = borrowed((places, cells, densities, cell_place, out))
     for brick in range(core, len(places), cores):
         for cell in range(CUBE):
-            x = int(cell_place[0]) + step * (places[brick, 0] * EDGE + (cell >> 2 * BITS))
-            y = int(cell_place[1]) + step * (places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1))
-            z = int(cell_place[2]) + step * (places[brick, 2] * EDGE + (cell & EDGE - 1))
+            x, y, z = place_of(places, brick, cell)
+            x, y, z = int(cell_place[0]) + step * x, int(cell_place[1]) + step * y, int(cell_place[2]) + step * z
             total = 0.0
             for part in range(step * step * step):
                 i, j, k = x + part // (step * step), y + part // step % step, z + part % step

@@ -66,6 +66,23 @@ def _bricks_near(q: float, reach: float, count: int) -> Any:
 
 
 @compiled(merged=True)
+def place_of(places: Coords, brick: int, cell: int) -> Any:
+    """Return x, y, z of the sample in this slot, 0 to 63, of a brick."""
+    return (
+        places[brick, 0] * EDGE + (cell >> 2 * BITS),
+        places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1),
+        places[brick, 2] * EDGE + (cell & EDGE - 1),
+    )
+
+
+@compiled(merged=True)
+def slot_of(x: int, y: int, z: int) -> int:
+    """Return the slot of a sample in its brick."""
+    low = EDGE - 1
+    return (x & low) << 2 * BITS | (y & low) << BITS | z & low
+
+
+@compiled(merged=True)
 def sample_at(top: Top, values: Singles, x: int, y: int, z: int) -> float:
     """The value of one sample; inf where there is none."""
     i, j, k = x >> BITS, y >> BITS, z >> BITS
@@ -74,8 +91,7 @@ def sample_at(top: Top, values: Singles, x: int, y: int, z: int) -> float:
     brick = top[i, j, k]
     if brick < 0:
         return np.inf
-    low = EDGE - 1
-    return np.float64(values[brick, (x & low) << 2 * BITS | (y & low) << BITS | z & low])
+    return np.float64(values[brick, slot_of(x, y, z)])
 
 
 @on_every_core
@@ -153,9 +169,7 @@ def blur(core: int, cores: int, top: Top, places: Coords, values: Singles, share
     top, places, values, out = borrowed((top, places, values, out))
     for brick in range(core, len(places), cores):
         for cell in range(CUBE):
-            x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
-            y = places[brick, 1] * EDGE + (cell >> BITS & EDGE - 1)
-            z = places[brick, 2] * EDGE + (cell & EDGE - 1)
+            x, y, z = place_of(places, brick, cell)
             total, weights = 0.0, 0.0
             for other in range(27):
                 i, j, k = other // 9 - 1, other // 3 % 3 - 1, other % 3 - 1
@@ -171,22 +185,18 @@ def blur(core: int, cores: int, top: Top, places: Coords, values: Singles, share
 @compiled()
 def spread(core: int, cores: int, top: Top, places: Coords, held: Bits, reach: int, out: Bits) -> None:
     """Fill out (b, 64): whether any sample up to `reach` away along each axis is held (b, 64)."""
-    low = EDGE - 1
     for brick in range(core, len(places), cores):
         for cell in range(CUBE):
-            x = places[brick, 0] * EDGE + (cell >> 2 * BITS)
-            y = places[brick, 1] * EDGE + (cell >> BITS & low)
-            z = places[brick, 2] * EDGE + (cell & low)
+            x, y, z = place_of(places, brick, cell)
             out[brick, cell] = _any_held(top, held, x, y, z, reach)
 
 
 @compiled(merged=True)
 def _any_held(top: Top, held: Bits, x: int, y: int, z: int, reach: int) -> bool:
-    low = EDGE - 1
     for i in range(max(x - reach, 0), min(x + reach + 1, top.shape[0] * EDGE)):
         for j in range(max(y - reach, 0), min(y + reach + 1, top.shape[1] * EDGE)):
             for k in range(max(z - reach, 0), min(z + reach + 1, top.shape[2] * EDGE)):
                 brick = top[i >> BITS, j >> BITS, k >> BITS]
-                if brick >= 0 and held[brick, (i & low) << 2 * BITS | (j & low) << BITS | k & low]:
+                if brick >= 0 and held[brick, slot_of(i, j, k)]:
                     return True
     return False
