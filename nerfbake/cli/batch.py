@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
-from nerfbake.cli.params import ByteSize, Command, as_json, console_options, is_whole, max_memory, without_effect
+from nerfbake.cli.params import ByteSize, as_json, bundled, console_options, is_whole, max_memory, without_effect
 from nerfbake.cli.paths import Reads, StateFolder, Writes, declared
 from nerfbake.errors import UsageError
 
 if TYPE_CHECKING:
     from nerfbake.batch.items import CommandLine
-    from nerfbake.jobs.batches import Item
+    from nerfbake.jobs.batches import BatchOptions, Item
 
 
 _MOST_SHARDS = 9_999_999
@@ -36,34 +35,27 @@ class Shard(click.ParamType[tuple[int, int]]):
         return int(number), int(count)
 
 
-def run_options(function: Command) -> Command:
-    """Add -j, --shard, --retries, --fail-fast, --memory, --verify and --take-over.
-
-    The command receives their values as the dict `run`.
-    """
-
-    @click.option(
+run_options = bundled(
+    "run",
+    "jobs.batches.BatchOptions",
+    click.option(
         "-j", "--jobs", type=click.IntRange(1, 1024), help="Items that run in parallel.  [default: half the cores]"
-    )
-    @click.option("--shard", type=Shard(), help="Run only every n-th item, starting with item i (from 0).")
-    @click.option(
+    ),
+    click.option(
+        "--shard", type=Shard(), default=(0, 1), help="Run only every n-th item, starting with item i (from 0)."
+    ),
+    click.option(
         "--retries",
         type=click.IntRange(0, 100),
         default=0,
         show_default=True,
         help="Number of retries of an item that was killed or could not write its output.",
-    )
-    @click.option("--fail-fast", is_flag=True, help="Start no more items after one that is not done.")
-    @click.option("--memory", type=ByteSize(), help="Memory limit for all running items together, by estimate.")
-    @click.option("--verify", is_flag=True, help="Compare inputs and outputs by their contents, not by size and time.")
-    @click.option("--take-over", is_flag=True, help="Take over the lock that a batch on another host has left behind.")
-    @wraps(function)
-    def command(*args: object, shard: tuple[int, int] | None, **others: object) -> object:
-        names = ("jobs", "retries", "fail_fast", "memory", "verify", "take_over")
-        run = {name: others.pop(name) for name in names}
-        return function(*args, run={**run, "shard": shard or (0, 1)}, **others)
-
-    return command
+    ),
+    click.option("--fail-fast", is_flag=True, help="Start no more items after one that is not done."),
+    click.option("--memory", type=ByteSize(), help="Memory limit for all running items together, by estimate."),
+    click.option("--verify", is_flag=True, help="Compare inputs and outputs by their contents, not by size and time."),
+    click.option("--take-over", is_flag=True, help="Take over the lock that a batch on another host has left behind."),
+)
 
 
 def _print_snakefile(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -104,7 +96,7 @@ def batch(
     jobs_file: str | None,
     state: str | None,
     plan: bool,
-    run: dict[str, Any],
+    run: BatchOptions,
     allow_empty: bool,
     report: str | None,
     as_json: bool,
@@ -131,7 +123,7 @@ def batch(
     """
     from nerfbake.batch.items import fill_template, parse_lines
     from nerfbake.batch.report import load_plan
-    from nerfbake.jobs.batches import BatchOptions, run_batch
+    from nerfbake.jobs.batches import run_batch
 
     if template is not None and jobs_file is not None:
         raise UsageError("TEMPLATE and --jobs-file both select the items; allowed: one of them")
@@ -152,10 +144,10 @@ def batch(
     if named and not items and not allow_empty:
         raise UsageError("there are no items to run; allowed: INPUTS, or --allow-empty")
     if plan or state is None:
-        _print_plan(items, run["shard"], as_json=as_json)
+        _print_plan(items, run.shard, as_json=as_json)
         return 0
     print_event = io.print_json if as_json else None
-    options = BatchOptions(**run) if named else None
+    options = run if named else None
     found = run_batch(items, state=state, run=options, report_to=report, steps=console, report=print_event)
     console.say(found.told)
     return found.exit_code

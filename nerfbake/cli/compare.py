@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial, wraps
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,10 +11,10 @@ from nerfbake import io
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
-    Command,
     Number,
     PixelSize,
     as_json,
+    bundled,
     console_options,
     samples,
     source_argument,
@@ -24,74 +24,56 @@ from nerfbake.cli.paths import Capture, Reads, Writes
 from nerfbake.jobs.files import Source
 
 if TYPE_CHECKING:
-    from nerfbake.jobs.comparisons import FileComparison
+    from nerfbake.jobs.comparisons import ComparisonOutputs, FileComparison
 
 
-def view_options(function: Command) -> Command:
-    """Add --cameras, --truth, --size and --samples; pass the command `seen`, a ComparedViews."""
-
-    @click.option(
+view_options = bundled(
+    "seen",
+    "jobs.comparisons.ComparedViews",
+    click.option(
         "--cameras", metavar="CAPTURE", type=Capture(), help=f"Cameras: {CAPTURE}.  [default: 8 views around IN]"
-    )
-    @click.option("--truth", type=Reads(), help="Folder with a photograph NAME.png for each camera.")
-    @click.option(
+    ),
+    click.option("--truth", type=Reads(), help="Folder with a photograph NAME.png for each camera."),
+    click.option(
         "--size",
         type=PixelSize(),
         help="Picture size in pixels.  [default: that of the photographs or cameras; 400x400 for an orbit]",
-    )
-    @samples
-    @wraps(function)
-    def command(
-        *args: object, cameras: str | None, truth: str | None, size: Any, samples: int | None, **others: object
-    ) -> object:
-        from nerfbake.jobs.comparisons import ComparedViews
-
-        return function(*args, seen=ComparedViews(cameras, truth, size, samples), **others)
-
-    return command
-
-
-def limit_options(function: Command) -> Command:
-    """Add --min-psnr and --max-error; pass the command `limits`, a ComparisonLimits."""
-
-    @click.option(
+    ),
+    samples,
+)
+limit_options = bundled(
+    "limits",
+    "jobs.comparisons.ComparisonLimits",
+    click.option(
         "--min-psnr",
         type=Number(),
         help="Lowest allowed mean PSNR of IN2 against IN, in dB. Below it, exit with code 3.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--max-error",
         type=Number(),
         help="Largest allowed difference in any channel of any pixel (0..1). Above it, exit with code 3.",
-    )
-    @wraps(function)
-    def command(*args: object, min_psnr: float | None, max_error: float | None, **others: object) -> object:
-        from nerfbake.jobs.comparisons import ComparisonLimits
-
-        return function(*args, limits=ComparisonLimits(min_psnr, max_error), **others)
-
-    return command
+    ),
+)
 
 
-def output_options(function: Command) -> Command:
-    """Add --sheet, --html and --force; pass the command `pages`, a ComparisonOutputs."""
+def _check_outputs(pages: ComparisonOutputs) -> None:
+    if not pages:
+        without_effect("force", here="without --sheet or --html", allowed="--force with --sheet or --html")
 
-    @click.option(
+
+output_options = bundled(
+    "pages",
+    "jobs.comparisons.ComparisonOutputs",
+    click.option(
         "--sheet",
         type=Writes(),
         help="Write a PNG with the pictures of the truth, IN and IN2, and their differences times 8.",
-    )
-    @click.option("--html", type=Writes(), help="Write an HTML page with limits, figures, sizes and pictures.")
-    @click.option("--force", is_flag=True, help="Replace the files of --sheet and --html if they exist.")
-    @wraps(function)
-    def command(*args: object, sheet: str | None, html: str | None, force: bool, **others: object) -> object:
-        from nerfbake.jobs.comparisons import ComparisonOutputs
-
-        if not (sheet or html):
-            without_effect("force", here="without --sheet or --html", allowed="--force with --sheet or --html")
-        return function(*args, pages=ComparisonOutputs(sheet, html, force), **others)
-
-    return command
+    ),
+    click.option("--html", type=Writes(), help="Write an HTML page with limits, figures, sizes and pictures."),
+    click.option("--force", is_flag=True, help="Replace the files of --sheet and --html if they exist."),
+    check=_check_outputs,
+)
 
 
 @click.command()

@@ -14,6 +14,7 @@ from nerfbake.cli.params import (
     Command,
     NumberRange,
     as_json,
+    bundled,
     console_options,
     max_loss,
     max_size,
@@ -28,26 +29,17 @@ from nerfbake.cli.paths import Capture
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source, Target
 
-
-def goal_options(function: Command) -> Command:
-    """Add --max-loss, --max-size and --step; pass the command `goal`, a CompressionGoal."""
-
-    @max_loss("0.1")
-    @max_size
-    @click.option(
+goal_options = bundled(
+    "goal",
+    "jobs.compressions.CompressionGoal",
+    max_loss("0.1"),
+    max_size,
+    click.option(
         "--step",
         type=NumberRange(min=1e-4, max=16),
         help="Quantisation step of the colours, instead of a limit for loss or size.",
-    )
-    @wraps(function)
-    def command(
-        *args: object, max_loss: float | None, max_size: int | None, step: float | None, **others: object
-    ) -> object:
-        from nerfbake.jobs.compressions import CompressionGoal
-
-        return function(*args, goal=CompressionGoal(max_loss, max_size, step), **others)
-
-    return command
+    ),
+)
 
 
 def quality_options(function: Command) -> Command:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import click
@@ -28,7 +27,7 @@ from nerfbake.jobs.files import Source, Target
     type=click.Choice(["full", "compact"]),
     help="full: child slots for every node; compact: no child slots on the last level.  [default: as in IN]",
 )
-@partial(grid_options, splats=True)
+@grid_options(splats=True)
 @codec_option
 @click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
 @click.option("--small", is_flag=True, help="Store SH of splats in 4 and 5 instead of 8 bits (.spz).")

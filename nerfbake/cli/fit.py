@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,6 +16,7 @@ from nerfbake.cli.params import (
     Command,
     NumberRange,
     as_json,
+    bundled,
     console_options,
     max_memory,
     seed,
@@ -31,9 +30,9 @@ from nerfbake.cli.reports import require_chart, save_bytes
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
-    from nerfbake.jobs.fits import FitResult
-    from nerfbake.jobs.photographs import PhotographOptions
-    from nerfbake.stages.pictures_to_views import Scenery
+    from nerfbake.jobs.fits import FitOptions, FitResult
+    from nerfbake.jobs.meshes import MeshViews
+    from nerfbake.jobs.splats import SplatsModel
 
 
 class FitBackground(Background):
@@ -42,172 +41,138 @@ class FitBackground(Background):
     known: ClassVar = {"auto": None, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 
-def photograph_options(function: Command) -> Command:
-    """Add --background, --masks, --test and --holdout; pass the command `album`, a PhotographOptions."""
-
-    @click.option(
+photograph_options = bundled(
+    "album",
+    "jobs.photographs.PhotographOptions",
+    click.option(
         "--background",
         type=FitBackground(),
         default="auto",
         show_default=True,
         help="Background behind the object: white, black or R,G,B. auto: white for pictures with alpha, else the "
         "colour at the edges of the pictures.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--masks",
         metavar="DIR",
         type=Reads(),
         help="Folder with a mask NAME.png for each picture, white where the object is, or where a picture with scenery "
         "is used.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--test",
         metavar="CAPTURE",
         type=PhotographsPath(readable=False),
         help="Other cameras, with the held-out views on which the result is measured.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--holdout",
         metavar="N",
         type=click.IntRange(min=2),
         help="Hold out every N-th view to measure the result.  [default: 8; none if the capture has test views]",
-    )
-    @wraps(function)
-    def command(
-        *args: object,
-        background: Any,
-        masks: str | None,
-        test: str | None,
-        holdout: int | None,
-        **others: object,
-    ) -> object:
-        from nerfbake.jobs.photographs import PhotographOptions
+    ),
+)
 
-        return function(*args, album=PhotographOptions(background, masks, test, holdout), **others)
 
-    return command
+def _check_model(model: MeshViews | SplatsModel) -> None:
+    if model.views is None:
+        allowed = "it with --views"
+        without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
+    else:
+        without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
 
 
 def model_options(fitted: str, model: str) -> Callable[[Command], Command]:
-    """Add --views with photograph_options(), --frames and --edge; pass the command `model`.
+    """Add --views with photograph_options, --frames and --edge; pass the command `model`.
 
-    fitted: what the photographs of --views are, for the help. model: the module in `jobs` and the class of the model.
+    fitted: what the photographs of --views are, for the help. model: the class of the model, as for bundled().
     """
-
-    def add(function: Command) -> Command:
-        @click.option(
+    return bundled(
+        "model",
+        model,
+        click.option(
             "--views",
             metavar="CAPTURE",
             type=PhotographsPath(),
             help=f"{fitted}: {CAPTURE}.  [default: pictures of IN, from all sides]",
-        )
-        @click.option(
+        ),
+        click.option(
             "--frames",
             type=click.IntRange(2, 1000),
             default=100,
             show_default=True,
             help="Without --views: number of pictures of IN to render.",
-        )
-        @click.option(
+        ),
+        click.option(
             "--edge",
             type=click.IntRange(8, 4096),
             default=400,
             show_default=True,
             help="Without --views: width and height of these pictures, in pixels.",
-        )
-        @photograph_options
-        @wraps(function)
-        def command(
-            *args: object, views: str | None, frames: int, edge: int, album: PhotographOptions, **others: object
-        ) -> object:
-            if views is None:
-                allowed = "it with --views"
-                without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
-            else:
-                without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
-            module, name = model.split(".")
-            kind = getattr(import_module(f"nerfbake.jobs.{module}"), name)
-            return function(*args, model=kind(views=views, frames=frames, edge=edge, album=album), **others)
-
-        return command
-
-    return add
+        ),
+        photograph_options,
+        check=_check_model,
+    )
 
 
-def fit_options(function: Command) -> Command:
-    """Add the options of the fit and its schedule; pass the command `recipe`, a FitOptions."""
+def _check_schedule(recipe: FitOptions) -> None:
+    if recipe.epochs is not None:
+        without_effect("resolution", "samples", here="with --epochs, which has its own", allowed="one of them")
 
-    @click.option(
+
+fit_options = bundled(
+    "recipe",
+    "jobs.fits.FitOptions",
+    click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
         help="Schedule of about 30, 65 or 120 seconds on two cores; of 2, 4 or 7 minutes for objects in pictures of "
         "600 pixels or more; of 40, 90 or 230 seconds with scenery.  [default: balanced]",
-    )
-    @click.option(
+    ),
+    click.option(
         "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."
-    )
-    @click.option("--epochs", metavar="SCHEDULE", help="Schedule, in the notation in which each run prints its own.")
-    @click.option(
+    ),
+    click.option("--epochs", metavar="SCHEDULE", help="Schedule, in the notation in which each run prints its own."),
+    click.option(
         "--resolution",
-        type=click.Choice(["32", "64", "128", "256", "512"]),
+        type=click.Choice([32, 64, 128, 256, 512]),
         help="Voxels along each axis, before those with the largest errors are split once more. With scenery: along "
         "each axis of the inner cube, after they are split.  [default: 256; 512 for objects in pictures of 600 pixels "
         "or more]",
-    )
-    @sh_basis
-    @click.option(
+    ),
+    sh_basis,
+    click.option(
         "--samples",
         type=click.IntRange(1, 2),
         default=2,
         show_default=True,
         help="Rays along each edge of a pixel. Choose the value that OUT will be rendered with: 2 for photographs, "
         "whose pixels are averages.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--box",
         type=Box(),
         help="Two opposite corners of the box around the object, or of the inner cube of scenery, in world "
         "coordinates.  [default: derived from the pictures]",
-    )
-    @click.option(
+    ),
+    click.option(
         "--exposure",
         type=click.Choice(["auto", "fit", "fixed"]),
         default="auto",
         show_default=True,
         help="fit: also fit a gain for each photograph and channel, which removes differences of exposure and of white "
         "balance. fixed: use the photographs as they are. auto: fit if they show scenery.",
-    )
-    @seed
-    @wraps(function)
-    def command(
-        *args: object,
-        preset: str | None,
-        minutes: float | None,
-        epochs: str | None,
-        resolution: str | None,
-        basis: str,
-        samples: int,
-        box: Any,
-        seed: int,
-        exposure: Any,
-        **others: object,
-    ) -> object:
-        from nerfbake.jobs.fits import FitOptions
-
-        if epochs is not None:
-            without_effect("resolution", "samples", here="with --epochs, which has its own", allowed="one of them")
-        cells = None if resolution is None else int(resolution)
-        recipe = FitOptions(preset, minutes, epochs, cells, samples, basis, box, seed, exposure)
-        return function(*args, recipe=recipe, **others)
-
-    return command
+    ),
+    seed,
+    check=_check_schedule,
+)
 
 
 @click.command()
 @click.argument("source", metavar="SOURCE", type=PhotographsPath())
 @target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes", output=MeshOutput)
 @fit_options
-@photograph_options
+@photograph_options  # --scenery is part of its `album`, too
 @click.option(
     "--scenery",
     type=click.Choice(["auto", "keep", "drop"]),
@@ -237,8 +202,6 @@ def fit(
     plot: str | None,
     as_json: bool,
     console: Console,
-    album: PhotographOptions,
-    scenery: Scenery,
     **options: Any,
 ) -> None:
     """Fit a scene to photographs.
@@ -258,7 +221,7 @@ def fit(
 
     if plot:
         require_chart(plot, force=target.force)
-    fitted = fit_file(Source(source), target, album=album._replace(scenery=scenery), steps=console, **options)
+    fitted = fit_file(Source(source), target, steps=console, **options)
     if plot:
         save_bytes(plot, _chart(source, fitted, Path(plot).suffix), force=target.force)
     if as_json:
@@ -285,7 +248,7 @@ def _facts(source: str, fitted: FitResult) -> dict[str, Any]:
 def _chart(source: str, fitted: FitResult, suffix: str) -> bytes:
     from nerfbake.bench.plot import lines
 
-    curves = {"while it was fitted": [(point.seconds, point.psnr) for point in fitted.curve]}
+    curves = {"during the fit": [(point.seconds, point.psnr) for point in fitted.curve]}
     curves["the written file"] = [(fitted.worked, fitted.psnr)]
-    title = f"{Path(source).name}: views that were kept for judging"
+    title = f"{Path(source).name}: held-out views"
     return lines(curves, title=title, x="CPU seconds", y="PSNR dB", suffix=suffix)

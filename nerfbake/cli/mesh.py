@@ -51,7 +51,7 @@ class TriangleCounts(click.ParamType[tuple[int, ...]]):
 @source_argument
 @click.argument("target", metavar="OUT", type=MeshOutput())
 @click.option("--force", is_flag=True, help="Replace OUT, and the files beside it, if they exist.")
-@model_options("Photographs for the texture", "meshes.MeshViews")
+@model_options("Photographs for the texture", "jobs.meshes.MeshViews")
 @click.option(
     "--triangles",
     type=TriangleCounts(),

@@ -10,6 +10,8 @@ import math
 import re
 import sys
 from collections.abc import Callable
+from importlib import import_module
+from inspect import signature
 from typing import Any
 
 import click
@@ -22,7 +24,6 @@ from nerfbake.cli.paths import Capture, JudgedOutput, Reads, Stage1AndFolder
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
-from nerfbake.jobs.grids import GridChoice
 
 codec_option = click.option(
     "--codec",
@@ -31,31 +32,6 @@ codec_option = click.option(
 )
 Command = Callable[..., Any]
 ALL = "all"
-
-
-def grid_options(function: Command, *, splats: bool = False) -> Command:
-    """Add --grid and --up; pass the command `choice`, a GridChoice. splats: --up applies to splats, too."""
-
-    @click.option(
-        "--grid",
-        "grids",
-        multiple=True,
-        metavar="NAME",
-        help="Use only this grid of a volume: a name, or a number from 0. Repeat for more grids.",
-    )
-    @click.option(
-        "--up",
-        type=click.Choice(["y", "z", "-y", "-z", "x", "-x"] if splats else ["y", "z"]),
-        help="Up axis of the volume. y: the volume is rotated so that y becomes z."
-        + (" Or the axis of splats that points up: it becomes the up axis of OUT." if splats else ""),
-    )
-    @functools.wraps(function)
-    def command(*args: object, grids: tuple[str, ...], up: str | None, **others: object) -> object:
-        return function(*args, choice=GridChoice(grids, up), **others)
-
-    return command
-
-
 CAPTURE = "a transforms.json, or a folder with one, with a COLMAP model, or with LLFF or NSVF poses"
 
 
@@ -175,6 +151,35 @@ def without_effect(*names: str, here: str, allowed: str) -> None:
         source = context.get_parameter_source(option.name) if option.name in names else None
         if source not in (None, ParameterSource.DEFAULT, ParameterSource.DEFAULT_MAP):
             raise click.UsageError(f"{option.opts[-1]} has no effect {here}; allowed: {allowed}")
+
+
+def bundled(
+    name: str, kind: str, *options: Callable[[Command], Command], check: Callable[[Any], None] | None = None
+) -> Callable[[Command], Command]:
+    """Add these options; pass the command one value `name` instead of the values of the options.
+
+    kind   class of this value, for example jobs.budgets.Budget. It is imported when the command runs, so that --help
+           stays fast. Each of its fields takes the value of the option with the same name; a field without an option
+           keeps its default
+    check  is called with the value, and raises an error for options that have no effect or contradict each other
+    """
+    module, _, class_name = kind.rpartition(".")
+
+    def add(function: Command) -> Command:
+        @functools.wraps(function)
+        def command(*args: object, **others: object) -> object:
+            make = getattr(import_module(f"nerfbake.{module}"), class_name)
+            value = make(**{field: others.pop(field) for field in signature(make).parameters if field in others})
+            if check is not None:
+                check(value)
+            return function(*args, **{name: value}, **others)
+
+        wrapped: Command = command
+        for option in reversed(options):
+            wrapped = option(wrapped)
+        return wrapped
+
+    return add
 
 
 def _limit_memory(ctx: click.Context, param: click.Parameter, value: int) -> None:
@@ -319,6 +324,27 @@ def truth(of: str) -> Callable[[Command], Command]:
     return click.option("--truth", type=Reads(), help=text)
 
 
+def grid_options(*, splats: bool = False) -> Callable[[Command], Command]:
+    """Add --grid and --up; pass the command `choice`, a GridChoice. splats: --up applies to splats, too."""
+    return bundled(
+        "choice",
+        "jobs.grids.GridChoice",
+        click.option(
+            "--grid",
+            "grids",
+            multiple=True,
+            metavar="NAME",
+            help="Use only this grid of a volume: a name, or a number from 0. Repeat for more grids.",
+        ),
+        click.option(
+            "--up",
+            type=click.Choice(["y", "z", "-y", "-z", "x", "-x"] if splats else ["y", "z"]),
+            help="Up axis of the volume. y: the volume is rotated so that y becomes z."
+            + (" Or the axis of splats that points up: it becomes the up axis of OUT." if splats else ""),
+        ),
+    )
+
+
 def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
     """Add --opacity-min, --epochs and an option for the up axis; pass the command `splats`, a SplatVoxels.
 
@@ -360,27 +386,25 @@ def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
     return add
 
 
-def budget_options(function: Command) -> Command:
-    """Add --min-psnr, --cameras and --samples; pass the command `budget`, a Budget."""
+def _check_budget(budget: Budget) -> None:
+    if budget.min_psnr is None:
+        for name in ("cameras", "samples"):
+            without_effect(name, here="without --min-psnr", allowed=f"--{name} with --min-psnr")
 
-    @min_psnr
-    @click.option(
+
+budget_options = bundled(
+    "budget",
+    "jobs.budgets.Budget",
+    min_psnr,
+    click.option(
         "--cameras",
         metavar="CAPTURE",
         type=Capture(),
         help=f"Cameras for --min-psnr: {CAPTURE}.  [default: 8 views around IN]",
-    )
-    @samples
-    @functools.wraps(function)
-    def command(
-        *args: object, min_psnr: float | None, cameras: str | None, samples: int | None, **others: object
-    ) -> object:
-        if min_psnr is None:
-            for name in ("cameras", "samples"):
-                without_effect(name, here="without --min-psnr", allowed=f"--{name} with --min-psnr")
-        return function(*args, budget=Budget(min_psnr, cameras, samples), **others)
-
-    return command
+    ),
+    samples,
+    check=_check_budget,
+)
 
 
 def console_options(function: Command) -> Command:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,8 +11,8 @@ from nerfbake.cli.console import Console
 from nerfbake.cli.fit import photograph_options
 from nerfbake.cli.params import (
     CAPTURE,
-    Command,
     as_json,
+    bundled,
     console_options,
     octree_target_argument,
     seed,
@@ -24,54 +23,44 @@ from nerfbake.cli.paths import PhotographsPath, Reads
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
-    from nerfbake.jobs.photographs import PhotographOptions
+    from nerfbake.jobs.refits import RefitTarget
 
 
-def reference_options(function: Command) -> Command:
-    """Add --like, --frames and --edge, --views and photograph_options(); pass the command `model`, a RefitTarget."""
+def _check_reference(model: RefitTarget) -> None:
+    if model.like is None:
+        without_effect("frames", "edge", here="without --like", allowed="--frames and --edge with --like")
+    if model.views is None:
+        allowed = "it with --views"
+        without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
 
-    @click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene or splats that OUT is fitted to.")
-    @click.option(
+
+reference_options = bundled(
+    "model",
+    "jobs.refits.RefitTarget",
+    click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene or splats that OUT is fitted to."),
+    click.option(
         "--frames",
         type=click.IntRange(2, 1000),
         default=100,
         show_default=True,
         help="With --like: number of pictures of BIGGER to render, from all sides.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--edge",
         type=click.IntRange(8, 4096),
         default=400,
         show_default=True,
         help="With --like: width and height of these pictures, in pixels.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--views",
         metavar="SOURCE",
         type=PhotographsPath(),
         help=f"Photographs that OUT is fitted to: {CAPTURE}.",
-    )
-    @photograph_options
-    @wraps(function)
-    def command(
-        *args: object,
-        like: str | None,
-        frames: int,
-        edge: int,
-        views: str | None,
-        album: PhotographOptions,
-        **others: object,
-    ) -> object:
-        from nerfbake.jobs.refits import RefitTarget
-
-        if like is None:
-            without_effect("frames", "edge", here="without --like", allowed="--frames and --edge with --like")
-        if views is None:
-            allowed = "it with --views"
-            without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
-        return function(*args, model=RefitTarget(like, views, frames, edge, album), **others)
-
-    return command
+    ),
+    photograph_options,
+    check=_check_reference,
+)
 
 
 @click.command()

@@ -14,6 +14,7 @@ from nerfbake.cli.params import (
     Command,
     NumberRange,
     PixelSize,
+    bundled,
     console_options,
     grid_options,
     is_whole,
@@ -56,77 +57,55 @@ class PicturesPath(Writes):
         return DeclaredPaths(writes=(*paths, *pictures.beside(paths[0])) if single else paths)
 
 
-def view_options(function: Command) -> Command:
-    """Add --cameras, --frame, --all, --turntable, --size and --samples; pass the command `shots`, a ViewSelection."""
+def _check_views(shots: ViewSelection) -> None:
+    shots.require()
+    if shots.turntable or not shots.cameras:
+        without_effect("frame", "every", here="without cameras to choose from", allowed="with --cameras")
+    if shots.every:
+        without_effect("frame", here="with --all", allowed="one of them")
 
-    @click.option(
+
+view_options = bundled(
+    "shots",
+    "jobs.pictures.ViewSelection",
+    click.option(
         "--cameras",
         metavar="CAPTURE",
         type=Capture(),
         help=f"Cameras: {CAPTURE}.  [default: an orbit around the scene]",
-    )
-    @click.option(
+    ),
+    click.option(
         "--frame", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the camera to use, from 0."
-    )
-    @click.option("--all", "every", is_flag=True, help="Render the views of all cameras.")
-    @click.option("--turntable", type=click.IntRange(2, 1000), help="Render this many views around the scene.")
-    @click.option(
+    ),
+    click.option("--all", "every", is_flag=True, help="Render the views of all cameras."),
+    click.option("--turntable", type=click.IntRange(2, 1000), help="Render this many views around the scene."),
+    click.option(
         "--size",
         type=PixelSize(),
         help="Picture size in pixels.  [default: that of the cameras; 800x800 for an orbit]",
-    )
-    @samples
-    @wraps(function)
-    def command(
-        *args: object,
-        cameras: str | None,
-        frame: int,
-        every: bool,
-        turntable: int | None,
-        size: Any,
-        samples: int | None,
-        **others: object,
-    ) -> object:
-        from nerfbake.jobs.pictures import ViewSelection
-
-        shots = ViewSelection(cameras, frame, every, turntable, size, samples)
-        shots.require()
-        if turntable or not cameras:
-            without_effect("frame", "every", here="without cameras to choose from", allowed="with --cameras")
-        if every:
-            without_effect("frame", here="with --all", allowed="one of them")
-        return function(*args, shots=shots, **others)
-
-    return command
-
-
-def picture_options(function: Command) -> Command:
-    """Add --out, --depth, --alpha and --force; pass the command `pictures`, a PictureOutputs."""
-
-    @click.option(
+    ),
+    samples,
+    check=_check_views,
+)
+picture_options = bundled(
+    "pictures",
+    "jobs.pictures.PictureOutputs",
+    click.option(
         "--out",
         required=True,
         type=PicturesPath(),
         help="Output: a .png or '-'; for several views a .gif, a .png that shows them all, or a folder.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--depth",
         type=click.Choice(["png", "npy"]),
         is_flag=False,
         flag_value="png",
         help="Also write NAME.depth.png (16 bits, thousandths of a world unit) or NAME.depth.npy for each picture.",
-    )
-    @click.option("--alpha", is_flag=True, help="Also write NAME.alpha.png for each picture: white is opaque.")
-    @click.option("--force", is_flag=True, help="Replace existing files.")
-    @wraps(function)
-    def command(
-        *args: object, out: str, depth: Literal["png", "npy"] | None, alpha: bool, force: bool, **others: object
-    ) -> object:
-        from nerfbake.jobs.pictures import PictureOutputs
-
-        return function(*args, pictures=PictureOutputs(out, depth, alpha, force), **others)
-
-    return command
+    ),
+    click.option("--alpha", is_flag=True, help="Also write NAME.alpha.png for each picture: white is opaque."),
+    click.option("--force", is_flag=True, help="Replace existing files."),
+)
 
 
 def mesh_options(function: Command) -> Command:
@@ -184,7 +163,7 @@ def mesh_options(function: Command) -> Command:
     help="A ray ends when its transmittance falls below this value. 0.5 makes an opaque cutout.",
 )
 @mesh_options
-@grid_options
+@grid_options()
 @console_options
 def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, console: Console, **options: Any) -> None:
     """Render pictures or a turntable.

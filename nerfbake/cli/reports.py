@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import click
 
 from nerfbake import io
 from nerfbake.bench.environment import require_installed
-from nerfbake.cli.params import Command, without_effect
+from nerfbake.cli.params import Command, bundled, is_whole, without_effect
 from nerfbake.cli.paths import Writes
 from nerfbake.errors import OutputError, UsageError
 
@@ -60,6 +59,12 @@ def save_bytes(path: str, content: bytes, *, force: bool) -> None:
         file.write(content)
 
 
+def _check_destination(destination: Destination) -> None:
+    if not (destination.output or destination.plot):
+        without_effect("force", here="without -o or --plot", allowed="--force with -o or --plot")
+    destination.require()
+
+
 def report_options(*, rounds: int | None, chart: str) -> Callable[[Command], Command]:
     """Add --rounds, --format, -o, --plot and --force; pass the command `rounds` and `destination`, a Destination.
 
@@ -72,32 +77,23 @@ def report_options(*, rounds: int | None, chart: str) -> Callable[[Command], Com
         show_default=True,
         help="Number of measured runs.",
     )
-
-    def add(function: Command) -> Command:
-        @click.option(
+    return bundled(
+        "destination",
+        "cli.reports.Destination",
+        *([] if rounds is None else [measured]),
+        click.option(
             "--format",
             "kind",
             type=click.Choice(["md", "csv", "json"]),
             default="md",
             show_default=True,
             help="Format of the report.",
-        )
-        @click.option("-o", "--output", type=Writes(), help="Write the report to this file.  [default: stdout]")
-        @click.option("--plot", type=Writes(), help=f"Write a chart of {chart}: a .png or .svg.")
-        @click.option("--force", is_flag=True, help="Replace existing files.")
-        @functools.wraps(function)
-        def command(
-            *args: object, kind: str, output: str | None, plot: str | None, force: bool, **others: object
-        ) -> object:
-            if not (output or plot):
-                without_effect("force", here="without -o or --plot", allowed="--force with -o or --plot")
-            destination = Destination(kind, output, plot, force)
-            destination.require()
-            return function(*args, destination=destination, **others)
-
-        return command if rounds is None else measured(command)
-
-    return add
+        ),
+        click.option("-o", "--output", type=Writes(), help="Write the report to this file.  [default: stdout]"),
+        click.option("--plot", type=Writes(), help=f"Write a chart of {chart}: a .png or .svg."),
+        click.option("--force", is_flag=True, help="Replace existing files."),
+        check=_check_destination,
+    )
 
 
 class Resolutions(click.ParamType[tuple[int, ...]]):
@@ -109,7 +105,7 @@ class Resolutions(click.ParamType[tuple[int, ...]]):
         if isinstance(value, tuple):
             return value
         edges = value.split(",")
-        if not all(edge.isdecimal() and len(edge) < 5 and 1 <= int(edge) <= 4096 for edge in edges):
+        if not all(is_whole(edge, 1, 4096) for edge in edges):
             self.fail(f"{value!r} is not a list of resolutions; allowed: R,R,..., each 1 to 4096", param, ctx)
         return tuple(dict.fromkeys(map(int, edges)))
 

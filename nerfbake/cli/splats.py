@@ -44,7 +44,7 @@ class SplatCount(click.ParamType[int]):
 @click.option(
     "--count", type=SplatCount(), default="150k", show_default=True, help="Largest number of splats, for example 150k."
 )
-@model_options("Photographs that OUT is fitted to", "splats.SplatsModel")
+@model_options("Photographs that OUT is fitted to", "jobs.splats.SplatsModel")
 @click.option(
     "--epochs", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of passes over the pictures."
 )

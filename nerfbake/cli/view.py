@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import wraps
 from typing import Any
 
 import click
@@ -10,7 +9,7 @@ import click
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
-    Command,
+    bundled,
     console_options,
     grid_options,
     max_loss,
@@ -27,50 +26,24 @@ from nerfbake.cli.render import Background, mesh_options
 from nerfbake.jobs.files import Source, Target
 
 
-def data_options(function: Command) -> Command:
-    """Add --data, --max-loss and --max-size; pass the command `data` and `goal`, a CompressionGoal."""
-
-    @click.option(
-        "--data",
-        type=click.Choice(["compressed", "exact"]),
-        help="Data in OUT. compressed: the data of `nerfbake compress`; exact: float16, about ten times as large."
-        "  [default: compressed; exact for a volume]",
-    )
-    @max_loss("0.1, or more if OUT would take more than 6 MB")
-    @max_size
-    @wraps(function)
-    def command(*args: object, data: Any, max_loss: float | None, max_size: int | None, **others: object) -> object:
-        from nerfbake.jobs.compressions import CompressionGoal
-
-        if data == "exact":
-            here = "with --data exact"
-            without_effect("max_loss", "max_size", "truth", here=here, allowed="with --data compressed")
-        return function(*args, data=data, goal=CompressionGoal(max_loss, max_size), **others)
-
-    return command
-
-
-def quality_options(function: Command) -> Command:
-    """Add --truth, --min-psnr and --samples; pass the command all three."""
-
-    @truth("of --cameras")
-    @min_psnr
-    @samples
-    @wraps(function)
-    def command(*args: object, truth: str | None, min_psnr: float | None, **others: object) -> object:
-        if truth is None and min_psnr is None:
-            allowed = "--samples with --truth or --min-psnr"
-            without_effect("samples", here="without --truth or --min-psnr", allowed=allowed)
-        return function(*args, truth=truth, min_psnr=min_psnr, **others)
-
-    return command
-
-
 @click.command()
 @source_argument
 @target_argument("Page", required=False)
-@data_options
-@quality_options
+@click.option(
+    "--data",
+    type=click.Choice(["compressed", "exact"]),
+    help="Data in OUT. compressed: the data of `nerfbake compress`; exact: float16, about ten times as large."
+    "  [default: compressed; exact for a volume]",
+)
+@bundled(
+    "goal",
+    "jobs.compressions.CompressionGoal",
+    max_loss("0.1, or more if OUT would take more than 6 MB"),
+    max_size,
+)
+@truth("of --cameras")
+@min_psnr
+@samples
 @click.option("--title", help="Title of the page.  [default: the name of IN without its extension]")
 @click.option(
     "--background",
@@ -100,7 +73,7 @@ def quality_options(function: Command) -> Command:
     is_flag=True,
     help="Also store the photographs of --cameras, 480 pixels wide, to show them over the scene.",
 )
-@grid_options
+@grid_options()
 @console_options
 def view(source: Source, target: Target | None, console: Console, **options: Any) -> None:
     """Make a web page that shows a scene.
@@ -122,4 +95,10 @@ def view(source: Source, target: Target | None, console: Console, **options: Any
 
     from nerfbake.jobs.pages import view_file
 
+    if options["data"] == "exact":
+        here = "with --data exact"
+        without_effect("max_loss", "max_size", "truth", here=here, allowed="with --data compressed")
+    if options["truth"] is None and options["min_psnr"] is None:
+        allowed = "--samples with --truth or --min-psnr"
+        without_effect("samples", here="without --truth or --min-psnr", allowed=allowed)
     view_file(source, target, steps=console, **options)

@@ -12,18 +12,15 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from nerfbake import io
 from nerfbake.errors import InvalidFile, MemoryLimit, Problem, Stopped
 from nerfbake.jobs.files import Target
 from nerfbake.jobs.photographs import SplitViews
 from nerfbake.jobs.steps import Steps
+from nerfbake.scene.schedule import Schedule, Stage
 from nerfbake.scene.views import Views
-
-if TYPE_CHECKING:
-    from nerfbake.scene.schedule import Schedule, Stage
-
 
 HANDFUL = 4  # held-out views that are measured during a fit
 _PATIENCE = 0.1  # share of the CPU time of the fit that measuring may take
@@ -138,7 +135,7 @@ class FitRun:
         return f"stage {stage} of {len(self._schedule)}, {now.resolution}^3, {now.cells.n:,} voxels{seen}"
 
     def _seen(self, now: Any) -> float | None:
-        from nerfbake.stages.views_to_field import measure_state  # here, so that --help does not import NumPy
+        from nerfbake.stages.views_to_field import measure_state  # here, because most jobs use only the clock
 
         try:
             return measure_state(now, self._judges, samples=self._samples)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
@@ -22,43 +22,43 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.quantised_octree import QuantisedOctree
+from nerfbake.scene.schedule import (
+    Schedule,
+    parse_schedule,
+    preset_schedule,
+    scenery_scale,
+    scenery_schedule,
+    schedule_for,
+)
 from nerfbake.scene.splats import Splats
-from nerfbake.scene.views import Views
+from nerfbake.scene.views import Views, world_box
+from nerfbake.stages._half import LARGEST
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
 from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
 from nerfbake.stages.field_to_splats import build_splats
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
-from nerfbake.stages.views_to_error import measure_silhouettes, measure_views, plain_psnr
-
-if TYPE_CHECKING:
-    from nerfbake.scene.schedule import Schedule
-    from nerfbake.stages.views_to_error import ViewError
+from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
 
 Dtype = Literal["float16", "float32"]
 Exposure = Literal["auto", "fit", "fixed"]
-Pixels = Callable[[], HeldOut | None]  # computed only for scenes that store or use them
 _GRIDS = ("index",)  # all values in one grid, without loss
 
 
 def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut | None) -> N3Tree:
     """Return a PlenOctree that stores the held-out pixels. dtype None: float16 if all values fit, else float32."""
     if dtype is None:
-        from nerfbake.stages._half import LARGEST  # here, so that --help does not import NumPy
-
         values = field.values
         fits = not values.size or max(values.max(), -values.min()) <= LARGEST
         dtype = "float16" if fits else "float32"
     return replace(build_n3tree(field, dtype=dtype), held_out=held_out)
 
 
-def _compressed(
-    field: BrickField, held_out: Pixels, target: Target, tell: Tell, dtype: Dtype | None
-) -> QuantisedOctree:
+def _compressed(field: BrickField, held_out: HeldOut | None, target: Target, tell: Tell) -> QuantisedOctree:
     """Compress a field like `nerfbake compress` without options."""
     octree, coded_size = build_octree_from_bricks(field), coded_size_of(target)
-    options = {**LEAST_LOSS.options, "held_out": held_out()}
+    options = {**LEAST_LOSS.options, "held_out": held_out}
     return compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
@@ -74,16 +74,8 @@ def _held_out(judges: Views, samples: int) -> HeldOut | None:
     return HeldOut.of(cameras, photographs, background=judges.background)
 
 
-# Conversions of a fitted field, by the type of scene of a file extension; longer extensions first. Only the conversion
-# to a PlenOctree uses the dtype.
-CONVERSIONS: dict[str, Callable[[BrickField, Pixels, Target, Tell, Dtype | None], Any]] = {
-    "SparseVoxelOctree": lambda field, *_: build_octree_from_bricks(field),
-    "QuantisedOctree": _compressed,
-    "Volume": lambda field, *_: build_vdb_from_bricks(field, grids=_GRIDS),
-    "Splats": lambda field, *_: build_splats(build_field(field)),
-    "N3Tree": lambda field, held_out, target, tell, dtype: _tree(field, dtype, held_out()),
-    "Meshes": lambda field, *_: build_field_from_bricks(field),  # of which build_mesh() makes a mesh
-}
+# Types of scene that a fit writes, in the order in which their file extensions are tried: longer ones first.
+KINDS = ("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes")
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
 _OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inner cube of a scene with scenery
 PRESET = "balanced"
@@ -129,13 +121,6 @@ class FitOptions(NamedTuple):
         if len(given) > 1:
             names = " and ".join(f"`{name}`" for name in given)
             raise UsageError(f"{names} each select a schedule; allowed: one of them")
-        from nerfbake.scene.schedule import (
-            parse_schedule,
-            preset_schedule,
-            scenery_schedule,
-            schedule_for,
-        )  # --help must not import NumPy
-
         asked: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
         edge = 0
         if views is not None:
@@ -281,12 +266,7 @@ def fit_file(
             field = field.shell(0)
             posed = cut_out(steps, source, posed, build_field_from_bricks(field))
             judges = posed.judges
-        with steps.phase("putting the field together") as tell, io.blame(target.path):
-            scene = CONVERSIONS[kind](field, lambda: _held_out(judges, recipe.rays(schedule)), target, tell, dtype)
-        if kind == "Meshes":
-            scene = build_mesh(steps, source, scene, posed.trained, target)
-        if isinstance(scene, Splats) and not asked:
-            scene = fitted_splats(steps, source, scene, posed.trained, USUAL, asked)
+        scene = _converted(steps, source, target, kind, field, posed, recipe.rays(schedule), dtype, asked)
         del field, posed
         if asked:
             write_partial(steps, target, kind, scene, state, **_options(target, kind))
@@ -308,8 +288,6 @@ def _read(
     Pictures with scenery are reduced to the size that the last stage uses: larger ones only take longer to measure. A
     mesh and splats are then fitted to them once more, so they need the larger ones.
     """
-    from nerfbake.scene.schedule import scenery_scale  # here, so that --help does not import NumPy
-
     require_poses(steps, source)
     posed = read_photographs(steps, source, album)
     schedule = recipe.schedule(posed.trained)
@@ -328,13 +306,13 @@ def _require(target: Target) -> str:
     """Return the type of scene of the target. Raises NerfbakeError if a field cannot be written there."""
     if target.path == io.STREAM:
         raise UsageError("fit measures the file that it wrote; allowed: an OUT other than '-'")
-    kinds = [kind for kind in CONVERSIONS if catalog.is_ending(target.ending, kind)]
+    kinds = [kind for kind in KINDS if catalog.is_ending(target.ending, kind)]
     kind = kinds[0] if kinds else None
     # Meshes and splats share extensions. Such a file is a mesh if its format has a texture, and splats otherwise.
     if "Meshes" in kinds and io.format_for(target.path, "Meshes", to=target.to).choices("image"):
         kind = "Meshes"
     if kind is None:
-        endings = ", ".join(form.suffix for kind in CONVERSIONS for form in catalog.formats_of(kind))
+        endings = ", ".join(form.suffix for kind in KINDS for form in catalog.formats_of(kind))
         found = f"{target.ending!r} is not the extension of a field or a mesh"
         raise UsageError(f"{found}; allowed: {endings}, or `to=FORMAT`")
     form = target.require(kind)
@@ -363,7 +341,6 @@ def _fit(
     asked: list[int],
 ) -> BrickField:
     """Fit until the schedule ends, or until Ctrl-C adds an item to `asked`, and return the field."""
-    from nerfbake.scene.views import world_box
     from nerfbake.stages.views_to_field import fit_field
 
     now = start = _start(keeper, course)
@@ -399,6 +376,35 @@ def _keep(keeper: CheckpointWriter, now: Any, course: FitRun) -> None:
     worked, passed = course.clock.worked, course.clock.passed
     with course.clock.paused():
         keeper.keep(now, worked=worked, passed=passed, curve=course.curve)
+
+
+def _converted(
+    steps: Steps,
+    source: Source,
+    target: Target,
+    kind: str,
+    field: BrickField,
+    posed: SplitViews,
+    rays: int,
+    dtype: Dtype | None,
+    asked: list[int],
+) -> Any:
+    """Return a fitted field as the type of scene of the target. A mesh and splats are fitted to the views once more."""
+    with steps.phase("putting the field together") as tell, io.blame(target.path):
+        match kind:
+            case "SparseVoxelOctree":
+                return build_octree_from_bricks(field)
+            case "QuantisedOctree":
+                return _compressed(field, _held_out(posed.judges, rays), target, tell)
+            case "Volume":
+                return build_vdb_from_bricks(field, grids=_GRIDS)
+            case "N3Tree":
+                return _tree(field, dtype, _held_out(posed.judges, rays))
+        whole = build_field_from_bricks(field)
+        splats = build_splats(whole) if kind == "Splats" else None
+    if splats is None:
+        return build_mesh(steps, source, whole, posed.trained, target)
+    return splats if asked else fitted_splats(steps, source, splats, posed.trained, USUAL, asked)
 
 
 def _judged(

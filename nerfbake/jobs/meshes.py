@@ -13,7 +13,7 @@ from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, split_pictures
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, render_split
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.environment import EnvironmentMap
@@ -24,15 +24,13 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.scene.views import Views
+from nerfbake.scene.views import Views, world_box
 from nerfbake.scene.volume import Volume
-from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import measure_silhouettes, measure_views, plain_psnr
+from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
 
 if TYPE_CHECKING:
     from nerfbake.stages.views_and_light_to_materials import Material
-    from nerfbake.stages.views_to_error import ViewError
 
 TRIANGLES, TEXTURE = 50_000, 2048
 SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages, too
@@ -69,9 +67,7 @@ class MeshViews(NamedTuple):
             _require_alike(steps, source, field, posed.judges, self.views)
             return posed
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            around = scatter_cameras(field, frames=self.frames, edge=self.edge)
-            judges = orbit_cameras(field, frames=FRAMES, width=self.edge, height=self.edge)
-            return split_pictures(field, around, judges, SAMPLES)
+            return render_split(field, frames=self.frames, edge=self.edge, samples=SAMPLES)
 
 
 class MeshOptions(NamedTuple):
@@ -236,8 +232,7 @@ def bake_mesh(
         scene, materials = _with_materials(steps, source, scene, posed.trained, light)
     worked = clock.worked
     del field
-    results: list[MeshResult] = []
-    told = reporting(lambda: report(results[0]) if report and results else None)
+    told = reporting(lambda: report(found) if report is not None else None)
     with told, place.writing(steps, scene, **options) as written:
         pictures = str(posed.judges) if model.views else f"{len(posed.judges.pictures)} pictures of {source.name}"
         loaded, quality = _judged(steps, place, written.path, posed.judges, pictures)
@@ -245,7 +240,7 @@ def bake_mesh(
             written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
             quality = quality._replace(lit=_lit(steps, source, written_mesh, posed.judges, light))
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
-        results.append(MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials))
+        found = MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials)
         io.report_result(psnr=quality.psnr)
         if file.lit and light is None:
             steps.say(f"{place.path}: roughness is 1 everywhere: materials need a map of the light")
@@ -254,9 +249,9 @@ def bake_mesh(
             steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {what}")
         steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
         if min_psnr is not None and quality.psnr < min_psnr:
-            found = f"has a mean PSNR of {quality.psnr:.2f} dB"
-            raise BudgetMissed(Problem("the mesh", found, f"`min_psnr={min_psnr:g}`"))
-    return results[0]
+            psnr = f"has a mean PSNR of {quality.psnr:.2f} dB"
+            raise BudgetMissed(Problem("the mesh", psnr, f"`min_psnr={min_psnr:g}`"))
+    return found
 
 
 def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:
@@ -312,7 +307,6 @@ def build_mesh(
     recipe: MeshOptions = PLAIN,
 ) -> Meshes | Stage1:
     """Return the mesh of a field with the appearance of these views, as the output stores it."""
-    from nerfbake.scene.views import world_box
     from nerfbake.stages.field_to_surface import build_surface
     from nerfbake.stages.mesh_to_mesh import simplify_surface
     from nerfbake.stages.surface_to_charts import unwrap_surface

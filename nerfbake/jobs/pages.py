@@ -207,9 +207,8 @@ def view_file(
     page of a SH1 page field of 573 rows, 2x2x2 cells of 8^3
     """
     source = as_source(source)
-    judges, budget = GroundTruth(cameras, truth, samples=samples), Budget(min_psnr, cameras, samples)
-    wish = _Wish(data, goal, judges, anew=goal != LEAST_LOSS or truth is not None)
-    judges.require()
+    wish, budget = _Wish(data, goal, GroundTruth(cameras, truth, samples=samples)), Budget(min_psnr, cameras, samples)
+    wish.photographs.require()
     if photographs and cameras is None:
         raise UsageError("`photographs` needs `cameras`, the capture that they are read from")
     if data == "exact" and wish.anew:
@@ -219,34 +218,29 @@ def view_file(
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        content, scene, held_out, scenery, splats = _read(steps, source, wish, choice)
-        if stage1 is not None and not isinstance(scene, BakedAtlas):
+        read = _read(steps, source, wish, choice)
+        if stage1 is not None and not isinstance(read.scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
-        if isinstance(scene, Stage1 | BakedAtlas | Meshes):
+        if isinstance(read.scene, Stage1 | BakedAtlas | Meshes):
             if mesh or wish.anew or photographs or min_psnr is not None:
                 raise UsageError(
                     f"{source.name} contains triangles, for which a goal, `truth`, `photographs`, `min_psnr` and "
                     "`mesh` have no effect; allowed: these options with a field"
                 )
-            made = surface_page(steps, source, scene, stage1, look)
+            made = surface_page(steps, source, read.scene, stage1, look)
             file.write(steps, made)
             return made
-        shown = _framed(steps, source, scene, scenery, mesh, look, photographs=photographs)
-        if data == "exact" or isinstance(scene, Volume):
+        shown = _framed(steps, source, read, mesh, look, photographs=photographs)
+        if data == "exact" or isinstance(read.scene, Volume):
             made = _exact(steps, source, shown)
-        elif content is not None and not wish.anew:
+        elif read.data is not None and not wish.anew:
             steps.say(f"{source.name}: already compressed, so the page carries it unchanged")
-            made = shown.page(form.load_page_module().script_readable(content))
+            made = shown.page(form.load_page_module().script_readable(read.data))
         else:
-            found = _compressed(steps, source, scene, held_out, shown, wish, form)
-            steps.say(f"{file.path}: {found}")
-            if goal == LEAST_LOSS and found.loss > MAX_LOSS:
-                most = f"the compressed data are limited to {_MOST_BYTES / 1e6:g} MB by default"
-                steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
-            made = shown.page(found.quantised)
+            made = _compressed(steps, source, file, form, read, shown, wish)
         with file.writing(steps, made) as written:
-            judged = shown.field if splats is None else splats
+            judged = shown.field if read.splats is None else read.splats
             judge_output(
                 written.path, judged, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
             )
@@ -254,12 +248,16 @@ def view_file(
 
 
 class _Wish(NamedTuple):
-    """The requested data of a page. anew: a goal or truth is given, so compressed sources are compressed again."""
+    """The requested data of a page."""
 
     data: Data | None
     goal: CompressionGoal
-    judges: GroundTruth
-    anew: bool
+    photographs: GroundTruth
+
+    @property
+    def anew(self) -> bool:
+        """Whether a goal or photographs are given, so that a compressed source is compressed again."""
+        return self.goal != LEAST_LOSS or self.photographs.truth is not None
 
 
 class _Shown(NamedTuple):
@@ -303,7 +301,7 @@ def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Con
     fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats
     read = source.read_with_format(steps, *fields, Meshes, Stage1, BakedAtlas)
     if isinstance(read.scene, Splats):
-        options = UPRIGHT if wish.judges.cameras is None else USUAL
+        options = UPRIGHT if wish.photographs.cameras is None else USUAL
         octree, splats = sample_splats(steps, source, read.scene, options=options)
         choice.of(steps, source, octree)
         return _Content(None, octree, splats=splats)
@@ -327,8 +325,7 @@ def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Con
 def _framed(
     steps: Steps,
     source: Source,
-    scene: Any,
-    scenery: N3Tree | None,
+    read: _Content,
     mesh: PlacedMesh | None,
     look: PageLook,
     *,
@@ -336,12 +333,13 @@ def _framed(
 ) -> _Shown:
     """Return the field of a scene with the cameras of the page, its cover picture and the shells around it.
 
-    scenery: the whole scene, if `scene` is its inner cube. Its page has the cameras of its held-out photographs, since
-    no direction is up, and walls stand around it.
+    The page of a scene with scenery has the cameras of its held-out photographs, since no direction is up, and walls
+    stand around it.
     """
+    scenery = read.scenery
     posed = scenery.held_out.cameras if scenery is not None and scenery.held_out is not None else None
     with source.blamed(steps, "building the field"):
-        field = build_field(scene)
+        field = build_field(read.scene)
         whole = field if scenery is None else build_field(scenery)
         around = () if scenery is None else build_page_shells(scenery)
     views, first = page_views(steps, field, look.cameras, posed, name=source.name)
@@ -376,13 +374,19 @@ def _exact(steps: Steps, source: Source, shown: _Shown) -> Page:
 
 
 def _compressed(
-    steps: Steps,
-    source: Source,
-    octree: SparseVoxelOctree,
-    held_out: HeldOut | None,
-    shown: _Shown,
-    wish: _Wish,
-    form: catalog.Format,
+    steps: Steps, source: Source, file: Target, form: catalog.Format, read: _Content, shown: _Shown, wish: _Wish
+) -> Page:
+    """Make the page of compressed data, and print their size and loss."""
+    found = _compression(steps, source, read, shown, wish, form)
+    steps.say(f"{file.path}: {found}")
+    if wish.goal == LEAST_LOSS and found.loss > MAX_LOSS:
+        most = f"the compressed data are limited to {_MOST_BYTES / 1e6:g} MB by default"
+        steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
+    return shown.page(found.quantised)
+
+
+def _compression(
+    steps: Steps, source: Source, read: _Content, shown: _Shown, wish: _Wish, form: catalog.Format
 ) -> Compression:
     """Compress an octree to the requested goal. max_size is the size of the page."""
     sized = form if wish.goal.max_size is not None else catalog.formats_of("QuantisedOctree")[0]
@@ -391,14 +395,14 @@ def _compressed(
     def coded_size(quantised: QuantisedOctree) -> int:
         return module.coded_size(shown.page(quantised) if sized is form else quantised)
 
-    options = wish.goal.options | wish.judges.read(steps, held_out)
+    options = wish.goal.options | wish.photographs.read(steps, read.held_out)
     with source.blamed(steps, "compressing") as tell:
         options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
         most = _MOST_BYTES - _shells_size(shown, form)
         if wish.goal == LEAST_LOSS and most > 0:
             with suppress(BudgetMissed):  # the octree has too many leaves to fit at any precision
-                return compress_octree(octree, max_size=most, **options)
-        return compress_octree(octree, **options)
+                return compress_octree(read.scene, max_size=most, **options)
+        return compress_octree(read.scene, **options)
 
 
 def _shells_size(shown: _Shown, form: catalog.Format) -> int:

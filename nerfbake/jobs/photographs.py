@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, Problem, UsageError
+from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import picture_views, read_cameras
@@ -16,7 +17,9 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
-from nerfbake.stages.pictures_to_views import Scenery, build_views
+from nerfbake.stages.field_and_views_to_views import cut_out_field
+from nerfbake.stages.pictures_to_views import Scenery, apply_mask, build_views, reduction_factor
+from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 
 if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
@@ -97,8 +100,6 @@ def read_photographs_of(steps: Steps, source: Source, album: PhotographOptions, 
 
 def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceField) -> SplitViews:
     """Return photographs with scenery as photographs of a field alone, which is a part of what they show."""
-    from nerfbake.stages.field_and_views_to_views import cut_out_field
-
     with source.blamed(steps, "cutting the field out of the photographs"):
         count = len(posed.trained.pictures)
         with progress.part(0, count / (count + len(posed.judges.pictures))):
@@ -107,8 +108,23 @@ def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceFiel
             return SplitViews(trained, cut_out_field(posed.judges, field))
 
 
-def split_pictures(scene: RadianceField | Splats, around: Cameras, judges: Cameras, samples: int) -> SplitViews:
-    """Render a scene: pictures to fit to, and pictures that are held out."""
+def render_split(
+    scene: RadianceField | Splats,
+    *,
+    frames: int,
+    edge: int,
+    samples: int = 1,
+    framed: RadianceField | Splats | None = None,
+    zoom: float = 1.0,
+) -> SplitViews:
+    """Render a scene from all sides: `frames` pictures to fit to, and FRAMES others that are held out.
+
+    framed: the scene around which the cameras stand, if it is another one. zoom: of the pictures to fit to, as in
+    scatter_cameras().
+    """
+    framed = scene if framed is None else framed
+    around = scatter_cameras(framed, frames=frames, edge=edge, zoom=zoom)
+    judges = orbit_cameras(framed, frames=FRAMES, width=edge, height=edge)
     share = len(around.cameras) / (len(around.cameras) + len(judges.cameras))
     with progress.part(0, share):
         trained = picture_views(scene, around, samples)
@@ -148,8 +164,6 @@ def _pictures(
 
     Prints that build_views() reduces large pictures.
     """
-    from nerfbake.stages.pictures_to_views import apply_mask, reduction_factor  # so that --help does not import NumPy
-
     told = False
     for i, (camera, file) in enumerate(zip(cameras.cameras, files, strict=True)):
         size = camera.width, camera.height

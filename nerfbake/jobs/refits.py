@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import UsageError
-from nerfbake.jobs.budgets import EDGE, FRAMES
+from nerfbake.jobs.budgets import EDGE
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import without_scenery
 from nerfbake.jobs.octrees import read_octree
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, split_pictures
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, render_split
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.scene.brick_field import BrickField
@@ -21,13 +21,8 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.brick_field_to_octree import fill_octree
 from nerfbake.stages.octree_to_brick_field import build_bricks
-from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import measure_views
-
-if TYPE_CHECKING:
-    from nerfbake.stages.views_to_error import ViewError
-
+from nerfbake.stages.views_to_error import ViewError, measure_views
 
 _ALL = 0.75  # of the width of a scene with scenery; its inner cube has half of it or less
 
@@ -67,9 +62,7 @@ class RefitTarget(NamedTuple):
             scene = without_scenery(steps, bigger, scene)
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
             shown = scene if isinstance(scene, Splats) else build_field(scene)
-            around = scatter_cameras(shown, frames=self.frames, edge=self.edge)
-            judges = orbit_cameras(shown, frames=FRAMES, width=self.edge, height=self.edge)
-            return split_pictures(shown, around, judges, samples)
+            return render_split(shown, frames=self.frames, edge=self.edge, samples=samples)
 
 
 class RefitOptions(NamedTuple):

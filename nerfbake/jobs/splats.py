@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import BudgetMissed, Problem, UsageError
-from nerfbake.jobs.budgets import FRAMES, Budget
+from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, split_pictures
+from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, render_split
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
@@ -21,12 +21,9 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_to_splats import COUNT, build_splats
-from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras, without_strays
+from nerfbake.stages.scene_to_cameras import without_strays
 from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import measure_views
-
-if TYPE_CHECKING:
-    from nerfbake.stages.views_to_error import ViewError
+from nerfbake.stages.views_to_error import ViewError, measure_views
 
 EDGE = 400  # width and height of rendered pictures, in pixels
 PICTURES = 100  # rendered pictures that are fitted to
@@ -51,10 +48,8 @@ class SplatsModel(NamedTuple):
         if self.views is not None:
             return read_photographs_of(steps, Source(self.views), self.album, field)
         with source.blamed(steps, f"rendering pictures of {source.name}"):
-            whole = without_strays(field)
-            around = scatter_cameras(whole, frames=self.frames, edge=self.edge, zoom=_ZOOM)
-            judges = orbit_cameras(whole, frames=FRAMES, width=self.edge, height=self.edge)
-            return split_pictures(field, around, judges, around.samples)
+            framed = without_strays(field)
+            return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM)
 
 
 FROM_FIELD = SplatsModel()
@@ -136,22 +131,19 @@ def bake_splats(
         if asked:
             write_partial(steps, target, "Splats", splats)
     worked, passed = clock.worked, clock.passed
-    with target.writing(steps, splats) as written:
+    told = reporting(lambda: report(found) if report is not None else None)
+    with told, target.writing(steps, splats) as written:
         count = splats.n
         del splats
         views, content = _measured(steps, target, written, posed.judges)
         found = SplatsResult(target.path, content, written.size, count, views, worked, passed)
         io.report_result(psnr=found.psnr)
         if min_psnr is not None and not found.psnr >= min_psnr:
-            if report is not None:
-                report(found)
             raise BudgetMissed(
                 Problem("the splats", f"have {found.psnr:.2f} dB on {posed.judges}", f"{min_psnr:g} dB or more")
             )
-    seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {posed.judges}"
-    steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
-    if report is not None:
-        report(found)
+        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {posed.judges}"
+        steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     return found
 
 

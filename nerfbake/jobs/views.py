@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nerfbake import io, progress
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.page import COVER
+from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
+from nerfbake.scene.views import Views
+from nerfbake.stages._picture import Visible, renderable
+from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras
-
-if TYPE_CHECKING:
-    from nerfbake.scene.radiance_field import RadianceField
-    from nerfbake.scene.views import Views
+from nerfbake.stages.scenes_to_comparison import compare_scenes
+from nerfbake.stages.splats_to_image import render_splats
 
 
 def read_cameras(steps: Steps, path: str) -> Cameras:
@@ -32,9 +36,6 @@ def renderable_scene(steps: Steps, scene: Any, name: str) -> Any:
 
     name: name of the scene in errors.
     """
-    # Imported here, because commands that render nothing do not need it.
-    from nerfbake.stages._picture import Visible, renderable
-
     if isinstance(scene, Visible):
         return scene
     with steps.phase("building the field"), io.blame(name):
@@ -68,18 +69,12 @@ def views_of(
 
 def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
     """Return the mean PSNR in dB between pictures of two scenes, `edge` pixels wide and high, on an orbit around a."""
-    from nerfbake.stages.scenes_to_comparison import compare_scenes
-
     views = orbit_cameras(a, frames=frames, width=edge, height=edge)
     return float(compare_scenes(a, b, views, keep_pictures=False).means["a_b"]["psnr"])
 
 
 def picture_views(scene: RadianceField | Splats, cameras: Cameras, samples: int) -> Views:
     """Render pictures of a field or of splats, with alpha, to which something else is fitted."""
-    from nerfbake.stages.field_to_image import render_field
-    from nerfbake.stages.pictures_to_views import build_views
-    from nerfbake.stages.splats_to_image import render_splats
-
     cameras.require_memory()
 
     def pictures() -> Iterator[Any]:
@@ -100,8 +95,6 @@ def page_views(
     posed: the cameras without a capture; None: an orbit. The cover is square: it shows what the first camera sees along
     its shorter edge.
     """
-    from nerfbake.scene.page import COVER
-
     if cameras is None and posed is not None:
         views = posed
     else:

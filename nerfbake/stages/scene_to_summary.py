@@ -306,8 +306,7 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     of checksum. For a mesh triangles, pieces and colours. For cameras pictures, lenses and positions. For stage 1 and
     atlases textures, maps and errors. For splats counts, boxes and ranges.
 
-    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None. Raises UsageError for
-    a type of scene that has no summary.
+    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None.
 
     >>> from nerfbake import sample_n3tree, summarise_scene
     >>> facts = summarise_scene(sample_n3tree(resolution=8))

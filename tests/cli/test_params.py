@@ -120,5 +120,5 @@ def test_what_the_help_repeats_is_what_the_jobs_have() -> None:
     assert f"[default: {hulls.LEVEL};" in help_of("hull")
     assert f"voxels are fitted (splats only). [default: {splat_fields.EPOCHS}]" in help_of("svo")
     assert f"its finest, at most {lattices.FINEST}]" in help_of("lattice")
-    written = ", ".join(dict.fromkeys(form.name for scene in fits.CONVERSIONS for form in catalog.formats_of(scene)))
+    written = ", ".join(dict.fromkeys(form.name for scene in fits.KINDS for form in catalog.formats_of(scene)))
     assert f"if its extension names none: {written}." in help_of("fit")

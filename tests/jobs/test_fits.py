@@ -87,7 +87,7 @@ def test_a_plenoctree_is_written_as_svox_writes_it(capture: Path) -> None:
 
 @pytest.mark.usefixtures("trainer")
 def test_values_that_float16_cannot_hold_stay_float32(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerfbake.stages._half.LARGEST", 1e-3)
+    monkeypatch.setattr("nerfbake.jobs.fits.LARGEST", 1e-3)
     fit_file(capture, "a.npz")
     assert load("a.npz", N3Tree).data.dtype == np.float32
 
