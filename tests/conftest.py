@@ -80,8 +80,36 @@ def fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
     with_fewer_rays(monkeypatch)
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_configure(config: pytest.Config) -> None:
+    config.option.loadscopereorder = False  # xdist would begin with the files of the most tests, however short they are
+
+
+# Seconds: an estimate for each test, by its first marker here, and the files of tests that take much longer.
+SECONDS = {"long": 5.0, "slow": 1.5, "tools": 0.5}
+LONGER = {"tests/test_readme.py": 60.0, "tests/fuzz/test_fuzz.py": 30.0}
+
+
+def seconds_of(item: pytest.Item) -> float:
+    own = next((seconds for name, seconds in SECONDS.items() if item.get_closest_marker(name)), 0.05)
+    return own + (LONGER.get(str(item.path.relative_to(REPOSITORY)), 0.0) if own == SECONDS["long"] else 0.0)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
+    """Mark the tests, let pytest select by marker, and begin with the files that take longest.
+
+    `--dist loadfile` gives each file to one worker: a file of a minute at the end would run alone.
+    """
+    mark(items)
+    yield
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        files: dict[Path, float] = {}
+        for item in items:
+            files[item.path] = files.get(item.path, 0.0) + seconds_of(item)
+        items.sort(key=lambda item: -files[item.path])
+
+
+def mark(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.Function) and TOOL_FIXTURES & {*item.fixturenames}:
             item.add_marker("tools")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
@@ -33,6 +34,12 @@ from tests.support.outputs import read_output
 
 SHORT = ("--epochs", "cells=32,scale=2,epochs=1,density=0.05/cells=32,epochs=1,split=0.3", "--basis", "SH1")
 SHARED = {"__init__", "__main__", "aims", "browser", "scenes", "suite"}
+
+
+def once(*works: Callable[[], Any], rounds: int) -> list[list[Any]]:
+    """in_turn() without its round that does not count."""
+    assert rounds == 1
+    return [[work()] for work in works]
 
 
 def tables(files: dict[str, bytes], name: str) -> dict[str, list[list[str]]]:
@@ -104,7 +111,7 @@ def test_inputs(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(inputs, name, value)
     for name, value in (("SMALL", 8), ("SMALL_FRAMES", 1), ("SMALL_EDGE", 12)):
         monkeypatch.setattr(inputs, name, value)
-    monkeypatch.setattr(inputs, "in_turn", lambda work, rounds: [[work() for _ in range(rounds)]])  # none to warm up
+    monkeypatch.setattr(inputs, "in_turn", once)
     found = tables(small("inputs", scenes), "inputs.md")
     (rows,) = (table for title, table in found.items() if title.startswith("`nerfbake svo"))
     assert [row[:2] for row in rows] == [["ckpt.npz", "5^3"], ["fine_last.tar", "4^3"]]
@@ -189,6 +196,8 @@ def test_render(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "EDGE", 48)
     monkeypatch.setattr(view, "TEXELS", EDGE)
+    monkeypatch.setattr(view, "FRAMES", 2)
+    monkeypatch.setattr(view, "in_turn", once)
     monkeypatch.setattr(view, "RENDERERS", {"SwiftShader": SWIFTSHADER})
     files = small("view", scenes)
     found = tables(files, "view.md")

@@ -70,12 +70,12 @@ def test_every_voxel_reads_what_the_tree_reads(name: str, size: tuple[int, int, 
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_every_voxel_at_256_reads_what_the_tree_reads() -> None:
+def test_every_fifth_plane_at_256_reads_what_the_tree_reads() -> None:
+    """Voxels in every place of their parents: 5 is odd."""
     tree = chair("chair_sh9")
     octree = build_octree(tree, resolution=256, resample="nearest")
-    points = world_centres(octree).reshape(16, -1, 3)
-    for slab in points:
-        assert_array_equal(octree.sample(slab), tree.sample(slab))
+    for plane in world_centres(octree).reshape(256, -1, 3)[::5]:
+        assert_array_equal(octree.sample(plane), tree.sample(plane))
     # At the tree's own resolution there is nothing to average.
     assert_same_octree(octree, build_octree(tree))
 

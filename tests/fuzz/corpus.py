@@ -239,7 +239,8 @@ def _meshes(name: str) -> Iterator[bytes]:
     if name == "glb":
         textured = replace(flat, texture=texture(6, 5))
         yield _encoded(name, Meshes((textured, coloured)))
-        yield _encoded(name, Meshes((textured,), (textured,)), quantised=True, lit=True, image="webp")
+        painted = replace(textured, colours=np.linspace(0, 1, 12, dtype=np.float32).reshape(4, 3))
+        yield _encoded(name, Meshes((painted,), (flat,)), quantised=True, lit=True, image="webp")
     if name == "ply":
         yield polygon_ply([(0, 1, 2), (0, 2, 3, 1)])
 

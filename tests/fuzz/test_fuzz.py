@@ -19,7 +19,7 @@ from tests.fuzz.breakage import Case, case_of
 from tests.fuzz.campaign import Result, campaign, numbers
 from tests.fuzz.trial import LIMIT, SLACK, Trial
 
-CASES = 150
+CASES = 2000
 SOUND = Case(0, "obj", "case.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
@@ -28,14 +28,13 @@ def whole(seed: int, cases: int, jobs: int = 1) -> Result:
     return result
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "cases"), [(0, CASES), pytest.param(1, 20 * CASES, marks=pytest.mark.long)])
-def test_thousands_of_broken_files(seed: int, cases: int) -> None:
+@pytest.mark.long
+def test_thousands_of_broken_files() -> None:
     """`python -m tests.fuzz --minutes 30` tries more cases, and prints the command that repeats a finding."""
-    result = whole(seed, cases, jobs=1 if cases == CASES else 2)
+    result = whole(0, CASES)  # a second process would first try every sound file, too: 5 CPU seconds
     assert [first for first, *_ in result.by_key().values()] == []
     assert set(result.tried) == set(corpus.names())
-    assert sum(result.tried.values()) == cases
+    assert sum(result.tried.values()) == CASES
 
 
 def test_a_case_is_the_same_again() -> None:

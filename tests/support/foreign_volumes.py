@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -111,12 +114,19 @@ class Seen:
 
 
 def seen(path: Path) -> list[Seen]:
-    """Read the grids of a file with pyopenvdb, in a separate interpreter."""
-    where, dump = path.with_suffix(".places.npy"), path.with_suffix(".seen.npz")
-    np.save(where, places())
-    subprocess.run(["/usr/bin/python3", "-c", _DUMP, str(path), str(where), str(dump)], check=True, timeout=60)
-    with np.load(dump) as npz:
+    """Read the grids of a file with pyopenvdb, in a separate interpreter: once for the same bytes."""
+    with np.load(io.BytesIO(_dumped(path.read_bytes()))) as npz:
         return [Seen(npz, i) for i in range(int(npz["count"]))]
+
+
+@cache
+def _dumped(content: bytes) -> bytes:
+    with TemporaryDirectory() as folder:
+        path, where, dump = (Path(folder) / name for name in ("a.vdb", "places.npy", "seen.npz"))
+        path.write_bytes(content)
+        np.save(where, places())
+        subprocess.run(["/usr/bin/python3", "-c", _DUMP, str(path), str(where), str(dump)], check=True, timeout=60)
+        return dump.read_bytes()
 
 
 def assert_same(grid: VdbTree, theirs: Seen, *, atol: float = 0) -> None:

@@ -109,9 +109,8 @@ def _too_long(*_: object) -> None:
     raise TimeoutError
 
 
-def main(command: str, source: Path, flips: int) -> None:
-    """Run a command on every damaged copy of a file with limited memory, and print the failures as JSON."""
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+def findings(command: str, source: Path, flips: int) -> list[str]:
+    """Run a command on every damaged copy of a file, and return what is wrong."""
     data = source.read_bytes()
     suffix = source.name.partition(".")[2]
     bad, out = source.with_name(f"bad.{suffix}"), source.with_name("out.svo.npz")
@@ -122,8 +121,15 @@ def main(command: str, source: Path, flips: int) -> None:
         bad.write_bytes(broken)
         if said := complaint([command, str(bad), str(out), "-q"], out):
             found.append(f"{name}: {said}")
-    print(json.dumps(found))
+    return found
+
+
+def main(flips: int, jobs: list[str]) -> None:
+    """Print a line of JSON for each command and file, with limited memory."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    for command, source in zip(jobs[::2], jobs[1::2], strict=True):
+        print(json.dumps(findings(command, Path(source), flips)), flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]))
+    main(int(sys.argv[1]), sys.argv[2:])

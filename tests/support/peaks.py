@@ -18,8 +18,8 @@ from pathlib import Path
 from nerfbake import io
 from nerfbake.errors import MemoryLimit, NerfbakeError
 from nerfbake.memory import memory_limit
-from tests.conftest import REPOSITORY
 
+REPOSITORY = Path(__file__).parents[2]  # tests.conftest would import pytest and Hypothesis in every process
 STEP = 1.3  # factor from one limit to the next
 MOST = 4 << 30
 # The allocator returns freed memory at once, so that each measurement covers one load.

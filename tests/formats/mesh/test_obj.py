@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from nerfbake import Meshes, load, save
 from nerfbake.errors import BudgetMissed, NerfbakeError, OutputError
 from nerfbake.formats.mesh import obj
 from nerfbake.io import saving
-from tests.support.hostile import damaged, refused_as_it_is
+from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import TEXELS, assert_same_mesh, cube, painted, square
 
 
@@ -210,13 +209,6 @@ LIES: dict[str, tuple[bytes, str]] = {
 def test_a_lying_obj_is_one_line(lie: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content, named = LIES[lie]
     assert named in refused_as_it_is(tmp_path / "bad.obj", content, capsys)
-
-
-def test_a_damaged_obj_is_read_or_refused(tmp_path: Path) -> None:
-    save(tmp_path / "a.obj", Meshes((square(),)))
-    for _, broken in damaged((tmp_path / "a.obj").read_bytes(), flips=200):
-        with contextlib.suppress(NerfbakeError):
-            obj.decode(memoryview(broken))
 
 
 def test_a_stream_is_known_by_its_first_bytes() -> None:
