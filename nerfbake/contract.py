@@ -154,6 +154,9 @@ class PhotographFormat(Protocol):
         size: (W, H) of the camera.
         """
 
+    def check_photograph(self, view: memoryview, /) -> tuple[int, int]:
+        """Return width and height of a photograph that can be decoded. Raises InvalidFile, MemoryLimit."""
+
     def jpeg_of_heic(self, view: memoryview, /) -> bytes | None:
         """Return a HEIC as JPEG of the same size, with its EXIF data; None for a picture of another format.
 

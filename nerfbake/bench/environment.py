@@ -9,7 +9,7 @@ from nerfbake.errors import Problem, UsageError
 from nerfbake.io.machine import machine
 
 # Module: the extra of pyproject.toml that installs it, in the order of the extra `test`.
-EXTRAS = {"matplotlib": "plot", "warp": "warp", "pycolmap": "poses"}
+EXTRAS = {"matplotlib": "plot", "warp": "warp", "pycolmap": "poses", "pillow_heif": "heic"}
 
 
 def environment(*packages: str) -> dict[str, str]:

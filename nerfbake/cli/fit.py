@@ -127,7 +127,8 @@ fit_options = bundled(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
         help="Schedule of about 30, 65 or 120 seconds on two cores; of 2, 4 or 7 minutes for objects in pictures of "
-        "600 pixels or more; of 40, 90 or 230 seconds with scenery.  [default: balanced]",
+        "600 pixels or more; of 40, 90 or 230 seconds with scenery. Longer if an object fills the pictures.  "
+        "[default: balanced]",
     ),
     click.option(
         "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."

@@ -261,11 +261,21 @@ def load_photograph(path: str | Path, size: tuple[int, int] | None = None) -> An
     """
     with blame(str(path)):
         with memory.scope():
-            view = read_file(Path(path))
-            if not len(view):
-                raise InvalidFile("is empty; allowed: a PNG, a JPEG or a HEIC")
-            pixels = load_photographs().decode_photograph(view, size)
+            pixels = load_photographs().decode_photograph(_read_photograph(path), size)
         return memory.kept(pixels)
+
+
+def check_photograph(path: str | Path) -> tuple[int, int]:
+    """Return width and height of a photograph that load_photograph() can read. Raises InvalidFile, MemoryLimit."""
+    with blame(str(path)), memory.scope():
+        return load_photographs().check_photograph(_read_photograph(path))
+
+
+def _read_photograph(path: str | Path) -> memoryview:
+    view = read_file(Path(path))
+    if not len(view):
+        raise InvalidFile("is empty; allowed: a PNG, a JPEG or a HEIC")
+    return view
 
 
 def copy_photograph(path: str | Path, to: str | Path) -> None:

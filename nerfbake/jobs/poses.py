@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
-from nerfbake.io.reading import copy_photograph, is_heic, is_picture
+from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_picture
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
@@ -150,11 +150,11 @@ def _require_outputs(folder: Path, force: bool) -> None:
 
 
 def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
-    """Read each picture, as `fit` does, and group their names by size. Raises InvalidFile for a damaged picture."""
-    groups: dict[tuple[int, ...], list[str]] = {}
+    """Group the names of the pictures by size. Raises InvalidFile for a picture that `fit` could not read."""
+    groups: dict[tuple[int, int], list[str]] = {}
     with steps.phase(f"reading {len(names)} pictures"):
         for name in progress.each(names):
-            groups.setdefault(io.load_photograph(place / name).shape, []).append(name)
+            groups.setdefault(check_photograph(place / name), []).append(name)
     return list(groups.values())
 
 

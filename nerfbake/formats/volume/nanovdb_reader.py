@@ -202,7 +202,7 @@ def read_file(view: memoryview) -> Volume:
             continue
         read.append(grid)
     if not read:
-        raise InvalidFile(unread[0])
+        raise InvalidFile(unread[0] if unread else Problem("the file", "is empty", "one grid or more"))
     first = read[0].transform
     grids = []
     for tree, transform, *_ in read:

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
@@ -61,7 +61,9 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
     except Image.DecompressionBombError:
         raise InvalidFile(Problem(name, "declares more than 178 million pixels", f"{MAX_EDGE:,} an edge")) from None
     except _BROKEN as error:
-        raise InvalidFile(Problem(name, f"cannot be read ({error})", f"a whole {' or '.join(kinds)}")) from None
+        # Pillow's own message has the address of the buffer.
+        reason = "unknown content" if isinstance(error, UnidentifiedImageError) else error
+        raise InvalidFile(Problem(name, f"cannot be read ({reason})", f"a whole {' or '.join(kinds)}")) from None
 
 
 def _is_heic(view: memoryview) -> bool:
@@ -175,14 +177,31 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
     shape, the picture is rotated upright. Raises InvalidFile, MemoryLimit.
     """
     with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
-        if picture.mode not in _MODES:
-            found = f"holds {picture.mode} pixels"
-            raise InvalidFile(Problem("the picture", found, "grey, a palette or RGB, 8 bits a channel"))
+        _require_mode(picture)
         turn = None if size is None else _turn(picture, size)
         if turn is None:
             return np.asarray(picture.convert("RGBA"))
         memory.require("the picture", 2 * 12 * picture.width * picture.height)
         return np.asarray(picture.convert("RGBA").transpose(turn))
+
+
+def check_photograph(view: memoryview) -> tuple[int, int]:
+    """Return width and height of a photograph that decode_photograph() can read. Raises InvalidFile, MemoryLimit.
+
+    A JPEG is decoded at an eighth of its resolution, in a tenth of the time: that reads all of its data, too.
+    """
+    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
+        _require_mode(picture)
+        size = picture.size
+        picture.draft(None, (1, 1))
+        picture.load()
+        return size
+
+
+def _require_mode(picture: Image.Image) -> None:
+    if picture.mode not in _MODES:
+        found = f"holds {picture.mode} pixels"
+        raise InvalidFile(Problem("the picture", found, "grey, a palette or RGB, 8 bits a channel"))
 
 
 def jpeg_of_heic(view: memoryview) -> bytes | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -16,6 +17,7 @@ from PIL import Image as Pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
 from nerfbake.formats.wire.picture import (
+    check_photograph,
     decode_photograph,
     decode_texture,
     encode_preview,
@@ -179,3 +181,22 @@ def test_without_its_library_heic_is_named(heic: memoryview, monkeypatch: pytest
     allowed = r"a PNG or a JPEG, or HEIC after `pip install 'nerfbake\[heic\]'`"
     with pytest.raises(InvalidFile, match=f"the picture is HEIC; allowed: {allowed}"):
         decode_photograph(heic)
+
+
+def said_of(read: Callable[[memoryview], object], data: bytes) -> str:
+    try:
+        read(memoryview(data))
+    except NerfbakeError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
+def test_a_check_finds_what_decoding_finds(kind: str) -> None:
+    whole = bytes(file(Pillow.fromarray(SMOOTH), kind))
+    assert check_photograph(memoryview(whole)) == (64, 48)
+    said = [
+        [said_of(read, data) for _, data in damaged(whole, flips=200)] for read in (check_photograph, decode_photograph)
+    ]
+    assert said[0] == said[1]
+    assert sum(map(bool, said[0])) > 90
