@@ -21,11 +21,12 @@ from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, PAPERS, VIEW
 from benchmarks.browser import SWIFTSHADER
 from benchmarks.scenes import SAMPLES, Scenes
 from benchmarks.suite import RESULTS, SUITE, UNPUBLISHED, run
-from benchmarks.view import CHOSEN, OCTREE
+from benchmarks.view import CHOSEN, OCTREE, SURFACE_COLUMNS
 from nerfbake import build_octree, sample_n3tree
 from nerfbake.bench.access.readers import READERS
 from nerfbake.bench.atlas import AtlasMethod
-from nerfbake.bench.measure import Result, measure_process
+from nerfbake.bench.measure import Result, Statistics, measure_process
+from nerfbake.bench.report import Report, Table
 from nerfbake.scene.atlas import METHODS
 from tests.benchmarks.conftest import EDGE
 from tests.conftest import REPOSITORY
@@ -40,6 +41,12 @@ def once(*works: Callable[[], Any], rounds: int) -> list[list[Any]]:
     """in_turn() without its round that does not count."""
     assert rounds == 1
     return [[work()] for work in works]
+
+
+def surfaces(*args: Any, **options: Any) -> Report:
+    """A report like that of compare_surfaces(), whose seven pages test_surfaces.py draws and times."""
+    rows = [[way, *[Statistics.of([2.0])] * (len(SURFACE_COLUMNS) - 1)] for way in (*view.MLPS, *METHODS, "none")]
+    return Report("Pages: small", {}, [Table("Frames", SURFACE_COLUMNS, rows)], [])
 
 
 def tables(files: dict[str, bytes], name: str) -> dict[str, list[list[str]]]:
@@ -199,6 +206,7 @@ def test_view(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "FRAMES", 2)
     monkeypatch.setattr(view, "in_turn", once)
     monkeypatch.setattr(view, "RENDERERS", {"SwiftShader": SWIFTSHADER})
+    monkeypatch.setattr(view, "compare_surfaces", surfaces)
     files = small("view", scenes)
     found = tables(files, "view.md")
     assert [row[0] for row in found["Aims"]] == list(VIEW)
