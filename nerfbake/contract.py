@@ -20,8 +20,8 @@ from nerfbake.errors import Problem, UsageError, one_line
 
 Piece = bytes | memoryview
 HEAD = 512  # bytes that are enough to recognise most formats
-HEIC = (".heic", ".HEIC", ".heif", ".HEIF")
-_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"), HEIC)  # a tuple for each kind of picture
+# The extensions of each kind of picture.
+_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"), (".heic", ".HEIC", ".heif", ".HEIF"))
 PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # extensions that a capture may omit
 _SHOWN = 60  # characters of an invalid value in a message
 
@@ -157,11 +157,11 @@ class PhotographFormat(Protocol):
     def check_photograph(self, view: memoryview, /) -> tuple[int, int]:
         """Return width and height of a photograph that can be decoded. Raises InvalidFile, MemoryLimit."""
 
-    def jpeg_of_heic(self, view: memoryview, /) -> bytes | None:
-        """Return a HEIC as JPEG of the same size, with its EXIF data; None for a picture of another format.
+    def is_heic(self, head: memoryview, /) -> bool:
+        """Return whether the first bytes of a file are those of a HEIC."""
 
-        Raises InvalidFile, MemoryLimit.
-        """
+    def jpeg_of_heic(self, view: memoryview, /) -> bytes:
+        """Return a HEIC as JPEG of the same size, with its EXIF data. Raises InvalidFile, MemoryLimit."""
 
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""

@@ -24,7 +24,7 @@ from nerfbake.catalog import (
     load_photographs,
     uncompressed,
 )
-from nerfbake.contract import HEIC, PICTURES, StorableScene, picture_names
+from nerfbake.contract import HEAD, PICTURES, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
 from nerfbake.io.sources import STREAM, Folder, blame, read_file, read_stdin, reading_name
 
@@ -281,15 +281,16 @@ def _read_photograph(path: str | Path) -> memoryview:
 def copy_photograph(path: str | Path, to: str | Path) -> None:
     """Copy a photograph; if it is a HEIC, as JPEG of the same name. Raises InvalidFile, MemoryLimit, OutputError."""
     with blame(str(path)), memory.scope():
-        view = read_file(Path(path))
-        data = load_photographs().jpeg_of_heic(view) or view
+        view, pictures = _read_photograph(path), load_photographs()
+        data = pictures.jpeg_of_heic(view) if pictures.is_heic(view) else view
         with blame(str(to), OutputError):
             Path(to).write_bytes(data)
 
 
 def is_heic(path: str | Path) -> bool:
-    """True if a file has the extension of a HEIC, which an iPhone stores."""
-    return Path(path).suffix.lower() in HEIC
+    """True if a file is a HEIC, which an iPhone stores, whatever its extension is. Raises InvalidFile."""
+    with blame(str(path)), Path(path).open("rb") as file:
+        return load_photographs().is_heic(memoryview(file.read(HEAD)))
 
 
 def load_thumbnail(path: str | Path, edge: int) -> bytes:

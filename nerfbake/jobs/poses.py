@@ -160,7 +160,7 @@ def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
 
 def _readable(steps: Steps, place: Path, names: list[str], copies: Path) -> Path:
     """Return the folder from which pycolmap reads the pictures. It cannot read HEIC, so it then has copies in JPEG."""
-    if not any(map(is_heic, names)):
+    if not any(is_heic(place / name) for name in names):
         return place
     with steps.phase(f"converting {len(names)} pictures"), io.blame(str(copies), OutputError):
         copies.mkdir()

@@ -57,8 +57,9 @@ _LARGE = 600
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
 _FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
-# Pictures are downscaled if this many pixels, squared, remain of an object: the chair has 367^2 at 800x800. The time of
-# a fit grows with the pixels, and so does the quality (docs/tuning.md), so fewer pixels are only for large objects.
+# Pictures are downscaled by the largest whole factor that leaves an object this many pixels, squared. The chair has
+# 367^2 at 800x800. The time of a fit grows with the pixels, and so does the quality (docs/tuning.md). So small objects
+# keep all of them.
 _LEAST_SIDE = 384
 
 

@@ -306,7 +306,8 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     of checksum. For a mesh triangles, pieces and colours. For cameras pictures, lenses and positions. For stage 1 and
     atlases textures, maps and errors. For splats counts, boxes and ranges.
 
-    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None.
+    Ranges are [minimum, maximum] over the finite values of leaves with a density above 0, or None. Raises
+    UsageError for a scene of another type.
 
     >>> from nerfbake import sample_n3tree, summarise_scene
     >>> facts = summarise_scene(sample_n3tree(resolution=8))

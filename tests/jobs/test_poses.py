@@ -25,7 +25,7 @@ from nerfbake.jobs import PosesResult, find_poses, poses
 from tests.conftest import REPOSITORY
 from tests.jobs.listener import Listener
 from tests.support.fake_pycolmap import CRASHES_ONCE, SLEEPS, replace_pycolmap, write_pycolmap
-from tests.support.heic import write_heic
+from tests.support.heic import heic_of
 from tests.support.rooms import FOCAL, HEIGHT, WIDTH, write_room
 
 Array = npt.NDArray[np.float64]
@@ -176,15 +176,17 @@ def test_many_pictures_give_the_same_bytes_on_any_number_of_threads(
 @pytest.mark.slow
 def test_a_picture_without_features_is_left_out_and_one_may_have_spaces_or_be_heic(tmp_path: Path) -> None:
     write_room(tmp_path, frames=5)
-    write_heic(tmp_path / "0003.HEIC", tmp_path / "0003.png")
-    (tmp_path / "0003.png").unlink()
-    heic = (tmp_path / "0003.HEIC").read_bytes()
+    for name, new in (("0003.png", "0003.HEIC"), ("0004.png", "0004.png")):  # one has the extension of another format
+        with Pillow.open(tmp_path / name) as picture:
+            heic = heic_of(picture)
+        (tmp_path / name).unlink()
+        (tmp_path / new).write_bytes(heic)
     (tmp_path / "0002.png").rename(tmp_path / "the third of them.png")
     Pillow.new("RGB", (WIDTH, HEIGHT), (128, 128, 128)).save(tmp_path / "grey.png")
     assert find_poses(tmp_path)[1:3] == (6, 5)
     names = [camera.picture for camera in load(tmp_path, Cameras).cameras]
     assert names == ["0000.png", "0001.png", "0003.HEIC", "0004.png", "the third of them.png"]
-    assert (tmp_path / "0003.HEIC").read_bytes() == heic
+    assert (tmp_path / "0004.png").read_bytes() == heic
     assert sorted(path.name for path in (tmp_path / "sparse" / "0").iterdir()) == MODEL_FILES
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import io
 
 from PIL import Image as Pillow
 from pillow_heif import register_heif_opener
 
+ORIENTATION, EXIF, FOCAL_LENGTH = 0x0112, 0x8769, 0xA405  # FocalLengthIn35mmFilm
+FOCAL = 26
 
-def write_heic(target: Path, source: Path, *, focal: int = 26) -> None:
-    """Write a picture as HEIC, with EXIF data that name a focal length and an orientation."""
+
+def heic_of(picture: Pillow.Image, *, quality: int = 95) -> bytes:
+    """Encode a picture as HEIC, with EXIF data that name an orientation and FOCAL. quality -1: without loss."""
     register_heif_opener()
     exif = Pillow.Exif()
-    exif[0x0112] = 6
-    exif.get_ifd(0x8769)[0xA405] = focal  # FocalLengthIn35mmFilm
-    with Pillow.open(source) as picture:
-        picture.convert("RGB").save(target, "HEIF", quality=95, exif=exif)
+    exif[ORIENTATION] = 6
+    exif.get_ifd(EXIF)[FOCAL_LENGTH] = FOCAL
+    made = io.BytesIO()
+    picture.save(made, "HEIF", quality=quality, exif=exif)
+    return made.getvalue()

@@ -26,7 +26,6 @@ _CAMERA_BYTES = 1000  # memory of one Camera object
 # Bytes of a picture that are read to find its size: enough for a thumbnail and a colour profile, which precede it; then
 # for the depth map and the second picture of a phone's portrait, which may also precede it.
 _HEADS = 1 << 18, 1 << 25
-_STARTS = (b"\xff\xd8", b"\x89PNG")  # of the pictures whose size can be read
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 Size = tuple[int, int]
@@ -111,7 +110,7 @@ class PictureSizes:
     def _read(self, path: str) -> Size | None:
         assert self._folder is not None
         # Imported here: only this function needs Pillow, and most files contain the sizes.
-        from nerfbake.formats.wire.picture import size_of
+        from nerfbake.formats.wire.picture import is_photograph, size_of
 
         place, _, name = path.rpartition("/")
         if place not in self._there:
@@ -124,7 +123,7 @@ class PictureSizes:
             head = self._folder.head(inside, most)
             with suppress(InvalidFile):
                 return size_of(head, inside)
-            if len(head) < most or not head.startswith(_STARTS):
+            if len(head) < most or not is_photograph(memoryview(head)):
                 break
         self.unreadable = self.unreadable or inside
         return None

@@ -44,7 +44,7 @@ _PHOTOGRAPHS = ("PNG", "JPEG", "HEIF")  # as Pillow calls them
 @contextmanager
 def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> Iterator[Image.Image]:
     """Open a picture; decode it inside the block. Raises InvalidFile, MemoryLimit."""
-    if "HEIF" in kinds and _is_heic(view):
+    if "HEIF" in kinds and is_heic(view):
         _require_heif(name)
         kinds = ("HEIF",)
     else:
@@ -66,8 +66,14 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
         raise InvalidFile(Problem(name, f"cannot be read ({reason})", f"a whole {' or '.join(kinds)}")) from None
 
 
-def _is_heic(view: memoryview) -> bool:
-    return bytes(view[4:8]) == b"ftyp"  # ISO/IEC 14496-12, 4.3: the type of the first box
+def is_heic(head: memoryview) -> bool:
+    """Return whether the first bytes of a file are those of a HEIC, whatever its name is."""
+    return bytes(head[4:8]) == b"ftyp"  # ISO/IEC 14496-12, 4.3: the type of the first box
+
+
+def is_photograph(head: memoryview) -> bool:
+    """Return whether the first bytes of a file are those of a PNG, a JPEG or a HEIC."""
+    return bytes(head[:4]) == b"\x89PNG" or bytes(head[:2]) == b"\xff\xd8" or is_heic(head)
 
 
 def _require_heif(name: str) -> None:
@@ -204,13 +210,8 @@ def _require_mode(picture: Image.Image) -> None:
         raise InvalidFile(Problem("the picture", found, "grey, a palette or RGB, 8 bits a channel"))
 
 
-def jpeg_of_heic(view: memoryview) -> bytes | None:
-    """Encode a HEIC as JPEG of the same size, with its EXIF data. None for a picture of another format.
-
-    Raises InvalidFile, MemoryLimit.
-    """
-    if not _is_heic(view):
-        return None
+def jpeg_of_heic(view: memoryview) -> bytes:
+    """Encode a HEIC as JPEG of the same size, with its EXIF data. Raises InvalidFile, MemoryLimit."""
     with opened(view, "the picture", "HEIF", bytes_per_pixel=12) as picture:
         file = io.BytesIO()
         picture.convert("RGB").save(file, "JPEG", quality=_JPEG_QUALITY, exif=picture.info.get("exif") or b"")

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles
 from nerfbake.kernels.jit import borrowed, compiled, part_of
-from nerfbake.kernels.march.traversal import containing_cell
+from nerfbake.kernels.march.traversal import containing_cell, exits
 from nerfbake.kernels.parallel import on_every_core
 
 Marks = npt.NDArray[np.uint8]
@@ -80,9 +80,7 @@ def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark
     )
     while 0 <= x < R and 0 <= y < R and 0 <= z < R:
         met[x, y, z] |= mark
-        exit0 = (x + (d0 > 0) - o0) * i0 if d0 != 0 else np.inf
-        exit1 = (y + (d1 > 0) - o1) * i1 if d1 != 0 else np.inf
-        exit2 = (z + (d2 > 0) - o2) * i2 if d2 != 0 else np.inf
+        exit0, exit1, exit2 = exits(x, y, z, 1, o0, o1, o2, d0, d1, d2, i0, i1, i2)
         if exit0 <= exit1 and exit0 <= exit2:
             x += 1 if d0 > 0 else -1
         elif exit1 <= exit2:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 from nerfbake import Cameras, load
 from nerfbake.errors import InvalidFile
 from nerfbake.scene.camera import Camera
+from tests.support.heic import heic_of
 
 POSE = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
 NO_PICTURE = "no picture in rgb; using 800x600, with the principal point in the centre"
@@ -69,3 +72,15 @@ def test_pictures_that_cannot_be_read_are_not_called_missing(tmp_path: Path) -> 
     (tmp_path / "rgb" / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     unreadable = "no readable picture in rgb (rgb/a.png cannot be read)"
     assert load(tmp_path, Cameras).notes == (NO_PICTURE.replace("no picture in rgb", unreadable),)
+
+
+def test_the_size_of_a_large_heic_is_found(tmp_path: Path) -> None:
+    read(tmp_path, "875 400 300 0\n")
+    (tmp_path / "rgb").mkdir()
+    noise = np.random.default_rng(0).integers(0, 256, (400, 500, 3), np.uint8)
+    data = heic_of(Pillow.fromarray(noise), quality=-1)
+    (tmp_path / "rgb" / "a.heic").write_bytes(data)
+    assert len(data) > 1 << 18  # its header alone is not enough
+    cameras = load(tmp_path, Cameras)
+    assert cameras.notes == ()
+    assert {(camera.width, camera.height) for camera in cameras.cameras} == {(500, 400)}

@@ -10,7 +10,6 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-import pillow_heif
 import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
@@ -22,12 +21,13 @@ from nerfbake.formats.wire.picture import (
     decode_texture,
     encode_preview,
     encode_thumbnail,
+    is_heic,
     jpeg_of_heic,
 )
 from nerfbake.memory import memory_limit
+from tests.support.heic import EXIF, FOCAL, FOCAL_LENGTH, heic_of
 from tests.support.hostile import damaged
 
-ORIENTATION, EXIF, FOCAL_LENGTH = 0x0112, 0x8769, 0xA405  # FocalLengthIn35mmFilm
 SMOOTH = np.stack(np.broadcast_arrays(*np.ogrid[0:240:48j, 0:190:64j], 99), axis=-1).astype(np.uint8)
 PIXELS = np.random.default_rng(3).integers(0, 256, (5, 7, 4), np.uint8)
 
@@ -142,11 +142,7 @@ def test_a_preview_is_turned_as_the_photograph_is(orientation: int) -> None:
 @pytest.fixture(scope="module")
 def heic() -> memoryview:
     """A lossless HEIC of 64 x 48 pixels, with an EXIF orientation and a focal length."""
-    pillow_heif.register_heif_opener()
-    exif = Pillow.Exif()
-    exif[ORIENTATION] = 6
-    exif.get_ifd(EXIF)[FOCAL_LENGTH] = 26
-    return file(Pillow.fromarray(SMOOTH), "HEIF", quality=-1, exif=exif)
+    return memoryview(heic_of(Pillow.fromarray(SMOOTH), quality=-1))
 
 
 def test_heic_has_the_pixels_that_it_was_made_of(heic: memoryview) -> None:
@@ -160,11 +156,11 @@ def test_heic_has_the_pixels_that_it_was_made_of(heic: memoryview) -> None:
 
 def test_heic_becomes_a_jpeg_of_its_size_and_focal_length(heic: memoryview) -> None:
     made = jpeg_of_heic(heic)
-    assert made is not None
     with Pillow.open(io.BytesIO(made)) as picture:
         assert (picture.format, picture.size) == ("JPEG", (64, 48))
-        assert picture.getexif().get_ifd(EXIF)[FOCAL_LENGTH] == 26
-    assert jpeg_of_heic(memoryview(made)) is None
+        assert picture.getexif().get_ifd(EXIF)[FOCAL_LENGTH] == FOCAL
+    assert is_heic(heic)
+    assert not is_heic(memoryview(made))
     assert np.abs(decode_photograph(memoryview(made)).astype(int) - decode_photograph(heic)).max() <= 8
 
 
