@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,8 @@ _DENSITY_STEPS = 2  # step of density / step of colour
 _SAMPLE = 1 << 17  # largest number of leaves from which the channels are computed
 _CHUNK = 1 << 15  # leaves at a time
 _ROUNDING = 32767  # largest entry of the mixing matrix
+_LEAF_BYTES, _NUMBER_BYTES = 0.13, 0.5  # of a coded octree, for each leaf and for each integer that is not 0
+STEPS = (1e-4, 16.0)  # smallest and largest step of a search
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +87,32 @@ class Coefficients:
         mixing = unit_mixing(self.mixing, self.mixing_scale)
         values, v = haar.restore_rounded(self.points, self._steps(step), self.merges, self.blocks, mixing, self.leaf)
         return with_density(values, v, self.density_scale)
+
+    def estimated_size(self, step: float) -> float:
+        """Return the estimated size in bytes of the octree with this step, as a .svoq with the range coder.
+
+        For steps of 0.06 to 0.48, it was within 4 % for trained scenes of 256^3 and finer, and up to 16 % too large for
+        one of 128^3.
+        """
+        sizes, every = self._sample
+        numbers = every * (len(sizes) - int(np.searchsorted(sizes, step / 2)))
+        return _LEAF_BYTES * len(self.points) + _NUMBER_BYTES * numbers
+
+    def step_for_size(self, size: float) -> float:
+        """Return the step within STEPS whose estimated size is nearest to `size` bytes."""
+        sizes, every = self._sample
+        numbers = int((size - _LEAF_BYTES * len(self.points)) / _NUMBER_BYTES) // every
+        if numbers <= 0:
+            return STEPS[1]
+        return min(max(2 * float(sizes[max(len(sizes) - numbers, 0)]), STEPS[0]), STEPS[1])
+
+    @cached_property
+    def _sample(self) -> tuple[npt.NDArray[np.float32], int]:
+        """The rising sizes of the coefficients in every k-th row, those of density in units of its step; and k."""
+        every = -(-len(self.points) // _SAMPLE)
+        sizes = np.abs(self.points[::every])
+        sizes[:, -1] /= _DENSITY_STEPS
+        return np.sort(sizes, axis=None), every
 
     def _steps(self, step: float) -> Floats:
         steps = np.full(self.points.shape[1], step)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages._coefficients import Coefficients, Rows, transform, visible_leaves
+from nerfbake.stages._coefficients import STEPS, Coefficients, Rows, transform, visible_leaves
 from nerfbake.stages._loss import Loss, LossMeter, measuring_judge, predicting_judge
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.octree_to_octree import lower_basis, require_lower
@@ -62,17 +62,17 @@ def most_important(order: Rows, prune: float) -> Rows:
     return np.flatnonzero(stays)
 
 
-STEPS = (1e-4, 16.0)  # smallest and largest step of the search
 # Importance is computed from _FRAMES cameras with _EDGE pixels along an edge, for octrees of up to _VOXELS along an
 # axis. Finer octrees need more pixels, or no ray hits most leaves: 10 % fewer bytes at 512^3 for the same loss. More
 # than _RAYS in all gain little: twice as many gain 0.01 dB at 1024^3 and 4.3 MB, and take 5 s longer.
 _FRAMES, _EDGE, _VOXELS, _RAYS = 64, 200, 256, 21_000_000
-_PRUNED = 0.12  # share of the allowed squared error that pruning may cause
-_MOST_PRUNED, _HALVINGS = 0.95, 7
-_NEAR_LOSS, _NEAR_SIZE = 0.97, 0.96  # the search ends at this fraction of the allowed loss or size
-_FAR = 1.5  # the loss is given up early if the size is predicted to exceed the allowed one by this factor
-_SIZE_SLOPE = 0.8  # -d log(size) / d log(step)
-_TRIALS, _SHARES = 16, 4  # most trials; after _SHARES trials the share is fixed, so that sizes decrease with the step
+_PRUNED, _FACTOR = 0.06, 1.5  # share of the loss that pruning causes, within this factor
+_MOST_PRUNED, _FIRST_PRUNED, _PRUNINGS = 0.95, 0.05, 7  # shares of the leaves; number of shares that are tried
+_LEAST_LOSS = 0.02  # smaller losses, and gains, are interpolated as this ratio to the allowed loss
+_NEAR = 0.96  # the search ends at this fraction of the allowed loss or size
+_FAR = 1.5  # the loss is given up early if the size is estimated to exceed the allowed one by this factor
+_SLOPE, _PRUNING_SLOPE = 1.7, 1.3  # d log(loss) / d log(step) and / d log(share of pruned leaves)
+_TRIALS = 16  # largest number of trials
 _AIM, _STRIDE = 0.985, 2.0  # target as a fraction of what is allowed; largest change of log(step) when extrapolating
 _WEIGHED, _SHARED = 0.15, 0.5  # progress when the leaves are weighted, and when the share to prune is found
 _USUAL = 3  # usual number of trials
@@ -99,7 +99,7 @@ def compress_octree(
               max_loss is given too and would need more bytes, the loss is exceeded
     step      of colour, used as it is; only the leaves to prune are searched
 
-    basis: SHk of a lower degree; its error is part of the loss. Pruning may cause about an eighth of the squared error.
+    basis: SHk of a lower degree; its error is part of the loss. Pruning may cause about 6 % of the loss.
     The loss is measured on held_out, pixels of photographs, or else predicted for a source of source_psnr. field:
     build_field() of the octree, if you have already built it. tell() is called with a line of text for each trial.
     Raises InvalidScene for an octree that cannot be rendered, BudgetMissed if the limit cannot be met, MemoryLimit.
@@ -126,11 +126,13 @@ def compress_octree(
             judge = measuring_judge(own, held_out)
         else:
             judge = predicting_judge(own, source_psnr=source_psnr)
+    whole = 0.0
     if basis is not None:
         octree = lower_basis(octree, basis, importance.gram)
         own, size = build_field_from_octree(octree), octree.data_dim // 3
         importance = importance._replace(gram=importance.gram[:size, :size])
-    search = _Search(octree, own, rows, importance, judge, coded_size, tell)
+        whole = judge.cost(own).loss
+    search = _Search(octree, own, rows, importance, judge, whole, coded_size, tell)
     if max_loss is not None:
         found = search.within_loss(max_loss, max_size)
     elif max_size is not None:
@@ -168,15 +170,14 @@ class _Search:
         rows: Rows,
         importance: Importance,
         judge: LossMeter,
+        whole: float,
         coded_size: Callable[[QuantisedOctree], int],
         tell: Callable[[str], None],
     ) -> None:
         self._octree, self._own, self._rows = octree, own, rows
         self._gram, self._order = importance.gram, by_importance(importance)
         self._judge, self._coded_size, self._tell = judge, coded_size, tell
-        # Squared error by share. The error of a lower basis is included, as that of share 0.
-        with progress.listening(None):
-            self._pruning = {0.0: judge.cost(own).error}
+        self._pruning = {0.0: whole}  # loss by share, including that of a lower basis
         self._trials = 0
         self._coefficients: tuple[float, Coefficients] | None = None  # of this share
         self._last: tuple[_Tried, QuantisedOctree] | None = None  # of the trial that was coded last
@@ -185,9 +186,9 @@ class _Search:
     # -- the three goals ---------------------------------------------------------------------------------------
     def within_loss(self, most: float, size: int | None) -> Compression:
         """Search the smallest octree with a loss of at most `most`, or within_size() if it exceeds `size` bytes."""
-        allowed = self._judge.allowed_error(most)
-        allowed = max(allowed - self._pruning[0.0], 0.01 * allowed)
-        share, step = self._share_for(_PRUNED * allowed), _FIRST * float(np.sqrt(allowed))
+        allowed = max(most - self._pruning[0.0], 0.01 * most)
+        share = self._share_for(_PRUNED * allowed)
+        step = _FIRST * float(np.sqrt(self._judge.allowed_error(allowed)))
         best: _Tried | None = None
         points: list[tuple[float, float]] = []
         for _ in range(_TRIALS):
@@ -195,15 +196,13 @@ class _Search:
             points.append((step, tried.loss / most))
             if tried.loss <= most and (best is None or tried.step > best.step):
                 best = tried
-            if best is not None and best.loss >= _NEAR_LOSS * most:
+            step = next_step(points, slope=_SLOPE)
+            if size is not None and self._transformed(share).estimated_size(step) > _FAR * size:
+                return self.within_size(size, tried)
+            if best is not None and best.loss >= _NEAR * most:
                 break
-            step = next_step(points, slope=2.0)
             if step == points[-1][0]:
                 break
-            if size is not None and not self._sizes:
-                grown = (step / tried.step) ** -_SIZE_SLOPE
-                if self._size(tried) * grown > _FAR * size:
-                    return self.within_size(size, tried)
         found = best or tried
         if size is not None and self._size(found) > size:
             return self.within_size(size, found)
@@ -213,26 +212,26 @@ class _Search:
 
     def within_size(self, most: int, near: _Tried | None = None) -> Compression:
         """Search the best octree of at most `most` bytes. near: an earlier trial, which was too large."""
-        share, step = 0.0, _FIRST * float(np.sqrt(self._judge.allowed_error(0.1)))
-        if near is not None:
-            step = near.step * (self._size(near) / most) ** (1 / _SIZE_SLOPE)
-            share = self._share_for_rounding(near, step)
-        best: _Tried | None = None
+        if near is None:
+            near = self._trial(0.0, self._transformed(0.0).step_for_size(_AIM * most))
+        best, aim = None, _AIM * most
         points: list[tuple[float, float]] = []
-        for count in range(_TRIALS):
-            tried = self._trial(share, step)
-            size = self._size(tried)
-            points.append((step, size / most))
-            if size <= most and (best is None or tried.loss < best.loss):
-                best = tried
-            if best is not None and self._size(best) >= _NEAR_SIZE * most:
+        for _ in range(_TRIALS):
+            if near in self._sizes:  # corrects the estimate
+                size = self._sizes[near]
+                points.append((near.step, size / most))
+                aim = _AIM * most * self._transformed(near.share).estimated_size(near.step) / size
+            share = self._share_for_rounding(near, self._step_for_size(near.share, aim, points))
+            step = self._step_for_size(share, aim, points)
+            if (share, step) != (near.share, near.step):
+                near = self._trial(share, step)
+            elif near in self._sizes:
                 break
-            step = next_step(points, slope=-_SIZE_SLOPE)
-            if step == points[-1][0]:
+            size = self._size(near)
+            if size <= most and (best is None or near.loss < best.loss):
+                best = near
+            if best is not None and self._size(best) >= _NEAR * most:
                 break
-            if count < _SHARES:
-                share = self._share_for_rounding(tried, step)
-                points = points if share == tried.share else points[-1:]
         if best is None:
             raise BudgetMissed(Problem("the octree", f"takes at least {size:,} bytes", f"`max_size={most:,}`"))
         return self._made(best)
@@ -280,28 +279,40 @@ class _Search:
         octree, cost = self._quantised(tried), (tried.error, tried.loss)
         return Compression(octree, tried.share, size, *cost, measured, judge.source_psnr, judge.views)
 
+    def _step_for_size(self, share: float, aim: float, points: list[tuple[float, float]]) -> float:
+        """Return the step with this estimated size, or one between earlier steps if a file was too large and one not.
+
+        points: (step, size / allowed size) of earlier trials.
+        """
+        ratios = [ratio for _, ratio in points]
+        if points and min(ratios) < _AIM <= max(ratios):
+            return next_step(points, slope=-1.0)
+        return self._transformed(share).step_for_size(aim)
+
     def _share_for_rounding(self, near: _Tried, step: float) -> float:
-        """Return the share to prune at another step, from the rounding error of a trial."""
-        rounding = max(near.error - self._pruning[near.share], 0.0) * (step / near.step) ** 2
+        """Return the share to prune at another step, from the loss that rounding causes in a trial."""
+        rounding = max(near.loss - self._pruning[near.share], 0.0) * (step / near.step) ** _SLOPE
         return self._share_for(_PRUNED / (1 - _PRUNED) * rounding)
 
     def _share_for(self, allowed: float) -> float:
-        """Return the largest share that adds at most this squared error, by bisection: the error grows with it."""
-        low, high = 0.0, _MOST_PRUNED
-        allowed += self._pruning[low]
-        for _ in self._halvings():
-            middle = (low + high) / 2
-            if middle not in self._pruning:
-                keep = most_important(self._order, middle)
-                self._pruning[middle] = self._cost(keep, -2 - keep, self._own.values).error
-            low, high = (middle, high) if self._pruning[middle] <= allowed else (low, middle)
-        return low
-
-    def _halvings(self) -> Iterator[int]:
-        """Iterate with progress for the first share only. Later searches find most of their errors in the cache."""
+        """Return a share that adds this loss within _FACTOR, or else the largest one found that adds less."""
+        most, whole = _MOST_PRUNED, self._pruning[0.0]
+        least = min(1 / len(self._order), most)
+        # Progress is shown for the first share only. Later searches find most of their errors in the cache.
         first = len(self._pruning) == 1 and not self._trials
         with progress.part(_WEIGHED, _SHARED) if first else progress.listening(None):
-            yield from progress.each(range(_HALVINGS))
+            for _ in progress.each(range(_PRUNINGS if allowed > 0 else 0)):
+                losses = [(share, (loss - whole) / allowed) for share, loss in self._pruning.items() if share]
+                points = [(share, max(ratio, _LEAST_LOSS)) for share, ratio in losses]
+                for share, ratio in points:
+                    if 1 / _FACTOR <= ratio <= _FACTOR:
+                        return share
+                share = next_step(points, slope=_PRUNING_SLOPE, limits=(least, most)) if points else _FIRST_PRUNED
+                if share in self._pruning:
+                    break
+                keep = most_important(self._order, share)
+                self._pruning[share] = self._cost(keep, -2 - keep, self._own.values).loss
+        return max(share for share, loss in self._pruning.items() if loss - whole <= max(allowed, 0.0))
 
     def _cost(self, keep: Rows, slots: Rows, values: npt.NDArray[np.float32]) -> Loss:
         """Return the loss of the field with only these leaves, with these slots and values."""
@@ -321,11 +332,11 @@ def _done(trials: int, begin: float) -> float:
     return begin + (1 - begin) * trials / (trials + max(1, _USUAL - trials))
 
 
-def next_step(points: list[tuple[float, float]], *, slope: float) -> float:
+def next_step(points: list[tuple[float, float]], *, slope: float, limits: tuple[float, float] = STEPS) -> float:
     """Return the next step to try, from pairs (step, result / allowed result) of all earlier trials.
 
     The target is a ratio a little below 1. The step is interpolated on a logarithmic line between the two nearest
-    steps on both sides of the target, or extrapolated with this slope from the nearest one. It stays within STEPS.
+    steps on both sides of the target, or extrapolated with this slope from the nearest one. It stays within the limits.
     """
     sign = 1.0 if slope > 0 else -1.0
     known = sorted((step, sign * float(log(max(value, 1e-6) / _AIM))) for step, value in points)
@@ -337,4 +348,4 @@ def next_step(points: list[tuple[float, float]], *, slope: float) -> float:
         return a * float(exp(part * float(log(b / a))))
     step, value = below[-1] if below else above[0]
     grown = step * float(exp(min(max(-value / abs(slope), -_STRIDE), _STRIDE)))
-    return min(max(grown, STEPS[0]), STEPS[1])
+    return min(max(grown, limits[0]), limits[1])

@@ -10,9 +10,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from nerfbake import build_octree, cut_octree, load, save, summarise_scene
+from nerfbake.formats.octree.svoq import coded_size
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.volume import Volume
+from nerfbake.stages._coefficients import transform, visible_leaves
 from tests.conftest import DATA, Shell
 from tests.support.scenes import assert_same_octree, world_centres
 
@@ -156,3 +158,14 @@ def test_the_table_is_nearly_all_of_an_index_file(shell: Shell, tmp_path: Path) 
     (grid,) = load(tmp_path / "a.nvdb", Volume).grids
     assert grid.values.shape == (629_855, 28)
     assert grid.values.nbytes > 0.95 * (tmp_path / "a.nvdb").stat().st_size
+
+
+@pytest.mark.parametrize(("name", "away"), [("chair_sh9", 0.06), ("chair_sh9_128", 0.2)])
+def test_sizes_are_estimated_without_coding(name: str, away: float) -> None:
+    octree = build_octree(chair(name))
+    rows = visible_leaves(octree)
+    made = transform(octree, rows, octree.leaf_values(rows), np.arange(len(rows)), np.eye(9) / (4 * np.pi))
+    for step in (0.06, 0.24):
+        size = made.estimated_size(step)
+        assert size == pytest.approx(coded_size(made.rounded(step)), rel=away)
+        assert made.step_for_size(size) == pytest.approx(step, rel=0.01)
