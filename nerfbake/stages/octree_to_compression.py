@@ -62,17 +62,19 @@ def most_important(order: Rows, prune: float) -> Rows:
     return np.flatnonzero(stays)
 
 
-# Importance is computed from _FRAMES cameras with _EDGE pixels along an edge, for octrees of up to _VOXELS along an
-# axis. Finer octrees need more pixels, or no ray hits most leaves: 10 % fewer bytes at 512^3 for the same loss. More
-# than _RAYS in all gain little: twice as many gain 0.01 dB at 1024^3 and 4.3 MB, and take 5 s longer.
+# Importance is computed from _FRAMES cameras with _EDGE pixels along an edge for _VOXELS along an axis. Finer octrees
+# need more pixels, or no ray hits most leaves: 10 % fewer bytes at 512^3 for the same loss. Coarser ones need fewer: at
+# 128^3, 100 pixels give the same bytes. More than _RAYS in all gain little: twice as many gain 0.01 dB at 1024^3 and
+# 4.3 MB, and take 5 s longer.
 _FRAMES, _EDGE, _VOXELS, _RAYS = 64, 200, 256, 21_000_000
+_COARSEST, _FINEST = 160, 1024  # range of the voxels along an axis, for the number of pixels
 _PRUNED, _FACTOR = 0.06, 1.5  # share of the loss that pruning causes, within this factor
 _MOST_PRUNED, _FIRST_PRUNED, _PRUNINGS = 0.95, 0.05, 7  # shares of the leaves; number of shares that are tried
 _LEAST_LOSS = 0.02  # smaller losses, and gains, are interpolated as this ratio to the allowed loss
 _NEAR = 0.96  # the search ends at this fraction of the allowed loss or size
 _FAR = 1.5  # the loss is given up early if the size is estimated to exceed the allowed one by this factor
 _SLOPE, _PRUNING_SLOPE = 1.7, 1.3  # d log(loss) / d log(step) and / d log(share of pruned leaves)
-_TRIALS = 16  # largest number of trials
+_TRIALS, _SHARES = 16, 4  # most trials; after _SHARES sizes the share is fixed, so that sizes decrease with the step
 _AIM, _STRIDE = 0.985, 2.0  # target as a fraction of what is allowed; largest change of log(step) when extrapolating
 _WEIGHED, _SHARED = 0.15, 0.5  # progress when the leaves are weighted, and when the share to prune is found
 _USUAL = 3  # usual number of trials
@@ -215,14 +217,16 @@ class _Search:
         if near is None:
             near = self._trial(0.0, self._transformed(0.0).step_for_size(_AIM * most))
         best, aim = None, _AIM * most
-        points: list[tuple[float, float]] = []
-        for _ in range(_TRIALS):
+        points: list[tuple[float, float]] = []  # (step, size / allowed size) of this share
+        for count in range(_TRIALS):
             if near in self._sizes:  # corrects the estimate
                 size = self._sizes[near]
                 points.append((near.step, size / most))
                 aim = _AIM * most * self._transformed(near.share).estimated_size(near.step) / size
-            share = self._share_for_rounding(near, self._step_for_size(near.share, aim, points))
-            step = self._step_for_size(share, aim, points)
+            share, step = near.share, self._step_for_size(near.share, aim, points)
+            if count < _SHARES and (other := self._share_for_rounding(near, step)) != share:
+                share, points = other, []
+                step = self._step_for_size(share, aim, points)
             if (share, step) != (near.share, near.step):
                 near = self._trial(share, step)
             elif near in self._sizes:
@@ -282,7 +286,7 @@ class _Search:
     def _step_for_size(self, share: float, aim: float, points: list[tuple[float, float]]) -> float:
         """Return the step with this estimated size, or one between earlier steps if a file was too large and one not.
 
-        points: (step, size / allowed size) of earlier trials.
+        points: (step, size / allowed size) of earlier trials with the same share.
         """
         ratios = [ratio for _, ratio in points]
         if points and min(ratios) < _AIM <= max(ratios):
@@ -323,8 +327,8 @@ class _Search:
 
 
 def _edge(octree: SparseVoxelOctree) -> int:
-    """Return the pixels along an edge, proportional to the octree's voxels, from _EDGE to four times _EDGE."""
-    return _EDGE * min(max(_VOXELS, *octree.size), 4 * _VOXELS) // _VOXELS
+    """Return the pixels along an edge, proportional to the octree's voxels along its longest axis."""
+    return _EDGE * min(max(_COARSEST, *octree.size), _FINEST) // _VOXELS
 
 
 def _done(trials: int, begin: float) -> float:
