@@ -6,10 +6,10 @@ The aim bounds the time of a read on the surface, relative to NanoVDB.
 from __future__ import annotations
 
 from benchmarks.aims import SURFACE_READ, aims_table
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake import load
 from nerfbake.bench.access.comparison import RESOLUTIONS, chart_access, compare_access
-from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Cameras

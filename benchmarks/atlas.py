@@ -10,9 +10,10 @@ import tempfile
 from functools import partial
 from typing import Any
 
+from benchmarks.processes import announced, in_turn, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake.bench.atlas import chart_atlases, compare_atlases
-from nerfbake.bench.measure import Statistics, announced, in_turn, measure_process
+from nerfbake.bench.measure import Statistics
 from nerfbake.bench.report import Report, Table
 
 ROUNDS = 3  # rounds of the whole command; its steps are measured once

@@ -14,9 +14,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from benchmarks.processes import announced, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Statistics, announced, measure_process
+from nerfbake.bench.measure import Statistics
 from nerfbake.bench.report import Report, Table
 
 SCENES = 16

@@ -27,10 +27,11 @@ from PIL import Image as Pillow
 
 from benchmarks.aims import CAPTURE_LEAVES, CAPTURE_MEMORY, CAPTURES, PHOTOGRAPHS_TO_PAGE, POSES, Aim, aims_table
 from benchmarks.fit import CURVE, OVER_TIME, Fit, chart_fits, curve_rows
+from benchmarks.processes import announced, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import Cameras, N3Tree, RadianceField, Views, build_field, load, render_field, render_room
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, announced, measure_process
+from nerfbake.bench.measure import Result
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import NerfbakeError
 from nerfbake.jobs.files import Source

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.aims import COMPRESS, aims_table
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake import N3Tree, build_octree, load
 from nerfbake.bench.compress import COLUMNS, chart_compression, compare_compression
-from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 
 ROUNDS = 3

@@ -22,13 +22,14 @@ from typing import Any, NamedTuple
 
 import nerfbake
 from benchmarks.aims import FIT, FIT_MEMORY, FIT_ONE_RAY, REFIT, Aim, aims_table
+from benchmarks.processes import announced, measure_process
 from benchmarks.render import rendering
 from benchmarks.scenes import Scenes
 from nerfbake import build_octree, io, load, save
 from nerfbake.bench.access.rays import RAY_NOTES, ray_rows, ray_table
 from nerfbake.bench.environment import environment
 from nerfbake.bench.fit.published import plenvdb_table
-from nerfbake.bench.measure import Progress, Statistics, announced, measure, measure_process
+from nerfbake.bench.measure import Progress, Statistics, measure
 from nerfbake.bench.plot import lines
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import NerfbakeError

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from benchmarks.aims import BULK_DECODE, BULK_ENCODE, FASTER_THAN, PROTOBUF_SIZE, Aim, aims_table
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake import build_octree, load
 from nerfbake.bench.formats.comparison import chart_formats, compare_formats
-from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.aims import FINER, INPUTS, Aim, aims_table
+from benchmarks.processes import announced, in_turn, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import (
     N3Tree,
@@ -34,7 +35,7 @@ from nerfbake import (
     orbit_cameras,
 )
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Statistics, announced, in_turn, measure_process
+from nerfbake.bench.measure import Statistics
 from nerfbake.bench.report import Report, Table
 from nerfbake.formats.wire.torch_writer import numpy_array, ordered, torch_file
 from nerfbake.kernels.march.sh import sh_basis

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.aims import MESH, aims_table
+from benchmarks.processes import announced, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import (
     BakedAtlas,
@@ -36,7 +37,7 @@ from nerfbake import (
     save,
 )
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, announced, measure_process
+from nerfbake.bench.measure import Result
 from nerfbake.bench.plot import lines
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import NerfbakeError

@@ -13,10 +13,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake import Cameras, Image, N3Tree, build_field, compare_scenes, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 
 # Each file, the command that creates it from the files above, and the information that is lost.

@@ -8,9 +8,9 @@ The chart has PSNR against minutes.
 from __future__ import annotations
 
 from benchmarks.aims import PAPERS, PAPERS_MEMORY, Aim, aims_table
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake.bench.fit.comparison import FITS, chart_papers, compare_papers
-from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import NerfbakeError
 

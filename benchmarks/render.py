@@ -17,20 +17,11 @@ import numpy as np
 
 import nerfbake
 from benchmarks.aims import FIRST_PICTURE, FRAME, aims_table
+from benchmarks.processes import announced, in_turn, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import io, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import (
-    Progress,
-    Result,
-    Statistics,
-    Work,
-    announced,
-    in_turn,
-    measure,
-    measure_process,
-    seconds_of,
-)
+from nerfbake.bench.measure import Progress, Result, Statistics, Work, measure, seconds_of
 from nerfbake.bench.plot import Mark, scatter
 from nerfbake.bench.report import Report, Table
 from nerfbake.kernels.picture.metrics import psnr

@@ -15,10 +15,10 @@ from functools import partial
 from typing import Any, TypeVar
 
 from benchmarks.aims import SPLAT_FILES, SPLAT_OCTREES, SPLAT_PICTURE, SPLAT_READ, Aim, aims_table
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake import SparseVoxelOctree, Splats, build_field, compare_scenes, load, orbit_cameras, render_splats
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import announced
 from nerfbake.bench.report import Report, Table
 from nerfbake.jobs import SplatsModel, SplatsOptions, bake_splats
 from nerfbake.jobs.files import Source

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import announced, in_turn, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import N3Tree, build_octree, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Result, Statistics, Work, announced, in_turn, measure, measure_process
+from nerfbake.bench.measure import Result, Statistics, Work, measure
 from nerfbake.bench.report import Report, Table
 
 ROUNDS, BUILDS = 7, 5

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.aims import NANOVDB_BUILD_AND_WRITE, OPENVDB_WRITE, Aim
+from benchmarks.processes import announced, in_turn, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import IndexGrid, N3Tree, SparseVoxelOctree, VdbTree, Volume, build_octree, build_vdb, load, save
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Statistics, announced, in_turn, measure_process, seconds_of
+from nerfbake.bench.measure import Statistics, seconds_of
 from nerfbake.bench.report import Report, Table
 
 ROUNDS = 15

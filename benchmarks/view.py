@@ -29,10 +29,11 @@ import numpy.typing as npt
 import nerfbake
 from benchmarks.aims import VIEW, aims_table
 from benchmarks.browser import LLVMPIPE, NOTE, OWN, SWIFTSHADER, Tab, Times, chromium, frame_times
+from benchmarks.processes import announced, in_turn, measure_process
 from benchmarks.scenes import Scenes
 from nerfbake import io, load
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Progress, Statistics, announced, in_turn, measure_process, seconds_of
+from nerfbake.bench.measure import Progress, Statistics, seconds_of
 from nerfbake.bench.plot import Mark, scatter
 from nerfbake.bench.report import Report, Table
 from nerfbake.errors import NerfbakeError

@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.processes import announced
 from benchmarks.scenes import Scenes
 from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Volume, build_octree, build_vdb, cut_octree, load, save
 from nerfbake.bench.environment import environment
 from nerfbake.bench.formats.libraries import LIBRARIES
-from nerfbake.bench.measure import Result, Statistics, Work, announced, measure
+from nerfbake.bench.measure import Result, Statistics, Work, measure
 from nerfbake.bench.report import Report, Table
 from nerfbake.catalog import format_named
 from nerfbake.formats.octree.flatbuffers import FlatbuffersTable as FlatTable

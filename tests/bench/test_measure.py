@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from nerfbake.bench.environment import environment
-from nerfbake.bench.measure import Statistics, Work, in_turn, measure, seconds_of
+from nerfbake.bench.measure import Statistics, Work, measure, seconds_of
 from nerfbake.errors import InvalidScene
 
 
@@ -74,18 +74,6 @@ def test_seconds_are_those_of_the_work_whose_result_they_stand_beside() -> None:
     found, seconds = seconds_of(work)
     assert found == "slept"
     assert 0.05 <= seconds < 0.5
-
-
-def test_works_take_turns_and_the_first_round_does_not_count() -> None:
-    calls: list[str] = []
-
-    def work(name: str) -> int:
-        calls.append(name)
-        return len(calls)
-
-    found = in_turn(lambda: work("a"), lambda: work("b"), rounds=2)
-    assert calls == ["a", "b"] * 3
-    assert found == [[3, 5], [4, 6]]
 
 
 def test_the_environment_says_what_is_not_installed() -> None:

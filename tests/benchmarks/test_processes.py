@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from nerfbake.bench.measure import measure_process
+from benchmarks.processes import in_turn, measure_process
 from nerfbake.errors import NerfbakeError
 
 
@@ -35,3 +35,15 @@ def test_the_command_sees_the_variables_that_it_is_given_and_keeps_its_compiled_
 def test_a_command_that_fails_is_told_with_its_last_words() -> None:
     with pytest.raises(NerfbakeError, match=r"-c import no_such exited with 1: ModuleNotFoundError: No module named"):
         python("import no_such")
+
+
+def test_works_take_turns_and_the_first_round_does_not_count() -> None:
+    calls: list[str] = []
+
+    def work(name: str) -> int:
+        calls.append(name)
+        return len(calls)
+
+    found = in_turn(lambda: work("a"), lambda: work("b"), rounds=2)
+    assert calls == ["a", "b"] * 3
+    assert found == [[3, 5], [4, 6]]
