@@ -281,7 +281,8 @@ class _Search:
     def _made(self, tried: _Tried) -> Compression:
         size, judge, measured = self._size(tried), self._judge, self._judge.truth is not None
         octree, cost = self._quantised(tried), (tried.error, tried.loss)
-        return Compression(octree, tried.share, size, *cost, measured, judge.source_psnr, judge.views)
+        pruned = 1 - octree.m / len(self._order)
+        return Compression(octree, pruned, size, *cost, measured, judge.source_psnr, judge.views)
 
     def _step_for_size(self, share: float, aim: float, points: list[tuple[float, float]]) -> float:
         """Return the step with this estimated size, or one between earlier steps if a file was too large and one not.

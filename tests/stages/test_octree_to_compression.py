@@ -23,6 +23,7 @@ from nerfbake.stages.octree_to_compression import compress_octree, next_step
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scene_to_field import build_field_from_octree
 from nerfbake.stages.shapes_to_n3tree import sample_n3tree
+from tests.support.scenes import n3tree
 
 
 def coded_size(quantised: QuantisedOctree) -> int:
@@ -169,6 +170,15 @@ def test_every_kth_pixel_is_seen_as_in_the_whole_picture(
     assert judge.references[0].shape == (17, 20, 3)
     assert len(judge.cameras[0]) == samples**2
     assert judge.source_psnr > 50  # of 8 bits a channel
+
+
+def test_pruned_is_the_share_of_the_leaves_that_are_gone(octree: SparseVoxelOctree) -> None:
+    data = np.zeros((1, 2, 2, 2, 4), np.float16)
+    data[0, 0, 0, 0] = 5
+    alone = build_octree(n3tree(data=data))
+    assert compressed(alone, step=0.1).pruned == 0
+    found = compressed(octree, step=0.1)
+    assert found.pruned == 1 - found.quantised.m / len(visible_leaves(octree))
 
 
 def test_a_lower_basis_is_part_of_the_loss(octree: SparseVoxelOctree) -> None:
