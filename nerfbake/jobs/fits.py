@@ -18,6 +18,7 @@ from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import USUAL, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.scene.brick_field import BrickField
+from nerfbake.scene.camera import Cameras
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
@@ -80,6 +81,7 @@ _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox de
 _OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inner cube of a scene with scenery
 PRESET = "balanced"
 _FEW = 20  # views of scenery
+_FAR = 10_000  # times the extent of the cameras: rounding to float32 then moves a cell of 1/256 by a sixth of its width
 _POOR = 4.0  # dB above pictures of a single colour
 
 
@@ -253,6 +255,7 @@ def fit_file(
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
         raise UsageError(f"{found}; allowed: a PlenOctree, a mesh or splats of the inner cube, or masks of the object")
     steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
+    _say_if_far(steps, source.name, posed.trained.cameras)
     if judges.scenery and len(posed.trained.pictures) < _FEW:
         few = f"{len(posed.trained.pictures)} views are few for scenery"
         steps.say(f"{source.name}: {few}; parts that fewer than three of them show are placed far away")
@@ -278,6 +281,17 @@ def fit_file(
     if report is not None:
         report(fitted)
     return fitted
+
+
+def _say_if_far(steps: Steps, name: str, cameras: Cameras) -> None:
+    """Print a warning if the cameras are so far from the origin that float32 loses detail, as in UTM coordinates."""
+    eyes = cameras.eyes
+    middle = eyes.mean(axis=0)
+    far, extent = float(abs(middle).max()), float(abs(eyes - middle).max())
+    if far > _FAR * extent > 0:
+        found = f"the cameras are {far:,.0f} units from the origin, but only {extent:.3g} from their mean position"
+        loss = "most formats and viewers use float32, which loses detail there"
+        steps.say(f"{name}: warning: {found}; {loss}; subtract their mean position from all poses")
 
 
 def _read(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 HOLDOUT = 8  # every eighth view is held out if the capture has no test views
 _LEAST = 2  # lowest number of training views
+_IMAGES = "images/"  # the folder of a COLMAP model's pictures
 _ABOVE = 3  # parent folders of a COLMAP model that may contain its pictures
 # The shorter edge of a picture in pixels. More pixels are finer than the smallest cells, 1 / 1024 of the box.
 MOST_EDGE = 1200
@@ -79,7 +80,9 @@ def read_photographs(steps: Steps, source: Source, album: PhotographOptions = AL
     """Read the views of a capture, a file or a folder, and print which cameras were read. Raises NerfbakeError."""
     split = io.load_split(source.path)
     trained = split[0] if split else source.path
-    test = album.test or (split[1] if split and album.holdout is None else None)
+    test = album.test
+    if test is None and split is not None and album.holdout is None:
+        test = _test_views(steps, split[1])
     if test is not None:
         views = _read(steps, trained, album)
         known = album._replace(background=views.background, scenery="keep" if views.scenery else "drop")
@@ -90,6 +93,17 @@ def read_photographs(steps: Steps, source: Source, album: PhotographOptions = AL
         found = f"are {len(posed.trained.pictures)} to fit to and {len(posed.judges.pictures)} held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more to fit to"), source=source.name)
     return posed
+
+
+def _test_views(steps: Steps, path: str) -> str | None:
+    """Return the path of a capture's test views, or None if there are none of their pictures.
+
+    Blender add-ons write the cameras of both splits, but may render the training views alone.
+    """
+    if any(file is not None for file in _files(io.load(path, Cameras), Path(path).parent)):
+        return path
+    steps.say(f"{path}: has no pictures; one of every {HOLDOUT} training views is held out instead")
+    return None
 
 
 def read_photographs_of(steps: Steps, source: Source, album: PhotographOptions, field: RadianceField) -> SplitViews:
@@ -147,7 +161,7 @@ def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
     masks = None if album.masks is None else _masks(album.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
-        return build_views(
+        views = build_views(
             cameras,
             _pictures(steps, path, cameras, files, masks),
             edge=MOST_EDGE,
@@ -155,6 +169,28 @@ def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
             scenery=album.scenery,
             rough=masks is not None,
         )
+    _say_extreme_alpha(steps, path, views)
+    return views
+
+
+def _say_extreme_alpha(steps: Steps, path: str, views: Views) -> None:
+    """Print a warning for pictures that are transparent or opaque everywhere, if others show an object.
+
+    A mask or a rendering that failed is transparent, and empties all space that its camera sees.
+    """
+    if not views.masked or views.scenery:
+        return
+    alphas = [picture[..., 3] for picture in views.pictures]
+    clear = [i for i, alpha in enumerate(alphas) if not alpha.any()]
+    opaque = [i for i, alpha in enumerate(alphas) if alpha.min() == 255]
+    for numbers, alpha, so in (
+        (clear, 0, "no object is where its camera looks"),
+        (opaque, 255, "all that it shows counts as the object"),
+    ):
+        if numbers:
+            first = views.cameras.cameras[numbers[0]].picture
+            more = f" (and {len(numbers) - 1:,} more)" if len(numbers) > 1 else ""
+            steps.say(f"{path}: warning: {first} has alpha {alpha} everywhere{more}: {so}")
 
 
 def _pictures(
@@ -186,16 +222,9 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
     Captures are often published without their blurred pictures: instant-ngp's fox has 50 of 67. Raises InvalidFile if
     fewer than half of the pictures exist, since the folder is then probably the wrong one.
     """
-    for i, camera in enumerate(cameras.cameras):
-        if not camera.picture:
-            found, allowed = "names no picture in the folder of the capture", "a PNG, a JPEG or a HEIC there, or below"
-            raise InvalidFile(Problem(f"camera {camera.name or i}", found, allowed), source=path)
+    _require_named(path, cameras)
+    cameras, files = _find_pictures(cameras, Path(path) if io.is_folder(path) else Path(path).parent)
     names = [camera.picture for camera in cameras.cameras]
-    folder = Path(path) if io.is_folder(path) else Path(path).parent
-    # A COLMAP model is in a subfolder of the folder with the pictures.
-    folders = [folder, *folder.resolve().parents[:_ABOVE]] if cameras.dialect == "COLMAP" else [folder]
-    folder = next((each for each in folders if any(io.find_photograph(each, name) for name in names)), folder)
-    files = [io.find_photograph(folder, name) for name in names]
     kept = [i for i, file in enumerate(files) if file is not None]
     if 2 * len(kept) < len(files):
         _all_of(names, files, path, "picture")
@@ -205,17 +234,70 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
     return cameras, [file for file in files if file is not None]
 
 
+def _require_named(path: str, cameras: Cameras) -> None:
+    """Raise InvalidFile for a camera without a path of a picture in the capture."""
+    unnamed = next((camera for camera in cameras.cameras if not camera.picture), None)
+    if unnamed is None:
+        return
+    if cameras.dialect == "LLFF":  # its poses belong to the pictures in `images`, in their order
+        count = len(cameras.cameras)
+        found = f"does not have one picture for each of the {count:,} poses"
+        raise InvalidFile(Problem("images", found, f"{count:,} PNG, JPEG or HEIC"), source=path)
+    allowed = "a relative path, without .., of a PNG, a JPEG or a HEIC there or below"
+    found = "names no picture in the folder of the capture"
+    raise InvalidFile(Problem(f"camera {unnamed.name}".strip(), found, allowed), source=path)
+
+
+def _find_pictures(cameras: Cameras, folder: Path) -> tuple[Cameras, list[Path | None]]:
+    """Return the cameras with the names of their pictures, and the paths of those that exist.
+
+    A COLMAP model is in a subfolder of the folder with the pictures. Its names are relative to `images`, or to that
+    folder, if COLMAP was told that the pictures are there.
+    """
+    if cameras.dialect != "COLMAP":
+        return cameras, _files(cameras, folder)
+    for posed in (cameras, _outside_of_images(cameras)):
+        for place in (folder, *folder.resolve().parents[:_ABOVE]):
+            files = _files(posed, place)
+            if any(file is not None for file in files):
+                return posed, files
+    return cameras, [None] * len(cameras.cameras)
+
+
+def _files(cameras: Cameras, folder: Path) -> list[Path | None]:
+    return [io.find_photograph(folder, camera.picture) for camera in cameras.cameras]
+
+
+def _outside_of_images(cameras: Cameras) -> Cameras:
+    moved = (replace(camera, picture=camera.picture.removeprefix(_IMAGES)) for camera in cameras.cameras)
+    return replace(cameras, cameras=tuple(moved))
+
+
 def _masks(folder: str, cameras: Cameras) -> list[Path]:
-    """Return the path of each picture's mask: the picture's path or name in the folder, with any picture extension."""
+    """Return the path of each picture's mask: the picture's path or the end of it, with any picture extension."""
     if not io.is_folder(folder):
         raise InvalidFile("is not a folder; allowed: a folder with a mask for each picture", source=folder)
-    found = []
-    for camera in cameras.cameras:
-        path = PurePosixPath(camera.picture)
-        names = (str(path.with_suffix("")), str(path), path.stem, path.name)
-        paths = (io.find_photograph(folder, name) for name in names)
-        found.append(next((path for path in paths if path), None))
-    return _all_of([PurePosixPath(camera.picture).stem for camera in cameras.cameras], found, folder, "mask")
+    pictures = [camera.picture for camera in cameras.cameras]
+    found = [_mask_of(folder, picture) for picture in pictures]
+    masks = _all_of([PurePosixPath(picture).stem for picture in pictures], found, folder, "mask")
+    owners: dict[Path, str] = {}
+    for mask, picture in zip(masks, pictures, strict=True):
+        if owners.setdefault(mask, picture) != picture:
+            found_in = f"is the mask of {owners[mask]} and of {picture}"
+            allowed = "a mask for each picture, in the folders of the pictures"
+            raise InvalidFile(Problem(str(mask.relative_to(folder)), found_in, allowed), source=folder)
+    return masks
+
+
+def _mask_of(folder: str, picture: str) -> Path | None:
+    """Return the mask of a picture; for images/left/1.jpg it is named images/left/1, left/1 or 1."""
+    path = PurePosixPath(picture)
+    for start in range(len(path.parts)):
+        end = PurePosixPath(*path.parts[start:])
+        for name in (str(end.with_suffix("")), str(end)):
+            if (mask := io.find_photograph(folder, name)) is not None:
+                return mask
+    return None
 
 
 def _all_of(names: Sequence[str], paths: Sequence[Path | None], source: str, noun: str) -> list[Path]:

@@ -29,6 +29,8 @@ MOST_EXHAUSTIVE = 150  # pictures of which every pair is matched; more are match
 LEAST = 3  # pictures of a model
 MAX_SEED = 2**31 - 1
 _PICTURES = "images"
+# Photographs and videos that are not read, so that an error can name one.
+_OTHERS = (".webp", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".mov", ".mp4")
 _EXTRA = "pip install 'nerfbake[poses]'"
 _COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
 _ENDS = {"models", "missing", "unread", "failed"}  # what the last line of the process says
@@ -111,11 +113,21 @@ def require_poses(steps: Steps, source: Source) -> None:
     try:
         io.load_split(folder)
     except InvalidFile:
-        places = [place for place in (folder, folder / _PICTURES) if place.is_dir()]
-        if not any(is_picture(file) for place in places for file in place.iterdir()):
+        if not any(is_picture(file) for file in _files(folder)) and not _unread(folder):
             raise
         steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
         find_poses(source, steps=steps)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files of a folder and of its subfolder of pictures, sorted by name."""
+    places = [place for place in (folder / _PICTURES, folder) if place.is_dir()]
+    return [file for place in places for file in sorted(place.iterdir()) if not file.name.startswith(".")]
+
+
+def _unread(folder: Path) -> str:
+    """Return the name of a photograph or a video that is not read; '' if there is none."""
+    return next((file.name for file in _files(folder) if file.suffix.lower() in _OTHERS), "")
 
 
 def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
@@ -133,6 +145,8 @@ def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
             break
     if len(names) < LEAST:
         found = f"are {len(names)}" if names else "are missing"
+        if not names and (other := _unread(folder)):
+            found = f"are missing, except for files such as {other}"
         allowed = f"{LEAST} or more .jpg, .jpeg, .png or .heic in the folder or in its subfolder {_PICTURES}"
         raise InvalidFile(Problem("the pictures", found, allowed), source=name)
     for each in names:

@@ -15,6 +15,7 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.image import WHITE
 from nerfbake.scene.views import Views, near_colour
 
+_WHITE = 128  # of 255: least brightness of a mask where it is brightest
 PLAIN_SHARE = 0.7  # of the pixels along the pictures' edges; below 1, because the object may be cut off
 
 Pixels = npt.NDArray[np.uint8]
@@ -108,7 +109,8 @@ def _resized(camera: Camera, pixels: Pixels) -> Camera:
 def apply_mask(pixels: Pixels, mask: Pixels) -> Pixels:
     """Return a picture with a mask as its alpha, both (H, W, 4) uint8.
 
-    The mask's alpha is used, or its brightest channel if it is opaque. Raises InvalidScene if the sizes differ.
+    The mask's alpha is used, or its brightest channel if it is opaque. Raises InvalidScene if the sizes differ, and for
+    a mask that is dark everywhere and not black, such as one of the labels 0 and 1.
     """
     if mask.shape != pixels.shape:
         (height, width), (rows, columns) = mask.shape[:2], pixels.shape[:2]
@@ -116,6 +118,9 @@ def apply_mask(pixels: Pixels, mask: Pixels) -> Pixels:
     alpha = mask[..., 3]
     if int(alpha.min()) == 255:
         alpha = mask[..., :3].max(axis=2)
+    if 0 < (brightest := int(alpha.max())) < _WHITE:
+        allowed = "255 (white) where the object is, or 0 everywhere"
+        raise InvalidScene(Problem("the mask", f"is {brightest} at its brightest", allowed))
     return memory.kept(np.concatenate([pixels[..., :3], alpha[..., None]], axis=2))
 
 

@@ -146,7 +146,7 @@ def test_cameras_of_a_folder_say_where_they_are_from(shell: Shell, scene: Path) 
     (scene / "capture" / "transforms_train.json").write_text("{}")  # no dialect: the folder's first is taken
     done = shell("render", "a.npz", "--cameras", "capture", "--frame", "2", "--out", "a.png")
     assert done.returncode == 1
-    assert b"capture: frames are not a list" in done.stderr
+    assert b"capture: frames are missing" in done.stderr
     (scene / "capture" / "transforms_train.json").unlink()
     for given in ("capture", "capture/sparse/0/images.bin"):
         done = shell("render", "a.npz", "--cameras", given, "--frame", "2", "--out", "a.png", "--force")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 import time
 import zipfile
@@ -331,6 +333,26 @@ def test_what_is_wrong_with_a_capture_is_blamed_on_it(
     with pytest.raises(InvalidScene, match="scene: the cameras see nothing in common"):
         fit_file(capture, "a.npz")
     assert not trainer.asked
+
+
+@pytest.mark.usefixtures("trainer")
+@pytest.mark.parametrize(("metres", "told"), [(5_000_000, True), (500_000, True), (5_000, False)])
+def test_cameras_far_from_the_origin_are_told(
+    metres: float, told: bool, capture: Path, tmp_path: Path, listener: Listener
+) -> None:
+    """Geodetic coordinates: float32 resolves half a metre at 5,000 km."""
+    moved = Path(shutil.copytree(capture, tmp_path / "moved"))
+    for path in moved.glob("transforms_*.json"):
+        fields = json.loads(path.read_text())
+        for frame in fields["frames"]:
+            frame["transform_matrix"][1][3] += metres
+        path.write_text(json.dumps(fields))
+    fit_file(moved, "a.npz", steps=listener)
+    said = [line for line in listener.said if "units from the origin" in line]
+    assert bool(said) == told
+    if told:
+        assert said[0].startswith(f"{moved}: warning: the cameras are {metres:,} units from the origin, but only ")
+        assert said[0].endswith("subtract their mean position from all poses")
 
 
 @pytest.mark.usefixtures("trainer")

@@ -75,6 +75,25 @@ def test_pictures_of_a_model_that_stands_alone_are_above_it(tmp_path: Path, monk
     assert len(read("images.bin").trained.pictures) == 4
 
 
+@pytest.mark.parametrize(("name", "place"), [("images/r_{}.png", "images"), ("r_{}.png", "."), ("a/r_{}.png", "a")])
+def test_names_of_a_model_may_be_relative_to_the_capture(name: str, place: str, tmp_path: Path) -> None:
+    made = many(5)
+    write_colmap_text(tmp_path, made)
+    images = tmp_path / "sparse" / "images.txt"
+    text = images.read_text()
+    for i in range(5):
+        text = text.replace(f" r_{i}.png", " " + name.format(i))
+        write_picture(tmp_path / name.format(i), spot(made.width, made.height, i))
+    images.write_text(text)
+    trained, _ = read(tmp_path)
+    assert [camera.picture for camera in trained.cameras.cameras] == [name.format(i) for i in range(1, 5)]
+    for i, pixels in enumerate(trained.pictures, start=1):
+        assert_array_equal(pixels, spot(made.width, made.height, i))
+    (tmp_path / place / "r_3.png").write_bytes(b"GIF89a")
+    with pytest.raises(InvalidFile, match=r"r_3\.png: the picture cannot be read"):
+        read(tmp_path)
+
+
 def test_every_eighth_view_judges_where_nothing_else_is_said(tmp_path: Path) -> None:
     posed = read(photographed(write_nerfstudio, tmp_path, many(17)))
     assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_0", "r_8", "r_16"]
@@ -108,6 +127,35 @@ def test_a_capture_with_views_to_judge_by_is_judged_by_them(tmp_path: Path, list
         PhotographOptions(holdout=1).require()
 
 
+def test_pictures_that_show_no_object_or_nothing_else_are_said(tmp_path: Path, listener: Listener) -> None:
+    """A mask or a rendering that failed empties all space that its camera sees."""
+    capture = photographed(write_nerfstudio, tmp_path, many(6))
+    read_photographs(listener, Source(str(capture)))
+    assert not [line for line in listener.said if "alpha" in line]
+    for number, alpha in ((1, 0), (2, 255), (4, 0), (5, 0)):
+        pixels = spot(14, 10, number)
+        pixels[..., 3] = alpha
+        write_picture(capture / "images" / f"r_{number}.png", pixels)
+    read_photographs(listener, Source(str(capture)))
+    assert listener.said[-2:] == [
+        f"{capture}: warning: images/r_1.png has alpha 0 everywhere (and 2 more): no object is where its camera looks",
+        f"{capture}: warning: images/r_2.png has alpha 255 everywhere: all that it shows counts as the object",
+    ]
+
+
+def test_test_cameras_without_pictures_judge_nothing(tmp_path: Path, listener: Listener) -> None:
+    """Blender add-ons write the cameras of both splits, but may render the training views alone."""
+    capture = split_capture(tmp_path)
+    shutil.rmtree(capture / "test")
+    posed = read_photographs(listener, Source(str(capture)))
+    assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_0"]
+    assert len(posed.trained.pictures) == 4
+    said = f"{capture}/transforms_test.json: has no pictures; one of every 8 training views is held out instead"
+    assert said in listener.said
+    with pytest.raises(InvalidFile, match=r"transforms_test.json: picture test/r_0 is not there; allowed"):
+        read(capture, test=str(capture / "transforms_test.json"))
+
+
 def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
     scenery = np.random.default_rng(0).integers(0, 256, (10, 14, 3), np.uint8)
     capture = photographed(write_nerfstudio, tmp_path / "capture", many(5), lambda pixels: scenery)
@@ -137,6 +185,37 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
         read(capture, masks=str(masks))
     with pytest.raises(InvalidFile, match=r"none: is not a folder; allowed: a folder with a mask for each picture"):
         read(capture, masks="none")
+
+
+def test_masks_of_several_cameras_lie_as_their_pictures_do(tmp_path: Path) -> None:
+    """COLMAP's masks of images/left/0.png are left/0.png.png: their folder stands for `images`."""
+    made = many(6)
+    write_colmap_text(tmp_path, made)
+    images = tmp_path / "sparse" / "images.txt"
+    text = images.read_text()
+    for i in range(6):
+        name = f"{('left', 'right')[i % 2]}/{i // 2}.png"
+        text = text.replace(f" r_{i}.png", f" {name}")
+        write_picture(tmp_path / "images" / name, spot(14, 10, i))
+        mask = np.zeros((10, 14, 3), np.uint8)
+        mask[:, : i + 1] = 255
+        write_picture(tmp_path / "masks" / f"{name}.png", mask)
+    images.write_text(text)
+    trained, judges = read(tmp_path, masks=str(tmp_path / "masks"))
+    for views in (trained, judges):
+        for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
+            side, number = camera.picture.removeprefix("images/").removesuffix(".png").split("/")
+            i = 2 * int(number) + (side == "right")
+            assert_array_equal(pixels[..., :3], spot(14, 10, i)[..., :3])
+            assert (pixels[0, :, 3] == 255).sum() == i + 1
+    flat = tmp_path / "flat"
+    for i in range(3):
+        write_picture(flat / f"{i}.png", np.full((10, 14, 3), 255, np.uint8))
+    said = (
+        r"flat: 0\.png is the mask of images/left/0\.png and of images/right/0\.png; allowed: a mask for each picture"
+    )
+    with pytest.raises(InvalidFile, match=said):
+        read(tmp_path, masks=str(flat))
 
 
 def test_a_plain_background_is_found_or_told(tmp_path: Path) -> None:
@@ -244,7 +323,10 @@ WRONG: dict[str, tuple[Callable[[Path], None], str]] = {
     "missing": (gone, r"capture: picture images/r_1\.png is not there; allowed: a PNG, a JPEG .* \(and 2 more\)$"),
     "unreadable": (unreadable, r"images/r_2\.png: the picture cannot be read .*; allowed: a whole PNG or JPEG$"),
     "of another shape": (of_another_shape, r"capture: picture images/r_2\.png has 10x14 pixels; allowed: .* 14x10$"),
-    "leading out": (leading_out, r"capture: camera r_2 names no picture in the folder of the capture; allowed"),
+    "leading out": (
+        leading_out,
+        r"capture: camera r_2 names no picture in the folder of the capture; allowed: a relative path, without \.\.",
+    ),
     "of a fixed place": (of_a_fixed_place, r"capture: camera r_2 names no picture in the folder"),
     "without a name": (without_a_name, r"capture: camera 0002 names no picture in the folder"),
     "nowhere": (nowhere, r"capture: .*; allowed: "),
@@ -317,6 +399,16 @@ def test_a_name_that_is_too_long_is_named(tmp_path: Path) -> None:
     capture = photographed(write_nerfstudio, tmp_path, many(5))
     with pytest.raises(InvalidFile, match=f"{name}: File name too long"):
         read(capture, masks=name)
+
+
+def test_poses_of_llff_need_one_picture_each(tmp_path: Path) -> None:
+    capture = photographed(write_llff, tmp_path, many(5))
+    (capture / "images" / "._r_0.JPG").write_bytes(b"\0\5\x16\7")  # macOS writes these to drives of other systems
+    assert len(read(capture).trained.pictures) == 4
+    (capture / "images" / "r_3.JPG").unlink()
+    said = "images does not have one picture for each of the 5 poses; allowed: 5 PNG, JPEG or HEIC"
+    with pytest.raises(InvalidFile, match=said):
+        read(capture)
 
 
 def test_a_picture_beside_the_cameras_file_is_found(tmp_path: Path) -> None:

@@ -21,7 +21,9 @@ from PIL import Image as Pillow
 from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
 from nerfbake.errors import InvalidFile
-from nerfbake.jobs import PosesResult, find_poses, poses
+from nerfbake.jobs import PosesResult, Source, find_poses, poses
+from nerfbake.jobs.poses import require_poses
+from nerfbake.jobs.steps import SILENT
 from tests.conftest import REPOSITORY
 from tests.jobs.listener import Listener
 from tests.support.fake_pycolmap import CRASHES_ONCE, SLEEPS, replace_pycolmap, write_pycolmap
@@ -330,6 +332,21 @@ def test_a_folder_without_enough_pictures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidFile, match="x: File name too long"):
         find_poses("x" * 300)
     assert refused(tmp_path / "a.JPG") == f"1 {tmp_path}/a.JPG: is not a folder; allowed: a folder of photographs"
+
+
+def test_pictures_and_videos_that_are_not_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "b.WEBP").write_bytes(b"")
+    (tmp_path / "clip.mov").write_bytes(b"")
+    said = "the pictures are missing, except for files such as b.WEBP; allowed: 3 or more .jpg, .jpeg, .png or .heic"
+    assert refused(tmp_path).startswith(f"1 {tmp_path}: {said}")
+    with pytest.raises(InvalidFile, match=said):
+        require_poses(SILENT, Source(str(tmp_path)))
+    (tmp_path / "images" / "b.WEBP").unlink()
+    assert "except for files such as clip.mov; allowed" in refused(tmp_path)
+    (tmp_path / "clip.mov").unlink()
+    with pytest.raises(InvalidFile, match="is a folder of unknown kind"):
+        require_poses(SILENT, Source(str(tmp_path)))
 
 
 def test_a_picture_that_fit_cannot_read_is_refused(photographs: Path) -> None:

@@ -124,6 +124,17 @@ def test_a_mask_is_its_alpha_or_its_brightness() -> None:
         apply_mask(scenery, spot(9, 9))
 
 
+@pytest.mark.parametrize("brightest", [1, 127])
+def test_a_mask_of_labels_is_refused(brightest: int) -> None:
+    """Segmentation writes 0 and 1, which as alpha would make the object as good as invisible."""
+    picture, mask = opaque(over(spot(12, 9), (255,) * 3)), np.zeros((9, 12, 4), np.uint8)
+    mask[..., 3] = 255
+    assert not apply_mask(picture, mask)[..., 3].any()  # the object may be outside of the picture
+    mask[3, 4, :3] = brightest
+    with pytest.raises(InvalidScene, match=rf"the mask is {brightest} at its brightest; allowed: 255 \(white\) where"):
+        apply_mask(picture, mask)
+
+
 def test_photographs_are_over_their_background() -> None:
     pixels = np.zeros((9, 12, 4), np.uint8)
     pixels[4, 4] = (255, 0, 51, 102)

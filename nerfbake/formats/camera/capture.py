@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Protocol
@@ -131,12 +132,17 @@ class PictureSizes:
 
 def inside_of(path: str | None) -> str:
     """Normalise a path inside the capture's folder; '' for a path that leaves the folder or is invalid."""
-    if path is None or len(path) > _MAX_PATH or not path.isprintable():
+    if path is None or len(path) > _MAX_PATH or not _is_shown(path):
         return ""
     parts = path.replace("\\", "/").split("/")
     if not parts[0] or ".." in parts or any(len(part.encode()) > _MAX_PART for part in parts):
         return ""
     return "/".join(part for part in parts if part not in ("", "."))
+
+
+def _is_shown(path: str) -> bool:
+    """Return whether all characters can be printed. Spaces of any width can, as in the names of macOS's screenshots."""
+    return path.isprintable() or all(char.isprintable() or unicodedata.category(char) == "Zs" for char in path)
 
 
 def size_note(frames: int, size: Size | None, unreadable: str) -> tuple[str, ...]:

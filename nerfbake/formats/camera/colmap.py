@@ -157,10 +157,10 @@ def decode_text_shots(view: memoryview, name: str) -> list[ColmapImage]:
     """Parse the images; the lines of points are skipped."""
     shots = []
     for number, line in _lines(view, name, points=True):
-        parts = _parts(line, 10, number, name)
+        parts = _parts(line, 10, number, name, splits=9)  # a name may have spaces
         numbers = _numbers(parts[:9], number, name)
         key, model = (_whole(value, number, name) for value in (numbers[0], numbers[8]))
-        shots.append(ColmapImage(key, numbers[1:5], numbers[5:8], model, " ".join(parts[9:])))
+        shots.append(ColmapImage(key, numbers[1:5], numbers[5:8], model, parts[9]))
     return shots
 
 
@@ -205,8 +205,9 @@ def _require_points(line: memoryview, number: int, name: str) -> None:
         raise InvalidFile(Problem(f"{name}: line {number:,}", found, "x y id of each point, or an empty line"))
 
 
-def _parts(line: str, least: int, number: int, name: str) -> list[str]:
-    parts = line.split()
+def _parts(line: str, least: int, number: int, name: str, *, splits: int = -1) -> list[str]:
+    """Split a line at its first `splits` spaces; -1: at all. Raises InvalidFile for fewer parts than `least`."""
+    parts = line.split(maxsplit=splits)
     if len(parts) < least:
         raise InvalidFile(Problem(f"{name}: line {number:,}", f"has {len(parts)} entries", f"{least} or more"))
     return parts

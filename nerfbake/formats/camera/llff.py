@@ -41,7 +41,8 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     inside = [_own(hwf) for hwf in parts[:, :, 4]] if rows.shape[1] == 17 else [_shared(files)] * n
     poses = np.tile(np.eye(4), (n, 1, 1))
     poses[:, :3] = np.stack([parts[:, :, 1], -parts[:, :, 0], parts[:, :, 2], parts[:, :, 3]], axis=2)
-    pictures = [name for name in files.names("images") if name.endswith(PICTURES)]
+    # macOS writes a hidden file ._NAME beside each file on drives of other systems.
+    pictures = [name for name in files.names("images") if name.endswith(PICTURES) and not name.startswith(".")]
     paths = [f"images/{name}" for name in pictures] if len(pictures) == n else [""] * n
     names = names_of(paths)
     notes = (

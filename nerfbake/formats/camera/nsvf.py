@@ -32,7 +32,9 @@ def recognise(files: CaptureFolder) -> bool:
 
 def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     folder = next((folder for folder in _POSES if files.names(folder)), _POSES[0])
-    stems = [name.removesuffix(".txt") for name in files.names(folder) if name.endswith(".txt")]
+    # macOS writes a hidden file ._NAME beside each file on drives of other systems.
+    poses = [name for name in files.names(folder) if name.endswith(".txt") and not name.startswith(".")]
+    stems = [name.removesuffix(".txt") for name in poses]
     room_for(len(stems))
     fx, fy, cx, cy = _inside(_rows(files, _INSIDE))
     sizes = PictureSizes(files)

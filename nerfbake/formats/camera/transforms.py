@@ -39,7 +39,7 @@ from nerfbake.formats.camera.capture import (
 )
 from nerfbake.formats.wire.json import key_place, kind_of, number, parse_object, shorten, table, whole
 from nerfbake.kernels.maths.elementary import arctan, tangent
-from nerfbake.kernels.soundness import MAX_EDGE
+from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras, Lens, LensModel
 
 # nerfstudio's names of COLMAP's models, with the lens model of k1, k2, ...
@@ -121,7 +121,8 @@ def parse(view: memoryview) -> tuple[Frame, list[Frame]]:
     fields = parse_object(view, "the JSON", comments=True)
     frames = fields.get("frames")
     if not isinstance(frames, list) or not 1 <= len(frames) <= MAX_FRAMES:
-        found = f"are {len(frames):,}" if isinstance(frames, list) else "are not a list"
+        wrong = "are missing" if frames is None else "are not a list"
+        found = f"are {len(frames):,}" if isinstance(frames, list) else wrong
         raise InvalidFile(Problem("frames", found, f"1 to {MAX_FRAMES:,} frames"))
     for i, frame in enumerate(frames):
         if not isinstance(frame, dict):
@@ -145,6 +146,8 @@ def poses_of(frames: list[Frame]) -> npt.NDArray[np.float64]:
             pass  # the loop below finds the invalid frame
     poses = np.tile(np.eye(4), (len(frames), 1, 1))
     for i, (key, matrix) in enumerate(zip(keys, matrices, strict=True)):
+        if matrix is None:
+            raise InvalidFile(Problem(f"frames[{i}].{key}", "is missing", "4 x 4 numbers"))
         edge = 3 if type(matrix) is list and len(matrix) == 3 else 4
         poses[i, :edge] = table(matrix, f"frames[{i}].{key}", (edge, 4))
     return poses
@@ -211,9 +214,17 @@ def decode(view: memoryview, *, beside: CaptureFolder | None = None) -> Cameras:
             intrinsics = _intrinsics(frame, fields, size, f"frames[{i}]")
         guessed += found is None and not _sized(fields, frame)
         cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **intrinsics))
-    notes = size_note(guessed, first, sizes.unreadable)
+    notes = (*size_note(guessed, first, sizes.unreadable), *_mask_note(frames))
     samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
     return Cameras(tuple(cameras), _dialect(fields, frames), notes=notes, samples=samples)
+
+
+def _mask_note(frames: list[Frame]) -> tuple[str, ...]:
+    """Return the note for frames with masks, which nerfstudio would apply."""
+    masked = sum("mask_path" in frame for frame in frames)
+    if not masked:
+        return ()
+    return (f"the masks of {plural(masked, 'frame')} (mask_path) are not read; fit takes masks with `masks=DIR`",)
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:

@@ -39,6 +39,17 @@ _LOSSY: dict[str, dict[str, Any]] = {
 COMPRESSION = 3  # zlib's level: files 3 to 14 % larger than at 6, written in a third of the time
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError, OverflowError)
 _PHOTOGRAPHS = ("PNG", "JPEG", "HEIF")  # as Pillow calls them
+# ISO/IEC 23008-12, annex B: the brands of files that contain a picture in HEVC, or whose coding is not said.
+_HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1")
+_BOX = b"ftyp"  # ISO/IEC 14496-12, 4.3: the type of the first box, which a brand follows
+_OTHERS = {  # first bytes of files that are not read: what such a file is
+    b"BM": "a BMP",
+    b"GIF8": "a GIF",
+    b"II*\0": "a TIFF or a raw photograph",
+    b"MM\0*": "a TIFF or a raw photograph",
+    b"v/1\x01": "an OpenEXR",
+}
+_BRANDS = {b"avif": "an AVIF", b"avis": "an AVIF", b"crx ": "a raw photograph"}  # others are those of videos
 
 
 @contextmanager
@@ -59,16 +70,27 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
                 memory.require(name, bytes_per_pixel * width * height)
                 yield picture
     except Image.DecompressionBombError:
-        raise InvalidFile(Problem(name, "declares more than 178 million pixels", f"{MAX_EDGE:,} an edge")) from None
+        most = f"178 million, with {MAX_EDGE:,} an edge at most"
+        raise InvalidFile(Problem(name, "declares more than 178 million pixels", most)) from None
     except _BROKEN as error:
         # Pillow's own message has the address of the buffer.
-        reason = "unknown content" if isinstance(error, UnidentifiedImageError) else error
+        reason = _content(bytes(view[:16])) if isinstance(error, UnidentifiedImageError) else error
         raise InvalidFile(Problem(name, f"cannot be read ({reason})", f"a whole {' or '.join(kinds)}")) from None
 
 
 def is_heic(head: memoryview) -> bool:
     """Return whether the first bytes of a file are those of a HEIC, whatever its name is."""
-    return bytes(head[4:8]) == b"ftyp"  # ISO/IEC 14496-12, 4.3: the type of the first box
+    return bytes(head[4:8]) == _BOX and bytes(head[8:12]) in _HEIC
+
+
+def _content(head: bytes) -> str:
+    """Say what a file is that Pillow cannot read, by its first bytes."""
+    kind = next((kind for start, kind in _OTHERS.items() if head.startswith(start)), "")
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        kind = "a WebP"
+    if head[4:8] == _BOX and head[8:12] not in _HEIC:
+        kind = _BRANDS.get(head[8:12], "a video")
+    return f"it is {kind}" if kind else "unknown content"
 
 
 def is_photograph(head: memoryview) -> bool:

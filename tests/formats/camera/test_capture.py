@@ -36,6 +36,7 @@ def test_a_picture_stands_in_its_capture_or_nowhere() -> None:
         "images\\a.JPG": "images/a.JPG",
         "a//./b": "a/b",
         "..a/b..": "..a/b..",
+        "新しい\u3000フォルダ/Screenshot 3.45\u202fPM.png": "新しい\u3000フォルダ/Screenshot 3.45\u202fPM.png",
     }
     assert {path: inside_of(path) for path in inside} == inside
     outside = (
@@ -51,6 +52,9 @@ def test_a_picture_stands_in_its_capture_or_nowhere() -> None:
         "..",
         "a\\..\\..\\b",
         "a\0b",
+        "a\nb",
+        "a\u2028b",
+        "a\u202egnp",
         "\ud800",
     )
     assert {inside_of(path) for path in (*outside, "a" * 1001, "é" * 121)} == {""}

@@ -91,6 +91,13 @@ def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     assert names(write_text(tmp_path / "b", "# 1\n" + image(1), "# 1\n" + CAMERA, start=BOM)) == ["1"]
 
 
+def test_names_keep_their_spaces(tmp_path: Path) -> None:
+    spaced = ["a  b.png", "Screenshot 3.45\u202fPM.png", "images of a/c d.png"]
+    write_text(tmp_path, "".join(image(i, name) for i, name in enumerate(spaced)))
+    pictures = {camera.picture for camera in load(tmp_path, Cameras).cameras}
+    assert pictures == {f"images/{name}" for name in spaced}
+
+
 PINHOLES = (1, 1, (5, 5, 2, 1.5)), (1, 1, (9, 9, 2, 1.5))  # two cameras with the same id
 REPEATED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "a camera, text": (lambda at: write_text(at, image(1), CAMERA * 2), "cameras.txt: camera id 1 occurs 2 times"),

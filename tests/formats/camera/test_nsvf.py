@@ -40,6 +40,12 @@ def test_every_matrix_has_the_same_camera(text: str, tmp_path: Path) -> None:
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (875, 870, 400, 300)
 
 
+def test_hidden_files_beside_the_poses_are_skipped(tmp_path: Path) -> None:
+    (tmp_path / "pose").mkdir()
+    (tmp_path / "pose" / "._a.txt").write_bytes(b"\0\5\x16\7\xff")  # macOS writes these to drives of other systems
+    assert read(tmp_path, "875 400 300 0\n").picture == "rgb/a"
+
+
 @pytest.mark.parametrize("text", ["875 400 300 0.\n0. 0. 0.\n0.\n1.\n800 800\n", "875 400 300\n", "875 400 300 0\n"])
 def test_a_first_line_has_one_focal_length(text: str, tmp_path: Path) -> None:
     camera = read(tmp_path, text)

@@ -243,7 +243,8 @@ def test_a_byte_order_mark_is_skipped() -> None:
         ([], "holds a list"),
         (capture(frames=[]), "frames are 0; allowed: 1 to 100,000"),
         (capture(frames={}), "frames are not a list"),
-        (capture(frames=[{}]), r"frames\[0\].transform_matrix has shape"),
+        ({"camera_path": [], "fl_x": 5}, "frames are missing; allowed: 1 to 100,000 frames"),
+        (capture(frames=[{}]), r"frames\[0\].transform_matrix is missing; allowed: 4 x 4 numbers"),
         (capture(frames=[{"transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]), "singular"),
         (capture(frames=[{"transform_matrix": [[1, 2], [3]]}]), "not a table of numbers"),
         (capture(frames=[{"transform_matrix": np.full((4, 4), 1e308).tolist()}]), r"transform_matrix.*1e\+15"),
@@ -292,6 +293,14 @@ def test_a_byte_order_mark_is_skipped() -> None:
 def test_what_is_no_capture_is_refused(fields: Any, message: str) -> None:
     with pytest.raises((InvalidFile, InvalidScene), match=message):
         read(fields)
+
+
+def test_masks_of_frames_are_said_not_to_be_read() -> None:
+    frames = [{"file_path": f"r_{i}", "transform_matrix": EYE, "mask_path": f"masks/r_{i}.png"} for i in range(3)]
+    del frames[1]["mask_path"]
+    said = "the masks of 2 frames (mask_path) are not read; fit takes masks with `masks=DIR`"
+    assert read(capture(w=4, h=3, frames=frames)).notes == (said,)
+    assert read(capture(w=4, h=3, mask_path=None)).notes == ()
 
 
 def test_what_is_no_json_is_refused() -> None:

@@ -66,13 +66,27 @@ def test_pixels_stand_as_they_are_whatever_exif_says() -> None:
     [
         (Pillow.fromarray(np.zeros((3, 3), np.uint16)), "PNG", "holds I;16 pixels; allowed: grey, a palette or RGB"),
         (Pillow.new("CMYK", (3, 3)), "JPEG", "holds CMYK pixels"),
-        (Pillow.new("RGB", (3, 3)), "BMP", "cannot be read"),
+        (Pillow.new("RGB", (3, 3)), "BMP", r"cannot be read \(it is a BMP\); allowed: a whole PNG or JPEG"),
+        (Pillow.new("RGB", (3, 3)), "GIF", r"cannot be read \(it is a GIF\)"),
+        (Pillow.new("RGB", (3, 3)), "TIFF", r"cannot be read \(it is a TIFF or a raw photograph\)"),
+        (Pillow.new("RGB", (3, 3)), "WEBP", r"cannot be read \(it is a WebP\)"),
+        (Pillow.new("RGB", (3, 3)), "AVIF", r"cannot be read \(it is an AVIF\); allowed: a whole PNG or JPEG"),
         (Pillow.new("L", (20_000, 1)), "PNG", "declares 20,000x1 pixels"),
     ],
 )
 def test_what_is_no_photograph_of_8_bits_is_refused(picture: Pillow.Image, kind: str, said: str) -> None:
     with pytest.raises(InvalidFile, match=said):
         decode_photograph(file(picture, kind))
+
+
+@pytest.mark.parametrize(("brand", "kind"), [(b"qt  ", "a video"), (b"crx ", "a raw photograph"), (b"avis", "an AVIF")])
+def test_other_files_of_boxes_are_no_heic(brand: bytes, kind: str) -> None:
+    data = memoryview(b"\0\0\0\x14ftyp" + brand + bytes(64))
+    assert not is_heic(data)
+    with pytest.raises(
+        InvalidFile, match=rf"the picture cannot be read \(it is {kind}\); allowed: a whole PNG or JPEG"
+    ):
+        decode_photograph(data)
 
 
 def test_a_large_picture_in_a_small_file_is_told_before_it_is_inflated() -> None:
