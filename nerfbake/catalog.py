@@ -300,5 +300,5 @@ def format_of_content(path: str, view: memoryview) -> Format:
     if by_ending:
         return by_ending[0]
     start = bytes(view[:8]).hex(" ") or "nothing"
-    endings = ", ".join(form.suffix for form in known)
+    endings = ", ".join(dict.fromkeys(form.suffix for form in known))
     raise InvalidFile(f"starts with {start}, which is no known format; allowed: {endings}")

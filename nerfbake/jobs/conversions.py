@@ -10,7 +10,7 @@ from nerfbake import catalog, io
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
-from nerfbake.jobs.lattices import print_notes, sample_lattice
+from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -117,9 +117,6 @@ def convert_splats(
     options = {"small": True} if small else {}
     module = target.require("Splats", **options).load_splat_module()
     splats: Splats = source.read(steps, Splats)
-    print_notes(steps, source, splats)
-    if splats.dropped:
-        steps.say(f"{source.name}: {splats.unread_problems()[0].found}")
     if up is not None:
         splats = splats.with_up(ways[up])
     kept = splats.with_degree(module.MOST_DEGREE)

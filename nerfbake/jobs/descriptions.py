@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from nerfbake import io
 from nerfbake.jobs.files import AnySource, as_source
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.stages.scene_to_summary import summarise_scene
@@ -18,6 +19,7 @@ def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]
     'PlenOctree (N3Tree)'
     """
     source = as_source(source)
-    found = source.read_with_format(steps)
+    with steps.phase(f"reading {source.name}"):
+        found: io.Loaded[Any] = io.load_with_format(source.path)  # its notes are in the description
     of_file = {"file": source.path, "format": found.form.name, "bytes_on_disk": found.size, **found.packing}
     return of_file | summarise_scene(found.scene)

@@ -33,15 +33,27 @@ class Source(NamedTuple):
         return self.read_with_format(steps, *kinds).scene
 
     def read_with_format(self, steps: Steps, *kinds: type) -> io.Loaded[Any]:
-        """Read the scene with its format, size in bytes (of a stream: the bytes read) and packing."""
+        """Read the scene with its format, size in bytes (of a stream: the bytes read) and packing.
+
+        Prints what of the file is left out, and what was assumed.
+        """
         with steps.phase(f"reading {self.name}"):
-            return io.load_with_format(self.path, *kinds)
+            found: io.Loaded[Any] = io.load_with_format(self.path, *kinds)
+        for note in _notes(found.scene):
+            steps.say(f"{self.name}: {note}")
+        return found
 
     @contextmanager
     def blamed(self, steps: Steps, phase: str) -> Iterator[Tell]:
         """Run a block as a step of the work. Its errors name this file."""
         with steps.phase(phase) as tell, io.blame(self.name):
             yield tell
+
+
+def _notes(scene: Any) -> Iterator[str]:
+    yield from getattr(scene, "notes", ())
+    if getattr(scene, "dropped", 0):  # splats
+        yield scene.unread_problems()[0].found
 
 
 class Stage1Source(NamedTuple):
@@ -138,7 +150,9 @@ class FolderTarget(NamedTuple):
     force: bool = False
 
     def require(self) -> None:
-        """Raise OutputError if the folder cannot be written. Call it before doing any work."""
+        """Raise UsageError for '-', OutputError if the folder cannot be written. Call it before doing any work."""
+        if self.path == io.STREAM:
+            raise UsageError("stdout takes one file; allowed: a folder")
         io.require_no_folder(self.path, force=self.force)
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> dict[str, int]:

@@ -36,7 +36,7 @@ def sample_lattice(
     dtype: Literal["float32", "float16"] = "float32",
     sigma_min: float | None = None,
 ) -> SparseVoxelOctree:
-    """Sample a lattice to an octree, and print what was left out and the error of its pictures and colours.
+    """Sample a lattice to an octree, and print the error of its pictures and colours.
 
     The options are those of build_octree_from_lattice().
     """
@@ -44,7 +44,6 @@ def sample_lattice(
     from nerfbake.stages.lattice_to_octree import build_octree_from_lattice
     from nerfbake.stages.scene_to_field import build_field_from_octree
 
-    print_notes(steps, source, lattice)
     with source.blamed(steps, "sampling the lattice"):
         size = (resolution,) * 3 if isinstance(resolution, int) else resolution
         octree = build_octree_from_lattice(
@@ -152,9 +151,3 @@ def _lost(lattice: LatticeField, field: RadianceField) -> tuple[float, float]:
     from nerfbake.stages.lattice_to_image import measure_lattice
 
     return orbit_psnr(lattice, field, _FRAMES, _EDGE), measure_lattice(lattice, field)
-
-
-def print_notes(steps: Steps, source: Source, scene: Any) -> None:
-    """Print notes on the contents of a file that were left out or changed."""
-    for note in scene.notes:
-        steps.say(f"{source.name}: {note}")

@@ -10,7 +10,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
-from nerfbake.jobs.lattices import compact_octree, print_notes, sample_lattice, without_scenery
+from nerfbake.jobs.lattices import compact_octree, sample_lattice, without_scenery
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.held_out import HeldOut
@@ -70,8 +70,6 @@ def bake_octree(
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
     scene = source.read(steps, N3Tree, LatticeField, Splats)
-    if isinstance(scene, N3Tree):
-        print_notes(steps, source, scene)
     _require_used(scene, splats=splats, box=box, resample=resample, basis=basis, scale=scale, budget=budget)
     if box == "inner":
         scene = without_scenery(steps, source, scene)

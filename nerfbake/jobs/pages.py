@@ -108,11 +108,11 @@ class PageExtras(NamedTuple):
     composite: Literal["stop", "ztest"] = "stop"
 
     @staticmethod
-    def of(mesh: PlacedMesh | None) -> PageExtras:
+    def of(steps: Steps, mesh: PlacedMesh | None) -> PageExtras:
         """Read the meshes of a file. Without a file there are no meshes. Raises NerfbakeError."""
         if mesh is None:
             return PageExtras()
-        meshes = mesh.read().meshes
+        meshes = mesh.read(steps).meshes
         with io.blame(mesh.path):
             memory.require("the page's triangles and textures", _COPIES * memory.size_of(meshes))
         return PageExtras(meshes, mesh.how)
@@ -346,8 +346,8 @@ def _framed(
     previews: tuple[bytes, ...] = ()
     if photographs:
         views, previews = _previews(steps, str(look.cameras), views)
+    beside = PageExtras.of(steps, mesh)
     with source.blamed(steps, "rendering the cover"):
-        beside = PageExtras.of(mesh)
         cover = beside.render(whole, first, background=look.background, lookup=look.lookup)
     turns = look.cameras is None and posed is None
     return _Shown(field, views, cover, beside, look, turns, around, previews)

@@ -11,7 +11,7 @@ from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice
-from nerfbake.jobs.lattices import print_notes, sample_lattice
+from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
 from nerfbake.scene.atlas import BakedAtlas
@@ -150,9 +150,10 @@ class PlacedMesh(NamedTuple):
     up: Literal["y", "z"] = "y"
     how: Literal["stop", "ztest"] = "stop"
 
-    def read(self) -> Meshes:
+    def read(self, steps: Steps) -> Meshes:
         """Read the meshes and rotate them into the field's world. Raises NerfbakeError."""
-        return io.load(self.path, Meshes).with_up(self.up)
+        meshes: Meshes = Source(self.path).read(steps, Meshes)
+        return meshes.with_up(self.up)
 
 
 def render_views(
@@ -190,7 +191,7 @@ def render_views(
     views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)
     paths = [pictures.out] if together else pictures.settle(views.cameras, several=shots.several)
-    drawn = _drawn(steps, source, views.cameras, _renderer(field, mesh, views.samples, options))
+    drawn = _drawn(steps, source, views.cameras, _renderer(steps, field, mesh, views.samples, options))
     if together:
         with io.blame(pictures.out):
             views.require_memory()
@@ -214,7 +215,6 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
         return scene
     if isinstance(scene, LatticeField):
         if alone:
-            print_notes(steps, source, scene)
             return scene
         scene = sample_lattice(steps, source, scene)
     if lod is not None:
@@ -224,7 +224,9 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
         return build_field(scene)
 
 
-def _renderer(field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions) -> Callable[..., Image]:
+def _renderer(
+    steps: Steps, field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions
+) -> Callable[..., Image]:
     """Return the function that renders a camera.
 
     A lattice has its own lookup, so that option is dropped. Raises UsageError for options that the scene does not have.
@@ -245,7 +247,7 @@ def _renderer(field: Field, mesh: PlacedMesh | None, samples: int, options: Rend
         return partial(render_lattice, field, samples=samples, **options)  # type: ignore[misc]
     if mesh is None:
         return partial(render_field, field, samples=samples, **options)
-    return partial(render_field_and_meshes, field, mesh.read(), how=mesh.how, samples=samples, **options)
+    return partial(render_field_and_meshes, field, mesh.read(steps), how=mesh.how, samples=samples, **options)
 
 
 def _drawn(steps: Steps, source: Source, views: Sequence[Camera], render: Callable[..., Image]) -> Iterator[Image]:

@@ -11,7 +11,6 @@ from nerfbake import progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
-from nerfbake.jobs.lattices import print_notes
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
@@ -63,7 +62,6 @@ def choose_splats(
     steps: Steps, source: Source, splats: Splats, options: SplatVoxels, part: Part = "inner"
 ) -> tuple[Splats, Points]:
     """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels."""
-    print_notes(steps, source, splats)
     least = options.opacity_min
     with source.blamed(steps, "cutting the splats"):
         turned = with_z_up(splats, options.up)
@@ -74,7 +72,8 @@ def choose_splats(
         else:
             box = world_box(part)
         cut = cut_splats(turned, box, opacity_min=least)
-    print_notes(steps, source, cut)
+    for note in cut.notes:
+        steps.say(f"{source.name}: {note}")
     return cut.splats, box
 
 

@@ -18,6 +18,7 @@ from nerfbake.scene.compact_repr import CompactRepr
 Composite = Literal["stop", "ztest"]  # how meshes and a field are composited
 MAX_MESHES = 10_000
 MAX_UV = 1e6  # beyond it float32 cannot resolve texels
+_VISIBLE = 2.0**-12  # of the longest edge: a pixel in a large picture
 UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for rounding in files
 
 
@@ -111,6 +112,7 @@ class Meshes(Scene):
     """All meshes of a file, one for each material.
 
     coarser: levels of detail of a single mesh, with fewer triangles each; nothing but a .glb stores them
+    notes: parts of the file that were left out, and what that means, one line each
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes
@@ -121,6 +123,7 @@ class Meshes(Scene):
 
     meshes: tuple[Mesh, ...]
     coarser: tuple[Mesh, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.meshes:
@@ -137,11 +140,24 @@ class Meshes(Scene):
         if up == "y":
             return self
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float64)
-        return Meshes(tuple(replace(m, positions=rotate(m.positions, turn).astype(np.float32)) for m in self.meshes))
+        turned = (replace(m, positions=rotate(m.positions, turn).astype(np.float32)) for m in self.meshes)
+        return Meshes(tuple(turned), notes=self.notes)
 
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)
         return f"mesh of {triangles:,} triangles over {sum(len(mesh.positions) for mesh in self.meshes):,} vertices"
+
+
+def rounding_notes(places: npt.NDArray[np.float64]) -> tuple[str, ...]:
+    """A note if float32 moves these positions (v, 3) visibly: they are far from the origin for their extent."""
+    if not len(places):
+        return ()
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = max(float(np.abs(column - column.astype(np.float32)).max()) for column in places.T)
+        edge = float(np.ptp(places, axis=0).max())
+    if not off > edge * _VISIBLE > 0:
+        return ()
+    return (f"its coordinates are far from the origin, and rounded by up to {off:.2g}; its extent is {edge:.3g}",)
 
 
 def vertex_box(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:

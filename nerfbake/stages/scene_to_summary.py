@@ -206,6 +206,7 @@ def summary_of_meshes(scene: Meshes) -> dict[str, Any]:
         "world_box": box.tolist(),
         "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
         "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
+        "notes": list(scene.notes) or None,
         "bytes_in_memory": sum(array.nbytes for parts in arrays for array in parts if array is not None),
     }
 

@@ -7,9 +7,20 @@ from pathlib import Path
 import pytest
 
 from nerfbake import N3Tree, Stage1, load
-from nerfbake.errors import InvalidFile, InvalidScene
-from nerfbake.jobs import Source, Stage1Source, Target
+from nerfbake.errors import InvalidFile, InvalidScene, UsageError
+from nerfbake.jobs import (
+    Source,
+    Stage1Source,
+    Target,
+    compare_files,
+    render_views,
+    view_file,
+    write_sample_stage1,
+    write_shaders,
+)
+from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.files import as_source, as_target
+from nerfbake.jobs.pictures import PlacedMesh, ViewSelection
 from nerfbake.jobs.steps import SILENT
 from nerfbake.memory import left, memory_limit
 from tests.jobs.listener import Listener
@@ -28,6 +39,14 @@ def test_the_ending_of_a_target_is_that_of_its_format() -> None:
 
 
 @pytest.mark.usefixtures("folder")
+def test_stdout_is_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for write in (write_shaders, write_sample_stage1):
+        with pytest.raises(UsageError, match="^stdout takes one file; allowed: a folder$"):
+            write("-")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_source_tells_its_step_and_is_blamed(listener: Listener) -> None:
     found = Source("a.npz").read_with_format(listener, N3Tree)
     assert (found.form.name, found.size, found.packing) == ("npz", Path("a.npz").stat().st_size, {})
@@ -37,6 +56,25 @@ def test_a_source_tells_its_step_and_is_blamed(listener: Listener) -> None:
         raise InvalidScene("too much")
     with pytest.raises(InvalidFile, match="holds an octree"):
         Source("a.svo.pb").read(SILENT, N3Tree)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("how", ["beside a field", "alone", "on a page", "compared"])
+def test_what_a_mesh_lacks_is_printed_by_everything_that_shows_it(how: str, listener: Listener) -> None:
+    Path("mesh.obj").write_text("mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    shot = ViewSelection(size=(8, 8))
+    match how:
+        case "beside a field":
+            render_views("a.npz", "a.png", shot, mesh=PlacedMesh("mesh.obj"), steps=listener)
+        case "alone":
+            render_views("mesh.obj", "a.png", shot, steps=listener)
+        case "on a page":
+            view_file("a.npz", "a.html", data="exact", mesh=PlacedMesh("mesh.obj"), steps=listener)
+        case _:
+            compare_files("mesh.obj", "mesh.obj", seen=ComparedViews(size=(8, 8)), steps=listener)
+    assert {line for line in listener.said if "gone.mtl" in line} == {
+        "mesh.obj: mtllib 'gone.mtl' is not in the folder of the .obj, so that its materials are not known"
+    }
 
 
 def test_parts_from_anywhere_are_a_stage1_folder(stage1: Path) -> None:

@@ -12,6 +12,7 @@ KHR_materials_pbrSpecularGlossiness, MSFT_lod.
 
 from __future__ import annotations
 
+import base64
 import math
 import struct
 from collections.abc import Iterator
@@ -297,9 +298,7 @@ class _Looks:
         source = _source(self._document.item("textures", index), f"textures[{index}]")
         if source not in self._textures:
             image, place = self._document.item("images", source), f"images[{source}]"
-            if "uri" in image:
-                raise malformed(place, "is in another file", "pictures inside the .glb")
-            content = self._document.view(image.get("bufferView"))
+            content = _inline(image["uri"], place) if "uri" in image else self._document.view(image.get("bufferView"))
             texture = decode_texture(content, place, any_mode=True, webp=True)
             memory.hold(place, texture.nbytes)
             self._textures[source] = texture
@@ -311,7 +310,21 @@ def _source(texture: dict[str, Any], place: str) -> int:
     webp = _extension(texture, "EXT_texture_webp", place)
     if "source" not in texture and webp is not None:
         return whole(webp, "source", f"{place}.extensions.EXT_texture_webp")
+    if "source" not in texture and isinstance(others := texture.get("extensions"), dict) and others:
+        raise malformed(place, f"needs {str(next(iter(others)))[:60]}", "a picture in PNG, JPEG or WebP")
     return whole(texture, "source", place)
+
+
+def _inline(uri: Any, place: str) -> memoryview:
+    """Return the picture in a data URI: data:image/png;base64,..."""
+    head, comma, text = uri.partition(",") if isinstance(uri, str) else ("", "", "")
+    if not (head.startswith("data:") and head.endswith(";base64") and comma):
+        raise malformed(place, "is in another file", "pictures inside the .glb")
+    memory.require(place, len(text))
+    try:
+        return memoryview(base64.b64decode(text, validate=True))
+    except ValueError:
+        raise malformed(place, "has a data URI that is damaged", "base64") from None
 
 
 class _Base(NamedTuple):
@@ -401,4 +414,13 @@ def decode(view: memoryview) -> Meshes:
     asset = document.root.get("asset")
     extras = asset.get("extras") if isinstance(asset, dict) else None
     turned = isinstance(extras, dict) and extras.get(UP) == "z"
-    return Meshes(_meshes_of(document)).with_up("z" if turned else "y")
+    return Meshes(_meshes_of(document), notes=tuple(_notes(document))).with_up("z" if turned else "y")
+
+
+def _notes(document: Document) -> Iterator[str]:
+    """Yield a line for poses that are not applied."""
+    if any("mesh" in node and "skin" in node for node in _list(document.root, "nodes", "JSON")):
+        yield "skins are not read: the mesh has the pose that it was modelled in"
+    meshes = [mesh for mesh in _list(document.root, "meshes", "JSON") if isinstance(mesh, dict)]
+    if any(isinstance(shares := mesh.get("weights"), list) and any(shares) for mesh in meshes):
+        yield "morph targets are not read: the mesh has its basic shape"

@@ -2,9 +2,9 @@
 
     newmtl NAME     map_Kd [-option value ...] PICTURE
 
-Pictures stand beside the .obj as PNG or JPEG. Other pictures and missing files are ignored, as are names with a folder
-other than ./: a file from elsewhere must not choose what is read. Names may contain spaces and #; a line that starts
-with # is a comment.
+Pictures stand beside the .obj as PNG or JPEG. Other pictures and missing files are left out with a note, as are names
+with a folder other than ./: a file from elsewhere must not choose what is read. Names may contain spaces and #; a line
+that starts with # is a comment. Options of a picture are skipped.
 """
 
 from __future__ import annotations
@@ -24,34 +24,62 @@ from nerfbake.formats.wire.picture import decode_texture
 _ENDINGS = (".png", ".jpg", ".jpeg")
 _LONGEST = 200  # bytes of a file name
 _MOST = 100  # names of libraries
+_TOLD = 60  # characters of a name in a note
 _HERE = re.compile(rb"\A(?:\.[/\\]++)++")  # the folder of the .obj, as MeshLab names it
+_NUMBER = rb"[-+]?[.0-9]++(?:e[-+]?[0-9]++)?"
+_OPTIONS = re.compile(
+    rb"\A(?:-(?:imfchan|type)\s++\S++\s++|-[a-z]++\s++(?:(?:on|off|%b)\s++)*+)++" % _NUMBER, re.IGNORECASE
+)
+_PLACING = re.compile(rb"-[ost]\s", re.IGNORECASE)  # options that move or scale the picture
 _MTL = "newmtl {}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1\nillum 1\nNs 0\n"
 
 
 class Materials:
     """The textures of the materials in the libraries beside an .obj; each picture is decoded once.
 
-    libraries: what each mtllib line names. The first library that has a material counts. Raises InvalidFile for more
-    than 100.
+    libraries: what each mtllib line names. The first library that has a material counts. Libraries and pictures that
+    are left out become a note. Raises InvalidFile for more than 100 libraries.
     """
 
     def __init__(self, libraries: Iterable[bytes], beside: Mapping[str, memoryview] | None) -> None:
         self._beside = {} if beside is None else beside
+        self._left: dict[str, None] = {}  # what is left out, and why
         self._pictures: dict[bytes, bytes] = {}
         for name in self._names(libraries):
             self._pictures = _pictures(bytes(self._beside[name])) | self._pictures
         self._textures: dict[str, npt.NDArray[np.uint8]] = {}
 
-    def texture(self, material: bytes) -> npt.NDArray[np.uint8] | None:
-        """The texture (H, W, 3) of a material; None if it has none. Raises InvalidFile, MemoryLimit."""
-        name = self._there(self._pictures.get(material))
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line about the first library or picture that is left out, if any, with the number of the others."""
+        first, more = next(iter(self._left), None), len(self._left) - 1
+        return () if first is None else (first + (f" (and {more:,} more)" if more else ""),)
+
+    def texture(self, material: bytes, *, placed: bool = True) -> npt.NDArray[np.uint8] | None:
+        """The texture (H, W, 3) of a material; None if it has none. Raises InvalidFile, MemoryLimit.
+
+        placed: the mesh has texture coordinates. Without them, its texture is left out.
+        """
+        line = self._pictures.get(material, b"")
+        named = _OPTIONS.sub(b"", line)  # a name may contain spaces
+        name = self._there(named)
         if name is None or not name.lower().endswith(_ENDINGS):
+            if named:
+                self._leave("texture", named, "is no PNG or JPEG in the folder of the .obj")
             return None
+        if not placed:
+            self._leave("texture", named, "is not shown, because corners lack texture coordinates")
+            return None
+        if _PLACING.search(line[: len(line) - len(named)]):
+            self._leave("texture", line, "is shown without its options")
         if name not in self._textures:
             texture = decode_texture(self._beside[name], name, any_mode=True)
             memory.hold(name, texture.nbytes)
             self._textures[name] = texture
         return self._textures[name]
+
+    def _leave(self, what: str, name: bytes, reason: str) -> None:
+        self._left[f"{what} {name.decode(errors='replace')[:_TOLD]!r} {reason}"] = None
 
     def _names(self, libraries: Iterable[bytes]) -> list[str]:
         """The names of the libraries that are there. A line names one, whose name may contain spaces, or several."""
@@ -62,7 +90,10 @@ class Materials:
                 continue
             lines.add(line)
             names = [line] if self._there(line) else line.split(None, _MOST)
-            found |= {name: self._there(name) for name in names}
+            there = {name: self._there(name) for name in names}
+            if not any(there.values()):
+                self._leave("mtllib", line, "is not in the folder of the .obj, so that its materials are not known")
+            found |= there
             if max(len(lines), len(found)) > _MOST:
                 raise InvalidFile(Problem("mtllib", f"names more than {_MOST} libraries", f"{_MOST} at most"))
         return [name for name in dict.fromkeys(found.values()) if name]
@@ -77,7 +108,7 @@ class Materials:
 
 
 def _pictures(content: bytes) -> dict[bytes, bytes]:
-    """The picture of each material; b"" for none."""
+    """The picture of each material, behind its options; b"" for none."""
     found: dict[bytes, bytes] = {}
     material = b""
     for line in content.removeprefix(BOM_UTF8).splitlines():
@@ -87,8 +118,7 @@ def _pictures(content: bytes) -> dict[bytes, bytes]:
             material = rest
             found.setdefault(material, b"")
         if word == b"map_Kd" and rest:
-            # Options come before the name, which may contain spaces.
-            found[material] = rest.split()[-1] if rest.startswith(b"-") else rest
+            found[material] = rest
     return found
 
 

@@ -30,12 +30,14 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.mesh.mtl import Materials, encode_mtl
 from nerfbake.formats.wire.picture import encode_picture
 from nerfbake.kernels.arrays import Floats, Ints
+from nerfbake.kernels.soundness import plural
 from nerfbake.kernels.surface.fans import fan
-from nerfbake.scene.mesh import Mesh, Meshes, require_few
+from nerfbake.scene.mesh import Mesh, Meshes, require_few, rounding_notes
 
 _PER_BYTE = 8  # bytes of memory per byte of text while it is parsed
 _PER_CORNER = 200  # and per corner of a polygon; two bytes of text may be one corner
 _ALLOWED = "a whole .obj of polygons"
+_NAMES = {b"v": "vertex", b"vt": "texture coordinate", b"f": "face"}  # of lines, in errors
 _NUMBER = rb"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++|nan|inf)(?:e[-+]?[0-9]++)?"
 _NUMBERS = re.compile(rb"\s*+(?:" + _NUMBER + rb"(?:\s++|$))*+", re.IGNORECASE)
 _INDEX = rb"-?[0-9]{1,18}+"
@@ -44,12 +46,12 @@ _CORNERS = re.compile(rb"\s*+(?:%b(?:/(?:%b)?(?:/(?:%b)?)?)?(?:\s++|$))*+" % (_I
 Bytes = npt.NDArray[np.uint8]
 
 
-def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | None = None) -> tuple[Mesh, ...]:
+def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | None = None) -> Meshes:
     """Parse the meshes, one for each material. Polygons become triangle fans. beside: the files of the same folder.
 
     Vertices with several texture coordinates are split, and unused vertices are dropped. Colours are used only if every
-    vertex has one, texture coordinates only if every corner of a mesh has one. Raises InvalidFile, InvalidScene for
-    invalid mesh values, MemoryLimit.
+    vertex has one, texture coordinates only if every corner of a mesh has one. Notes tell which libraries and pictures
+    are not read. Raises InvalidFile, InvalidScene for invalid mesh values, MemoryLimit.
     """
     with memory.lent(name, _PER_BYTE * len(view)):
         text = _Text(view, name)
@@ -64,9 +66,9 @@ def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | N
         found = []
         for part in sorted(parts, key=lambda part: part[0]):  # in the order in which materials first occur in the file
             mesh = _mesh(corners, part, points, colours, places)
-            texture = None if mesh.uvs is None else materials.texture(known[corners.material[part[0]]])
+            texture = materials.texture(known[corners.material[part[0]]], placed=mesh.uvs is not None)
             found.append(mesh if texture is None else replace(mesh, texture=texture))
-        return tuple(found)
+        return Meshes(tuple(found), notes=(*materials.notes, *rounding_notes(points)))
 
 
 class _Corners(NamedTuple):
@@ -78,8 +80,9 @@ class _Corners(NamedTuple):
 
 
 class _Numbers(NamedTuple):
-    """The concatenated numbers of several lines, and the count of each line, (lines,)."""
+    """The concatenated numbers of all lines that start with a word, and the count of each line, (lines,)."""
 
+    word: bytes
     values: Floats
     counts: Ints
 
@@ -119,52 +122,63 @@ class _Text:
             found &= self._bytes[self._starts + k] == letter
         return np.flatnonzero(found & (self._ends - self._starts > len(word)))
 
-    def numbers(self, lines: Ints) -> _Numbers:
-        """Parse the numbers after the first word of each line. Raises InvalidFile."""
+    def numbers(self, word: bytes) -> _Numbers:
+        """Parse the numbers after this word on each of its lines. Raises InvalidFile."""
+        lines = self.lines(word)
         text = self._behind_words(lines)
         if not (match := _NUMBERS.match(text)) or match.end() < len(text):
-            self._refuse(text, match.end() if match else 0)
+            self._refuse(word, text, match.end() if match else 0)
         starts, line = _tokens(text)
         values = np.fromstring(text.decode("ascii"), np.float64, sep=" ")
         if len(values) != len(starts):
-            raise self._fault(f"{len(starts):,} words, of which only {len(values):,} are numbers", _ALLOWED)
-        return _Numbers(values, np.bincount(line, minlength=len(lines)))
+            found = f"it has {len(starts):,} words, of which only {len(values):,} are numbers"
+            raise self._fault(found, _ALLOWED)
+        return _Numbers(word, values, np.bincount(line, minlength=len(lines)))
 
     def columns(self, numbers: _Numbers, first: int, end: int, skipped: Ints | int = 0) -> Floats:
         """Return columns first to end of the numbers, (lines, end - first). Raises InvalidFile for shorter lines.
 
         skipped: how many columns further right they are, on each line.
         """
-        values, counts = numbers
+        word, values, counts = numbers
         if (counts < end).any():
-            raise self._fault(f"a line of {counts[(counts < end).argmax()]} numbers", f"{end} or more")
+            short = int((counts < end).argmax())
+            raise self._fault(
+                f"{_NAMES[word]} {short + 1:,} has {plural(int(counts[short]), 'number')}", f"{end} or more"
+            )
         begin = np.cumsum(counts) - counts + skipped
         return np.asarray(values[begin[:, None] + np.arange(first, end)], np.float64)
 
     def vertices(self) -> tuple[Floats, Floats | None]:
         """Return positions (v, 3), and colours (v, 3) if all vertices have one."""
-        found = self.numbers(self.lines(b"v"))
+        found = self.numbers(b"v")
         coloured = len(found.counts) and (found.counts >= 6).all()
         weighted = (found.counts == 7).astype(np.int64)  # x y z w r g b
         return self.columns(found, 0, 3), self.columns(found, 3, 6, weighted) if coloured else None
 
     def places(self) -> Floats:
-        """Return the texture coordinates, (p, 2)."""
-        return self.columns(self.numbers(self.lines(b"vt")), 0, 2)
+        """Return the texture coordinates, (p, 2). A line may leave out v, which is then 0."""
+        found = self.numbers(b"vt")
+        short = found.counts == 1
+        if short.any():
+            values = np.insert(found.values, np.cumsum(found.counts)[short], 0.0)
+            found = found._replace(values=values, counts=found.counts + short)
+        return self.columns(found, 0, 2)
 
     def corners(self, vertices: int, places: int) -> _Corners:
         """Parse all faces as triangles. Raises InvalidFile for invalid polygons and indices."""
         lines = self.lines(b"f")
         if not len(lines):
-            raise self._fault("no faces", "at least one triangle", verb="has")
+            raise InvalidFile(Problem(self._name, "has no faces", "at least one triangle"))
         text = self._behind_words(lines)
         if not (match := _CORNERS.match(text)) or match.end() < len(text):
-            self._refuse(text, match.end() if match else 0)
+            self._refuse(b"f", text, match.end() if match else 0)
         starts, line = _tokens(text)
         memory.hold(self._name, _PER_CORNER * len(starts))
         counts = np.bincount(line, minlength=len(lines))
         if (counts < 3).any():
-            raise self._fault(f"a face of {counts[(counts < 3).argmax()]} corners", "3 or more")
+            short = int((counts < 3).argmax())
+            raise self._fault(f"face {short + 1:,} has {plural(int(counts[short]), 'corner')}", "3 or more")
         split = np.frombuffer(text, np.uint8)
         slashes = np.cumsum(split == ord("/"), dtype=np.int32)
         widths = np.diff(np.concatenate([[0], starts[1:], [len(split)]]))
@@ -195,9 +209,9 @@ class _Text:
         index = np.where(numbers < 0, before + numbers, numbers - 1)
         wrong = (index < 0) | (index >= count)
         if wrong.any():
-            raise self._fault(
-                f"a corner with {word.decode()} index {numbers[wrong.argmax()]}", f"1 to {count:,}, or -1 and below"
-            )
+            first = int(wrong.argmax())
+            told = f"face {line[have][first] + 1:,} has the {word.decode()} index {numbers[first]}"
+            raise self._fault(told, f"1 to {count:,}, or -1 and below")
         found = np.full(len(starts), -1, np.int64)
         found[have] = index
         return found
@@ -232,12 +246,13 @@ class _Text:
         text = bytes(self._bytes[1 : 1 + len(mask)][mask].data)
         return re.sub(rb"#[^\n]*+", b"", text) if b"#" in text else text
 
-    def _refuse(self, text: bytes, at: int) -> None:
-        word = text[at : at + 40].split()[0].decode("latin-1")
-        raise self._fault(repr(word), _ALLOWED)
+    def _refuse(self, word: bytes, text: bytes, at: int) -> None:
+        """Raise for what stands at this offset of the text behind the words."""
+        found, number = text[at : at + 40].split()[0].decode("latin-1"), text.count(b"\n", 0, at) + 1
+        raise self._fault(f"{_NAMES[word]} {number:,} has {found!r}", _ALLOWED)
 
-    def _fault(self, found: str, allowed: str, verb: str = "cannot be read: it has") -> InvalidFile:
-        return InvalidFile(Problem(self._name, f"{verb} {found}", allowed))
+    def _fault(self, found: str, allowed: str) -> InvalidFile:
+        return InvalidFile(Problem(self._name, f"cannot be read: {found}", allowed))
 
 
 def _tokens(text: bytes) -> tuple[Ints, Ints]:
@@ -331,4 +346,4 @@ def decode(view: memoryview, *, beside: Mapping[str, memoryview] | None = None) 
 
     beside: the files of the same folder, with materials and textures.
     """
-    return Meshes(decode_obj(view, "the mesh", beside))
+    return decode_obj(view, "the mesh", beside)

@@ -6,8 +6,9 @@ r"""Read and write meshes as .ply: positions, vertex colours, polygons.
     V rows of 3 f32 (and 3 u8) | T rows of u8 3, 3 i32
 
 Colours are sRGB; their type decides whether they go to 1 (float), 65,535 (ushort) or 255 (other integers). The reader
-takes text and both byte orders, other properties in any order, and polygons of any size. Files with f_dc_0 or
-packed_position are splats, which splat/ply.py reads, as are files without faces.
+takes text and both byte orders, other properties in any order, and polygons of any size. Textures and colours of faces
+are left out with a note. Files with f_dc_0 or packed_position are splats, which splat/ply.py reads, as are files
+without faces.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.surface.fans import fan
-from nerfbake.scene.mesh import Mesh, Meshes
+from nerfbake.scene.mesh import Mesh, Meshes, rounding_notes
 
 _ALLOWED = "a whole .ply of polygons"
 _HEAD = 1 << 14  # bytes in which a mesh is recognised
@@ -31,6 +32,8 @@ _WORD = 90  # bytes of memory per word of text
 _VERTEX = 60  # and per vertex
 _CORNER = 60  # and per corner of a polygon
 _INDICES = ("vertex_indices", "vertex_index")
+_TOLD = 60  # characters of a name in a note
+_RGB = ("red", "green", "blue")
 _GREY = 0.75  # of a mesh without colours beside one with colours
 
 
@@ -66,7 +69,18 @@ def decode(view: memoryview) -> Meshes:
     if not isinstance(faces, _Polygons):
         raise InvalidFile(Problem("element face", "has no list vertex_indices", _ALLOWED))
     with np.errstate(over="ignore", invalid="ignore"):
-        return Meshes((Mesh(positions.astype(np.float32), None, faces.triangles(len(positions)), colours=colours),))
+        mesh = Mesh(positions.astype(np.float32), None, faces.triangles(len(positions)), colours=colours)
+    return Meshes((mesh,), notes=(*_notes(header, colours is None), *rounding_notes(positions)))
+
+
+def _notes(header: wire.Header, grey: bool) -> Iterator[str]:
+    """Yield a line for a texture, and one for colours of faces if the vertices have none."""
+    words = (comment.partition(" ") for comment in header.comments)
+    if pictures := [name for word, _, name in words if word == "TextureFile"]:
+        yield f"texture {pictures[0][:_TOLD]!r} is not read from a .ply, but from a .glb or .obj"
+    of_faces = {each.name for element in header.elements if element.name == "face" for each in element.properties}
+    if grey and {*_RGB} <= of_faces:
+        yield "colours of faces are not read, but colours of vertices"
 
 
 class _Polygons:
@@ -222,12 +236,11 @@ def _columns(rows: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
 
 
 def _colours(rows: Any, header: wire.Header) -> npt.NDArray[np.float32] | None:
-    names = ("red", "green", "blue")
-    if not all(_has(rows, name) for name in names):
+    if not all(_has(rows, name) for name in _RGB):
         return None
     kinds = dict(next(each for each in header.elements if each.name == "vertex").numbers)
-    white = [1 if kinds[name][0] == "f" else 65_535 if kinds[name] == "u2" else 255 for name in names]
-    return (_columns(rows, names) / white).astype(np.float32)
+    white = [1 if kinds[name][0] == "f" else 65_535 if kinds[name] == "u2" else 255 for name in _RGB]
+    return (_columns(rows, _RGB) / white).astype(np.float32)
 
 
 def encode(scene: Meshes) -> Iterator[bytes]:
@@ -244,7 +257,7 @@ def encode(scene: Meshes) -> Iterator[bytes]:
         sum(map(len, each)) for each in zip(*((m.positions, m.faces) for m in scene.meshes), strict=True)
     )
     columns = "".join(f"property float {axis}\n" for axis in "xyz")
-    columns += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue") if coloured)
+    columns += "".join(f"property uchar {name}\n" for name in _RGB if coloured)
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n{columns}"
     yield (head + f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n").encode()
     for mesh in scene.meshes:

@@ -23,7 +23,7 @@ def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None
     name, diffuse = f"mesh_{cascade}.obj", diffuse_name(files, cascade)
     if name not in files:
         return None
-    parts = decode_obj(files[name], name)
+    parts = decode_obj(files[name], name).meshes
     texture = decode_texture(files[diffuse], diffuse, any_mode=True) if diffuse else None
     positions, faces, _ = joined_meshes(parts)
     return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture)

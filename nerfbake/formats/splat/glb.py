@@ -97,10 +97,8 @@ def _extension(primitive: Any, place: str) -> dict[str, Any] | None:
     found = extensions[EXTENSION]
     if not isinstance(found, dict) or primitive.get("mode", 4) != _POINTS:
         raise malformed(place, f"has {EXTENSION} without points", f"mode {_POINTS}, and an object")
-    inner = found.get("extensions")
-    if isinstance(inner, dict) and inner:
-        name = str(next(iter(inner)))[:60]
-        raise malformed(place, f"needs {name}", f"{EXTENSION} without further extensions")
+    if "indices" in primitive:
+        raise malformed(place, "has indices", "splats in the order of their attributes")
     return found
 
 
@@ -118,11 +116,20 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
     if space == _LINEAR:
         notes.append("its colours are linear; they are kept as they are, and look too dark")
 
+    others = extension.get("extensions")
+    inner = str(next(iter(others)))[:60] if isinstance(others, dict) and others else None
+    if inner is not None:
+        notes.append(f"the extension {inner!r} is left out")
+
     def column(name: str, kind: str) -> Floats:
-        if name not in attributes:
+        index = attributes.get(name)
+        # Attributes that an extension compresses have no bufferView, or have also one for programs without it.
+        if inner is not None and (index is None or "bufferView" not in document.item("accessors", index)):
+            raise malformed(place, f"needs {inner}", f"{EXTENSION} without further extensions")
+        if index is None:
             raise malformed(f"{place}.attributes", f"lack {name}", f"POSITION, {_PREFIX}ROTATION, SCALE, OPACITY, SH")
         with memory.scope():
-            values = document.accessor(attributes[name], (kind,))
+            values = document.accessor(index, (kind,))
         if len(values) != n and n:
             raise malformed(f"{place}.{name}", f"has {len(values):,} rows", f"{n:,}, as POSITION")
         return values.astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import io
 import json
@@ -340,6 +341,28 @@ def test_a_rotation_of_any_length_only_turns(size: float) -> None:
     np.testing.assert_allclose(found.positions, [[0, 0, 0], [0, 1, 0], [-1, 0, 0], [-1, 1, 0]], atol=1e-6)
 
 
+def test_a_picture_may_be_in_a_data_uri() -> None:
+    file = io.BytesIO()
+    Image.new("RGB", (1, 1), (1, 2, 3)).save(file, "PNG")
+    uri = "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+    look = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    (found,) = decoded(textured(look, images=[{"uri": uri}])).meshes
+    np.testing.assert_array_equal(found.texture, [[[1, 2, 3]]])
+
+
+def test_poses_that_are_not_applied_are_told() -> None:
+    assert decoded(glb(document(), BODY)).notes == ()
+    assert decoded(glb(document(nodes=[{"mesh": 0, "skin": 0}]), BODY)).notes == (
+        "skins are not read: the mesh has the pose that it was modelled in",
+    )
+    shapes = [{**primitive(targets=[{"POSITION": 0}])[0], "weights": [0, 0.5]}]
+    assert decoded(glb(document(meshes=shapes), BODY)).notes == (
+        "morph targets are not read: the mesh has its basic shape",
+    )
+    at_rest = [{**shapes[0], "weights": [0, 0]}, 5, {"weights": 5}]
+    assert decoded(glb(document(meshes=at_rest), BODY)).notes == ()
+
+
 def deep(depth: int) -> dict[str, Any]:
     return {"nodes": [{"children": [i + 1]} for i in range(depth)] + [{"children": [0]}]}
 
@@ -409,6 +432,19 @@ LIES: dict[str, tuple[bytes, str]] = {
         "images[0] cannot be read",
     ),
     "no source": (glb(document(**image([{"extensions": 5}], bufferView=0)), BODY), "textures[0].source is None"),
+    "a picture that only an extension has": (
+        glb(document(**image([{"extensions": {"KHR_texture_basisu": {"source": 0}}}], bufferView=0)), BODY),
+        "textures[0] needs KHR_texture_basisu; allowed: a picture in PNG, JPEG or WebP",
+    ),
+    "a picture of no number": (glb(document(**image(uri=5)), BODY), "images[0] is in another file"),
+    "a damaged data URI": (
+        glb(document(**image(uri="data:image/png;base64,=")), BODY),
+        "images[0] has a data URI that is damaged",
+    ),
+    "a data URI that is no picture": (
+        glb(document(**image(uri="data:image/png;base64,AAAA")), BODY),
+        "images[0] cannot be read",
+    ),
     "Draco": (glb(document(extensionsRequired=["KHR_draco_mesh_compression"]), BODY), "has KHR_draco_mesh"),
     "required by number": (glb(document(extensionsRequired=5), BODY), "JSON.extensionsRequired is a int"),
     "a corner too many": (glb(document(), BODY[:-8] + b"\x09\0" * 4), "mesh faces[0, 0] is 9; allowed: a"),

@@ -109,8 +109,46 @@ def test_a_material_elsewhere_is_ignored(library: str, material: str, tmp_path: 
 
 def test_options_of_a_map_are_skipped(tmp_path: Path) -> None:
     save(tmp_path / "a.obj", TEXTURED)
-    (tmp_path / "a.mtl").write_text("newmtl other\nmap_Kd b.png\n\nnewmtl mesh_0\n\tmap_Kd -s 1 1 1 a.png\n")
-    assert load(tmp_path / "a.obj", Meshes).meshes[0].texture is not None
+    (tmp_path / "a.png").rename(tmp_path / "my 2.png")
+    for options in ("-clamp on -bm 1.5", "-imfchan r -blendu off", "-mm 0 1e0 \t", "-s 1 1 1"):
+        (tmp_path / "a.mtl").write_text(f"newmtl other\nmap_Kd b.png\n\nnewmtl mesh_0\n\tmap_Kd {options} my 2.png\n")
+        assert load(tmp_path / "a.obj", Meshes).meshes[0].texture is not None, options
+
+
+LEFT: dict[str, tuple[str, str]] = {
+    "newmtl mesh_0\nmap_Kd gone.png": ("", "texture 'gone.png' is no PNG or JPEG in the folder of the .obj"),
+    "newmtl mesh_0\nmap_Kd below/a.png": ("", "texture 'below/a.png' is no PNG or JPEG in the folder of the .obj"),
+    "newmtl mesh_0\nmap_Kd a.tga": ("", "texture 'a.tga' is no PNG or JPEG in the folder of the .obj"),
+    "newmtl mesh_0\nmap_Kd -s 2 2 1 a.png": ("", "texture '-s 2 2 1 a.png' is shown without its options"),
+    "newmtl mesh_0\nmap_Kd a.png": (
+        "usemtl mesh_0\nf 1 2 3\n",
+        "texture 'a.png' is not shown, because corners lack texture coordinates",
+    ),
+    "newmtl mesh_0\nmap_Kd a.png ": (
+        "mtllib my b.mtl\nmtllib c.mtl\n",
+        "mtllib 'my b.mtl' is not in the folder of the .obj, so that its materials are not known (and 1 more)",
+    ),
+}
+
+
+@pytest.mark.parametrize("library", LEFT)
+def test_one_line_tells_what_of_the_materials_is_left_out(library: str, tmp_path: Path) -> None:
+    more, told = LEFT[library]
+    save(tmp_path / "a.obj", TEXTURED)
+    assert load(tmp_path / "a.obj", Meshes).notes == ()
+    (tmp_path / "a.mtl").write_text(library + "\n")
+    (tmp_path / "a.obj").write_text((tmp_path / "a.obj").read_text() + more)
+    found = load(tmp_path / "a.obj", Meshes)
+    assert found.notes == (told,)
+    shown = "shown without" in told or "mtllib" in told
+    assert (found.meshes[0].texture is not None) == shown
+
+
+def test_a_material_without_a_picture_is_no_note(tmp_path: Path) -> None:
+    save(tmp_path / "a.obj", TEXTURED)
+    for library in ("", "newmtl mesh_0\n", "newmtl mesh_0\nKd 1 0 0\nmap_Kd\n", "newmtl other\nmap_Kd gone.png\n"):
+        (tmp_path / "a.mtl").write_text(library)
+        assert load(tmp_path / "a.obj", Meshes).notes == ()
 
 
 RED, BLUE = [200, 0, 0], [0, 0, 200]
@@ -188,6 +226,18 @@ def test_a_weight_is_not_a_colour() -> None:
     assert parsed("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n").colours is None
 
 
+def test_a_texture_coordinate_may_be_one_number() -> None:
+    found = parsed("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt .25\nvt 1 .5 0\nvt .75\nf 1/1 2/2 3/3\n")
+    np.testing.assert_array_equal(found.require_uvs(), [[0.25, 1], [1, 0.5], [0.75, 1]])
+
+
+def test_coordinates_of_a_map_are_rounded_with_a_note() -> None:
+    near, far = "v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\n", "v 500000.1 0 5400000.4\nv 500010.1 0 5400000.4\n"
+    assert obj.decode(memoryview(near.encode())).notes == ()
+    found = obj.decode(memoryview(f"{far}v 500000.1 0 5400010.4\nf 1 2 3\n".encode()))
+    assert found.notes == ("its coordinates are far from the origin, and rounded by up to 0.1; its extent is 10",)
+
+
 def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
     save(tmp_path / "a.obj", TEXTURED)
     (tmp_path / "a.png").write_bytes(b"none")
@@ -198,9 +248,23 @@ def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
 LIES: dict[str, tuple[bytes, str]] = {
     "no faces": (b"v 0 0 0\nv 1 0 0\n", "has no faces; allowed: at least one triangle"),
     "only a line": (b"v 0 0 0\nv 1 0 0\nl 1 2\n", "has no faces"),
-    "a corner too many": (b"v 0 0 0\nf 1 2 3\n", "cannot be read"),
+    "a corner too many": (
+        b"v 0 0 0\nf 1 1 1\n\nf 1 2 3\n",
+        "cannot be read: face 2 has the v index 2; allowed: 1 to 1",
+    ),
+    "no such texture coordinate": (
+        b"v 0 0 0\nvt 0\nf 1 1 1\nf 1/1 1/0 1\n",
+        "face 2 has the vt index 0; allowed: 1 to 1",
+    ),
+    "two corners": (b"v 0 0 0\nf 1 1 1\nf 1 1\n", "cannot be read: face 2 has 2 corners; allowed: 3 or more"),
+    "a fractional corner": (b"v 0 0 0\nf 1 1 1\nf 1 1.0 1\n", "cannot be read: face 2 has '1.0'"),
+    "two numbers": (b"v 0 0 0\n# v\nv 1 0\nf 1 1 1\n", "cannot be read: vertex 2 has 2 numbers; allowed: 3 or more"),
     "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh positions[0, 0] is nan"),
-    "no numbers": (b"v a b c\nf 1 2 3\n", "cannot be read"),
+    "no numbers": (
+        b"v 0 0 0\nv a b c\nf 1 2 3\n",
+        "cannot be read: vertex 2 has 'a'; allowed: a whole .obj of polygons",
+    ),
+    "a comma": (b"v 0 0 0\nvt 0\nvt 0,5 1\nf 1 1 1\n", "cannot be read: texture coordinate 2 has '0,5'"),
     "bytes": (b"v 0 0 0\n\xff\xfe", "has no faces"),
 }
 

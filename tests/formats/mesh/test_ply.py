@@ -91,6 +91,24 @@ def test_the_content_tells_meshes_from_splats(tmp_path: Path) -> None:
         load(tmp_path / "splats.ply", Meshes)
 
 
+def test_what_the_reader_leaves_out_is_told() -> None:
+    content = polygon_ply([(0, 1, 2)])
+    assert ply.decode(memoryview(content)).notes == ()
+    told = "texture 'a b.png' is not read from a .ply, but from a .glb or .obj"
+    for name in (b"TextureFile a b.png", b"TextureFile a b.png\ncomment TextureFile c.png"):
+        named = content.replace(b"\nelement vertex", b"\ncomment " + name + b"\nelement vertex")
+        assert ply.decode(memoryview(named)).notes == (told,)
+    assert ply.decode(memoryview(named.replace(b"TextureFile", b"TextureFiles"))).notes == ()
+
+
+def test_colours_of_faces_are_told() -> None:
+    lines = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz")]
+    lines += ["element face 1", "property list uchar int vertex_indices"]
+    lines += [*(f"property uchar {name}" for name in COLOURS), "end_header", "0 0 0", "1 0 0", "0 1 0"]
+    found = ply.decode(memoryview("\n".join([*lines, "3 0 1 2 255 0 0", ""]).encode()))
+    assert found.notes == ("colours of faces are not read, but colours of vertices",)
+
+
 def test_a_texture_is_not_dropped_silently(tmp_path: Path) -> None:
     with pytest.raises(NerfbakeError, match=r"has a texture; allowed: vertex colours, or \.glb"):
         save(tmp_path / "b.ply", painted())

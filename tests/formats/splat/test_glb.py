@@ -195,6 +195,15 @@ def test_what_is_not_as_usual_is_noted() -> None:
     assert_same(decoded(data), scene)
 
 
+def test_what_an_extension_also_stores_in_accessors_is_read() -> None:
+    scene = splats(3)
+    data = changed(
+        written(scene), lambda document: primitive(document)["extensions"][NAME].update(extensions={"EXT_more": {}})
+    )
+    assert decoded(data).notes == ("the extension 'EXT_more' is left out",)
+    assert_same(decoded(data), scene)
+
+
 def test_degree_4_is_refused() -> None:
     with pytest.raises(InvalidScene, match=r"sh has degree 4; allowed: 0 to 3 in a \.glb"):
         written(splats(2, degree=4))
@@ -233,6 +242,12 @@ def extension(**fields: Any) -> bytes:
 
 
 COMPRESSED = "KHR_gaussian_splatting_compression_spz_2"
+
+
+def compressed(change: Callable[[Document], object]) -> bytes:
+    return changed(extension(extensions={COMPRESSED: {"bufferView": 0}}), change)
+
+
 LIES: dict[str, tuple[bytes, str]] = {
     "2^32 splats": (entry(0, count=2**32), "accessors[0] has 4,294,967,296 entries, up to byte 51,539,607,552"),
     "no POSITION": (attribute("POSITION", None), "attributes lack POSITION"),
@@ -241,10 +256,15 @@ LIES: dict[str, tuple[bytes, str]] = {
     "another type": (attribute(f"{NAME}:ROTATION", 0), "accessors[0] is VEC3 of 5126; allowed: VEC4"),
     "fewer rows": (entry(3, count=8), f"{NAME}:SCALE has 8 rows; allowed: 9, as POSITION"),
     "triangles": (changed(SOUND, lambda d: primitive(d).update(mode=4)), f"has {NAME} without points"),
+    "indices": (
+        changed(SOUND, lambda d: primitive(d).update(indices=0)),
+        "primitives[0] has indices; allowed: splats in",
+    ),
     "no object": (changed(SOUND, lambda d: primitive(d)["extensions"].update({NAME: 3})), "without points"),
     "a kernel": (extension(kernel="cube"), "kernel is cube; allowed: ellipse"),
     "a colour space": (extension(colorSpace=[]), "colorSpace is []; allowed: srgb_rec709_display or lin_rec709"),
-    "compressed": (extension(extensions={COMPRESSED: {}}), f"needs {COMPRESSED}"),
+    "compressed": (compressed(lambda d: [each.pop("bufferView") for each in d["accessors"]]), f"needs {COMPRESSED}"),
+    "compressed, without accessors": (compressed(lambda d: primitive(d)["attributes"].clear()), f"needs {COMPRESSED}"),
     "required": (
         changed(SOUND, lambda document: document.update(extensionsRequired=[COMPRESSED])),
         f"extensionsRequired has {COMPRESSED}; allowed: {NAME}",
