@@ -79,7 +79,8 @@ def _nested(trees: list[N3Tree]) -> N3Tree:
     rows = parents[0].copy()  # of the octants of the larger tree, among all rows
     first, start = 0, len(parents)  # the row of parents[0], and of the next node
     for number, tree in enumerate(trees[1:], start=2):
-        nodes, values = _with_octants(tree) if number < len(trees) else _flat(tree)
+        # An empty inner cube has nodes, too: a reader counts its shells by the levels of nodes.
+        nodes, values = _with_octants(tree) if number < len(trees) or tree.n == 1 else _flat(tree)
         octants = np.where(nodes[0] > 0, start + nodes[0] - 1, 0)  # the tree's root has no row
         for o in range(8):
             if octants[o]:

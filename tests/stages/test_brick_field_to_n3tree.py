@@ -11,7 +11,14 @@ from numpy.testing import assert_array_equal
 
 from nerfbake import BrickField, N3Tree, build_n3tree, load, memory_limit, save
 from nerfbake.errors import InvalidScene, MemoryLimit
-from tests.support.brick_fields import brick_field_of, brick_fields, lattice_points, sampled, some_brick_field
+from tests.support.brick_fields import (
+    brick_field_of,
+    brick_fields,
+    lattice_points,
+    sampled,
+    some_brick_field,
+    some_shelled_field,
+)
 
 BOX = [[0.0, 0.0, 0.0], [16.0, 32.0, 64.0]]
 
@@ -67,3 +74,14 @@ def test_a_tree_that_is_too_large_is_not_begun() -> None:
     field = some_brick_field()
     with memory_limit(1 << 16), pytest.raises(MemoryLimit, match="the tree"):
         build_n3tree(field)
+
+
+def test_scenery_that_is_all_far_away_is_a_sound_tree() -> None:
+    field = some_shelled_field(shells=8)
+    outermost = len(field.shell(7).values)
+    field.values[:-outermost, -1] = 0
+    tree = build_n3tree(field)
+    assert tree.shells == 8
+    assert tree.problems() == []
+    assert not (tree.inner_cube().sigma > 0).any()
+    assert np.count_nonzero(tree.sigma > 0) == outermost
