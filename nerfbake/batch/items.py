@@ -173,7 +173,7 @@ def parse_lines(text: str, name: str) -> Iterator[CommandLine]:
     after a backslash. name: the name of the file in errors. Raises UsageError.
     """
     begun, start, quote = "", 0, ""
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, line in enumerate(text.removeprefix("\ufeff").split("\n"), 1):  # editors on Windows write this mark
         if not begun:
             start = number
             if not line.strip() or line.lstrip().startswith("#"):

@@ -265,6 +265,8 @@ def save_plan(state: str | Path, items: Sequence[Item]) -> None:
     path = Path(state) / "plan.txt"
     text = os.fsencode("".join(f"{item.line}\n" for item in items))
     require_no_link(path)
+    if path.parent.is_file():
+        raise OutputError("is a file; allowed: a new folder, or the state of a batch", source=str(state))
     with io.blame(str(path), OutputError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with io.replacing(path, force=True) as file:

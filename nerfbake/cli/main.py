@@ -6,6 +6,7 @@ import ctypes
 import os
 import signal
 import sys
+import threading
 import traceback
 import warnings
 from contextlib import suppress
@@ -45,6 +46,7 @@ from nerfbake.io.results import claim_descriptor, report_result
 
 OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
 _SUMMARY = 50  # characters of a command's summary: a longer one would be cut at 80 columns
+_REPEAT_AFTER = 0.01  # seconds: by then the finalizer that dropped a signal has returned
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -106,6 +108,7 @@ def main() -> NoReturn:
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # they are for developers: `python -W error -m nerfbake` shows them
     signal.signal(signal.SIGTERM, _stop)
+    sys.unraisablehook = _repeat_signal
     claim_descriptor()
     _exit_with_batch(os.environ.pop("NERFBAKE_BATCH", ""))
     sys.exit(run(sys.argv[1:]))
@@ -177,3 +180,12 @@ def _exit_with_batch(batch: str) -> None:
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
     """Handle SIGTERM: exit through the cleanup code, which removes temporary files."""
     sys.exit(128 + number)
+
+
+def _repeat_signal(dropped: sys.UnraisableHookArgs) -> None:
+    """Raise a signal again whose exception a finalizer has dropped: Python ignores what finalizers raise."""
+    signals = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
+    if dropped.exc_type not in signals:
+        sys.__unraisablehook__(dropped)
+        return
+    threading.Timer(_REPEAT_AFTER, os.kill, [os.getpid(), signals[dropped.exc_type]]).start()

@@ -35,7 +35,12 @@ class DeclaredPaths(NamedTuple):
 
 
 class Place(click.Path):
-    """One or several paths."""
+    """One or several paths. The empty path is refused: it would be the working folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("the path is empty; allowed: a path", param, ctx)
+        return super().convert(value, param, ctx)
 
     def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
         """Return how a command uses these paths. options: all of its arguments and options by name."""

@@ -100,6 +100,8 @@ def compare_files(
     """
     pages.require()
     first, second = as_source(a), as_source(b)
+    if first.path == second.path == io.STREAM:
+        raise UsageError("both scenes are stdin, which can be read once; allowed: '-' for one of them")
     (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
     scene = renderable_scene(steps, scene, first.name)
     views = views_of(

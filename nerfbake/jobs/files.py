@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nerfbake import catalog, io, memory
+from nerfbake.errors import UsageError
 from nerfbake.jobs.steps import Steps, Tell
 
 if TYPE_CHECKING:

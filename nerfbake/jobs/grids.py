@@ -58,7 +58,7 @@ def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tup
     Raises UsageError if the format cannot store them.
     """
     module = form.load_volume_module()
-    wanted = tuple(grids.split(",")) if grids else module.DEFAULT_GRIDS
+    wanted = module.DEFAULT_GRIDS if grids is None else tuple(grids.split(","))
     if not set(wanted) <= set(GRIDS) or len(set(wanted)) < len(wanted) or ("index" in wanted and len(wanted) > 1):
         raise UsageError(f"`grids` are {','.join(wanted)!r}; allowed: some of density, Cd, sh, or index alone")
     module.require_grids(wanted, half=half)

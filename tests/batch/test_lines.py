@@ -54,6 +54,11 @@ def test_lines_are_read_as_they_were_written(lines: list[tuple[str, ...]]) -> No
     assert [line.argv for line in parse_lines(text, "jobs.txt")] == lines
 
 
+def test_a_file_of_an_editor_on_windows_is_read() -> None:
+    found = [line.argv for line in parse_lines("\ufeffsvo a.npz a.svo.pb\r\nsvo b.npz b.svo.pb\r\n", "jobs.txt")]
+    assert found == [("svo", "a.npz", "a.svo.pb"), ("svo", "b.npz", "b.svo.pb")]
+
+
 def test_a_line_goes_on_behind_a_backslash_and_may_lack_the_program() -> None:
     found = list(parse_lines("svo a.npz \\\n  a.svo.pb\n  # no line\nnerfbake info 'a b'\n", "jobs.txt"))
     assert [line.argv for line in found] == [("svo", "a.npz", "a.svo.pb"), ("info", "a b")]

@@ -135,3 +135,11 @@ def test_a_report_that_is_not_ours_is_left_alone_and_told_before_anything_runs(f
         run_batch([item], state="run", report_to="report.pdf")
     assert not Path("out").exists()
     assert Path("report.html").read_text() == "somebody's"
+
+
+def test_a_state_that_is_a_file_is_named(tmp_path: Path) -> None:
+    state = tmp_path / "run"
+    state.write_text("kept")
+    with pytest.raises(OutputError, match=r"run: is a file; allowed: a new folder, or the state of a batch$"):
+        report.save_plan(state, [])
+    assert state.read_text() == "kept"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -101,6 +102,31 @@ def test_a_fault_of_our_own_is_one_line(
     monkeypatch.setenv("NERFBAKE_TRACEBACK", "1")
     with pytest.raises(type(fault)):
         main.run(["broken"])
+
+
+# Python drops what a finalizer raises. After a long kernel, the first Python code may be that of a finalizer.
+IN_A_FINALIZER = """
+import signal, sys, time, weakref
+from nerfbake.cli import main
+
+class Scene:
+    pass
+
+def work(*arguments, **options):
+    weakref.finalize(Scene(), signal.raise_signal, {number})  # runs at once: nothing keeps the scene
+    time.sleep(20)
+
+main.cli.main = work
+main.main()
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_that_arrives_in_a_finalizer_stops_the_command(number: int, code: int) -> None:
+    script = IN_A_FINALIZER.format(number=int(number))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=15)
+    assert done.returncode == code
+    assert done.stderr.strip() == ("error: stopped" if number == signal.SIGINT else "")
 
 
 def test_warnings_do_not_reach_the_user_unless_asked_for(folder: Path) -> None:

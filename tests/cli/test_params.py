@@ -50,6 +50,38 @@ def test_options_without_effect_are_refused(
     assert named in said
 
 
+# Such a path is an unset variable of a script. It would be the working folder, which --force would replace.
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["sample", "nerf2mesh", "", "--force"], "'OUT_DIR'"),
+        (["atlas", "in", "", "--force"], "'[STAGE1_DIR] OUT_DIR'"),
+        (["shaders", "", "--force"], "'[OUT_DIR]'"),
+        (["lattice", "a.npz", "", "--force"], "'OUT_DIR'"),
+        (["info", ""], "'IN'"),
+        (["svo", "a.npz", ""], "'OUT'"),
+        (["render", "a.npz", "--mesh", "", "--out", "a.png"], "'--mesh'"),
+        (["compare", "a.npz", "a.npz", "--html", ""], "'--html'"),
+        (["batch", "svo {in} {stem}.svo.pb", "a.npz", ""], "'[INPUTS]...'"),
+        (["batch", "svo {in} {stem}.svo.pb", "a.npz", "--state", ""], "'--state'"),
+    ],
+    ids=" ".join,
+)
+def test_an_empty_path_is_refused(
+    arguments: list[str],
+    named: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "kept").touch()
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert f"Invalid value for {named}: the path is empty; allowed: a path" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
 # `mesh` and `splats` measure on held-out views, with the rays of those.
 ON_VIEWS = {"mesh", "splats"}
 JUDGING = [

@@ -64,6 +64,11 @@ def test_pages_that_cannot_be_written_are_told_before_anything_is_read() -> None
         compare_files("none", "none", pages=ComparisonOutputs(sheet="there.png"))
 
 
+def test_stdin_cannot_be_both_scenes() -> None:
+    with pytest.raises(UsageError, match="both scenes are stdin, which can be read once; allowed: '-' for one of them"):
+        compare_files("-", "-")
+
+
 @pytest.mark.usefixtures("folder")
 def test_photographs_count_in_the_allowance_all_together() -> None:
     render_views("a.npz", "truth", ViewSelection(cameras="cameras.json", every=True, size=(300, 300)))

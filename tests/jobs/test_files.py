@@ -38,15 +38,15 @@ def test_the_ending_of_a_target_is_that_of_its_format() -> None:
     assert Target("a.npz", to="svo.pb").ending == Target("-", to=".svo.pb").ending == ".svo.pb"
 
 
-@pytest.mark.usefixtures("folder")
 def test_stdout_is_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for write in (write_shaders, write_sample_stage1):
-        with pytest.raises(UsageError, match="^stdout takes one file; allowed: a folder$"):
+        with pytest.raises(UsageError, match=r"^stdout takes one file; allowed: a folder$"):
             write("-")
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("folder")
 def test_a_source_tells_its_step_and_is_blamed(listener: Listener) -> None:
     found = Source("a.npz").read_with_format(listener, N3Tree)
     assert (found.form.name, found.size, found.packing) == ("npz", Path("a.npz").stat().st_size, {})
