@@ -173,7 +173,7 @@ ADVICE = {
     "EnvironmentMap": "`mesh --environment` takes it",
     "LatticeField": "`nerfbake svo` makes an octree of it",
     "N3Tree": "`nerfbake svo` makes an octree of it",
-    "SparseVoxelOctree": "`nerfbake convert` writes it in other formats",
+    "SparseVoxelOctree": "`nerfbake convert` writes it in other formats, and `nerfbake vdb` as a volume",
     "Stage1": "`nerfbake atlas` bakes it",
     "Volume": "`nerfbake convert` makes an octree of it",
 }

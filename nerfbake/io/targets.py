@@ -102,13 +102,26 @@ def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
         try:
             yield part
             _keep_mode(part, target)
-            part.replace(target)
+            _put(part, target, force=force)
         except BudgetMissed:
             require_absent(rejected, force=force)
             shutil.move(part, rejected)
             raise
         finally:
             part.unlink(missing_ok=True)
+
+
+def _put(part: Path, target: Path, *, force: bool) -> None:
+    """Rename a finished file; without `force` only if no other process has written the target in the meantime."""
+    if not force:
+        with suppress(OSError):  # on file systems without hard links
+            try:
+                os.link(part, target)  # fails where a rename would replace
+            except FileExistsError:
+                found = "was written by another process; allowed: a new file, or `force`"
+                raise OutputError(found, source=str(target)) from None
+            return
+    part.replace(target)
 
 
 @contextmanager

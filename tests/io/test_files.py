@@ -152,7 +152,7 @@ def test_sigterm_and_ctrl_c_clean_up(shell: Shell, tmp_path: Path) -> None:
 
 def test_the_wrong_kind_of_scene_is_refused(octree: SparseVoxelOctree, tmp_path: Path) -> None:
     save(tmp_path / "a.svo.npz", octree)
-    with pytest.raises(InvalidFile, match=r"holds an octree \(.* writes it in other formats\); allowed: a PlenOctree"):
+    with pytest.raises(InvalidFile, match=r"holds an octree \(.*as a volume\); allowed: a PlenOctree"):
         load(tmp_path / "a.svo.npz", N3Tree)
 
 

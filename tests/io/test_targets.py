@@ -106,6 +106,36 @@ def test_two_writers_of_one_target_do_not_meet(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
 
 
+def no_links(part: Path, target: Path) -> None:
+    raise OSError("Operation not supported")
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_what_another_process_wrote_in_the_meantime_is_replaced_with_force_only(
+    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not links:
+        monkeypatch.setattr("os.link", no_links)
+    target = tmp_path / "a"
+
+    def write(*, force: bool) -> None:
+        with replacing(target, force=force) as file:
+            file.write(b"mine")
+            target.write_bytes(b"another's")
+
+    if links:
+        with pytest.raises(OutputError, match="was written by another process; allowed: a new file, or `force`"):
+            write(force=False)
+        assert target.read_bytes() == b"another's"
+    write(force=True)
+    assert target.read_bytes() == b"mine"
+    target.unlink()
+    with replacing(target, force=False) as file:
+        file.write(b"new")
+    assert target.read_bytes() == b"new"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
 def test_a_folder_is_there_whole_at_every_moment(tmp_path: Path) -> None:
     target, done, seen = tmp_path / "folder", threading.Event(), set()
     write_folder(target, b"0")

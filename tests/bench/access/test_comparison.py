@@ -127,7 +127,7 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (
             ["a.svo.pb", "--rays", "a.svo.pb"],
             1,
-            "writes it in other formats); allowed: cameras",
+            "as a volume); allowed: cameras",
         ),
         (["nothing.svo.pb"], 1, "nothing.svo.pb: No such file"),
     ],
