@@ -128,6 +128,6 @@ def compress_file(
         found = compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
     told = reporting(lambda: report(found) if report is not None else None)
     with told, target.writing(steps, found.quantised, coding=coding) as written:
-        steps.say(f"{target.path}: {found}")
+        steps.say(f"{target.name}: {found}")
         judge_output(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return found

@@ -124,7 +124,7 @@ def convert_splats(
     with steps.phase("measuring the loss"):
         found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)
-    steps.say(f"{'stdout' if target.path == io.STREAM else target.path}: {_told(loss)}")
+    steps.say(f"{target.name}: {_told(loss)}")
     return found
 
 

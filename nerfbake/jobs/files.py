@@ -112,6 +112,11 @@ class Target(NamedTuple):
     voxel_type: str | None = None
 
     @property
+    def name(self) -> str:
+        """The name in messages."""
+        return "stdout" if self.path == io.STREAM else self.path
+
+    @property
     def ending(self) -> str:
         """What selects the format: the path, or the extension that `to` stands for."""
         return self.path if self.to is None else f".{self.to.removeprefix('.')}"
@@ -136,7 +141,7 @@ class Target(NamedTuple):
         """Like write(), with a block that runs before the file gets its final name; see io.saving()."""
         saving = io.saving(self.path, scene, to=self.to, force=self.force, **self._given(options))
         with _written(steps, self.path, saving) as saved:
-            steps.say(f"{'stdout' if self.path == io.STREAM else self.path}: {scene}, {saved.size:,} bytes")
+            steps.say(f"{self.name}: {scene}, {saved.size:,} bytes")
             yield saved
 
     def _given(self, options: dict[str, Any]) -> dict[str, Any]:

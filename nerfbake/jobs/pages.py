@@ -378,10 +378,10 @@ def _compressed(
 ) -> Page:
     """Make the page of compressed data, and print their size and loss."""
     found = _compression(steps, source, read, shown, wish, form)
-    steps.say(f"{file.path}: {found}")
+    steps.say(f"{file.name}: {found}")
     if wish.goal == LEAST_LOSS and found.loss > MAX_LOSS:
         most = f"the compressed data are limited to {_MOST_BYTES / 1e6:g} MB by default"
-        steps.say(f"{file.path}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
+        steps.say(f"{file.name}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
     return shown.page(found.quantised)
 
 

@@ -140,7 +140,7 @@ def refit_file(
     found = RefitResult(target.path, str(loaded.scene), loaded.size, before, after, worked)
     was, now = found.psnr
     io.report_result(psnr=now)
-    steps.say(f"{target.path}: {now:.2f} dB on {posed.judges}, where {source.name} has {was:.2f}")
+    steps.say(f"{target.name}: {now:.2f} dB on {posed.judges}, where {source.name} has {was:.2f}")
     return found
 
 

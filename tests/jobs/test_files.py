@@ -31,6 +31,7 @@ def test_a_path_is_enough() -> None:
     assert as_source(Source("-")).name == "stdin"
     assert as_target("a.svo.pb") == Target("a.svo.pb", to=None, force=False)
     assert as_target(Target("a", to="svo.pb")).to == "svo.pb"
+    assert (Target("a.svo.pb").name, Target("-").name) == ("a.svo.pb", "stdout")
 
 
 def test_the_ending_of_a_target_is_that_of_its_format() -> None:
