@@ -15,6 +15,7 @@ from nerfbake.catalog import (
     format_named,
     format_of_path,
     formats_of,
+    is_ending,
     load_compression,
     uncompressed,
 )
@@ -168,7 +169,11 @@ def format_for(target: str | Path, scene: str, *, to: str | None = None) -> Form
 
 def _format_for(target: str, scene: str, to: str | None) -> Format:
     if to is not None:
-        return format_named(to, scene)
+        form = format_named(to, scene)
+        if is_ending(target, scene) and (other := format_of_path(target, scene)) != form:
+            found = f"the extension of {target!r} is that of {other.name}, but `to` is {form.name}"
+            raise UsageError(f"{found}; allowed: one of them")
+        return form
     if target == STREAM and len(only := formats_of(scene)) == 1:
         return only[0]
     if target == STREAM:

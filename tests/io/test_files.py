@@ -171,6 +171,8 @@ def test_a_renamed_file_is_told_by_its_bytes(octree: SparseVoxelOctree, tmp_path
 def test_a_format_must_be_known(octree: SparseVoxelOctree, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"an octree cannot be written as 'obj'; allowed: svo\.npz, svo\.pb"):
         save(tmp_path / "a.svo.pb", octree, to="obj")
+    with pytest.raises(UsageError, match=r"is that of svo\.pb, but `to` is svo\.fb; allowed: one of them"):
+        save(tmp_path / "a.svo.pb", octree, to="svo.fb")
     with pytest.raises(UsageError, match="has no file extension"):
         save(tmp_path / "a.obj", octree)
 
