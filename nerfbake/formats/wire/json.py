@@ -131,9 +131,11 @@ def _element(place: str, at: int, shape: tuple[int, ...]) -> str:
 
 
 def shorten(value: Any) -> str:
-    """A value as text for messages, at most 40 characters long."""
+    """A value as text for messages, at most 40 characters long. Text without a letter is quoted: it is no number."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 1 << 64:
         return f"a number of about {int(math.log10(abs(value)))} digits"
+    if isinstance(value, str) and not any(map(str.isalpha, value[:40])):
+        return repr(value[:38])
     return str(value)[:40] if isinstance(value, str | int | float | bool | None) else kind_of(value)
 
 

@@ -104,7 +104,8 @@ def test_numbers() -> None:
     assert wire_json.number(fields, "a") == 1.0
     assert wire_json.number(fields, "nope", default=3) == 3.0
     assert wire_json.whole(fields, "a", low=0, high=1) == 1
-    for key, said in (("c", "c is 1"), ("d", "d is True"), ("e", "e is 1"), ("nope", "nope is missing"), ("f", "f is")):
+    wrong = {"c": "c is '1'", "d": "d is True", "e": "e is 1", "nope": "nope is missing", "f": "f is"}
+    for key, said in wrong.items():
         with pytest.raises(InvalidFile, match=said):
             wire_json.number(fields, key)
     for key in "bcdf":
