@@ -206,10 +206,9 @@ def _stream_ends(C: int) -> list[int]:
 
     A group of channels is never split.
     """
-    first = C // 4
-    groups = max(0, first - coefficients.FIRST_GROUP) // coefficients.GROUP
-    if first > coefficients.FIRST_GROUP:
-        first = coefficients.FIRST_GROUP + groups * coefficients.GROUP
+    first, single = C // 4, coefficients.FIRST_GROUP
+    if C > 3 * single:
+        first = single + max(0, first - single) // coefficients.GROUP * coefficients.GROUP
     return [first, C] if C >= _FEW else [C]
 
 
