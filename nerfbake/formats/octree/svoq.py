@@ -207,7 +207,7 @@ def _stream_ends(C: int) -> list[int]:
     A group of channels is never split.
     """
     first, single = C // 4, coefficients.FIRST_GROUP
-    if C > 3 * single:
+    if 3 * single < C:
         first = single + max(0, first - single) // coefficients.GROUP * coefficients.GROUP
     return [first, C] if C >= _FEW else [C]
 
