@@ -25,8 +25,6 @@ from nerfbake.bench.environment import command_for
 from nerfbake.errors import NerfbakeError
 
 Progress = Callable[[str], AbstractContextManager[object]]
-
-
 TIMEOUT = 1800  # seconds for one run
 Found = TypeVar("Found")
 

@@ -114,13 +114,14 @@ def replacing_file(target: Path, *, force: bool) -> Iterator[Path]:
 def _put(part: Path, target: Path, *, force: bool) -> None:
     """Rename a finished file; without `force` only if no other process has written the target in the meantime."""
     if not force:
-        with suppress(OSError):  # on file systems without hard links
-            try:
-                os.link(part, target)  # fails where a rename would replace
-            except FileExistsError:
-                found = "was written by another process; allowed: a new file, or `force`"
-                raise OutputError(found, source=str(target)) from None
+        try:
+            os.link(part, target)  # fails where a rename would replace
             return
+        except FileExistsError:
+            found = "was written by another process; allowed: a new file, or `force`"
+            raise OutputError(found, source=str(target)) from None
+        except OSError:
+            pass  # the file system has no hard links
     part.replace(target)
 
 

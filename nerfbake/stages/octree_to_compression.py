@@ -161,8 +161,8 @@ class _Tried(NamedTuple):
 class _Search:
     """A search over the share of pruned leaves and the step.
 
-    Only one octree is in memory. Coding it takes longer than a trial, so it is made and coded only where its size is
-    needed.
+    Only one octree is in memory. Coding it takes longer than a trial, so sizes are estimated first. An octree is coded
+    only where its exact size is needed.
     """
 
     def __init__(

@@ -130,6 +130,14 @@ class PictureSizes:
         return None
 
 
+def visible_names(files: CaptureFolder, folder: str, endings: str | tuple[str, ...]) -> list[str]:
+    """Return the names of the files in a subfolder with one of these extensions, sorted, without hidden ones.
+
+    macOS writes a hidden file ._NAME beside each file on drives of other systems.
+    """
+    return [name for name in files.names(folder) if name.endswith(endings) and not name.startswith(".")]
+
+
 def inside_of(path: str | None) -> str:
     """Normalise a path inside the capture's folder; '' for a path that leaves the folder or is invalid."""
     if path is None or len(path) > _MAX_PATH or not _is_shown(path):

@@ -206,7 +206,7 @@ def _require_points(line: memoryview, number: int, name: str) -> None:
 
 
 def _parts(line: str, least: int, number: int, name: str, *, splits: int = -1) -> list[str]:
-    """Split a line at its first `splits` spaces; -1: at all. Raises InvalidFile for fewer parts than `least`."""
+    """Split a line at its first `splits` spaces, or at all of them (-1). Raises InvalidFile for fewer parts."""
     parts = line.split(maxsplit=splits)
     if len(parts) < least:
         raise InvalidFile(Problem(f"{name}: line {number:,}", f"has {len(parts)} entries", f"{least} or more"))

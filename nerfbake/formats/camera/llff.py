@@ -18,7 +18,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.contract import PICTURES
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.capture import CaptureFolder, names_of, room_for
+from nerfbake.formats.camera.capture import CaptureFolder, names_of, room_for, visible_names
 from nerfbake.formats.wire.npy import read_header
 from nerfbake.kernels.maths.elementary import cast
 from nerfbake.scene.base import MAX_WORLD
@@ -41,8 +41,7 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     inside = [_own(hwf) for hwf in parts[:, :, 4]] if rows.shape[1] == 17 else [_shared(files)] * n
     poses = np.tile(np.eye(4), (n, 1, 1))
     poses[:, :3] = np.stack([parts[:, :, 1], -parts[:, :, 0], parts[:, :, 2], parts[:, :, 3]], axis=2)
-    # macOS writes a hidden file ._NAME beside each file on drives of other systems.
-    pictures = [name for name in files.names("images") if name.endswith(PICTURES) and not name.startswith(".")]
+    pictures = visible_names(files, "images", PICTURES)
     paths = [f"images/{name}" for name in pictures] if len(pictures) == n else [""] * n
     names = names_of(paths)
     notes = (

@@ -13,7 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.capture import CaptureFolder, PictureSizes, Size, names_of, opengl, room_for
+from nerfbake.formats.camera.capture import (
+    CaptureFolder,
+    PictureSizes,
+    Size,
+    names_of,
+    opengl,
+    room_for,
+    visible_names,
+)
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
 
@@ -32,9 +40,7 @@ def recognise(files: CaptureFolder) -> bool:
 
 def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     folder = next((folder for folder in _POSES if files.names(folder)), _POSES[0])
-    # macOS writes a hidden file ._NAME beside each file on drives of other systems.
-    poses = [name for name in files.names(folder) if name.endswith(".txt") and not name.startswith(".")]
-    stems = [name.removesuffix(".txt") for name in poses]
+    stems = [name.removesuffix(".txt") for name in visible_names(files, folder, ".txt")]
     room_for(len(stems))
     fx, fy, cx, cy = _inside(_rows(files, _INSIDE))
     sizes = PictureSizes(files)
