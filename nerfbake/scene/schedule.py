@@ -104,6 +104,11 @@ class Schedule(tuple[Stage, ...]):
         return self.resolution * (2 if any(stage.split for stage in self) else 1)
 
     @property
+    def smooth(self) -> int:
+        """Number of the stages with larger cells than the last one: a fit of an object interpolates densities there."""
+        return sum(stage.cells < self.resolution for stage in self)
+
+    @property
     def epochs(self) -> int:
         """Epochs of all stages together."""
         return sum(stage.epochs for stage in self)

@@ -8,7 +8,8 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Ints, Points, Singles
-from nerfbake.kernels.fit.bricks import BrickGrid, copy_parents, values_by_brick, values_by_cell
+from nerfbake.kernels.fit.bricks import BrickGrid, copy_parents, no_corners, values_by_brick, values_by_cell
+from nerfbake.kernels.fit.corners import fill_densities, find_corners, raw_of_density, refine_corners
 from nerfbake.kernels.fit.plan import NONE, BrickPlan, FinalBricks, number_cells, plan_of_solid
 from nerfbake.kernels.maths.elementary import power
 from nerfbake.scene.basis import Basis
@@ -17,6 +18,7 @@ from nerfbake.scene.brick_field import BrickField
 START_DENSITY = 0.1  # per cell width, in the visual hull of an object
 _CELL_BYTES = 30  # per cell, in addition to its values
 _BRICK_BYTES = 8 * 512  # per brick, while its tables are computed
+_CORNER_BYTES = 100  # of the corners of a cell, while they are found
 
 
 class BrickCells(NamedTuple):
@@ -36,13 +38,28 @@ class BrickCells(NamedTuple):
         return len(self.means)
 
 
-def cells_of_solid(solid: Bits, box: Points, B: int, density: float = START_DENSITY) -> BrickCells:
-    """Return grey cells of low density, per cell width, for all cells of a solid (S R, R, R), shell after shell."""
+def cells_of_solid(
+    solid: Bits, box: Points, B: int, density: float = START_DENSITY, *, smooth: bool = False
+) -> BrickCells:
+    """Return grey cells of low density, per cell width, for all cells of a solid (S R, R, R), shell after shell.
+
+    smooth: densities are interpolated between the corners of cells.
+    """
     cells = _cells(number_cells(plan_of_solid(solid)), box, 3 * B + 1)
     values = np.zeros((cells.n, 3 * B + 1), np.float32)
     values[:, -1] = density
     values_by_brick(values, cells.bricks.first, cells.bricks.values)
+    if smooth:
+        cells = with_corners(cells)
+        cells.bricks.corners.raw[:] = raw_of_density(density)
     return cells
+
+
+def with_corners(cells: BrickCells) -> BrickCells:
+    """Return the cells with corners between which their densities are interpolated; all are almost transparent."""
+    memory.require(f"the corners of {cells.n:,} cells", _CORNER_BYTES * cells.n)
+    bricks = cells.bricks
+    return cells._replace(bricks=bricks._replace(corners=find_corners(bricks.top, bricks.first, bricks.places)))
 
 
 def cells_of_field(field: BrickField) -> BrickCells:
@@ -58,12 +75,21 @@ def cells_of_field(field: BrickField) -> BrickCells:
     return cells
 
 
-def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points) -> BrickCells:
-    """Return the cells of a plan, with values inherited from the old bricks."""
+def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points, *, smooth: bool = False) -> BrickCells:
+    """Return the cells of a plan, with values inherited from the old bricks.
+
+    smooth: densities are interpolated between the corners of cells, as in the old bricks. Otherwise, the density of a
+    cell whose density was interpolated is its mean.
+    """
     made = number_cells(plan)
     del plan  # if the caller does not keep it, its memory is free before the values are copied
     cells = _cells(made, box, len(old.values) // int(old.first[-1]), beside=4 * len(old.values))
+    if smooth:
+        cells = with_corners(cells)
+        refine_corners(made.row, old, cells.bricks)
     copy_parents(made.row, old, cells.bricks)
+    if len(old.corners.raw) and not smooth:
+        fill_densities(made.row, old, cells.bricks)
     return cells
 
 
@@ -91,7 +117,8 @@ def _cells(made: FinalBricks, box: Points, D: int, *, beside: int = 0) -> BrickC
     memory.require(f"fitting {n:,} cells", n * (4 * D + _CELL_BYTES) + _BRICK_BYTES * len(made.slots) + beside)
     r = made.top.shape[1]
     low, size, width = lattice_frame(box, 8 * r, len(made.top) // r)
-    bricks = BrickGrid(made.top, made.slots, made.first, made.places, np.empty(D * n, np.float32), low, size, width)
+    values = np.empty(D * n, np.float32)
+    bricks = BrickGrid(made.top, made.slots, made.first, made.places, values, low, size, width, no_corners())
     return BrickCells(bricks, np.zeros((n, 2), np.float32), np.zeros((n, 2), np.float32))
 
 
@@ -99,6 +126,9 @@ def field_of_cells(cells: BrickCells, box: Points, basis: Basis) -> BrickField:
     """Return the cells as a BrickField, with densities per world unit."""
     bricks = cells.bricks
     memory.require(f"a field of {cells.n:,} cells", 4 * len(bricks.values) + 4 * bricks.slots.size)
+    if len(bricks.corners.raw):
+        bricks = bricks._replace(values=bricks.values.copy())
+        fill_densities(np.arange(cells.n, dtype=np.int32), bricks, bricks)
     values = np.empty((cells.n, basis.data_dim), np.float32)
     values_by_cell(bricks.values, bricks.first, values)
     values[:, -1] /= _widths(bricks)

@@ -15,14 +15,15 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Floats, Points
-from nerfbake.kernels.fit.bricks import EMPTY, SIZE, BrickGrid, top_grid
+from nerfbake.kernels.arrays import Floats, Points, Singles
+from nerfbake.kernels.fit.bricks import EMPTY, SIZE, BrickGrid, no_corners, top_grid
+from nerfbake.kernels.fit.corners import LEAST_RAW, MOST_RAW
 from nerfbake.scene.base import edge_problems, number_problems, place_problems
 from nerfbake.scene.basis import Basis, parse_basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import MAX_SHELLS
 from nerfbake.scene.schedule import RESOLUTIONS, Schedule, parse_schedule
-from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame
+from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame, with_corners
 
 BRICKS = ("top", "slots", "first", "places", "values")
 COUNTERS = ("stage", "epoch", "view", "built", "divided", "seed")
@@ -43,6 +44,8 @@ def _own_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Arrays:
         "first": (np.int32, (b + 1,)),
         "places": (np.int16, (n,)),
         "values": (np.float32, (None,)),
+        "raw": (np.float32, (None,)),
+        "raw_means": (np.float32, arrays["raw"].shape[:1] if "raw" in arrays else (None,)),
         "means": (np.float32, (n, 2)),
         "seen": (np.float32, (n, 2)),
         "box": (np.float64, (2, 3)),
@@ -99,9 +102,9 @@ def _require_numbers(own: Arrays) -> None:
     """Raise InvalidScene for numbers that are not possible in a fit, such as NaN or negative means."""
     problems = place_problems("the state's box", own["box"])
     problems = problems or edge_problems("the state's box", own["box"][1] - own["box"][0])
-    for name in ("values", "means", "seen", "gains"):
+    for name in ("values", "raw", "raw_means", "means", "seen", "gains"):
         problems = problems or number_problems(f"the state's {name}", own[name])
-    for name in ("means", "seen", "counters"):
+    for name in ("raw_means", "means", "seen", "counters"):
         if not problems and (own[name] < 0).any():
             problems = [Problem(f"the state's {name}", "are below 0", "0 or more")]
     if not problems and ((own["gains"] < GAINS[0]) | (own["gains"] > GAINS[1])).any():
@@ -152,6 +155,8 @@ class FitState:
         counters = np.array([getattr(self, name) for name in COUNTERS], np.int64)
         text = np.frombuffer(f"{self.basis} {self.schedule}".encode(), np.uint8)
         beside = {"box": self.box, "means": self.cells.means, "seen": self.cells.seen, "gains": self.gains}
+        corners = self.cells.bricks.corners
+        beside |= {"raw": corners.raw, "raw_means": corners.mean}
         return made | beside | {"counters": counters, "text": text}
 
     @staticmethod
@@ -162,9 +167,11 @@ class FitState:
         made: dict[str, Any] = {name: held[name] for name in BRICKS}
         r = held["top"].shape[1]
         low, size, width = lattice_frame(held["box"], 8 * r, len(held["top"]) // r)
-        bricks = BrickGrid(**made, low=low, size=size, width=width)
+        bricks = BrickGrid(**made, low=low, size=size, width=width, corners=no_corners())
         counters = dict(zip(COUNTERS, map(int, held["counters"]), strict=True))
         cells = BrickCells(bricks, held["means"], held["seen"])
+        if len(held["raw"]):
+            cells = _with_raw(cells, held["raw"], held["raw_means"])
         state = FitState(
             parse_schedule(schedule),
             parse_basis(basis),
@@ -177,6 +184,23 @@ class FitState:
         return state
 
 
+def _with_raw(cells: BrickCells, raw: Singles, means: Singles) -> BrickCells:
+    """Return the cells with corners of these raw densities. Raises InvalidScene, MemoryLimit."""
+    if (cells.bricks.places & 1).any():
+        raise InvalidScene(Problem("the state's raw", f"are {len(raw):,}", "0, because some cells are wide"))
+    cells = with_corners(cells)
+    corners = cells.bricks.corners
+    if len(raw) != len(corners.raw):
+        raise InvalidScene(
+            Problem("the state's raw", f"are {len(raw):,}", f"{len(corners.raw):,}, one for each corner")
+        )
+    if raw.min() < LEAST_RAW or raw.max() > MOST_RAW:
+        found = f"are {raw.min():g} to {raw.max():g}"
+        raise InvalidScene(Problem("the state's raw", found, f"{LEAST_RAW:g} to {MOST_RAW:g}"))
+    corners.raw[:], corners.mean[:] = raw, means
+    return cells
+
+
 def _require_sound(state: FitState) -> None:
     """Raise InvalidScene for a state that is not reachable with its schedule."""
     size, found, stages = state.cells.n * state.basis.data_dim, len(state.cells.bricks.values), len(state.schedule)
@@ -187,6 +211,8 @@ def _require_sound(state: FitState) -> None:
     if not (begun and state.built in (state.stage, state.stage - 1) and state.divided <= 1):
         counters = ", ".join(f"{name} {getattr(state, name)}" for name in COUNTERS[:5])
         raise InvalidScene(Problem("the state", f"is at {counters}", f"a position in its schedule of {stages} stages"))
+    if len(state.cells.bricks.corners.raw) and state.built >= state.schedule.smooth:
+        raise InvalidScene(Problem("the state's raw", f"exist in stage {state.built}", "none in this stage"))
     cells = state.schedule[min(state.built, stages - 1)].cells << state.divided
     if state.resolution != cells:
         raise InvalidScene(Problem("the state's lattice", f"has {state.resolution} cells an axis", f"{cells}"))

@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch, round_cells
+from nerfbake.kernels.fit.bricks import CORNER_ROW, ROW, TaskBuffers, new_batch, round_cells
 from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
@@ -136,7 +136,7 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
         sums, batch = _marched(state, batch, looks, views, _Weights())
         found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
         # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
-        batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
+        batch = new_batch(TASKS, batch.base.shape[1], *batch.rows.shape[1:])
     return sum(found) / len(found)
 
 
@@ -157,7 +157,8 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     if views.scenery:
         return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, kind.size), gains=gains)
     solid, box = find_solid(views, box, schedule[0].cells)
-    return FitState(schedule, kind, seed, box, cells_of_solid(solid, box, kind.size, _START_DENSITY), gains=gains)
+    cells = cells_of_solid(solid, box, kind.size, _START_DENSITY, smooth=schedule.smooth > 0)
+    return FitState(schedule, kind, seed, box, cells, gains=gains)
 
 
 def _rebuild(state: FitState, views: Views) -> None:
@@ -171,7 +172,8 @@ def _rebuild(state: FitState, views: Views) -> None:
         chosen = _most_blamed(state, keep & (resolved(state.cells, views) if views.scenery else True), stage.split)
         plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
-    state.cells = cells_of_plan(bricks, plan, state.box)
+    smooth = len(bricks.corners.raw) > 0 and state.stage < state.schedule.smooth
+    state.cells = cells_of_plan(bricks, plan, state.box, smooth=smooth)
     if views.scenery:
         close_wall(state.cells)
     state.built = state.stage
@@ -282,8 +284,9 @@ def _marched(
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:
-            memory.require(f"fitting {len(bricks.places):,} cells", TASKS * capacity * ROW * 4 + 4 * len(bricks.values))
-            batch = new_batch(TASKS, len(bricks.slots), capacity)
+            row = CORNER_ROW if len(bricks.corners.raw) else ROW
+            memory.require(f"fitting {len(bricks.places):,} cells", TASKS * capacity * row * 4 + 4 * len(bricks.values))
+            batch = new_batch(TASKS, len(bricks.slots), capacity, row)
         march_view(bricks, batch, view, sums)
         capacity = int(batch.used.max())
         if capacity <= batch.rows.shape[1]:

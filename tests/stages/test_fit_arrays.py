@@ -58,6 +58,16 @@ def replaced(name: str, made: Callable[[Any], Any]) -> Change:
     return change
 
 
+def with_raw(*numbers: float) -> Change:
+    """Add raw densities to a state whose densities are constant in each cell."""
+
+    def change(arrays: Arrays) -> None:
+        arrays["raw"] = np.array(numbers, np.float32)
+        arrays["raw_means"] = np.zeros(len(numbers), np.float32)
+
+    return change
+
+
 def swapped_places(arrays: Arrays) -> None:
     arrays["places"][:2] = arrays["places"][1::-1]
 
@@ -96,6 +106,8 @@ WRONG: dict[str, tuple[Change, str]] = {
     "a seed below 0": (put("counters", 5, -1), "the state's counters are below 0"),
     "a schedule of noise": (replaced("text", lambda a: a[::-1].copy()), "allowed"),
     "another basis": (replaced("text", lambda a: np.frombuffer(b"SH9 " + a.tobytes()[4:], np.uint8)), "values are"),
+    "raw densities of wide cells": (with_raw(1.0), "the state's raw are 1; allowed: 0, because some cells are wide"),
+    "too few of their means": (replaced("raw_means", lambda a: np.zeros(1, np.float32)), "the state's raw_means has"),
     "a text without end": (replaced("text", lambda a: np.zeros(1 << 20, np.uint8)), "the state's lattice has"),
 }  # fmt: skip
 
@@ -104,6 +116,28 @@ WRONG: dict[str, tuple[Change, str]] = {
 def test_what_no_fit_comes_to_is_refused(name: str) -> None:
     change, said = WRONG[name]
     arrays = state()
+    change(arrays)
+    with pytest.raises(NerfbakeError, match=said):
+        FitState.of_arrays(arrays)
+
+
+WRONG_CORNERS: dict[str, tuple[Change, str]] = {
+    "too few": (with_raw(1.0, 2.0), "the state's raw are 2; allowed: [0-9,]+, one for each corner"),
+    "NaN": (put("raw", 3, np.nan), r"the state's raw\[3\] is nan"),
+    "a mean of infinity": (put("raw_means", 3, np.inf), r"the state's raw_means\[3\] is inf"),
+    "a mean below 0": (put("raw_means", 3, -1), "the state's raw_means are below 0"),
+    "an opaque one": (put("raw", 3, 1e9), r"the state's raw are -[0-9.]+ to 1e\+09; allowed: -4 to 12"),
+    "in the last stage": (
+        put("counters", slice(0, 4), (1, 0, 3, 1)),
+        "the state's raw exist in stage 1; allowed: none",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_CORNERS)
+def test_corners_that_no_fit_has_are_refused(name: str) -> None:
+    change, said = WRONG_CORNERS[name]
+    arrays = state(3)
     change(arrays)
     with pytest.raises(NerfbakeError, match=said):
         FitState.of_arrays(arrays)
@@ -138,7 +172,7 @@ def test_hundreds_of_damaged_states_are_refused_or_gone_on_with() -> None:
     random, views, gone_on = np.random.default_rng(0), sample_views(frames=6, width=24, height=24), 0
     for _ in range(400):
         arrays = state(int(random.integers(18)))
-        name = str(random.choice([name for name in arrays if name != "text"]))
+        name = str(random.choice([name for name, array in arrays.items() if name != "text" and array.size]))
         flat = arrays[name].reshape(-1)
         for at in random.integers(len(flat), size=random.integers(1, 4)):
             near = flat[at] + random.integers(-2, 3)

@@ -58,7 +58,39 @@ EMPTY, EMPTY_WIDE = -2, -1
 SIGMA = 3  # after red, green, blue: density per world unit
 COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE, MOST, BLAME = 4, 7, 8, 9, 10, 11
 ROW = 16
+RAW, CORNER_SUM = 16, 24  # of each corner, if densities are interpolated; DENSITY_SUM is then not used
+CORNER_ROW = 32
 UNMET, LOST = -1, -2
+
+
+class CornerGrid(NamedTuple):
+    """The corners of cells with interpolated densities; all arrays are empty if densities are constant in each cell.
+
+    of_cell     (n, 8) int16   the number of each corner 4 dx + 2 dy + dz of a cell in the list of its brick
+    first       (b + 1,)       the first entry of each brick's list
+    entries     (e,) int32     the corner of each entry
+    back_first  (m + 1,)       the first of each corner's places in `back`
+    back        (e,) int32     the entries of each corner
+    raw         (m,)           raw densities, see kernels.fit.corners
+    mean        (m,)           moving means of the curvature
+    asked, curvature  (e,)     sums of a step, 0 between steps
+    """
+
+    of_cell: npt.NDArray[np.int16]
+    first: npt.NDArray[np.int32]
+    entries: npt.NDArray[np.int32]
+    back_first: npt.NDArray[np.int32]
+    back: npt.NDArray[np.int32]
+    raw: Singles
+    mean: Singles
+    asked: Singles
+    curvature: Singles
+
+
+def no_corners() -> CornerGrid:
+    """Return the corners of cells with constant densities."""
+    ints, singles = np.zeros(0, np.int32), np.zeros(0, np.float32)
+    return CornerGrid(np.zeros((0, 8), np.int16), ints, ints, ints, ints, *4 * (singles,))
 
 
 class BrickGrid(NamedTuple):
@@ -75,6 +107,7 @@ class BrickGrid(NamedTuple):
                                 then the densities, per width of the cell
     low, size  (S, 3)           each shell's corner and size of a cell, in the world
     width      (S,)             the width of each shell's cells that are not wide, in world units
+    corners                     of the cells, if densities are interpolated
     """
 
     top: npt.NDArray[np.int32]
@@ -85,6 +118,7 @@ class BrickGrid(NamedTuple):
     low: Floats
     size: Floats
     width: Floats
+    corners: CornerGrid
 
 
 class TaskBuffers(NamedTuple):
@@ -93,7 +127,8 @@ class TaskBuffers(NamedTuple):
     base  (tasks, b)              the row of each brick's first cell in each task; UNMET, or LOST if there was no
                                   space left
     used  (tasks,)                rows that each task requested
-    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit
+    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit; 32 numbers each if densities
+                                  are interpolated
     """
 
     base: npt.NDArray[np.int32]
@@ -101,11 +136,11 @@ class TaskBuffers(NamedTuple):
     rows: Singles
 
 
-def new_batch(tasks: int, bricks: int, capacity: int) -> TaskBuffers:
-    """Allocate the buffers. Their rows are aligned to cache lines."""
-    flat = np.empty(tasks * capacity * ROW + ROW, np.float32)
+def new_batch(tasks: int, bricks: int, capacity: int, row: int = ROW) -> TaskBuffers:
+    """Allocate the buffers. Their rows of `row` numbers are aligned to cache lines."""
+    flat = np.empty(tasks * capacity * row + ROW, np.float32)
     skip = -(flat.ctypes.data // 4) % ROW
-    rows = flat[skip : skip + tasks * capacity * ROW].reshape(tasks, capacity, ROW)
+    rows = flat[skip : skip + tasks * capacity * row].reshape(tasks, capacity, row)
     return TaskBuffers(np.empty((tasks, bricks), np.int32), np.zeros(tasks, np.int64), rows)
 
 

@@ -11,9 +11,11 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import (
     BLAME,
     COLOUR_SUM,
+    CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
+    RAW,
     SIGMA,
     UNMET,
     WEIGHT,
@@ -22,6 +24,7 @@ from nerfbake.kernels.fit.bricks import (
     Whole,
 )
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
+from nerfbake.kernels.fit.corners import compiled_density, fill_corner_rows
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell
@@ -63,8 +66,9 @@ class TaskState(NamedTuple):
     """The buffers of one task.
 
     row, length, depth, through: for each cell that the rays of a pixel hit, its row, the length of the ray in it, where
-    it lies along the ray (see _depth()), and the transmittance behind it. seen (4,): the sum of the rays' colours and
-    alphas, later the residual of the pixel. mean (3,): the running mean of the residuals. room: a buffer of
+    it lies along the ray (see _depth()), and the transmittance behind it. middle (., 4), if densities are interpolated:
+    the middle of the ray's way through the cell, and the slope of the density there. seen (4,): the sum of the rays'
+    colours and alphas, later the residual of the pixel. mean (3,): the running mean of the residuals. room: a buffer of
     colours.new_colour_buffer(). place (S, 3): the camera, in cells of each shell. enter, leave (S,): where the ray
     enters and leaves each cube.
     """
@@ -73,6 +77,7 @@ class TaskState(NamedTuple):
     length: Singles
     depth: Singles
     through: Singles
+    middle: Singles
     seen: Floats
     mean: Floats
     room: Singles
@@ -96,12 +101,13 @@ def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, vie
     """
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
-    most = 4 * 8 * bricks.top.shape[0] * rays
+    most, smooth = 4 * 8 * bricks.top.shape[0] * rays, len(bricks.corners.raw) > 0
     own = TaskState(
         np.empty(most, np.int32),
         np.empty(most, np.float32),
         np.empty(most if view.distortion > 0 else 1, np.float32),
         np.empty(most, np.float32),
+        np.empty((most if smooth else 1, 4), np.float32),
         np.zeros(4),
         np.zeros(3),
         new_colour_buffer((len(bricks.values) // bricks.first[-1] - 1) // 3),
@@ -132,8 +138,8 @@ def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, vie
             _limit_residual(view, own)
             for ray in range(rays):
                 if view.distortion > 0:
-                    _accumulate_distortion(batch, task, view, own, ends[ray], ends[ray + 1])
-                _accumulate_back(batch, task, view, own, pixel, ends[ray], ends[ray + 1])
+                    _accumulate_distortion(batch, task, view, own, smooth, ends[ray], ends[ray + 1])
+                _accumulate_back(batch, task, view, own, smooth, pixel, ends[ray], ends[ray + 1])
 
 
 @compiled(merged=True)
@@ -144,7 +150,7 @@ def _march_ray(
 
     The ray meets each shell at most twice: before and behind the smaller cubes.
     """
-    edge, shells = 8 * bricks.top.shape[1], len(bricks.low)
+    edge, shells, smooth = 8 * bricks.top.shape[1], len(bricks.low), len(bricks.corners.raw) > 0
     through, red, green, blue = 1.0, 0.0, 0.0, 0.0
     # The shells from the outermost to the innermost one that the ray enters, and back.
     deepest = shells
@@ -183,6 +189,8 @@ def _march_ray(
                 base = np.int64(batch.base[task, brick])
                 if base == UNMET:
                     base = fill_brick_rows(bricks, batch, task, brick, shell, (b0, b1, b2), view.eye, own.room)
+                    if smooth and base >= 0:
+                        fill_corner_rows(bricks, batch, task, brick, base)
             if base < 0:
                 # Skip the empty bricks up to the known distance, in all directions.
                 exact = 3
@@ -215,7 +223,12 @@ def _march_ray(
                     if slot >= 0:
                         row = base + (slot >> 1)
                         length = ahead - t
-                        depth = min(batch.rows[task, row, SIGMA] * length, 39.0)
+                        sigma = float(batch.rows[task, row, SIGMA])
+                        if smooth:
+                            middle = t + 0.5 * length
+                            at = o0 + middle * d0 - l0, o1 + middle * d1 - l1, o2 + middle * d2 - l2
+                            sigma = _density_at(batch, task, own, row, count, at, 1 / bricks.width[shell])
+                        depth = min(sigma * length, 39.0)
                         step = int(depth * _PER)
                         rest = depth - step * (1 / _PER)
                         kept = _FALL[step] * (1 - rest * (1 - rest * (0.5 - rest * (1 / 6))))
@@ -257,6 +270,41 @@ def _march_ray(
 
 
 @compiled(merged=True)
+def _density_at(
+    batch: TaskBuffers, task: Whole, own: TaskState, row: Whole, count: Whole, at: Any, per_width: float
+) -> Any:
+    """Return the interpolated density per world unit at a place in a cell, and record what its slopes need."""
+    x, y, z = min(max(at[0], 0.0), 1.0), min(max(at[1], 0.0), 1.0), min(max(at[2], 0.0), 1.0)
+    a = batch.rows[task, row, RAW] * (1 - z) + batch.rows[task, row, RAW + 1] * z
+    b = batch.rows[task, row, RAW + 2] * (1 - z) + batch.rows[task, row, RAW + 3] * z
+    c = batch.rows[task, row, RAW + 4] * (1 - z) + batch.rows[task, row, RAW + 5] * z
+    d = batch.rows[task, row, RAW + 6] * (1 - z) + batch.rows[task, row, RAW + 7] * z
+    density, slope = compiled_density((a * (1 - y) + b * y) * (1 - x) + (c * (1 - y) + d * y) * x)
+    own.middle[count, 0], own.middle[count, 1], own.middle[count, 2] = x, y, z
+    own.middle[count, 3] = slope * per_width
+    return density * per_width
+
+
+@compiled(merged=True)
+def _add_slope(batch: TaskBuffers, task: Whole, own: TaskState, smooth: bool, hit: Whole, asked: float) -> None:
+    """Add the slope of the loss by the density at a hit to the sums of its cell, or of the cell's corners."""
+    row = own.row[hit]
+    if not smooth:
+        batch.rows[task, row, DENSITY_SUM] += asked
+        return
+    x, y, z = np.float64(own.middle[hit, 0]), np.float64(own.middle[hit, 1]), np.float64(own.middle[hit, 2])
+    asked *= own.middle[hit, 3]
+    below, above = asked * (1 - x), asked * x
+    for side in range(2):
+        part = above if side else below
+        low, high = part * (1 - y), part * y
+        batch.rows[task, row, CORNER_SUM + 4 * side] += low * (1 - z)
+        batch.rows[task, row, CORNER_SUM + 4 * side + 1] += low * z
+        batch.rows[task, row, CORNER_SUM + 4 * side + 2] += high * (1 - z)
+        batch.rows[task, row, CORNER_SUM + 4 * side + 3] += high * z
+
+
+@compiled(merged=True)
 def _limit_residual(view: FitView, own: TaskState) -> None:
     """Update the running mean of the residuals, and scale a residual down if it, or the mean, is too large."""
     for k in range(3):
@@ -290,7 +338,7 @@ def _depth(t: float, focus: float) -> float:
 
 @compiled(merged=True)
 def _accumulate_distortion(
-    batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, first: Whole, last: Whole
+    batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, smooth: bool, first: Whole, last: Whole
 ) -> None:
     """Add the slopes of a ray's distortion loss to the density sums of its cells.
 
@@ -310,7 +358,8 @@ def _accumulate_distortion(
         scale = (2 - depth) * (2 - depth) / (4 * view.focus)  # the slope of the places
         slope = 2 * (depth * (ahead_weight - behind_weight) - ahead_moment + behind_moment)
         slope += 2 / 3 * weight * length * scale
-        batch.rows[task, own.row[hit], DENSITY_SUM] -= view.distortion * length * (behind * slope - behind_slope)
+        asked = -view.distortion * length * (behind * slope - behind_slope)
+        _add_slope(batch, task, own, smooth, hit, asked)
         behind_slope += weight * slope
         behind_weight += weight
         behind_moment += weight * depth
@@ -318,7 +367,14 @@ def _accumulate_distortion(
 
 @compiled(merged=True)
 def _accumulate_back(
-    batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, pixel: Whole, first: Whole, last: Whole
+    batch: TaskBuffers,
+    task: Whole,
+    view: FitView,
+    own: TaskState,
+    smooth: bool,
+    pixel: Whole,
+    first: Whole,
+    last: Whole,
 ) -> None:
     """Replay the hits of a ray from the last to the first. `seen`: the residual of its pixel, in colour and alpha."""
     left = np.float64(own.through[last - 1]) if last > first else 1.0
@@ -338,7 +394,10 @@ def _accumulate_back(
         batch.rows[task, row, COLOUR_SUM + 1] += weight * (r1 + view.point_weight * (g1 - c1))
         batch.rows[task, row, COLOUR_SUM + 2] += weight * (r2 + view.point_weight * (g2 - c2))
         batch.rows[task, row, WEIGHT] += weight
-        batch.rows[task, row, DENSITY_SUM] += j0 * r0 + j1 * r1 + j2 * r2 + length * ra
-        batch.rows[task, row, CURVATURE] += j0 * j0 + j1 * j1 + j2 * j2 + view.alpha_weight * ja * ja
+        _add_slope(batch, task, own, smooth, hit, j0 * r0 + j1 * r1 + j2 * r2 + length * ra)
+        squares = j0 * j0 + j1 * j1 + j2 * j2 + view.alpha_weight * ja * ja
+        if smooth:
+            squares *= own.middle[hit, 3] * own.middle[hit, 3]
+        batch.rows[task, row, CURVATURE] += squares
         batch.rows[task, row, MOST] = max(batch.rows[task, row, MOST], weight)
         batch.rows[task, row, BLAME] += weight * blame

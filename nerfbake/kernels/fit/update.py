@@ -20,6 +20,7 @@ from nerfbake.kernels.fit.bricks import (
     Whole,
 )
 from nerfbake.kernels.fit.colours import evaluate_basis, new_colour_buffer
+from nerfbake.kernels.fit.corners import step_corners, sum_corners
 from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import on_every_core
 
@@ -45,9 +46,23 @@ class LearningRates(NamedTuple):
     rays: float
 
 
+def take_steps(
+    bricks: BrickGrid, batch: TaskBuffers, eye: Floats, means: Singles, seen: Singles, steps: LearningRates
+) -> None:
+    """Step the values of all cells that the batch has hit. Source of the steps: docs/fitting.md, "How it is fitted".
+
+    means (n, 2): moving means of curvature and of weight, 0 for cells that were never hit. seen (n, 2): the largest
+    weight that a ray gave the cell, and the sum of weight times the residual of its pixels. Both are updated. If
+    densities are interpolated, the raw densities of the corners are stepped instead of the densities.
+    """
+    _step_cells(bricks, batch, eye, means, seen, steps)
+    if len(bricks.corners.raw):
+        step_corners(bricks.corners, steps.density)
+
+
 @on_every_core
 @compiled()
-def take_steps(
+def _step_cells(
     core: int,
     cores: int,
     bricks: BrickGrid,
@@ -57,12 +72,7 @@ def take_steps(
     seen: Singles,
     steps: LearningRates,
 ) -> None:
-    """Step the values of all cells that the batch has hit. Source of the steps: docs/fitting.md, "How it is fitted".
-
-    means (n, 2): moving means of curvature and of weight, 0 for cells that were never hit. seen (n, 2): the largest
-    weight that a ray gave the cell, and the sum of weight times the residual of its pixels. Both are updated.
-    """
-    r, places, B = bricks.top.shape[1], bricks.top.size, len(steps.ridge)
+    r, places, B, smooth = bricks.top.shape[1], bricks.top.size, len(steps.ridge), len(bricks.corners.raw) > 0
     sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_colour_buffer(B)
     for block in range(core, (places + _BLOCK - 1) // _BLOCK, cores):
         for place in range(block * _BLOCK, min((block + 1) * _BLOCK, places)):
@@ -74,17 +84,20 @@ def take_steps(
             if not _sum_tasks(batch, brick, count, sums):
                 continue
             start = (3 * B + 1) * begin
-            _move_density(
-                bricks.values,
-                start + 3 * B * count,
-                bricks.places,
-                bricks.width[shell],
-                begin,
-                count,
-                sums,
-                means,
-                steps,
-            )
+            if smooth:
+                sum_corners(bricks, batch, brick, steps.rays)
+            else:
+                _move_density(
+                    bricks.values,
+                    start + 3 * B * count,
+                    bricks.places,
+                    bricks.width[shell],
+                    begin,
+                    count,
+                    sums,
+                    means,
+                    steps,
+                )
             _update_seen(sums, seen, begin, count, np.float32(1 / steps.rays))
             s0, s1, s2 = bricks.size[shell, 0], bricks.size[shell, 1], bricks.size[shell, 2]
             x = np.float32(bricks.low[shell, 0] + 8 * at0 * s0 - eye[0])

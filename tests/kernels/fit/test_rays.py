@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose
 
 from nerfbake.kernels.fit.bricks import (
     COLOUR_SUM,
+    CORNER_ROW,
+    CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
@@ -18,7 +20,9 @@ from nerfbake.kernels.fit.bricks import (
     WEIGHT,
     BrickGrid,
     new_batch,
+    no_corners,
 )
+from nerfbake.kernels.fit.corners import find_corners
 from nerfbake.kernels.fit.plan import number_cells, plan_of_solid
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 
@@ -36,7 +40,16 @@ def bricks(seed: int = 0) -> BrickGrid:
         start, end = made.first[brick], made.first[brick + 1]
         values[13 * start + 12 * (end - start) : 13 * end] = random.uniform(0, 0.5, end - start)
     size = np.full((1, 3), 1 / 16)
-    return BrickGrid(made.top, made.slots, made.first, made.places, values, np.zeros((1, 3)), size, np.array([1 / 16]))
+    low, width = np.zeros((1, 3)), np.array([1 / 16])
+    return BrickGrid(made.top, made.slots, made.first, made.places, values, low, size, width, no_corners())
+
+
+def smooth_bricks(seed: int = 0) -> BrickGrid:
+    """The same ball with interpolated densities: raw ones on both sides of 1."""
+    made = bricks()
+    corners = find_corners(made.top, made.first, made.places)
+    corners.raw[:] = np.random.default_rng(seed).uniform(-3, 1.5, len(corners.raw))
+    return made._replace(corners=corners)
 
 
 def rays(samples: int) -> Any:
@@ -49,13 +62,13 @@ def rays(samples: int) -> Any:
 
 
 def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
-    """The errors' sum, and the rows (n, 16) added up over tasks."""
+    """The errors' sum, and the rows (n, 16 or 32) added up over tasks."""
     directions, targets = rays(samples)
-    n, sums = len(made.places), np.zeros((tasks, SUMS))
-    batch = new_batch(tasks, len(made.slots), n)
+    n, sums, row = len(made.places), np.zeros((tasks, SUMS)), CORNER_ROW if len(made.corners.raw) else ROW
+    batch = new_batch(tasks, len(made.slots), n, row)
     view = FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0, np.inf, np.inf)
     march_view(made, batch, view, sums)
-    total = np.zeros((n, ROW))
+    total = np.zeros((n, row))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
             if base >= 0:
@@ -86,11 +99,36 @@ def test_sums_of_densities_are_the_slope_of_the_error(samples: int) -> None:
         assert_allclose(rows[cell, DENSITY_SUM] / samples**2, -slope / 2, rtol=0.02, atol=1e-5)
 
 
-def test_tasks_share_a_view_without_changing_it() -> None:
-    made = bricks()
+@pytest.mark.parametrize("samples", [1, 2])
+def test_sums_of_corners_are_the_slope_of_the_error(samples: int) -> None:
+    made = smooth_bricks()
+    _, rows = marched(made, samples)
+    asked = np.zeros(len(made.corners.raw))
+    brick = np.repeat(np.arange(len(made.slots)), np.diff(made.first))
+    entries = made.corners.entries[made.corners.first[brick][:, None] + made.corners.of_cell]
+    np.add.at(asked, entries, rows[:, CORNER_SUM:])
+    for corner in np.argsort(-np.abs(asked))[:20]:
+        raw, errors = made.corners.raw.copy(), []
+        for step in (-1e-2, 1e-2):
+            raw[corner] = made.corners.raw[corner] + step
+            errors.append(marched(made._replace(corners=made.corners._replace(raw=raw)), samples)[0])
+        assert_allclose(asked[corner] / samples**2, -(errors[1] - errors[0]) / 2e-2 / 2, rtol=0.02, atol=1e-5)
+
+
+def test_equal_corners_look_like_constant_densities() -> None:
+    """A raw density of 1 or above is the density per width itself."""
+    made, smooth = bricks(), smooth_bricks()
+    smooth.corners.raw[:] = 1.25
+    for cell in range(len(made.places)):
+        made.values[place_of(made, cell)] = 1.25
+    assert_allclose(marched(smooth)[0], marched(made)[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("made", [bricks(), smooth_bricks()], ids=["constant", "interpolated"])
+def test_tasks_share_a_view_without_changing_it(made: BrickGrid) -> None:
     one, many = marched(made, 2, 1, 0.1), marched(made, 2, 5, 0.1)
     assert_allclose(one[0], many[0], rtol=1e-6)
-    for column in (COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE):
+    for column in (COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE, *range(CORNER_SUM, one[1].shape[1])):
         assert_allclose(one[1][:, column], many[1][:, column], rtol=1e-4, atol=1e-6)
 
 

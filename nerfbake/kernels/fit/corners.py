@@ -1,0 +1,255 @@
+"""Densities that are interpolated between the corners of cells, in the first stages of a fit.
+
+A corner has a raw density x, which is interpolated in each cell along all axes. The density per width of a cell is then
+x where x is above 1, and e^(x - 1) elsewhere, so a surface may lie anywhere in a cell. Each ray takes the density in
+the middle of its way through a cell.
+
+The corners of a brick's cells are a list of their own, so that bricks can add up their steps independently: an entry of
+a list is one corner of one brick. Cells of two widths have no common corners, so no cell is wide here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.kernels.arrays import Coords, Singles
+from nerfbake.kernels.compiled import compiled_exp_parts
+from nerfbake.kernels.fit.bricks import (
+    CORNER_SUM,
+    CURVATURE,
+    RAW,
+    BrickGrid,
+    CornerGrid,
+    TaskBuffers,
+    Top,
+    Whole,
+)
+from nerfbake.kernels.jit import compiled, part_of
+from nerfbake.kernels.maths.elementary import exp, log
+from nerfbake.kernels.parallel import on_every_core
+
+LEAST_RAW = -4.0  # a density of 0.007 per cell width
+MOST_RAW = 12.0
+_DECAY, _CURVATURE_FLOOR = 0.9, 1e-3
+_RATE = 4.0  # of the rate of a cell's density: a corner sees fewer rays than eight cells
+_GRID = 729  # corners of a brick with all its cells
+
+
+def density_of_raw(raw: Any) -> Any:
+    """Return the density per cell width, and its slope. Compiled code calls it with a number."""
+    whole, rest = compiled_exp_parts(min(raw, 1.0) - 1.0)
+    low = whole + whole * rest
+    return (raw, 1.0) if raw > 1 else (low, low)
+
+
+compiled_density = compiled(merged=True)(density_of_raw)
+
+
+def raw_of_density(density: npt.ArrayLike) -> Singles:
+    """Return the raw densities of densities per cell width."""
+    density = np.asarray(density, np.float64)
+    low = log(np.maximum(density, exp(LEAST_RAW - 1))) + 1
+    return np.asarray(np.where(density > 1, density, low), np.float32)
+
+
+def find_corners(top: Top, first: npt.NDArray[np.int32], places: npt.NDArray[np.int16]) -> CornerGrid:
+    """Return the corners of the cells of bricks. Their raw densities are the least."""
+    bricks, r = np.argwhere(top >= 0).astype(np.int32), top.shape[1]
+    of_cell, counts = np.empty((len(places), 8), np.int16), np.empty(len(bricks), np.int64)
+    _number_in_bricks(first, places, of_cell, counts)
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    keys = np.empty(int(starts[-1]), np.int64)
+    _place_entries(bricks, r, first, places, of_cell, starts, keys)
+    found, entries = np.unique(keys, return_inverse=True)
+    m, e = len(found), len(entries)
+    back_first = np.concatenate([[0], np.cumsum(np.bincount(entries, minlength=m))]).astype(np.int32)
+    back = np.argsort(entries, kind="stable").astype(np.int32)
+    raw = np.full(m, LEAST_RAW, np.float32)
+    sums = (np.zeros(e, np.float32) for _ in range(2))
+    return CornerGrid(of_cell, starts, entries.astype(np.int32), back_first, back, raw, np.zeros(m, np.float32), *sums)
+
+
+@compiled(merged=True)
+def _corner_of_place(place: Whole, corner: Whole) -> Any:
+    """Return the corner 4 dx + 2 dy + dz of a cell in the 9^3 corners of its brick, x-major."""
+    x, y, z = (place >> 7) + (corner >> 2), (place >> 4 & 7) + (corner >> 1 & 1), (place >> 1 & 7) + (corner & 1)
+    return x * 81 + y * 9 + z
+
+
+@on_every_core
+@compiled()
+def _number_in_bricks(
+    core: int,
+    cores: int,
+    first: npt.NDArray[np.int32],
+    places: npt.NDArray[np.int16],
+    of_cell: npt.NDArray[np.int16],
+    counts: npt.NDArray[np.int64],
+) -> None:
+    numbers = np.empty(_GRID, np.int16)
+    for brick in range(core, len(counts), cores):
+        numbers[:] = -1
+        count = 0
+        for cell in range(first[brick], first[brick + 1]):
+            for corner in range(8):
+                at = _corner_of_place(np.int64(places[cell]), corner)
+                if numbers[at] < 0:
+                    numbers[at] = count
+                    count += 1
+                of_cell[cell, corner] = numbers[at]
+        counts[brick] = count
+
+
+@on_every_core
+@compiled()
+def _place_entries(
+    core: int,
+    cores: int,
+    bricks: Coords,
+    r: int,
+    first: npt.NDArray[np.int32],
+    places: npt.NDArray[np.int16],
+    of_cell: npt.NDArray[np.int16],
+    starts: npt.NDArray[np.int32],
+    keys: npt.NDArray[np.int64],
+) -> None:
+    """Write the place of each entry in the lattice of all corners; each shell has its own."""
+    edge = np.int64(8 * r + 1)
+    for brick in range(core, len(bricks), cores):
+        x = 8 * np.int64(bricks[brick, 0]) + np.int64(bricks[brick, 0]) // r
+        y, z = 8 * np.int64(bricks[brick, 1]), 8 * np.int64(bricks[brick, 2])
+        for cell in range(first[brick], first[brick + 1]):
+            for corner in range(8):
+                at = _corner_of_place(np.int64(places[cell]), corner)
+                key = ((x + at // 81) * edge + y + at // 9 % 9) * edge + z + at % 9
+                keys[starts[brick] + of_cell[cell, corner]] = key
+
+
+def refine_corners(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
+    """Fill the raw densities of new cells, of which cell i is old cell `rows[i]` or one of its eight parts.
+
+    The density in the world is kept at each corner.
+    """
+    finer = len(new.top) // len(old.top)
+    _interpolate(rows, finer, old, new)
+    raw = new.corners.raw.astype(np.float64)
+    if finer > 1:
+        density = np.where(raw > 1, raw, exp(np.minimum(raw, 1) - 1)) / finer
+        new.corners.raw[:] = np.maximum(raw_of_density(density), LEAST_RAW)
+
+
+@on_every_core
+@compiled()
+def _interpolate(
+    core: int, cores: int, rows: npt.NDArray[np.int32], finer: int, old: BrickGrid, new: BrickGrid
+) -> None:
+    # Several cells write to a corner. They have the same corners of old cells, so they write the same bits.
+    raw = np.empty(8)
+    for brick in range(core, len(new.slots), cores):
+        begin = np.int64(new.corners.first[brick])
+        for cell in range(new.first[brick], new.first[brick + 1]):
+            row, place = np.int64(rows[cell]), np.int64(new.places[cell])
+            held = np.searchsorted(old.first, row, side="right") - 1
+            for corner in range(8):
+                raw[corner] = old.corners.raw[_entry(old, held, row, corner)]
+            for corner in range(8):
+                x, y, z = np.float64(corner >> 2), np.float64(corner >> 1 & 1), np.float64(corner & 1)
+                if finer > 1:
+                    x, y, z = ((place >> 7 & 1) + x) / 2, ((place >> 4 & 1) + y) / 2, ((place >> 1 & 1) + z) / 2
+                new.corners.raw[new.corners.entries[begin + new.corners.of_cell[cell, corner]]] = between(raw, x, y, z)
+
+
+@compiled(merged=True)
+def _entry(bricks: BrickGrid, brick: Whole, cell: Whole, corner: Whole) -> Any:
+    return bricks.corners.entries[np.int64(bricks.corners.first[brick]) + bricks.corners.of_cell[cell, corner]]
+
+
+@compiled(merged=True)
+def between(raw: Any, x: float, y: float, z: float) -> Any:
+    """Interpolate eight values, of the corners 4 dx + 2 dy + dz, at a place from 0 to 1 along each axis."""
+    a, b = raw[0] * (1 - z) + raw[1] * z, raw[2] * (1 - z) + raw[3] * z
+    c, d = raw[4] * (1 - z) + raw[5] * z, raw[6] * (1 - z) + raw[7] * z
+    return (a * (1 - y) + b * y) * (1 - x) + (c * (1 - y) + d * y) * x
+
+
+@on_every_core
+@compiled()
+def fill_densities(core: int, cores: int, rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
+    """Set the densities of new cells, of which cell i is old cell `rows[i]` or a part of it.
+
+    The density of a cell is the mean over the centres of its eight parts.
+    """
+    raw, finer = np.empty(8), len(new.top) // len(old.top)
+    for brick in range(core, len(new.slots), cores):
+        first, count = np.int64(new.first[brick]), np.int64(new.first[brick + 1] - new.first[brick])
+        D = len(new.values) // np.int64(new.first[-1])
+        for cell in range(count):
+            row, place = np.int64(rows[first + cell]), np.int64(new.places[first + cell])
+            held = np.searchsorted(old.first, row, side="right") - 1
+            for corner in range(8):
+                raw[corner] = old.corners.raw[_entry(old, held, row, corner)]
+            # The new cell's corner and width, in the old cell.
+            x, y, z = (
+                (place >> 7 & finer - 1) / finer,
+                (place >> 4 & finer - 1) / finer,
+                (place >> 1 & finer - 1) / finer,
+            )
+            width, total = (1 + (place & 1)) / finer, 0.0
+            for part in range(8):
+                i, j, k = 0.25 + 0.5 * (part >> 2), 0.25 + 0.5 * (part >> 1 & 1), 0.25 + 0.5 * (part & 1)
+                total += compiled_density(between(raw, x + width * i, y + width * j, z + width * k))[0]
+            new.values[D * first + (D - 1) * count + cell] = total / 8 * width
+
+
+@compiled()
+def fill_corner_rows(bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, base: Whole) -> None:
+    """Copy the raw densities of a brick's corners to the rows of its cells, and clear the sums of the corners."""
+    first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
+    for cell in range(count):
+        for corner in range(8):
+            batch.rows[task, base + cell, RAW + corner] = bricks.corners.raw[
+                _entry(bricks, brick, first + cell, corner)
+            ]
+            batch.rows[task, base + cell, CORNER_SUM + corner] = 0
+
+
+@compiled()
+def sum_corners(bricks: BrickGrid, batch: TaskBuffers, brick: Whole, rays: float) -> None:
+    """Add the sums of a brick's rows to its entries, in the order of the tasks."""
+    first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
+    start, part = np.int64(bricks.corners.first[brick]), np.float32(1 / rays)
+    for task in range(batch.base.shape[0]):
+        base = np.int64(batch.base[task, brick])
+        if base < 0:
+            continue
+        for cell in range(count):
+            curvature = batch.rows[task, base + cell, CURVATURE] * part * np.float32(1 / 8)
+            if curvature > 0:
+                for corner in range(8):
+                    entry = start + bricks.corners.of_cell[first + cell, corner]
+                    bricks.corners.asked[entry] += batch.rows[task, base + cell, CORNER_SUM + corner] * part
+                    bricks.corners.curvature[entry] += curvature
+
+
+@on_every_core
+@compiled()
+def step_corners(core: int, cores: int, corners: CornerGrid, rate: float) -> None:
+    """Step the raw densities by the sums of the entries, and clear these."""
+    begin, end = part_of(len(corners.raw), core, cores)
+    for corner in range(begin, end):
+        asked, curvature = 0.0, 0.0
+        for k in range(corners.back_first[corner], corners.back_first[corner + 1]):
+            entry = corners.back[k]
+            asked, curvature = asked + corners.asked[entry], curvature + corners.curvature[entry]
+            corners.asked[entry] = 0
+            corners.curvature[entry] = 0
+        if curvature > 0:
+            old = np.float64(corners.mean[corner])
+            mean = _DECAY * old + (1 - _DECAY) * curvature if old > 0 else curvature
+            quotient = min(max(asked / (mean + _CURVATURE_FLOOR), -1.0), 1.0)
+            corners.mean[corner] = mean
+            moved = np.float64(corners.raw[corner]) + _RATE * rate * quotient
+            corners.raw[corner] = min(max(moved, LEAST_RAW), MOST_RAW)
