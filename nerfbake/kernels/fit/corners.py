@@ -31,10 +31,9 @@ from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.kernels.parallel import on_every_core
 
-LEAST_RAW = -4.0  # a density of 0.007 per cell width
-MOST_RAW = 12.0
+LEAST_RAW, MOST_RAW = -4.0, 12.0  # densities of 0.007 and 12 per cell width
+_RATE = 4.0  # in rates of the densities of cells (docs/tuning.md)
 _DECAY, _CURVATURE_FLOOR = 0.9, 1e-3
-_RATE = 4.0  # of the rate of a cell's density: a corner sees fewer rays than eight cells
 _GRID = 729  # corners of a brick with all its cells
 
 
@@ -49,9 +48,9 @@ compiled_density = compiled(merged=True)(density_of_raw)
 
 
 def raw_of_density(density: npt.ArrayLike) -> Singles:
-    """Return the raw densities of densities per cell width."""
+    """Return the raw densities of densities per cell width, at least LEAST_RAW."""
     density = np.asarray(density, np.float64)
-    low = log(np.maximum(density, exp(LEAST_RAW - 1))) + 1
+    low = np.maximum(log(np.maximum(density, 1e-9)) + 1, LEAST_RAW)
     return np.asarray(np.where(density > 1, density, low), np.float32)
 
 
@@ -67,9 +66,9 @@ def find_corners(top: Top, first: npt.NDArray[np.int32], places: npt.NDArray[np.
     m, e = len(found), len(entries)
     back_first = np.concatenate([[0], np.cumsum(np.bincount(entries, minlength=m))]).astype(np.int32)
     back = np.argsort(entries, kind="stable").astype(np.int32)
-    raw = np.full(m, LEAST_RAW, np.float32)
-    sums = (np.zeros(e, np.float32) for _ in range(2))
-    return CornerGrid(of_cell, starts, entries.astype(np.int32), back_first, back, raw, np.zeros(m, np.float32), *sums)
+    raw, mean = np.full(m, LEAST_RAW, np.float32), np.zeros(m, np.float32)
+    asked, curvature = np.zeros(e, np.float32), np.zeros(e, np.float32)
+    return CornerGrid(of_cell, starts, entries.astype(np.int32), back_first, back, raw, mean, asked, curvature)
 
 
 @compiled(merged=True)
@@ -135,10 +134,10 @@ def refine_corners(rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) 
     """
     finer = len(new.top) // len(old.top)
     _interpolate(rows, finer, old, new)
-    raw = new.corners.raw.astype(np.float64)
     if finer > 1:
+        raw = new.corners.raw.astype(np.float64)
         density = np.where(raw > 1, raw, exp(np.minimum(raw, 1) - 1)) / finer
-        new.corners.raw[:] = np.maximum(raw_of_density(density), LEAST_RAW)
+        new.corners.raw[:] = raw_of_density(density)
 
 
 @on_every_core

@@ -16,13 +16,18 @@ from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.parallel import on_every_core
 
 _TILE_ROWS, _TILE_COLUMNS = 8, 256  # size of a tile of the result: its 16 KB stay in the first-level cache
+_SMALL = 1_000_000  # multiplications: for fewer, a thread takes longer to start than to work
 _DEPENDENT = 1e-6  # of its length: a column that keeps less is dependent on the previous ones
 
 
 def product(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> Floats:
     """a @ b for (m, k) and (k, n), in float64."""
     out = np.zeros((a.shape[0], b.shape[1]))
-    _product(np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b), out)
+    terms = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b), out
+    if a.size * b.shape[1] < _SMALL:
+        _add_product(0, 1, *terms)
+    else:
+        on_every_core(_add_product)(*terms)
     return out
 
 
@@ -39,9 +44,8 @@ def principal_axes(points: Floats, count: int) -> Floats:
     return axes
 
 
-@on_every_core
 @compiled()
-def _product(core: int, cores: int, a: Floats, b: npt.NDArray[Any], out: Floats) -> None:
+def _add_product(core: int, cores: int, a: Floats, b: npt.NDArray[Any], out: Floats) -> None:
     m, n = out.shape
     wide = (n + _TILE_COLUMNS - 1) // _TILE_COLUMNS
     for tile in range(core, (m + _TILE_ROWS - 1) // _TILE_ROWS * wide, cores):
