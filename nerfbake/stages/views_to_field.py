@@ -280,6 +280,7 @@ def _marched(
         focus,
         weights.most,
         weights.most_mean,
+        (1,) if len(bricks.corners.raw) else (),
     )
     capacity = max(4096, len(bricks.places) // 8)
     while True:
