@@ -84,11 +84,11 @@ def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points, *, smooth: bool 
     made = number_cells(plan)
     del plan  # if the caller does not keep it, its memory is free before the values are copied
     cells = _cells(made, box, len(old.values) // int(old.first[-1]), beside=4 * len(old.values))
+    copy_parents(made.row, old, cells.bricks)
     if smooth:
         cells = with_corners(cells)
         refine_corners(made.row, old, cells.bricks)
-    copy_parents(made.row, old, cells.bricks)
-    if len(old.corners.raw) and not smooth:
+    elif old.smooth:
         fill_densities(made.row, old, cells.bricks)
     return cells
 
@@ -126,7 +126,7 @@ def field_of_cells(cells: BrickCells, box: Points, basis: Basis) -> BrickField:
     """Return the cells as a BrickField, with densities per world unit."""
     bricks = cells.bricks
     memory.require(f"a field of {cells.n:,} cells", 4 * len(bricks.values) + 4 * bricks.slots.size)
-    if len(bricks.corners.raw):
+    if bricks.smooth:
         bricks = bricks._replace(values=bricks.values.copy())
         fill_densities(np.arange(cells.n, dtype=np.int32), bricks, bricks)
     values = np.empty((cells.n, basis.data_dim), np.float32)

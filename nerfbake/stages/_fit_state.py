@@ -211,7 +211,7 @@ def _require_sound(state: FitState) -> None:
     if not (begun and state.built in (state.stage, state.stage - 1) and state.divided <= 1):
         counters = ", ".join(f"{name} {getattr(state, name)}" for name in COUNTERS[:5])
         raise InvalidScene(Problem("the state", f"is at {counters}", f"a position in its schedule of {stages} stages"))
-    if len(state.cells.bricks.corners.raw) and state.built >= state.schedule.smooth:
+    if state.cells.bricks.smooth and state.built >= state.schedule.smooth:
         raise InvalidScene(Problem("the state's raw", f"exist in stage {state.built}", "none in this stage"))
     cells = state.schedule[min(state.built, stages - 1)].cells << state.divided
     if state.resolution != cells:

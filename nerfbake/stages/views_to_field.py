@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.fit.bricks import CORNER_ROW, ROW, TaskBuffers, new_batch, round_cells
+from nerfbake.kernels.fit.bricks import TaskBuffers, new_batch, round_cells
 from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
@@ -172,7 +172,7 @@ def _rebuild(state: FitState, views: Views) -> None:
         chosen = _most_blamed(state, keep & (resolved(state.cells, views) if views.scenery else True), stage.split)
         plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
-    smooth = len(bricks.corners.raw) > 0 and state.stage < state.schedule.smooth
+    smooth = bricks.smooth and state.stage < state.schedule.smooth
     state.cells = cells_of_plan(bricks, plan, state.box, smooth=smooth)
     if views.scenery:
         close_wall(state.cells)
@@ -280,14 +280,13 @@ def _marched(
         focus,
         weights.most,
         weights.most_mean,
-        (1,) if len(bricks.corners.raw) else (),
     )
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:
-            row = CORNER_ROW if len(bricks.corners.raw) else ROW
-            memory.require(f"fitting {len(bricks.places):,} cells", TASKS * capacity * row * 4 + 4 * len(bricks.values))
-            batch = new_batch(TASKS, len(bricks.slots), capacity, row)
+            size = TASKS * capacity * bricks.row * 4 + 4 * len(bricks.values)
+            memory.require(f"fitting {len(bricks.places):,} cells", size)
+            batch = new_batch(TASKS, len(bricks.slots), capacity, bricks.row)
         march_view(bricks, batch, view, sums)
         capacity = int(batch.used.max())
         if capacity <= batch.rows.shape[1]:

@@ -120,6 +120,16 @@ class BrickGrid(NamedTuple):
     width: Floats
     corners: CornerGrid
 
+    @property
+    def smooth(self) -> bool:
+        """True if densities are interpolated."""
+        return len(self.corners.raw) > 0
+
+    @property
+    def row(self) -> int:
+        """Numbers in a row of the task buffers."""
+        return CORNER_ROW if self.smooth else ROW
+
 
 class TaskBuffers(NamedTuple):
     """The results of the tasks for one view.
@@ -127,8 +137,8 @@ class TaskBuffers(NamedTuple):
     base  (tasks, b)              the row of each brick's first cell in each task; UNMET, or LOST if there was no
                                   space left
     used  (tasks,)                rows that each task requested
-    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit; 32 numbers each if densities
-                                  are interpolated
+    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit; if densities are
+                                  interpolated, (tasks, capacity, 32)
     """
 
     base: npt.NDArray[np.int32]

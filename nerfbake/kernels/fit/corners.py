@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.arrays import Coords, Singles
+from nerfbake.kernels.arrays import Coords, Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.fit.bricks import (
     CORNER_SUM,
-    CURVATURE,
     RAW,
     BrickGrid,
     CornerGrid,
@@ -27,24 +26,20 @@ from nerfbake.kernels.fit.bricks import (
     Top,
     Whole,
 )
-from nerfbake.kernels.jit import compiled, part_of
+from nerfbake.kernels.jit import compiled
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.kernels.parallel import on_every_core
 
 LEAST_RAW, MOST_RAW = -4.0, 12.0  # densities of 0.007 and 12 per cell width
-_RATE = 4.0  # in rates of the densities of cells (docs/tuning.md)
-_DECAY, _CURVATURE_FLOOR = 0.9, 1e-3
 _GRID = 729  # corners of a brick with all its cells
 
 
-def density_of_raw(raw: Any) -> Any:
-    """Return the density per cell width, and its slope. Compiled code calls it with a number."""
+@compiled(merged=True)
+def density_of_raw(raw: float) -> tuple[float, float]:
+    """Return the density per cell width, and its slope."""
     whole, rest = compiled_exp_parts(min(raw, 1.0) - 1.0)
     low = whole + whole * rest
     return (raw, 1.0) if raw > 1 else (low, low)
-
-
-compiled_density = compiled(merged=True)(density_of_raw)
 
 
 def raw_of_density(density: npt.ArrayLike) -> Singles:
@@ -62,13 +57,15 @@ def find_corners(top: Top, first: npt.NDArray[np.int32], places: npt.NDArray[np.
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
     keys = np.empty(int(starts[-1]), np.int64)
     _place_entries(bricks, r, first, places, of_cell, starts, keys)
-    found, entries = np.unique(keys, return_inverse=True)
-    m, e = len(found), len(entries)
-    back_first = np.concatenate([[0], np.cumsum(np.bincount(entries, minlength=m))]).astype(np.int32)
-    back = np.argsort(entries, kind="stable").astype(np.int32)
+    back = np.argsort(keys, kind="stable").astype(np.int32)
+    begins = np.diff(keys[back], prepend=-1) > 0  # where the entries of another corner begin
+    e, entries = len(keys), np.empty(len(keys), np.int32)
+    entries[back] = np.cumsum(begins) - 1
+    back_first = np.append(np.flatnonzero(begins), e).astype(np.int32)
+    m = len(back_first) - 1
     raw, mean = np.full(m, LEAST_RAW, np.float32), np.zeros(m, np.float32)
     asked, curvature = np.zeros(e, np.float32), np.zeros(e, np.float32)
-    return CornerGrid(of_cell, starts, entries.astype(np.int32), back_first, back, raw, mean, asked, curvature)
+    return CornerGrid(of_cell, starts, entries, back_first, back, raw, mean, asked, curvature)
 
 
 @compiled(merged=True)
@@ -148,21 +145,27 @@ def _interpolate(
     # Several cells write to a corner. They have the same corners of old cells, so they write the same bits.
     raw = np.empty(8)
     for brick in range(core, len(new.slots), cores):
-        begin = np.int64(new.corners.first[brick])
         for cell in range(new.first[brick], new.first[brick + 1]):
-            row, place = np.int64(rows[cell]), np.int64(new.places[cell])
-            held = np.searchsorted(old.first, row, side="right") - 1
-            for corner in range(8):
-                raw[corner] = old.corners.raw[_entry(old, held, row, corner)]
+            place = np.int64(new.places[cell])
+            _read_corners(old, np.int64(rows[cell]), raw)
             for corner in range(8):
                 x, y, z = np.float64(corner >> 2), np.float64(corner >> 1 & 1), np.float64(corner & 1)
                 if finer > 1:
                     x, y, z = ((place >> 7 & 1) + x) / 2, ((place >> 4 & 1) + y) / 2, ((place >> 1 & 1) + z) / 2
-                new.corners.raw[new.corners.entries[begin + new.corners.of_cell[cell, corner]]] = between(raw, x, y, z)
+                new.corners.raw[_corner(new, brick, cell, corner)] = between(raw, x, y, z)
 
 
 @compiled(merged=True)
-def _entry(bricks: BrickGrid, brick: Whole, cell: Whole, corner: Whole) -> Any:
+def _read_corners(bricks: BrickGrid, cell: Whole, raw: Floats) -> None:
+    """Read the raw densities of a cell's corners."""
+    brick = np.searchsorted(bricks.first, cell, side="right") - 1
+    for corner in range(8):
+        raw[corner] = bricks.corners.raw[_corner(bricks, brick, cell, corner)]
+
+
+@compiled(merged=True)
+def _corner(bricks: BrickGrid, brick: Whole, cell: Whole, corner: Whole) -> Any:
+    """Return the number of a cell's corner."""
     return bricks.corners.entries[np.int64(bricks.corners.first[brick]) + bricks.corners.of_cell[cell, corner]]
 
 
@@ -186,10 +189,8 @@ def fill_densities(core: int, cores: int, rows: npt.NDArray[np.int32], old: Bric
         first, count = np.int64(new.first[brick]), np.int64(new.first[brick + 1] - new.first[brick])
         D = len(new.values) // np.int64(new.first[-1])
         for cell in range(count):
-            row, place = np.int64(rows[first + cell]), np.int64(new.places[first + cell])
-            held = np.searchsorted(old.first, row, side="right") - 1
-            for corner in range(8):
-                raw[corner] = old.corners.raw[_entry(old, held, row, corner)]
+            place = np.int64(new.places[first + cell])
+            _read_corners(old, np.int64(rows[first + cell]), raw)
             # The new cell's corner and width, in the old cell.
             x, y, z = (
                 (place >> 7 & finer - 1) / finer,
@@ -199,7 +200,7 @@ def fill_densities(core: int, cores: int, rows: npt.NDArray[np.int32], old: Bric
             width, total = (1 + (place & 1)) / finer, 0.0
             for part in range(8):
                 i, j, k = 0.25 + 0.5 * (part >> 2), 0.25 + 0.5 * (part >> 1 & 1), 0.25 + 0.5 * (part & 1)
-                total += compiled_density(between(raw, x + width * i, y + width * j, z + width * k))[0]
+                total += density_of_raw(between(raw, x + width * i, y + width * j, z + width * k))[0]
             new.values[D * first + (D - 1) * count + cell] = total / 8 * width
 
 
@@ -209,46 +210,6 @@ def fill_corner_rows(bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: 
     first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
     for cell in range(count):
         for corner in range(8):
-            batch.rows[task, base + cell, RAW + corner] = bricks.corners.raw[
-                _entry(bricks, brick, first + cell, corner)
-            ]
+            number = _corner(bricks, brick, first + cell, corner)
+            batch.rows[task, base + cell, RAW + corner] = bricks.corners.raw[number]
             batch.rows[task, base + cell, CORNER_SUM + corner] = 0
-
-
-@compiled()
-def sum_corners(bricks: BrickGrid, batch: TaskBuffers, brick: Whole, rays: float) -> None:
-    """Add the sums of a brick's rows to its entries, in the order of the tasks."""
-    first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
-    start, part = np.int64(bricks.corners.first[brick]), np.float32(1 / rays)
-    for task in range(batch.base.shape[0]):
-        base = np.int64(batch.base[task, brick])
-        if base < 0:
-            continue
-        for cell in range(count):
-            curvature = batch.rows[task, base + cell, CURVATURE] * part * np.float32(1 / 8)
-            if curvature > 0:
-                for corner in range(8):
-                    entry = start + bricks.corners.of_cell[first + cell, corner]
-                    bricks.corners.asked[entry] += batch.rows[task, base + cell, CORNER_SUM + corner] * part
-                    bricks.corners.curvature[entry] += curvature
-
-
-@on_every_core
-@compiled()
-def step_corners(core: int, cores: int, corners: CornerGrid, rate: float) -> None:
-    """Step the raw densities by the sums of the entries, and clear these."""
-    begin, end = part_of(len(corners.raw), core, cores)
-    for corner in range(begin, end):
-        asked, curvature = 0.0, 0.0
-        for k in range(corners.back_first[corner], corners.back_first[corner + 1]):
-            entry = corners.back[k]
-            asked, curvature = asked + corners.asked[entry], curvature + corners.curvature[entry]
-            corners.asked[entry] = 0
-            corners.curvature[entry] = 0
-        if curvature > 0:
-            old = np.float64(corners.mean[corner])
-            mean = _DECAY * old + (1 - _DECAY) * curvature if old > 0 else curvature
-            quotient = min(max(asked / (mean + _CURVATURE_FLOOR), -1.0), 1.0)
-            corners.mean[corner] = mean
-            moved = np.float64(corners.raw[corner]) + _RATE * rate * quotient
-            corners.raw[corner] = min(max(moved, LEAST_RAW), MOST_RAW)

@@ -24,7 +24,7 @@ from nerfbake.kernels.fit.bricks import (
     Whole,
 )
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
-from nerfbake.kernels.fit.corners import compiled_density, fill_corner_rows
+from nerfbake.kernels.fit.corners import between, density_of_raw, fill_corner_rows
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell
@@ -48,8 +48,6 @@ class FitView(NamedTuple):
     scale that is linear near the camera and ends at infinity; focus: its middle, in world units. most: the largest
     residual of a channel that counts in full; those of other pixels are scaled down to it. most_mean: the largest mean
     residual of neighbouring pixels that counts in full; where it is larger, their residuals are scaled down by as much.
-    smooth: (1,) if densities are interpolated, else (). Its length belongs to its type, so that the kernel is compiled
-    for each of the two: a check for each cell would make constant densities 45 % slower.
     """
 
     eye: Floats
@@ -62,7 +60,6 @@ class FitView(NamedTuple):
     focus: float
     most: float
     most_mean: float
-    smooth: tuple[int, ...] = ()
 
 
 class TaskState(NamedTuple):
@@ -89,22 +86,35 @@ class TaskState(NamedTuple):
     leave: Floats
 
 
+def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats) -> None:
+    """Fill the batch with the changes that the pixels require of the cells.
+
+    sums (tasks, SUMS): the sum of the squared residuals of the colours; and for each channel of the pixels with alpha 1
+    the sum of target times rendered colour, and of the rendered colour squared.
+    """
+    # The length of a tuple belongs to its type, so the kernel is compiled for constant and for interpolated densities.
+    # With a check for each cell, constant densities would take 45 % longer.
+    _march_view(bricks, batch, view, (1,) if bricks.smooth else (), sums)
+
+
 # Arrays are passed in tuples and read from there: for an array that is an argument, or a view of another array, each
 # call counts references, and threads wait for each other at every count. The loop over tasks is not a separate kernel:
 # then everything that it calls would be compiled twice.
 @on_every_core
 @compiled()
-def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Floats) -> None:
-    """Fill the batch with the changes that the pixels require of the cells.
-
-    sums (tasks, SUMS): the sum of the squared residuals of the colours; and for each channel of the pixels with alpha 1
-    the sum of target times rendered colour, and of the rendered colour squared.
-
-    The tasks of a core are spread over the picture, so all cores have equal work.
-    """
+def _march_view(
+    core: int,
+    cores: int,
+    bricks: BrickGrid,
+    batch: TaskBuffers,
+    view: FitView,
+    kind: tuple[int, ...],
+    sums: Floats,
+) -> None:
+    """Do the tasks of a core, which are spread over the picture, so all cores have equal work."""
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
-    most, smooth = 4 * 8 * bricks.top.shape[0] * rays, len(view.smooth) > 0
+    most, smooth = 4 * 8 * bricks.top.shape[0] * rays, len(kind) > 0
     own = TaskState(
         np.empty(most, np.int32),
         np.empty(most, np.float32),
@@ -128,7 +138,7 @@ def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, vie
         for pixel in range(begin, end):
             own.seen[:] = 0
             for ray in range(rays):
-                ends[ray + 1] = _march_ray(bricks, batch, task, view, own, pixel * rays + ray, ends[ray])
+                ends[ray + 1] = _march_ray(bricks, batch, task, view, own, smooth, pixel * rays + ray, ends[ray])
             for k in range(4):
                 own.seen[k] = view.targets[pixel, k] - own.seen[k] / rays
             sums[task, 0] += own.seen[0] * own.seen[0] + own.seen[1] * own.seen[1] + own.seen[2] * own.seen[2]
@@ -147,13 +157,20 @@ def march_view(core: int, cores: int, bricks: BrickGrid, batch: TaskBuffers, vie
 
 @compiled(merged=True)
 def _march_ray(
-    bricks: BrickGrid, batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, ray: Whole, count: Whole
+    bricks: BrickGrid,
+    batch: TaskBuffers,
+    task: Whole,
+    view: FitView,
+    own: TaskState,
+    smooth: bool,
+    ray: Whole,
+    count: Whole,
 ) -> Whole:
     """March a ray: add its colour and alpha to `seen`, append its hits, and return the number of all hits so far.
 
     The ray meets each shell at most twice: before and behind the smaller cubes.
     """
-    edge, shells, smooth = 8 * bricks.top.shape[1], len(bricks.low), len(view.smooth) > 0
+    edge, shells = 8 * bricks.top.shape[1], len(bricks.low)
     through, red, green, blue = 1.0, 0.0, 0.0, 0.0
     # The shells from the outermost to the innermost one that the ray enters, and back.
     deepest = shells
@@ -278,11 +295,17 @@ def _density_at(
 ) -> Any:
     """Return the interpolated density per world unit at a place in a cell, and record what its slopes need."""
     x, y, z = min(max(at[0], 0.0), 1.0), min(max(at[1], 0.0), 1.0), min(max(at[2], 0.0), 1.0)
-    a = batch.rows[task, row, RAW] * (1 - z) + batch.rows[task, row, RAW + 1] * z
-    b = batch.rows[task, row, RAW + 2] * (1 - z) + batch.rows[task, row, RAW + 3] * z
-    c = batch.rows[task, row, RAW + 4] * (1 - z) + batch.rows[task, row, RAW + 5] * z
-    d = batch.rows[task, row, RAW + 6] * (1 - z) + batch.rows[task, row, RAW + 7] * z
-    density, slope = compiled_density((a * (1 - y) + b * y) * (1 - x) + (c * (1 - y) + d * y) * x)
+    raw = (
+        batch.rows[task, row, RAW],
+        batch.rows[task, row, RAW + 1],
+        batch.rows[task, row, RAW + 2],
+        batch.rows[task, row, RAW + 3],
+        batch.rows[task, row, RAW + 4],
+        batch.rows[task, row, RAW + 5],
+        batch.rows[task, row, RAW + 6],
+        batch.rows[task, row, RAW + 7],
+    )
+    density, slope = density_of_raw(between(raw, x, y, z))
     own.middle[count, 0], own.middle[count, 1], own.middle[count, 2] = x, y, z
     own.middle[count, 3] = slope * per_width
     return density * per_width

@@ -10,23 +10,25 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import (
     BLAME,
     COLOUR_SUM,
+    CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
     SIZE,
     WEIGHT,
     BrickGrid,
+    CornerGrid,
     TaskBuffers,
     Whole,
 )
 from nerfbake.kernels.fit.colours import evaluate_basis, new_colour_buffer
-from nerfbake.kernels.fit.corners import step_corners, sum_corners
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.fit.corners import LEAST_RAW, MOST_RAW
+from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.parallel import on_every_core
 
 DECAY = 0.9  # of the moving means
 FADE = 0.95  # of the largest weight, at every view that hits the cell
-MOST_DENSITY = 12.0  # per width of the cell
+_CORNER_RATE = 4.0  # of the rate of the densities of cells (docs/tuning.md)
 _CURVATURE_FLOOR, _WEIGHT_FLOOR = 1e-3, 1e-2
 _SLOPE_FLOOR = 0.15  # of the sigmoid, whose slope is at most a quarter
 _SUMS = 8  # numbers of a row that are summed, from COLOUR_SUM on
@@ -56,7 +58,7 @@ def take_steps(
     densities are interpolated, the raw densities of the corners are stepped instead of the densities.
     """
     _step_cells(bricks, batch, eye, means, seen, steps)
-    if len(bricks.corners.raw):
+    if bricks.smooth:
         step_corners(bricks.corners, steps.density)
 
 
@@ -85,7 +87,7 @@ def _step_cells(
                 continue
             start = (3 * B + 1) * begin
             if smooth:
-                sum_corners(bricks, batch, brick, steps.rays)
+                _sum_corners(bricks, batch, brick, steps.rays)
             else:
                 _move_density(
                     bricks.values,
@@ -170,7 +172,7 @@ def _move_density(
     steps: LearningRates,
 ) -> None:
     one, decay, fresh = np.float32(1), np.float32(DECAY), np.float32(1 - DECAY)
-    floor, rate, most = np.float32(_CURVATURE_FLOOR), np.float32(steps.density), np.float32(MOST_DENSITY)
+    floor, rate, most = np.float32(_CURVATURE_FLOOR), np.float32(steps.density), np.float32(MOST_RAW)
     value, row, per_width, rays = np.uint64(start), np.uint64(first), np.float32(1 / width), np.float32(1 / steps.rays)
     for cell in range(np.uint64(count)):
         part = per_width * (np.float32(0.5) if places[row + cell] & 1 else one)
@@ -182,6 +184,45 @@ def _move_density(
         moved = min(max(values[value + cell] + rate * quotient, np.float32(0)), most)
         means[row + cell, 0] = mean if curvature > 0 else old
         values[value + cell] = moved if curvature > 0 else values[value + cell]
+
+
+@compiled()
+def _sum_corners(bricks: BrickGrid, batch: TaskBuffers, brick: Whole, rays: float) -> None:
+    """Add the sums of a brick's rows to its entries, in the order of the tasks."""
+    first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
+    start, part = np.int64(bricks.corners.first[brick]), np.float32(1 / rays)
+    for task in range(batch.base.shape[0]):
+        base = np.int64(batch.base[task, brick])
+        if base < 0:
+            continue
+        for cell in range(count):
+            curvature = batch.rows[task, base + cell, CURVATURE] * part * np.float32(1 / 8)
+            if curvature > 0:
+                for corner in range(8):
+                    entry = start + bricks.corners.of_cell[first + cell, corner]
+                    bricks.corners.asked[entry] += batch.rows[task, base + cell, CORNER_SUM + corner] * part
+                    bricks.corners.curvature[entry] += curvature
+
+
+@on_every_core
+@compiled()
+def step_corners(core: int, cores: int, corners: CornerGrid, rate: float) -> None:
+    """Step the raw densities by the sums of the entries, and clear these."""
+    begin, end = part_of(len(corners.raw), core, cores)
+    for corner in range(begin, end):
+        asked, curvature = 0.0, 0.0
+        for k in range(corners.back_first[corner], corners.back_first[corner + 1]):
+            entry = corners.back[k]
+            asked, curvature = asked + corners.asked[entry], curvature + corners.curvature[entry]
+            corners.asked[entry] = 0
+            corners.curvature[entry] = 0
+        if curvature > 0:
+            old = np.float64(corners.mean[corner])
+            mean = DECAY * old + (1 - DECAY) * curvature if old > 0 else curvature
+            quotient = min(max(asked / (mean + _CURVATURE_FLOOR), -1.0), 1.0)
+            corners.mean[corner] = mean
+            moved = np.float64(corners.raw[corner]) + _CORNER_RATE * rate * quotient
+            corners.raw[corner] = min(max(moved, LEAST_RAW), MOST_RAW)
 
 
 @compiled()

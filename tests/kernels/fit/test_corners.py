@@ -8,17 +8,17 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake.kernels.arrays import Bits, Floats, Points, Singles
-from nerfbake.kernels.fit.bricks import BrickGrid, no_corners
+from nerfbake.kernels.fit.bricks import BrickGrid, no_corners, values_by_cell
 from nerfbake.kernels.fit.corners import (
     LEAST_RAW,
-    compiled_density,
+    density_of_raw,
     fill_densities,
     find_corners,
     raw_of_density,
     refine_corners,
-    step_corners,
 )
-from nerfbake.kernels.fit.plan import BrickPlan, divide_plan, double_plan, number_cells, plan_of_solid
+from nerfbake.kernels.fit.plan import BrickPlan, divide_plan, double_plan, number_cells, plan_of_kept, plan_of_solid
+from nerfbake.kernels.fit.update import step_corners
 from nerfbake.stages._bricks import cell_places
 
 RANDOM = np.random.default_rng(0)
@@ -48,9 +48,9 @@ def corner_places(bricks: BrickGrid) -> Points:
 
 
 def densities(bricks: BrickGrid) -> Singles:
-    counts = np.diff(bricks.first)
-    starts = [4 * first + 3 * count for first, count in zip(bricks.first, counts, strict=False)]
-    return np.concatenate([bricks.values[s : s + c] for s, c in zip(starts, counts, strict=True)])
+    rows = np.empty((len(bricks.places), 4), np.float32)
+    values_by_cell(bricks.values, bricks.first, rows)
+    return rows[:, 3]
 
 
 def slanted(places: Points) -> Floats:
@@ -83,7 +83,7 @@ def test_shells_have_no_corner_in_common() -> None:
 
 @pytest.mark.parametrize("density", [0.03, 0.5, 1.0, 2.5])
 def test_a_density_comes_back_from_its_raw_one(density: float) -> None:
-    found, slope = compiled_density(float(raw_of_density(density)))
+    found, slope = density_of_raw(float(raw_of_density(density)))
     assert found == pytest.approx(density, rel=1e-6)
     assert slope == pytest.approx(min(density, 1), rel=1e-6)
 
@@ -91,9 +91,7 @@ def test_a_density_comes_back_from_its_raw_one(density: float) -> None:
 def test_finer_cells_have_the_same_densities() -> None:
     old, _ = grid_of(plan_of_solid(SPARSE), smooth=True)
     old.corners.raw[:] = slanted(corner_places(old))
-    plan = BrickPlan(
-        old.top, np.where(old.slots < 0, -1, (old.slots >> 1) + old.first[:-1, None] << 1).astype(np.int32)
-    )
+    plan = plan_of_kept(old.top, old.slots, old.first, np.ones(len(old.places), bool))
     new, rows = grid_of(double_plan(plan, np.ones(len(old.places), bool)), smooth=True)
     refine_corners(rows, old, new)
     assert_allclose(new.corners.raw, slanted(corner_places(new)) / 2, rtol=1e-5)  # per width, which is half as large
@@ -107,9 +105,7 @@ def test_cells_take_the_densities_at_their_places() -> None:
     _, lowest = cell_places(old)
     assert_allclose(densities(old), slanted((lowest + 0.5) / 16), rtol=1e-6)
 
-    plan = BrickPlan(
-        old.top, np.where(old.slots < 0, -1, (old.slots >> 1) + old.first[:-1, None] << 1).astype(np.int32)
-    )
+    plan = plan_of_kept(old.top, old.slots, old.first, np.ones(len(old.places), bool))
     twice = double_plan(plan, RANDOM.random(n) < 0.5)
     for finer in (twice, divide_plan(twice, RANDOM.random(n) < 0.5)):
         new, rows = grid_of(finer, smooth=False)

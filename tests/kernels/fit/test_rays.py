@@ -10,12 +10,10 @@ from numpy.testing import assert_allclose
 
 from nerfbake.kernels.fit.bricks import (
     COLOUR_SUM,
-    CORNER_ROW,
     CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
-    ROW,
     SIGMA,
     WEIGHT,
     BrickGrid,
@@ -61,19 +59,17 @@ def rays(samples: int) -> Any:
     return directions.astype(np.float32), targets.astype(np.float32)
 
 
-def view_of(made: BrickGrid, directions: Any, targets: Any, point: float = 0.0) -> FitView:
-    smooth = (1,) if len(made.corners.raw) else ()
-    ground = np.ones(3, np.float32)
-    return FitView(EYE, directions, targets, ground, 0.0, point, 0.0, 1.0, np.inf, np.inf, smooth)
+def view_of(directions: Any, targets: Any, point: float = 0.0) -> FitView:
+    return FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0, np.inf, np.inf)
 
 
 def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
     """The errors' sum, and the rows (n, 16 or 32) added up over tasks."""
     directions, targets = rays(samples)
-    n, sums, row = len(made.places), np.zeros((tasks, SUMS)), CORNER_ROW if len(made.corners.raw) else ROW
-    batch = new_batch(tasks, len(made.slots), n, row)
-    march_view(made, batch, view_of(made, directions, targets, point), sums)
-    total = np.zeros((n, row))
+    n, sums = len(made.places), np.zeros((tasks, SUMS))
+    batch = new_batch(tasks, len(made.slots), n, made.row)
+    march_view(made, batch, view_of(directions, targets, point), sums)
+    total = np.zeros((n, made.row))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
             if base >= 0:
@@ -147,7 +143,7 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     made = bricks()
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
-    march_view(made, batch, view_of(made, directions, targets), np.zeros((1, SUMS)))
+    march_view(made, batch, view_of(directions, targets), np.zeros((1, SUMS)))
     _, rows = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
     assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])
