@@ -20,7 +20,7 @@ from nerfbake.cli.params import (
     console_options,
     max_memory,
     seed,
-    sh_basis,
+    sh_bases,
     target_argument,
     without_effect,
 )
@@ -141,7 +141,11 @@ fit_options = bundled(
         "each axis of the inner cube, after they are split.  [default: 256; 512 for objects in pictures of 600 pixels "
         "or more]",
     ),
-    sh_basis,
+    click.option(
+        "--basis",
+        type=sh_bases,
+        help="Spherical-harmonics basis of the colours.  [default: SH9; SH16 with --preset best, without scenery]",
+    ),
     click.option(
         "--samples",
         type=click.IntRange(1, 2),

@@ -283,13 +283,7 @@ seed = click.option(
     show_default=True,
     help="Random seed. The same seed gives the same bytes.",
 )
-sh_basis = click.option(
-    "--basis",
-    type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
-    default="SH9",
-    show_default=True,
-    help="Spherical-harmonics basis of the colours.",
-)
+sh_bases = click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"])
 samples = click.option(
     "--samples",
     type=click.IntRange(1, 8),

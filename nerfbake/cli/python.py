@@ -23,7 +23,7 @@ def fit(
     epochs: str | None = None,
     resolution: int | None = None,
     samples: int = 2,
-    basis: str = "SH9",
+    basis: str | None = None,
     box: tuple[float, float, float, float, float, float] | None = None,
     seed: int = 0,
     exposure: Literal["auto", "fit", "fixed"] = "auto",

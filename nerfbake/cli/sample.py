@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from nerfbake.cli.console import Console
-from nerfbake.cli.params import console_options, max_memory, seed, sh_basis, target_argument
+from nerfbake.cli.params import console_options, max_memory, seed, sh_bases, target_argument
 from nerfbake.cli.paths import Writes
 from nerfbake.jobs.files import FolderTarget, Target
 
@@ -26,7 +26,9 @@ def sample() -> None:
     show_default=True,
     help="Cells along each axis: a power of two.",
 )
-@sh_basis
+@click.option(
+    "--basis", type=sh_bases, default="SH9", show_default=True, help="Spherical-harmonics basis of the colours."
+)
 @seed
 @max_memory
 @console_options

@@ -95,7 +95,7 @@ class FitOptions(NamedTuple):
                 after some of them are split; None: 256, or 512 for objects in pictures of 600 pixels or more
     samples     rays along each edge of a pixel, 1 or 2: choose the value that the field will be rendered with; with
                 scenery it is only measured with them
-    basis       SH basis of the colours: SH1 to SH25
+    basis       SH basis of the colours, SH1 to SH25; None: SH9, or SH16 for the preset best of an object
     box         x0, y0, z0, x1, y1, z1 of the box around the object in world coordinates, or of the inner cube of
                 scenery; None: from the pictures, or from the cameras
     seed        seed for the order of the views: the same seed gives the same bytes
@@ -108,10 +108,14 @@ class FitOptions(NamedTuple):
     epochs: str | None = None
     resolution: int | None = None
     samples: int = 2
-    basis: str = "SH9"
+    basis: str | None = None
     box: tuple[float, float, float, float, float, float] | None = None
     seed: int = 0
     exposure: Exposure = "auto"
+
+    def basis_of(self, views: Views) -> str:
+        """Return the basis of the fit of these views."""
+        return self.basis or ("SH16" if self.preset == "best" and not views.scenery else "SH9")
 
     def gains(self, views: Views) -> bool:
         """Return whether the fit of these views has gains."""
@@ -146,10 +150,10 @@ class FitOptions(NamedTuple):
         """Return the rays along each edge of a pixel with which the held-out views are rendered."""
         return self.samples if self.epochs is None else schedule[-1].rays
 
-    def told(self, schedule: Schedule) -> dict[str, str]:
+    def told(self, schedule: Schedule, views: Views) -> dict[str, str]:
         """Return everything besides the pictures that the output bytes depend on."""
-        rest = {name: str(getattr(self, name)) for name in ("basis", "box", "seed", "exposure")}
-        return {"nerfbake": __version__, "schedule": str(schedule), **rest}
+        rest = {name: str(getattr(self, name)) for name in ("box", "seed", "exposure")}
+        return {"nerfbake": __version__, "schedule": str(schedule), "basis": self.basis_of(views), **rest}
 
 
 BALANCED = FitOptions()
@@ -260,7 +264,7 @@ def fit_file(
         few = f"{len(posed.trained.pictures)} views are few for scenery"
         steps.say(f"{source.name}: {few}; parts that fewer than three of them show are placed far away")
     steps.say(f"{source.name}: `epochs={schedule}`")
-    keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule), posed.trained)
+    keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule, posed.trained), posed.trained)
     course = FitRun(posed, schedule, recipe.rays(schedule))
     with interrupts() as asked:
         field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
@@ -360,7 +364,7 @@ def _fit(
     now = start = _start(keeper, course)
     with steps.phase("fitting"), io.blame(source.name):
         box = None if recipe.box is None else world_box(recipe.box)
-        chosen: dict[str, Any] = {"basis": recipe.basis, "box": box, "seed": recipe.seed}
+        chosen: dict[str, Any] = {"basis": recipe.basis_of(views), "box": box, "seed": recipe.seed}
         for now in fit_field(views, schedule=schedule, exposure=recipe.gains(views), start=start, **chosen):
             with progress.listening(None):  # measuring does not report progress
                 ended = course.follow(now)

@@ -178,7 +178,7 @@ def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int, s
 
     large = resolution >= 512
     second = epochs // 2 if epochs >= _AGAIN else 0
-    first, again = (min(4 * epochs, 12) / 100, 0.06) if large else (0.1, 0.1)
+    first, again = (min(4 * epochs, 12) / 100, 0.05) if large else (0.1, 0.1)
     made = []
     for number, (parts, scale, each) in enumerate(_LARGE_BEFORE if large else _BEFORE):
         density, colour, prune = (*_COARSE, (*_FINE, 0.03 if large else 0.02), (*_FINE, 0.04))[number]

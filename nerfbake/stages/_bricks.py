@@ -37,6 +37,11 @@ class BrickCells(NamedTuple):
     def n(self) -> int:
         return len(self.means)
 
+    @property
+    def B(self) -> int:
+        """Number of coefficients of a channel."""
+        return (len(self.bricks.values) // self.n - 1) // 3
+
 
 def cells_of_solid(
     solid: Bits, box: Points, B: int, density: float = START_DENSITY, *, smooth: bool = False
@@ -75,15 +80,16 @@ def cells_of_field(field: BrickField) -> BrickCells:
     return cells
 
 
-def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points, *, smooth: bool = False) -> BrickCells:
+def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points, B: int, *, smooth: bool = False) -> BrickCells:
     """Return the cells of a plan, with values inherited from the old bricks.
 
-    smooth: densities are interpolated between the corners of cells, as in the old bricks. Otherwise, the density of a
-    cell whose density was interpolated is its mean.
+    B: number of coefficients of a channel, as many as in the old bricks or more. smooth: densities are interpolated
+    between the corners of cells, as in the old bricks. Otherwise, the density of a cell whose density was interpolated
+    is its mean.
     """
     made = number_cells(plan)
     del plan  # if the caller does not keep it, its memory is free before the values are copied
-    cells = _cells(made, box, len(old.values) // int(old.first[-1]), beside=4 * len(old.values))
+    cells = _cells(made, box, 3 * B + 1, beside=4 * len(old.values))
     copy_parents(made.row, old, cells.bricks)
     if smooth:
         cells = with_corners(cells)

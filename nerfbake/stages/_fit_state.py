@@ -28,9 +28,16 @@ from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame, w
 BRICKS = ("top", "slots", "first", "places", "values")
 COUNTERS = ("stage", "epoch", "view", "built", "divided", "seed")
 GAINS = 0.05, 20.0  # least and greatest gain of a view
+_COARSE_B = 9  # coefficients of a channel before any cell is split: more would only need memory and time
 _MOST_TEXT = 1 << 16  # most bytes of the text of a basis and a schedule
 
 Arrays = dict[str, npt.NDArray[Any]]
+
+
+def coefficients(schedule: Schedule, basis: Basis, stage: int) -> int:
+    """Return the number of coefficients of a channel in a stage: all of them from the first on that splits cells."""
+    splits = [number for number, each in enumerate(schedule) if each.split]
+    return min(basis.size, _COARSE_B) if splits and stage < splits[0] else basis.size
 
 
 def _own_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Arrays:
@@ -147,7 +154,7 @@ class FitState:
 
     def field(self) -> BrickField:
         """Return the field as fitted so far. Raises MemoryLimit."""
-        return field_of_cells(self.cells, self.box, self.basis)
+        return field_of_cells(self.cells, self.box, Basis("SH", self.cells.B))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return the arrays that of_arrays() takes, by name. They are not copies: the fit will change them."""
@@ -203,7 +210,8 @@ def _with_raw(cells: BrickCells, raw: Singles, means: Singles) -> BrickCells:
 
 def _require_sound(state: FitState) -> None:
     """Raise InvalidScene for a state that is not reachable with its schedule."""
-    size, found, stages = state.cells.n * state.basis.data_dim, len(state.cells.bricks.values), len(state.schedule)
+    found, stages = len(state.cells.bricks.values), len(state.schedule)
+    size = state.cells.n * (3 * coefficients(state.schedule, state.basis, state.built) + 1)
     if found != size:
         raise InvalidScene(Problem("the state's values", f"are {found:,}", f"{size:,}, for {state.basis}"))
     begun = state.stage < stages and state.epoch < state.schedule[state.stage].epochs

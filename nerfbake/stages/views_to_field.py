@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.fit.bricks import TaskBuffers, new_batch, round_cells
+from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch, round_cells
 from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
@@ -21,7 +21,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.schedule import Rates, Schedule, Stage
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
-from nerfbake.stages._fit_state import GAINS, FitState
+from nerfbake.stages._fit_state import GAINS, FitState, coefficients
 from nerfbake.stages._ray_targets import RayTargets, ray_targets
 from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
 from nerfbake.stages.views_to_hull import find_solid, require_views
@@ -136,7 +136,7 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
         sums, batch = _marched(state, batch, looks, views, _Weights())
         found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
         # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
-        batch = new_batch(TASKS, batch.base.shape[1], *batch.rows.shape[1:])
+        batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
     return sum(found) / len(found)
 
 
@@ -154,10 +154,11 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     if kind.kind != "SH":
         raise InvalidScene(Problem("basis", f"is {basis}", "SH1, SH4, SH9, SH16, SH25"))
     gains = np.ones((len(views.pictures) if exposure else 0, 3))
+    B = coefficients(schedule, kind, 0)
     if views.scenery:
-        return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, kind.size), gains=gains)
+        return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, B), gains=gains)
     solid, box = find_solid(views, box, schedule[0].cells)
-    cells = cells_of_solid(solid, box, kind.size, _START_DENSITY, smooth=schedule.smooth > 0)
+    cells = cells_of_solid(solid, box, B, _START_DENSITY, smooth=schedule.smooth > 0)
     return FitState(schedule, kind, seed, box, cells, gains=gains)
 
 
@@ -173,7 +174,8 @@ def _rebuild(state: FitState, views: Views) -> None:
         plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
     smooth = bricks.smooth and state.stage < state.schedule.smooth
-    state.cells = cells_of_plan(bricks, plan, state.box, smooth=smooth)
+    B = coefficients(state.schedule, state.basis, state.stage)
+    state.cells = cells_of_plan(bricks, plan, state.box, B, smooth=smooth)
     if views.scenery:
         close_wall(state.cells)
     state.built = state.stage
@@ -227,7 +229,7 @@ def _visit(state: FitState, views: Views, batch: TaskBuffers | None, weights: _W
     if len(state.gains) and state.stage:
         _adapt_gains(state, view, sums)
     part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
-    parts, ridge = (np.array(each, np.float32)[band_of(state.basis.size)] for each in (_PARTS, _RIDGE))
+    parts, ridge = (np.array(each, np.float32)[band_of(cells.B)] for each in (_PARTS, _RIDGE))
     rates = _rate(stage.density, part), _rate(stage.colour, part)
     steps = LearningRates(*rates, parts, ridge, float(stage.rays**2))
     take_steps(cells.bricks, batch, looks.eye, cells.means, cells.seen, steps)
@@ -248,7 +250,9 @@ def _finish(state: FitState, views: Views) -> None:
     bricks, covered = state.cells.bricks, state.cells.means[:, 1]
     if not views.scenery:
         keep = _visible(state, state.schedule[-1], views)
-        state.cells = cells_of_plan(bricks, plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), state.box)
+        state.cells = cells_of_plan(
+            bricks, plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), state.box, state.cells.B
+        )
         bricks, covered = state.cells.bricks, covered[keep]
     # The square of a rounding error counts in each pixel that the cell covers.
     doubled = np.array([covered < most for most in _COVERED]).sum(axis=0, dtype=np.int32)
@@ -284,9 +288,9 @@ def _marched(
     capacity = max(4096, len(bricks.places) // 8)
     while True:
         if batch is None:
-            size = TASKS * capacity * bricks.row * 4 + 4 * len(bricks.values)
+            size = TASKS * capacity * ROW * 4 + 4 * len(bricks.values)
             memory.require(f"fitting {len(bricks.places):,} cells", size)
-            batch = new_batch(TASKS, len(bricks.slots), capacity, bricks.row)
+            batch = new_batch(TASKS, len(bricks.slots), capacity)
         march_view(bricks, batch, view, sums)
         capacity = int(batch.used.max())
         if capacity <= batch.rows.shape[1]:

@@ -166,6 +166,20 @@ def test_the_trainer_is_asked_for_what_was_asked_for(trainer: FakeFit, capture: 
     assert len(asked["views"].pictures) == 12
 
 
+@pytest.mark.parametrize(
+    ("recipe", "basis"),
+    [
+        (FitOptions(), "SH9"),
+        (FitOptions(preset="fast"), "SH9"),
+        (FitOptions(preset="best"), "SH16"),
+        (FitOptions(preset="best", basis="SH4"), "SH4"),
+    ],
+)
+def test_the_preset_best_has_another_band(trainer: FakeFit, capture: Path, recipe: FitOptions, basis: str) -> None:
+    fit_file(capture, Target("a", to="npz"), recipe=recipe)
+    assert trainer.asked[0]["basis"] == basis
+
+
 @pytest.mark.usefixtures("trainer")
 def test_progress_tells_where_it_is_and_how_near(capture: Path, listener: Listener) -> None:
     fitted = fit_file(capture, "a.npz", steps=listener)

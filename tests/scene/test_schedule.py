@@ -52,13 +52,13 @@ def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() ->
         (256, 2, 0),
         (512, 1, 0),
         (512, 1, 0.12),
-        (512, 1, 0.06),
+        (512, 1, 0.05),
     ]
     last = {name: preset_schedule(name, edge=800)[4:] for name in PRESETS}
     assert {name: [(stage.epochs, stage.split) for stage in stages] for name, stages in last.items()} == {
         "fast": [(1, 0.04)],
         "balanced": [(4, 0.12)],
-        "best": [(4, 0.12), (4, 0.06)],
+        "best": [(4, 0.12), (4, 0.05)],
     }
     assert preset_schedule("best", edge=800, resolution=256).resolution == 256
 

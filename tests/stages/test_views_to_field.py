@@ -151,6 +151,13 @@ def test_every_basis(basis: str) -> None:
     assert measure_state(state, sample_views(), samples=1) > 15
 
 
+def test_higher_bands_start_when_cells_are_split() -> None:
+    schedule = parse_schedule("cells=16,scale=2,epochs=2/cells=32/cells=32,epochs=2,split=0.2")
+    found = {state.built: state.cells.B for state in fit_field(sample_views(), schedule=schedule, basis="SH16")}
+    assert found == {0: 9, 1: 9, 2: 16}
+    assert str(last(sample_views(), schedule=schedule, basis="SH16").field().basis) == "SH16"
+
+
 def test_two_pictures_of_another_shape_are_enough() -> None:
     views = sample_views(frames=2, width=40, height=24)
     assert last(views).field().n > 0

@@ -96,7 +96,7 @@ def some_shells(*, shells: int = 3, basis: int = 1, seed: int = 0, share: float 
     coarse = cells_of_solid(solid.reshape(-1, 32, 32), BOX, basis)
     bricks = coarse.bricks
     plan = plan_of_kept(bricks.top, bricks.slots, bricks.first, np.ones(coarse.n, bool))
-    cells = cells_of_plan(bricks, double_plan(plan, random.random(coarse.n) < 0.5), BOX)
+    cells = cells_of_plan(bricks, double_plan(plan, random.random(coarse.n) < 0.5), BOX, basis)
     values = random.normal(0, 1, (cells.n, 3 * basis + 1)).astype(np.float32)
     values[:, -1] = random.uniform(0.05, 0.5, cells.n)
     values_by_brick(values, cells.bricks.first, cells.bricks.values)

@@ -58,8 +58,6 @@ EMPTY, EMPTY_WIDE = -2, -1
 SIGMA = 3  # after red, green, blue: density per world unit
 COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE, MOST, BLAME = 4, 7, 8, 9, 10, 11
 ROW = 16
-RAW, CORNER_SUM = 16, 24  # of each corner, if densities are interpolated; DENSITY_SUM is then not used
-CORNER_ROW = 32
 UNMET, LOST = -1, -2
 
 
@@ -125,11 +123,6 @@ class BrickGrid(NamedTuple):
         """True if densities are interpolated."""
         return len(self.corners.raw) > 0
 
-    @property
-    def row(self) -> int:
-        """Numbers in a row of the task buffers."""
-        return CORNER_ROW if self.smooth else ROW
-
 
 class TaskBuffers(NamedTuple):
     """The results of the tasks for one view.
@@ -137,8 +130,9 @@ class TaskBuffers(NamedTuple):
     base  (tasks, b)              the row of each brick's first cell in each task; UNMET, or LOST if there was no
                                   space left
     used  (tasks,)                rows that each task requested
-    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit; if densities are
-                                  interpolated, (tasks, capacity, 32)
+    rows  (tasks, capacity, 16)   rows of the cells in the bricks that each task has hit. If densities are interpolated,
+                                  DENSITY_SUM is not used, and further rows follow those of each brick's cells: see
+                                  kernels.fit.corners.corner_rows()
     """
 
     base: npt.NDArray[np.int32]
@@ -146,11 +140,11 @@ class TaskBuffers(NamedTuple):
     rows: Singles
 
 
-def new_batch(tasks: int, bricks: int, capacity: int, row: int = ROW) -> TaskBuffers:
-    """Allocate the buffers. Their rows of `row` numbers are aligned to cache lines."""
-    flat = np.empty(tasks * capacity * row + ROW, np.float32)
+def new_batch(tasks: int, bricks: int, capacity: int) -> TaskBuffers:
+    """Allocate the buffers. Their rows are aligned to cache lines."""
+    flat = np.empty(tasks * capacity * ROW + ROW, np.float32)
     skip = -(flat.ctypes.data // 4) % ROW
-    rows = flat[skip : skip + tasks * capacity * row].reshape(tasks, capacity, row)
+    rows = flat[skip : skip + tasks * capacity * ROW].reshape(tasks, capacity, ROW)
     return TaskBuffers(np.empty((tasks, bricks), np.int32), np.zeros(tasks, np.int64), rows)
 
 
@@ -181,16 +175,25 @@ def values_by_brick(core: int, cores: int, values: Singles, first: npt.NDArray[n
 @on_every_core
 @compiled()
 def copy_parents(core: int, cores: int, rows: npt.NDArray[np.int32], old: BrickGrid, new: BrickGrid) -> None:
-    """Fill the values of the new bricks: cell i copies old cell `rows[i]` and keeps its density in the world."""
+    """Fill the values of the new bricks: cell i copies old cell `rows[i]` and keeps its density in the world.
+
+    The new cells may have more coefficients than the old ones; these start at 0.
+    """
     for brick in range(core, len(new.slots), cores):
         D, first = len(new.values) // len(rows), np.int64(new.first[brick])
+        old_D = len(old.values) // np.int64(old.first[-1])
+        B, old_B = (D - 1) // 3, (old_D - 1) // 3
         count, start = np.int64(new.first[brick + 1]) - first, D * first
         for cell in range(count):
             row = np.int64(rows[first + cell])
             held = np.searchsorted(old.first, row, side="right") - 1
             old_first, old_count = np.int64(old.first[held]), np.int64(old.first[held + 1] - old.first[held])
-            for k in range(D):
-                new.values[start + k * count + cell] = old.values[D * old_first + k * old_count + row - old_first]
+            at = old_D * old_first + row - old_first
+            for channel in range(3):
+                for k in range(B):
+                    value = old.values[at + (channel * old_B + k) * old_count] if k < old_B else np.float32(0)
+                    new.values[start + (channel * B + k) * count + cell] = value
+            new.values[start + (D - 1) * count + cell] = old.values[at + (old_D - 1) * old_count]
             finer = len(old.top) * (1 + (new.places[first + cell] & 1)) / (len(new.top) * (1 + (old.places[row] & 1)))
             new.values[start + (D - 1) * count + cell] *= np.float32(finer)
 

@@ -98,6 +98,8 @@ def pinhole_directions(
 
 
 _K0, _K1, _K2, _K20 = 0.5 / sqrt(pi), sqrt(3 / (4 * pi)), sqrt(15 / (4 * pi)), sqrt(5 / (16 * pi))
+_K30, _K31 = sqrt(7 / (16 * pi)), sqrt(21 / (32 * pi))
+_K32, _K33 = sqrt(105 / (4 * pi)), sqrt(35 / (32 * pi))
 _X, _Y, _Z, _SUM, _BASIS = 0, 1, 2, 3, 4  # rows of the buffer
 
 
@@ -109,16 +111,25 @@ def new_colour_buffer(B: int) -> Singles:
 
 @compiled()
 def fill_brick_rows(
-    bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, shell: Whole, at: Any, eye: Floats, room: Singles
+    bricks: BrickGrid,
+    batch: TaskBuffers,
+    task: Whole,
+    brick: Whole,
+    shell: Whole,
+    at: Any,
+    eye: Floats,
+    room: Singles,
+    more: Whole,
 ) -> Whole:
     """Fill the rows of a brick's cells. Return the number of the first row, or LOST if the capacity is exceeded.
 
     at (3,) int: the brick in the grid of its shell; eye (3,) in the world; room: a buffer of new_colour_buffer().
+    more: number of further rows that are reserved behind those of the cells.
     """
     first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
     base = batch.used[task]
-    batch.used[task] = base + count
-    if base + count > batch.rows.shape[1]:
+    batch.used[task] = base + count + more
+    if base + count + more > batch.rows.shape[1]:
         batch.base[task, brick] = LOST
         return np.int64(LOST)
     batch.base[task, brick] = base
@@ -155,7 +166,7 @@ def evaluate_basis(
         part = np.float32(1) / np.sqrt(a * a + b * b + c * c + np.float32(1e-30))
         room[_X, cell], room[_Y, cell], room[_Z, cell] = a * part, b * part, c * part
     B = len(room) - _BASIS
-    if B <= 9:
+    if B <= 16:
         _low_basis(room, count, B)
     else:
         for cell in range(count):
@@ -164,7 +175,7 @@ def evaluate_basis(
 
 @compiled()
 def _low_basis(room: Singles, count: Whole, B: int) -> None:
-    """kernels.march.sh.fill_basis() up to the second band, for all cells at once: six times as fast."""
+    """kernels.march.sh.fill_basis() up to the third band, for all cells at once: six times as fast."""
     for cell in range(np.uint64(count)):
         room[4, cell] = np.float32(_K0)
     if B > 1:
@@ -180,6 +191,17 @@ def _low_basis(room: Singles, count: Whole, B: int) -> None:
             room[10, cell] = np.float32(_K20) * (np.float32(2) * z * z - x * x - y * y)
             room[11, cell] = np.float32(-_K2) * x * z
             room[12, cell] = np.float32(_K2 / 2) * (x * x - y * y)
+    if B > 9:
+        for cell in range(np.uint64(count)):
+            x, y, z = room[_X, cell], room[_Y, cell], room[_Z, cell]
+            xx, yy, zz = x * x, y * y, z * z
+            room[13, cell] = np.float32(-_K33) * y * (np.float32(3) * xx - yy)
+            room[14, cell] = np.float32(_K32) * x * y * z
+            room[15, cell] = np.float32(-_K31) * y * (np.float32(4) * zz - xx - yy)
+            room[16, cell] = np.float32(_K30) * z * (np.float32(2) * zz - np.float32(3) * (xx + yy))
+            room[17, cell] = np.float32(-_K31) * x * (np.float32(4) * zz - xx - yy)
+            room[18, cell] = np.float32(_K32 / 2) * z * (xx - yy)
+            room[19, cell] = np.float32(-_K33) * x * (xx - np.float32(3) * yy)
 
 
 @compiled()

@@ -18,8 +18,7 @@ import numpy.typing as npt
 from nerfbake.kernels.arrays import Coords, Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.fit.bricks import (
-    CORNER_SUM,
-    RAW,
+    ROW,
     BrickGrid,
     CornerGrid,
     TaskBuffers,
@@ -204,12 +203,21 @@ def fill_densities(core: int, cores: int, rows: npt.NDArray[np.int32], old: Bric
             new.values[D * first + (D - 1) * count + cell] = total / 8 * width
 
 
+@compiled(merged=True)
+def corner_rows(bricks: BrickGrid, brick: Whole) -> Any:
+    """Return the number of rows for the raw densities of a brick's corners; as many follow, for their sums.
+
+    Corner k of the brick's list has number k % 16 in row k // 16.
+    """
+    return (np.int64(bricks.corners.first[brick + 1] - bricks.corners.first[brick]) + ROW - 1) // ROW
+
+
 @compiled()
 def fill_corner_rows(bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, base: Whole) -> None:
-    """Copy the raw densities of a brick's corners to the rows of its cells, and clear the sums of the corners."""
-    first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
-    for cell in range(count):
-        for corner in range(8):
-            number = _corner(bricks, brick, first + cell, corner)
-            batch.rows[task, base + cell, RAW + corner] = bricks.corners.raw[number]
-            batch.rows[task, base + cell, CORNER_SUM + corner] = 0
+    """Fill the rows from `base` on with the raw densities of a brick's corners, and those after them with zeros."""
+    start, count = np.int64(bricks.corners.first[brick]), np.int64(bricks.corners.first[brick + 1])
+    count -= start
+    sums = base + corner_rows(bricks, brick)
+    for k in range(count):
+        batch.rows[task, base + (k >> 4), k & 15] = bricks.corners.raw[bricks.corners.entries[start + k]]
+        batch.rows[task, sums + (k >> 4), k & 15] = 0

@@ -11,11 +11,9 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import (
     BLAME,
     COLOUR_SUM,
-    CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
-    RAW,
     SIGMA,
     UNMET,
     WEIGHT,
@@ -24,7 +22,7 @@ from nerfbake.kernels.fit.bricks import (
     Whole,
 )
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
-from nerfbake.kernels.fit.corners import between, density_of_raw, fill_corner_rows
+from nerfbake.kernels.fit.corners import between, corner_rows, density_of_raw, fill_corner_rows
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell
@@ -66,8 +64,9 @@ class TaskState(NamedTuple):
     """The buffers of one task.
 
     row, length, depth, through: for each cell that the rays of a pixel hit, its row, the length of the ray in it, where
-    it lies along the ray (see _depth()), and the transmittance behind it. middle (., 4), if densities are interpolated:
-    the middle of the ray's way through the cell, and the slope of the density there. seen (4,): the sum of the rays'
+    it lies along the ray (see _depth()), and the transmittance behind it. If densities are interpolated, middle (., 4):
+    the middle of the ray's way through the cell, and the slope of the density there; corners (., 2): the number of the
+    cell, and the first row of the sums of its brick's corners. seen (4,): the sum of the rays'
     colours and alphas, later the residual of the pixel. mean (3,): the running mean of the residuals. room: a buffer of
     colours.new_colour_buffer(). place (S, 3): the camera, in cells of each shell. enter, leave (S,): where the ray
     enters and leaves each cube.
@@ -78,6 +77,7 @@ class TaskState(NamedTuple):
     depth: Singles
     through: Singles
     middle: Singles
+    corners: npt.NDArray[np.int32]
     seen: Floats
     mean: Floats
     room: Singles
@@ -121,6 +121,7 @@ def _march_view(
         np.empty(most if view.distortion > 0 else 1, np.float32),
         np.empty(most, np.float32),
         np.empty((most if smooth else 1, 4), np.float32),
+        np.empty((most if smooth else 1, 2), np.int32),
         np.zeros(4),
         np.zeros(3),
         new_colour_buffer((len(bricks.values) // bricks.first[-1] - 1) // 3),
@@ -151,8 +152,8 @@ def _march_view(
             _limit_residual(view, own)
             for ray in range(rays):
                 if view.distortion > 0:
-                    _accumulate_distortion(batch, task, view, own, smooth, ends[ray], ends[ray + 1])
-                _accumulate_back(batch, task, view, own, smooth, pixel, ends[ray], ends[ray + 1])
+                    _accumulate_distortion(bricks, batch, task, view, own, smooth, ends[ray], ends[ray + 1])
+                _accumulate_back(bricks, batch, task, view, own, smooth, pixel, ends[ray], ends[ray + 1])
 
 
 @compiled(merged=True)
@@ -204,13 +205,19 @@ def _march_ray(
         while t < end:
             b0, b1, b2 = x >> 3, y >> 3, z >> 3
             brick = np.int64(bricks.top[shell * bricks.top.shape[1] + b0, b1, b2])
-            base = np.int64(-1)
+            base, first, raw, sums = np.int64(-1), np.int64(0), np.int64(0), np.int64(0)
             if brick >= 0:
-                base = np.int64(batch.base[task, brick])
+                base, more = np.int64(batch.base[task, brick]), np.int64(0)
+                if smooth:
+                    first, more = np.int64(bricks.first[brick]), corner_rows(bricks, brick)
+                    raw = np.int64(bricks.first[brick + 1]) - first
                 if base == UNMET:
-                    base = fill_brick_rows(bricks, batch, task, brick, shell, (b0, b1, b2), view.eye, own.room)
+                    at_brick = b0, b1, b2
+                    base = fill_brick_rows(bricks, batch, task, brick, shell, at_brick, view.eye, own.room, 2 * more)
                     if smooth and base >= 0:
-                        fill_corner_rows(bricks, batch, task, brick, base)
+                        fill_corner_rows(bricks, batch, task, brick, base + raw)
+                raw += base
+                sums = raw + more
             if base < 0:
                 # Skip the empty bricks up to the known distance, in all directions.
                 exact = 3
@@ -247,7 +254,8 @@ def _march_ray(
                         if smooth:
                             middle = t + 0.5 * length
                             at = o0 + middle * d0 - l0, o1 + middle * d1 - l1, o2 + middle * d2 - l2
-                            sigma = _density_at(batch, task, own, row, count, at, 1 / bricks.width[shell])
+                            own.corners[count, 0], own.corners[count, 1] = first + (slot >> 1), sums
+                            sigma = _density_at(bricks, batch, task, own, raw, count, at, 1 / bricks.width[shell])
                         depth = min(sigma * length, 39.0)
                         step = int(depth * _PER)
                         rest = depth - step * (1 / _PER)
@@ -291,43 +299,64 @@ def _march_ray(
 
 @compiled(merged=True)
 def _density_at(
-    batch: TaskBuffers, task: Whole, own: TaskState, row: Whole, count: Whole, at: Any, per_width: float
+    bricks: BrickGrid, batch: TaskBuffers, task: Whole, own: TaskState, first: Whole, hit: Whole, at: Any, part: float
 ) -> Any:
-    """Return the interpolated density per world unit at a place in a cell, and record what its slopes need."""
+    """Return the interpolated density per world unit at a place in a cell, and record what its slopes need.
+
+    first: the first row of the raw densities of the brick's corners. part: the inverse width of a cell.
+    """
     x, y, z = min(max(at[0], 0.0), 1.0), min(max(at[1], 0.0), 1.0), min(max(at[2], 0.0), 1.0)
+    cell = np.int64(own.corners[hit, 0])
     raw = (
-        batch.rows[task, row, RAW],
-        batch.rows[task, row, RAW + 1],
-        batch.rows[task, row, RAW + 2],
-        batch.rows[task, row, RAW + 3],
-        batch.rows[task, row, RAW + 4],
-        batch.rows[task, row, RAW + 5],
-        batch.rows[task, row, RAW + 6],
-        batch.rows[task, row, RAW + 7],
+        _of_corner(bricks, batch, task, cell, 0, first),
+        _of_corner(bricks, batch, task, cell, 1, first),
+        _of_corner(bricks, batch, task, cell, 2, first),
+        _of_corner(bricks, batch, task, cell, 3, first),
+        _of_corner(bricks, batch, task, cell, 4, first),
+        _of_corner(bricks, batch, task, cell, 5, first),
+        _of_corner(bricks, batch, task, cell, 6, first),
+        _of_corner(bricks, batch, task, cell, 7, first),
     )
     density, slope = density_of_raw(between(raw, x, y, z))
-    own.middle[count, 0], own.middle[count, 1], own.middle[count, 2] = x, y, z
-    own.middle[count, 3] = slope * per_width
-    return density * per_width
+    own.middle[hit, 0], own.middle[hit, 1], own.middle[hit, 2] = x, y, z
+    own.middle[hit, 3] = slope * part
+    return density * part
 
 
 @compiled(merged=True)
-def _add_slope(batch: TaskBuffers, task: Whole, own: TaskState, smooth: bool, hit: Whole, asked: float) -> None:
+def _of_corner(bricks: BrickGrid, batch: TaskBuffers, task: Whole, cell: Whole, corner: int, first: Whole) -> Any:
+    """Return the value of a cell's corner in the rows from `first` on, see corner_rows()."""
+    k = np.int64(bricks.corners.of_cell[cell, corner])
+    return batch.rows[task, first + (k >> 4), k & 15]
+
+
+@compiled(merged=True)
+def _add_slope(
+    bricks: BrickGrid, batch: TaskBuffers, task: Whole, own: TaskState, smooth: bool, hit: Whole, asked: float
+) -> None:
     """Add the slope of the loss by the density at a hit to the sums of its cell, or of the cell's corners."""
-    row = own.row[hit]
     if not smooth:
-        batch.rows[task, row, DENSITY_SUM] += asked
+        batch.rows[task, own.row[hit], DENSITY_SUM] += asked
         return
+    cell, first = np.int64(own.corners[hit, 0]), np.int64(own.corners[hit, 1])
     x, y, z = np.float64(own.middle[hit, 0]), np.float64(own.middle[hit, 1]), np.float64(own.middle[hit, 2])
     asked *= own.middle[hit, 3]
     below, above = asked * (1 - x), asked * x
     for side in range(2):
         part = above if side else below
         low, high = part * (1 - y), part * y
-        batch.rows[task, row, CORNER_SUM + 4 * side] += low * (1 - z)
-        batch.rows[task, row, CORNER_SUM + 4 * side + 1] += low * z
-        batch.rows[task, row, CORNER_SUM + 4 * side + 2] += high * (1 - z)
-        batch.rows[task, row, CORNER_SUM + 4 * side + 3] += high * z
+        _add_to_corner(bricks, batch, task, cell, 4 * side, first, low * (1 - z))
+        _add_to_corner(bricks, batch, task, cell, 4 * side + 1, first, low * z)
+        _add_to_corner(bricks, batch, task, cell, 4 * side + 2, first, high * (1 - z))
+        _add_to_corner(bricks, batch, task, cell, 4 * side + 3, first, high * z)
+
+
+@compiled(merged=True)
+def _add_to_corner(
+    bricks: BrickGrid, batch: TaskBuffers, task: Whole, cell: Whole, corner: Whole, first: Whole, asked: float
+) -> None:
+    k = np.int64(bricks.corners.of_cell[cell, corner])
+    batch.rows[task, first + (k >> 4), k & 15] += asked
 
 
 @compiled(merged=True)
@@ -364,7 +393,14 @@ def _depth(t: float, focus: float) -> float:
 
 @compiled(merged=True)
 def _accumulate_distortion(
-    batch: TaskBuffers, task: Whole, view: FitView, own: TaskState, smooth: bool, first: Whole, last: Whole
+    bricks: BrickGrid,
+    batch: TaskBuffers,
+    task: Whole,
+    view: FitView,
+    own: TaskState,
+    smooth: bool,
+    first: Whole,
+    last: Whole,
 ) -> None:
     """Add the slopes of a ray's distortion loss to the density sums of its cells.
 
@@ -385,7 +421,7 @@ def _accumulate_distortion(
         slope = 2 * (depth * (ahead_weight - behind_weight) - ahead_moment + behind_moment)
         slope += 2 / 3 * weight * length * scale
         asked = -view.distortion * length * (behind * slope - behind_slope)
-        _add_slope(batch, task, own, smooth, hit, asked)
+        _add_slope(bricks, batch, task, own, smooth, hit, asked)
         behind_slope += weight * slope
         behind_weight += weight
         behind_moment += weight * depth
@@ -393,6 +429,7 @@ def _accumulate_distortion(
 
 @compiled(merged=True)
 def _accumulate_back(
+    bricks: BrickGrid,
     batch: TaskBuffers,
     task: Whole,
     view: FitView,
@@ -420,7 +457,8 @@ def _accumulate_back(
         batch.rows[task, row, COLOUR_SUM + 1] += weight * (r1 + view.point_weight * (g1 - c1))
         batch.rows[task, row, COLOUR_SUM + 2] += weight * (r2 + view.point_weight * (g2 - c2))
         batch.rows[task, row, WEIGHT] += weight
-        _add_slope(batch, task, own, smooth, hit, j0 * r0 + j1 * r1 + j2 * r2 + length * ra)
+        asked = j0 * r0 + j1 * r1 + j2 * r2 + length * ra
+        _add_slope(bricks, batch, task, own, smooth, hit, asked)
         squares = j0 * j0 + j1 * j1 + j2 * j2 + view.alpha_weight * ja * ja
         if smooth:
             squares *= own.middle[hit, 3] * own.middle[hit, 3]

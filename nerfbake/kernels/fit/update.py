@@ -10,7 +10,6 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import (
     BLAME,
     COLOUR_SUM,
-    CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
@@ -22,7 +21,7 @@ from nerfbake.kernels.fit.bricks import (
     Whole,
 )
 from nerfbake.kernels.fit.colours import evaluate_basis, new_colour_buffer
-from nerfbake.kernels.fit.corners import LEAST_RAW, MOST_RAW
+from nerfbake.kernels.fit.corners import LEAST_RAW, MOST_RAW, corner_rows
 from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.parallel import on_every_core
 
@@ -87,7 +86,7 @@ def _step_cells(
                 continue
             start = (3 * B + 1) * begin
             if smooth:
-                _sum_corners(bricks, batch, brick, steps.rays)
+                _sum_corners(bricks, batch, brick, sums, np.float32(1 / steps.rays))
             else:
                 _move_density(
                     bricks.values,
@@ -187,21 +186,24 @@ def _move_density(
 
 
 @compiled()
-def _sum_corners(bricks: BrickGrid, batch: TaskBuffers, brick: Whole, rays: float) -> None:
-    """Add the sums of a brick's rows to its entries, in the order of the tasks."""
+def _sum_corners(bricks: BrickGrid, batch: TaskBuffers, brick: Whole, sums: Singles, rays: Any) -> None:
+    """Add up the sums of a brick's corners over the tasks, in their order. sums: those of the cells."""
     first, count = np.int64(bricks.first[brick]), np.int64(bricks.first[brick + 1] - bricks.first[brick])
-    start, part = np.int64(bricks.corners.first[brick]), np.float32(1 / rays)
+    start, rows = np.int64(bricks.corners.first[brick]), corner_rows(bricks, brick)
+    corners = np.uint64(bricks.corners.first[brick + 1] - start)
     for task in range(batch.base.shape[0]):
         base = np.int64(batch.base[task, brick])
         if base < 0:
             continue
-        for cell in range(count):
-            curvature = batch.rows[task, base + cell, CURVATURE] * part * np.float32(1 / 8)
-            if curvature > 0:
-                for corner in range(8):
-                    entry = start + bricks.corners.of_cell[first + cell, corner]
-                    bricks.corners.asked[entry] += batch.rows[task, base + cell, CORNER_SUM + corner] * part
-                    bricks.corners.curvature[entry] += curvature
+        held = np.uint64(base + count + rows)
+        for k in range(corners):
+            row, number = held + (k >> np.uint64(4)), k & np.uint64(15)
+            bricks.corners.asked[np.uint64(start) + k] += batch.rows[task, row, number] * rays
+    for cell in range(count):
+        curvature = sums[CURVATURE - COLOUR_SUM, cell] * rays * np.float32(1 / 8)
+        if curvature > 0:
+            for corner in range(8):
+                bricks.corners.curvature[start + bricks.corners.of_cell[first + cell, corner]] += curvature
 
 
 @on_every_core

@@ -10,17 +10,17 @@ from numpy.testing import assert_allclose
 
 from nerfbake.kernels.fit.bricks import (
     COLOUR_SUM,
-    CORNER_SUM,
     CURVATURE,
     DENSITY_SUM,
     MOST,
+    ROW,
     SIGMA,
     WEIGHT,
     BrickGrid,
     new_batch,
     no_corners,
 )
-from nerfbake.kernels.fit.corners import find_corners
+from nerfbake.kernels.fit.corners import corner_rows, find_corners
 from nerfbake.kernels.fit.plan import number_cells, plan_of_solid
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 
@@ -64,18 +64,24 @@ def view_of(directions: Any, targets: Any, point: float = 0.0) -> FitView:
 
 
 def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
-    """The errors' sum, and the rows (n, 16 or 32) added up over tasks."""
+    """The errors' sum; the rows (n, 16) added up over tasks; and the sums of all corners, in the same way."""
     directions, targets = rays(samples)
-    n, sums = len(made.places), np.zeros((tasks, SUMS))
-    batch = new_batch(tasks, len(made.slots), n, made.row)
+    n, sums, corners = len(made.places), np.zeros((tasks, SUMS)), made.corners
+    batch = new_batch(tasks, len(made.slots), n + len(corners.entries) // 2)
     march_view(made, batch, view_of(directions, targets, point), sums)
-    total = np.zeros((n, made.row))
+    assert batch.used.max() <= batch.rows.shape[1]
+    total, asked = np.zeros((n, ROW)), np.zeros(len(corners.raw))
     for task in range(tasks):
         for brick, base in enumerate(batch.base[task]):
-            if base >= 0:
-                start, end = made.first[brick], made.first[brick + 1]
-                total[start:end] += batch.rows[task, base : base + end - start]
-    return sums[:, 0].sum(), total
+            if base < 0:
+                continue
+            start, end = made.first[brick], made.first[brick + 1]
+            total[start:end] += batch.rows[task, base : base + end - start]
+            if made.smooth:
+                after = base + end - start + corner_rows(made, brick)
+                entries = corners.entries[corners.first[brick] : corners.first[brick + 1]]
+                np.add.at(asked, entries, batch.rows[task, after:].reshape(-1)[: len(entries)])
+    return sums[:, 0].sum(), total, asked
 
 
 def place_of(made: BrickGrid, cell: int) -> int:
@@ -88,7 +94,7 @@ def place_of(made: BrickGrid, cell: int) -> int:
 @pytest.mark.parametrize("samples", [1, 2])
 def test_sums_of_densities_are_the_slope_of_the_error(samples: int) -> None:
     made = bricks()
-    _, rows = marched(made, samples)
+    _, rows, _ = marched(made, samples)
     cells = np.argsort(-np.abs(rows[:, DENSITY_SUM]))[:20]
     for cell in cells:
         values, errors = made.values.copy(), []
@@ -103,11 +109,7 @@ def test_sums_of_densities_are_the_slope_of_the_error(samples: int) -> None:
 @pytest.mark.parametrize("samples", [1, 2])
 def test_sums_of_corners_are_the_slope_of_the_error(samples: int) -> None:
     made = smooth_bricks()
-    _, rows = marched(made, samples)
-    asked = np.zeros(len(made.corners.raw))
-    brick = np.repeat(np.arange(len(made.slots)), np.diff(made.first))
-    entries = made.corners.entries[made.corners.first[brick][:, None] + made.corners.of_cell]
-    np.add.at(asked, entries, rows[:, CORNER_SUM:])
+    _, _, asked = marched(made, samples)
     for corner in np.argsort(-np.abs(asked))[:20]:
         raw, errors = made.corners.raw.copy(), []
         for step in (-1e-2, 1e-2):
@@ -129,12 +131,13 @@ def test_equal_corners_look_like_constant_densities() -> None:
 def test_tasks_share_a_view_without_changing_it(made: BrickGrid) -> None:
     one, many = marched(made, 2, 1, 0.1), marched(made, 2, 5, 0.1)
     assert_allclose(one[0], many[0], rtol=1e-6)
-    for column in (COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE, *range(CORNER_SUM, one[1].shape[1])):
+    for column in (COLOUR_SUM, WEIGHT, CURVATURE) if made.smooth else (COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE):
         assert_allclose(one[1][:, column], many[1][:, column], rtol=1e-4, atol=1e-6)
+    assert_allclose(one[2], many[2], rtol=1e-4, atol=1e-6)
 
 
 def test_weights_of_a_ray_are_at_most_one() -> None:
-    _, rows = marched(bricks())
+    _, rows, _ = marched(bricks())
     assert 0 < rows[:, MOST].max() <= 1
     assert rows[:, WEIGHT].sum() <= 64 * 1.0001
 
@@ -144,6 +147,6 @@ def test_a_batch_without_room_says_how_much_it_lacks() -> None:
     directions, targets = rays(1)
     batch = new_batch(1, len(made.slots), 100)
     march_view(made, batch, view_of(directions, targets), np.zeros((1, SUMS)))
-    _, rows = marched(made)
+    _, rows, _ = marched(made)
     assert 100 < batch.used[0] <= len(made.places)
     assert batch.used[0] >= np.count_nonzero(rows[:, SIGMA])
