@@ -88,7 +88,7 @@ def cells_of_plan(old: BrickGrid, plan: BrickPlan, box: Points, B: int, *, smoot
     is its mean.
     """
     made = number_cells(plan)
-    del plan  # if the caller does not keep it, its memory is free before the values are copied
+    del plan  # frees its memory before the values are copied, if the caller does not keep it
     cells = _cells(made, box, 3 * B + 1, beside=4 * len(old.values))
     copy_parents(made.row, old, cells.bricks)
     if smooth:

@@ -11,7 +11,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
 from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch, round_cells
-from nerfbake.kernels.fit.plan import divide_plan, double_plan, plan_of_kept
+from nerfbake.kernels.fit.plan import BrickPlan, divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
@@ -163,7 +163,18 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
 
 
 def _rebuild(state: FitState, views: Views) -> None:
-    """Build the cells of the next stage: prune cells with low weights, then double the resolution or divide cells."""
+    """Build the cells of the next stage."""
+    bricks, B = state.cells.bricks, coefficients(state.schedule, state.basis, state.stage)
+    smooth = bricks.smooth and state.stage < state.schedule.smooth
+    # The plan has no name here, so its memory is free before the values are copied.
+    state.cells = cells_of_plan(bricks, _next_plan(state, views), state.box, B, smooth=smooth)
+    if views.scenery:
+        close_wall(state.cells)
+    state.built = state.stage
+
+
+def _next_plan(state: FitState, views: Views) -> BrickPlan:
+    """Prune cells with low weights, then double the resolution or divide cells."""
     stage, last, bricks = state.schedule[state.stage], state.schedule[state.stage - 1], state.cells.bricks
     keep = _visible(state, last, views)
     plan, wide = plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), bool(state.divided)
@@ -173,12 +184,7 @@ def _rebuild(state: FitState, views: Views) -> None:
         chosen = _most_blamed(state, keep & (resolved(state.cells, views) if views.scenery else True), stage.split)
         plan = divide_plan(plan, chosen) if wide else double_plan(plan, chosen)
         state.divided = 1
-    smooth = bricks.smooth and state.stage < state.schedule.smooth
-    B = coefficients(state.schedule, state.basis, state.stage)
-    state.cells = cells_of_plan(bricks, plan, state.box, B, smooth=smooth)
-    if views.scenery:
-        close_wall(state.cells)
-    state.built = state.stage
+    return plan
 
 
 def _visible(state: FitState, stage: Stage, views: Views) -> Bits:

@@ -215,8 +215,8 @@ def corner_rows(bricks: BrickGrid, brick: Whole) -> Any:
 @compiled()
 def fill_corner_rows(bricks: BrickGrid, batch: TaskBuffers, task: Whole, brick: Whole, base: Whole) -> None:
     """Fill the rows from `base` on with the raw densities of a brick's corners, and those after them with zeros."""
-    start, count = np.int64(bricks.corners.first[brick]), np.int64(bricks.corners.first[brick + 1])
-    count -= start
+    start = np.int64(bricks.corners.first[brick])
+    count = np.int64(bricks.corners.first[brick + 1]) - start
     sums = base + corner_rows(bricks, brick)
     for k in range(count):
         batch.rows[task, base + (k >> 4), k & 15] = bricks.corners.raw[bricks.corners.entries[start + k]]

@@ -205,19 +205,18 @@ def _march_ray(
         while t < end:
             b0, b1, b2 = x >> 3, y >> 3, z >> 3
             brick = np.int64(bricks.top[shell * bricks.top.shape[1] + b0, b1, b2])
-            base, first, raw, sums = np.int64(-1), np.int64(0), np.int64(0), np.int64(0)
+            # Of the brick: the row of its first cell, this cell, the number of cells, and half the rows of corners.
+            base, first, cells, more = np.int64(-1), np.int64(0), np.int64(0), np.int64(0)
             if brick >= 0:
-                base, more = np.int64(batch.base[task, brick]), np.int64(0)
+                base = np.int64(batch.base[task, brick])
                 if smooth:
                     first, more = np.int64(bricks.first[brick]), corner_rows(bricks, brick)
-                    raw = np.int64(bricks.first[brick + 1]) - first
+                    cells = np.int64(bricks.first[brick + 1]) - first
                 if base == UNMET:
-                    at_brick = b0, b1, b2
-                    base = fill_brick_rows(bricks, batch, task, brick, shell, at_brick, view.eye, own.room, 2 * more)
+                    at = b0, b1, b2
+                    base = fill_brick_rows(bricks, batch, task, brick, shell, at, view.eye, own.room, 2 * more)
                     if smooth and base >= 0:
-                        fill_corner_rows(bricks, batch, task, brick, base + raw)
-                raw += base
-                sums = raw + more
+                        fill_corner_rows(bricks, batch, task, brick, base + cells)
             if base < 0:
                 # Skip the empty bricks up to the known distance, in all directions.
                 exact = 3
@@ -253,9 +252,10 @@ def _march_ray(
                         sigma = float(batch.rows[task, row, SIGMA])
                         if smooth:
                             middle = t + 0.5 * length
-                            at = o0 + middle * d0 - l0, o1 + middle * d1 - l1, o2 + middle * d2 - l2
-                            own.corners[count, 0], own.corners[count, 1] = first + (slot >> 1), sums
-                            sigma = _density_at(bricks, batch, task, own, raw, count, at, 1 / bricks.width[shell])
+                            place = o0 + middle * d0 - l0, o1 + middle * d1 - l1, o2 + middle * d2 - l2
+                            own.corners[count, 0], own.corners[count, 1] = first + (slot >> 1), base + cells + more
+                            per_width = 1 / bricks.width[shell]
+                            sigma = _density_at(bricks, batch, task, own, base + cells, count, place, per_width)
                         depth = min(sigma * length, 39.0)
                         step = int(depth * _PER)
                         rest = depth - step * (1 / _PER)
@@ -299,28 +299,35 @@ def _march_ray(
 
 @compiled(merged=True)
 def _density_at(
-    bricks: BrickGrid, batch: TaskBuffers, task: Whole, own: TaskState, first: Whole, hit: Whole, at: Any, part: float
+    bricks: BrickGrid,
+    batch: TaskBuffers,
+    task: Whole,
+    own: TaskState,
+    raw: Whole,
+    hit: Whole,
+    at: Any,
+    per_width: float,
 ) -> Any:
     """Return the interpolated density per world unit at a place in a cell, and record what its slopes need.
 
-    first: the first row of the raw densities of the brick's corners. part: the inverse width of a cell.
+    raw: the first row of the raw densities of the brick's corners. per_width: the inverse width of a cell.
     """
     x, y, z = min(max(at[0], 0.0), 1.0), min(max(at[1], 0.0), 1.0), min(max(at[2], 0.0), 1.0)
     cell = np.int64(own.corners[hit, 0])
-    raw = (
-        _of_corner(bricks, batch, task, cell, 0, first),
-        _of_corner(bricks, batch, task, cell, 1, first),
-        _of_corner(bricks, batch, task, cell, 2, first),
-        _of_corner(bricks, batch, task, cell, 3, first),
-        _of_corner(bricks, batch, task, cell, 4, first),
-        _of_corner(bricks, batch, task, cell, 5, first),
-        _of_corner(bricks, batch, task, cell, 6, first),
-        _of_corner(bricks, batch, task, cell, 7, first),
+    corners = (
+        _of_corner(bricks, batch, task, cell, 0, raw),
+        _of_corner(bricks, batch, task, cell, 1, raw),
+        _of_corner(bricks, batch, task, cell, 2, raw),
+        _of_corner(bricks, batch, task, cell, 3, raw),
+        _of_corner(bricks, batch, task, cell, 4, raw),
+        _of_corner(bricks, batch, task, cell, 5, raw),
+        _of_corner(bricks, batch, task, cell, 6, raw),
+        _of_corner(bricks, batch, task, cell, 7, raw),
     )
-    density, slope = density_of_raw(between(raw, x, y, z))
+    density, slope = density_of_raw(between(corners, x, y, z))
     own.middle[hit, 0], own.middle[hit, 1], own.middle[hit, 2] = x, y, z
-    own.middle[hit, 3] = slope * part
-    return density * part
+    own.middle[hit, 3] = slope * per_width
+    return density * per_width
 
 
 @compiled(merged=True)
