@@ -60,6 +60,7 @@ def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() ->
         "balanced": [(4, 0.12)],
         "best": [(4, 0.12), (4, 0.05)],
     }
+    assert [preset_schedule(name, edge=800)[3].epochs for name in PRESETS] == [1, 2, 2]
     assert preset_schedule("best", edge=800, resolution=256).resolution == 256
 
 
