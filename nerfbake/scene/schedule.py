@@ -52,8 +52,8 @@ PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cel
 _AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
 # Pictures of this many pixels show cells of 1 / 512 of the box. The first stage has R / 8 cells: fog of R / 4 cells
 # hides twice as much behind it, and some of it never goes away. Before cells are split, more of them are pruned, which
-# makes the file smaller (docs/tuning.md). `fast` has one epoch of R cells before
-# that: a second one takes 14 seconds for 0.15 dB.
+# makes the file smaller (docs/tuning.md). `fast` has only one epoch of R cells before that: a second one takes
+# 14 seconds for 0.15 dB.
 _LARGE = 600
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
