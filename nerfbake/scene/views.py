@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.camera import Cameras
+from nerfbake.scene.packed_pictures import PackedPicture, PackedPictures, Pixels
 
 PLAIN = 16  # of 255: largest difference of a background pixel from the background colour in any channel
 
@@ -22,7 +22,8 @@ class Views(Scene):
     """Cameras with their pictures.
 
     cameras     each in the size of its picture
-    pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as in files
+    pictures    (H, W, 4) uint8 of each camera: straight sRGB colour and alpha, as in files; they are kept compressed
+                in memory, and decompressed at every access
     background  sRGB, 0..1: the colour behind the object; pictures with alpha are composited over it
     masked      True: alpha separates the object from the background, or with scenery what is used from what is ignored;
                 False: alpha is 255 everywhere
@@ -37,7 +38,7 @@ class Views(Scene):
     """
 
     cameras: Cameras
-    pictures: tuple[npt.NDArray[np.uint8], ...]
+    pictures: Sequence[Pixels]
     background: tuple[float, float, float]
     masked: bool
     scenery: bool = False
@@ -47,10 +48,12 @@ class Views(Scene):
         if len(self.pictures) != len(self.cameras.cameras):
             found = f"are {len(self.pictures):,}"
             raise InvalidScene(Problem("pictures", found, f"{len(self.cameras.cameras):,}, one per camera"))
-        for camera, picture in zip(self.cameras.cameras, self.pictures, strict=True):
-            shape = (camera.height, camera.width, 4)
-            if picture.shape != shape or picture.dtype != np.uint8:
-                found = f"has shape {picture.shape}, dtype {picture.dtype}"
+        pictures = PackedPictures.of(self.pictures)
+        object.__setattr__(self, "pictures", pictures)
+        for camera, picture in zip(self.cameras.cameras, pictures.packed, strict=True):
+            shape, (own_shape, dtype) = (camera.height, camera.width, 4), picture.form
+            if own_shape != shape or dtype != np.uint8:
+                found = f"has shape {own_shape}, dtype {dtype}"
                 raise InvalidScene(Problem(f"picture {camera.name}".strip(), found, f"{shape} uint8"))
 
     def __str__(self) -> str:
@@ -61,7 +64,7 @@ class Views(Scene):
     def take(self, numbers: Sequence[int]) -> Views:
         """These views alone, in this order; the pictures are shared."""
         cameras = replace(self.cameras, cameras=tuple(self.cameras.cameras[i] for i in numbers))
-        return replace(self, cameras=cameras, pictures=tuple(self.pictures[i] for i in numbers))
+        return replace(self, cameras=cameras, pictures=PackedPictures.of(self.pictures).take(numbers))
 
     def reduced(self, factor: int) -> Views:
         """These views with pictures that are smaller by a whole factor."""
@@ -70,7 +73,7 @@ class Views(Scene):
         from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
 
         cameras = replace(self.cameras, cameras=tuple(camera.reduced(factor) for camera in self.cameras.cameras))
-        pictures = tuple(memory.kept(reduced_picture(picture, factor)) for picture in self.pictures)
+        pictures = PackedPictures(PackedPicture(reduced_picture(picture, factor)) for picture in self.pictures)
         return replace(self, cameras=cameras, pictures=pictures)
 
     def photograph(self, number: int) -> npt.NDArray[np.float32]:

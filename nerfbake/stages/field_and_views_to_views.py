@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from nerfbake import memory, progress
+from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.image import WHITE
+from nerfbake.scene.packed_pictures import PackedPicture, PackedPictures
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_image import render_field
@@ -34,8 +35,7 @@ def cut_out_field(views: Views, field: RadianceField) -> Views:
     >>> alone.masked, alone.scenery, int(alone.pictures[0][0, 0, 3])
     (True, False, 0)
     """
-    memory.require("the pictures of the field alone", sum(picture.nbytes for picture in views.pictures))
-    kept, pictures = [], []
+    kept, packed = [], []
     for number, camera in progress.each(list(enumerate(views.cameras.cameras))):
         alpha = np.where(views.used(number), render_field(field, camera).alpha, np.float32(0))
         if not (255 * alpha >= _SEEN).any():
@@ -43,7 +43,8 @@ def cut_out_field(views: Views, field: RadianceField) -> Views:
         picture = views.pictures[number].copy()
         picture[..., 3] = np.rint(255 * alpha)
         kept.append(number)
-        pictures.append(picture)
+        packed.append(PackedPicture(picture))
     if not kept:
         raise InvalidScene(Problem("the field", "is in none of the photographs", "a part of what they show"))
-    return replace(views.take(kept), pictures=tuple(pictures), background=WHITE, masked=True, scenery=False, rough=True)
+    pictures = PackedPictures(packed)
+    return replace(views.take(kept), pictures=pictures, background=WHITE, masked=True, scenery=False, rough=True)

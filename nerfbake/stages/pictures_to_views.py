@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.image import WHITE
+from nerfbake.scene.packed_pictures import PackedPicture, PackedPictures, Pixels
 from nerfbake.scene.views import Views, near_colour
 
 _WHITE = 128  # of 255: least brightness of a mask where it is brightest
 PLAIN_SHARE = 0.7  # of the pixels along the pictures' edges; below 1, because the object may be cut off
 
-Pixels = npt.NDArray[np.uint8]
 Colour = tuple[float, float, float]
 Scenery = Literal["auto", "keep", "drop"]
 
@@ -56,24 +55,25 @@ def build_views(
     >>> views.cameras.cameras[0].fx, views.background, views.masked
     (5.0, (1.0, 1.0, 1.0), False)
     """
-    kept, fitting = [], []
+    fitting, packed = [], []
     for camera, pixels in zip(cameras.cameras, pictures, strict=False):
         camera = _resized(camera, pixels)
         if edge is not None and (factor := reduction_factor(pixels, edge)) > 1:
             from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
 
-            camera, pixels = camera.reduced(factor), memory.kept(reduced_picture(pixels, factor))
+            camera, pixels = camera.reduced(factor), reduced_picture(pixels, factor)
         fitting.append(camera)
-        kept.append(pixels)
-    if len(kept) != len(cameras.cameras):
-        raise InvalidScene(Problem("pictures", f"are {len(kept):,}", f"{len(cameras.cameras):,}, one a camera"))
+        packed.append(PackedPicture(pixels))
+    if len(packed) != len(cameras.cameras):
+        raise InvalidScene(Problem("pictures", f"are {len(packed):,}", f"{len(cameras.cameras):,}, one a camera"))
+    kept = PackedPictures(packed)
     masked = any(int(pixels[..., 3].min()) < 255 for pixels in kept)
     posed = replace(cameras, cameras=tuple(fitting))
     if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(kept)):
         _require_used(posed, kept)
-        return Views(posed, tuple(kept), background or _mean(kept), masked, True)
+        return Views(posed, kept, background or _mean(kept), masked, True)
     behind = (background or WHITE) if masked else _plain_background(kept, background)
-    views = Views(posed, tuple(kept), behind, masked, rough=rough and masked)
+    views = Views(posed, kept, behind, masked, rough=rough and masked)
     if all(views.behind(i).all() for i in range(len(kept))):
         found = "show nothing but the background"
         raise InvalidScene(Problem("the pictures", found, "an object in front of it in at least one picture"))
@@ -85,7 +85,7 @@ def reduction_factor(pixels: Pixels, edge: int) -> int:
     return int(-(-min(pixels.shape[:2]) // edge))
 
 
-def _require_used(cameras: Cameras, pictures: list[Pixels]) -> None:
+def _require_used(cameras: Cameras, pictures: Sequence[Pixels]) -> None:
     """Raise InvalidScene if a picture with scenery has no pixel that is used."""
     for camera, pixels in zip(cameras.cameras, pictures, strict=True):
         if int(pixels[..., 3].max()) < 255:
@@ -124,7 +124,7 @@ def apply_mask(pixels: Pixels, mask: Pixels) -> Pixels:
     return memory.kept(np.concatenate([pixels[..., :3], alpha[..., None]], axis=2))
 
 
-def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
+def _plain_background(pictures: Sequence[Pixels], told: Colour | None) -> Colour:
     """Return `told`, or else the median colour along the pictures' edges.
 
     Raises InvalidScene if too few pixels of the edges have this colour.
@@ -138,11 +138,11 @@ def _plain_background(pictures: list[Pixels], told: Colour | None) -> Colour:
     return colour
 
 
-def _is_plain(pictures: list[Pixels]) -> bool:
+def _is_plain(pictures: Sequence[Pixels]) -> bool:
     return _edge_colour(pictures, None)[1] >= PLAIN_SHARE
 
 
-def _mean(pictures: list[Pixels]) -> Colour:
+def _mean(pictures: Sequence[Pixels]) -> Colour:
     """Return the mean colour of all pixels with alpha 255."""
     sums, count = np.zeros(3), 0
     for pixels in pictures:
@@ -153,7 +153,7 @@ def _mean(pictures: list[Pixels]) -> Colour:
     return red, green, blue
 
 
-def _edge_colour(pictures: list[Pixels], told: Colour | None) -> tuple[Colour, float]:
+def _edge_colour(pictures: Sequence[Pixels], told: Colour | None) -> tuple[Colour, float]:
     """Return `told`, or else the median colour along the pictures' edges, and the share of their pixels near it."""
     counts = np.zeros((3, 256), np.int64)
     for edge in _edges(pictures):
@@ -166,7 +166,7 @@ def _edge_colour(pictures: list[Pixels], told: Colour | None) -> tuple[Colour, f
     return colour, alike / total
 
 
-def _edges(pictures: list[Pixels]) -> Iterator[Pixels]:
+def _edges(pictures: Sequence[Pixels]) -> Iterator[Pixels]:
     """Yield the outermost pixels (m, 4) of each picture."""
     for pixels in pictures:
         yield np.concatenate([pixels[0], pixels[-1], pixels[1:-1, 0], pixels[1:-1, -1]])

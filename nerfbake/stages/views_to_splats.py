@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Singles
+from nerfbake.kernels.arrays import Singles, as_input
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import power
 from nerfbake.kernels.picture.reduction import reduced_picture
@@ -21,6 +21,7 @@ from nerfbake.kernels.splat.blend import TileLists
 from nerfbake.kernels.splat.project import SEEN, SplatArrays, project
 from nerfbake.kernels.splat.tiles import bent_tiles, count_entries, even_tiles, fill_entries
 from nerfbake.scene.camera import Camera
+from nerfbake.scene.packed_pictures import PackedPicture, PackedPictures
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages._eye import eye_of
@@ -97,9 +98,8 @@ def fit_splats(splats: Splats, views: Views, *, epochs: int = EPOCHS, seed: int 
     if epochs < 1:
         raise InvalidScene(Problem("epochs", f"are {epochs}", "1 or more"))
     memory.require(f"fitting {splats.n:,} splats", splats.n * (_SPLAT_BYTES + _BASIS_BYTES * splats.B))
-    memory.require("the pictures of the fit", sum(picture.nbytes for picture in views.pictures))
     state = _started(splats)
-    targets = [_over(picture, views.background) for picture in views.pictures]
+    targets = PackedPictures(PackedPicture(_over(picture, views.background)) for picture in views.pictures)
     bands, alpha = band_of(splats.B), _ALPHA if views.masked and not views.scenery else 0.0
     count = len(targets)
     for epoch in range(epochs):
@@ -109,7 +109,7 @@ def fit_splats(splats: Splats, views: Views, *, epochs: int = EPOCHS, seed: int 
             if (epoch * count + done) % _SMALL_EVERY == _SMALL_EVERY - 1 and min(pixels.shape[:2]) >= 2:
                 camera, pixels = camera.reduced(2), _over(reduced_picture(views.pictures[number], 2), views.background)
             part = (epoch * count + done) / max(epochs * count - 1, 1)
-            target = TargetPicture(pixels, np.array(views.background, np.float32), alpha, views.scenery)
+            target = TargetPicture(as_input(pixels), np.array(views.background, np.float32), alpha, views.scenery)
             state.error = _visit(state, camera, target, _sizes(part, bands))
             state.epoch, state.view = divmod(epoch * count + done + 1, count)
             yield state

@@ -57,6 +57,7 @@ OWN_LIBRARY = {
     "formats/wire/zstd": {"zstandard"},
     "jobs/_matching": {"numpy"},  # in the process of pycolmap, which must not load kernels
     "jobs/_pycolmap": {"pycolmap"},
+    "scene/packed_pictures": {"zstandard"},  # in memory alone
     "stages/mesh_to_mesh": {"fast_simplification"},
     "stages/scene_to_summary": {"trimesh"},
 }
