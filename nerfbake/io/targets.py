@@ -289,4 +289,4 @@ def _require_name(target: str | Path) -> None:
     if b"\0" in encoded:
         raise OutputError("is not a valid file name; allowed: a path", source=str(target))
     with blame(str(target), OutputError), suppress(FileNotFoundError, NotADirectoryError):
-        Path(target).lstat()  # fails if the name is too long
+        Path(target).stat()  # fails if the name is too long, or a loop of links

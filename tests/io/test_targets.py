@@ -256,6 +256,7 @@ def test_what_is_no_name_of_a_file_is_refused(target: str, tmp_path: Path) -> No
         ("none/a.bin", "No such file"),
         ("file/a.bin", "Not a directory"),
         ("dangling", "No such file"),
+        ("loop", "symbolic links"),
         ("x" * 256, "too long"),
     ],
 )
@@ -263,7 +264,8 @@ def test_a_place_where_nothing_can_be_written_is_told_before_the_work(name: str,
     """It was told when the work was done, which was then lost: of a fit minutes, its OUT.partial included."""
     (tmp_path / "file").write_bytes(b"")
     (tmp_path / "dangling").symlink_to("none/a.bin")
-    for require in (require_absent, require_no_folder)[: 1 if name == "dangling" else 2]:
+    (tmp_path / "loop").symlink_to("loop")
+    for require in (require_absent, require_no_folder)[: 1 if name in ("dangling", "loop") else 2]:
         with pytest.raises(OutputError, match=found):
             require(tmp_path / name, force=True)
     if name.startswith("none"):
