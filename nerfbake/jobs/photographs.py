@@ -180,9 +180,9 @@ def _say_extreme_alpha(steps: Steps, path: str, views: Views) -> None:
     """
     if not views.masked or views.scenery:
         return
-    alphas = [picture[..., 3] for picture in views.pictures]
-    clear = [i for i, alpha in enumerate(alphas) if not alpha.any()]
-    opaque = [i for i, alpha in enumerate(alphas) if alpha.min() == 255]
+    ranges = [(int(picture[..., 3].min()), int(picture[..., 3].max())) for picture in views.pictures]
+    clear = [i for i, (_, most) in enumerate(ranges) if most == 0]
+    opaque = [i for i, (least, _) in enumerate(ranges) if least == 255]
     for numbers, alpha, so in (
         (clear, 0, "no object is where its camera looks"),
         (opaque, 255, "all that it shows counts as the object"),

@@ -24,7 +24,7 @@ from nerfbake.kernels.fit.bricks import (
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
 from nerfbake.kernels.fit.corners import between, corner_rows, density_of_raw, fill_corner_rows
 from nerfbake.kernels.fit.hull import part_between
-from nerfbake.kernels.jit import compiled, part_of
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell
 from nerfbake.kernels.maths.elementary import exp
 from nerfbake.kernels.parallel import on_every_core
@@ -112,6 +112,7 @@ def _march_view(
     sums: Floats,
 ) -> None:
     """Do the tasks of a core, which are spread over the picture, so all cores have equal work."""
+    bricks, batch, view = borrowed((bricks, batch, view))
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
     most, smooth = 4 * 8 * bricks.top.shape[0] * rays, len(kind) > 0
@@ -151,8 +152,6 @@ def _march_view(
                     sums[task, 4 + k] += rendered * rendered
             _limit_residual(view, own)
             for ray in range(rays):
-                if view.distortion > 0:
-                    _accumulate_distortion(bricks, batch, task, view, own, smooth, ends[ray], ends[ray + 1])
                 _accumulate_back(bricks, batch, task, view, own, smooth, pixel, ends[ray], ends[ray + 1])
 
 
@@ -399,42 +398,6 @@ def _depth(t: float, focus: float) -> float:
 
 
 @compiled(merged=True)
-def _accumulate_distortion(
-    bricks: BrickGrid,
-    batch: TaskBuffers,
-    task: Whole,
-    view: FitView,
-    own: TaskState,
-    smooth: bool,
-    first: Whole,
-    last: Whole,
-) -> None:
-    """Add the slopes of a ray's distortion loss to the density sums of its cells.
-
-    The loss is sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i with the weights w, the places m, and the lengths l on
-    the scale of the places. Source: Mip-NeRF 360 (Barron et al., 2022), equation 15.
-    """
-    total, moment, before = 0.0, 0.0, 1.0
-    for hit in range(first, last):
-        weight = before - np.float64(own.through[hit])
-        total, moment, before = total + weight, moment + weight * own.depth[hit], np.float64(own.through[hit])
-    behind_weight, behind_moment, behind_slope = 0.0, 0.0, 0.0
-    for hit in range(last - 1, first - 1, -1):
-        behind = np.float64(own.through[hit])
-        weight = (np.float64(own.through[hit - 1]) if hit > first else 1.0) - behind
-        depth, length = np.float64(own.depth[hit]), np.float64(own.length[hit])
-        ahead_weight, ahead_moment = total - behind_weight - weight, moment - behind_moment - weight * depth
-        scale = (2 - depth) * (2 - depth) / (4 * view.focus)  # the slope of the places
-        slope = 2 * (depth * (ahead_weight - behind_weight) - ahead_moment + behind_moment)
-        slope += 2 / 3 * weight * length * scale
-        asked = -view.distortion * length * (behind * slope - behind_slope)
-        _add_slope(bricks, batch, task, own, smooth, hit, asked)
-        behind_slope += weight * slope
-        behind_weight += weight
-        behind_moment += weight * depth
-
-
-@compiled(merged=True)
 def _accumulate_back(
     bricks: BrickGrid,
     batch: TaskBuffers,
@@ -446,7 +409,19 @@ def _accumulate_back(
     first: Whole,
     last: Whole,
 ) -> None:
-    """Replay the hits of a ray from the last to the first. `seen`: the residual of its pixel, in colour and alpha."""
+    """Replay the hits of a ray from the last to the first. `seen`: the residual of its pixel, in colour and alpha.
+
+    The distortion loss is sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i with the weights w, the places m, and the
+    lengths l on the scale of the places. Source: Mip-NeRF 360 (Barron et al., 2022), equation 15.
+    """
+    # The sums of the weights and of weight times place over the hits ahead, and the same over those behind.
+    ahead_weight, ahead_moment, before = 0.0, 0.0, 1.0
+    if view.distortion > 0:
+        for hit in range(first, last):
+            weight = before - np.float64(own.through[hit])
+            ahead_weight, ahead_moment = ahead_weight + weight, ahead_moment + weight * own.depth[hit]
+            before = np.float64(own.through[hit])
+    behind_weight, behind_moment, behind_slope, per_focus = 0.0, 0.0, 0.0, 1 / (4 * view.focus)
     left = np.float64(own.through[last - 1]) if last > first else 1.0
     s0, s1, s2 = left * view.background[0], left * view.background[1], left * view.background[2]
     r0, r1, r2, ra = own.seen[0], own.seen[1], own.seen[2], view.alpha_weight * own.seen[3] * left
@@ -465,6 +440,15 @@ def _accumulate_back(
         batch.rows[task, row, COLOUR_SUM + 2] += weight * (r2 + view.point_weight * (g2 - c2))
         batch.rows[task, row, WEIGHT] += weight
         asked = j0 * r0 + j1 * r1 + j2 * r2 + length * ra
+        if view.distortion > 0:
+            depth = np.float64(own.depth[hit])
+            ahead_weight, ahead_moment = ahead_weight - weight, ahead_moment - weight * depth
+            scale = (2 - depth) * (2 - depth) * per_focus  # the slope of the places
+            slope = 2 * (depth * (ahead_weight - behind_weight) - ahead_moment + behind_moment)
+            slope += 2 / 3 * weight * length * scale
+            asked -= view.distortion * length * (behind * slope - behind_slope)
+            behind_slope += weight * slope
+            behind_weight, behind_moment = behind_weight + weight, behind_moment + weight * depth
         _add_slope(bricks, batch, task, own, smooth, hit, asked)
         squares = j0 * j0 + j1 * j1 + j2 * j2 + view.alpha_weight * ja * ja
         if smooth:

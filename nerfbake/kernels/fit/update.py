@@ -22,7 +22,7 @@ from nerfbake.kernels.fit.bricks import (
 )
 from nerfbake.kernels.fit.colours import evaluate_basis, new_colour_buffer
 from nerfbake.kernels.fit.corners import LEAST_RAW, MOST_RAW, corner_rows
-from nerfbake.kernels.jit import compiled, part_of
+from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.parallel import on_every_core
 
 DECAY = 0.9  # of the moving means
@@ -73,6 +73,7 @@ def _step_cells(
     seen: Singles,
     steps: LearningRates,
 ) -> None:
+    bricks, batch, eye, means, seen, steps = borrowed((bricks, batch, eye, means, seen, steps))
     r, places, B, smooth = bricks.top.shape[1], bricks.top.size, len(steps.ridge), len(bricks.corners.raw) > 0
     sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_colour_buffer(B)
     for block in range(core, (places + _BLOCK - 1) // _BLOCK, cores):
