@@ -21,7 +21,10 @@ class PackedPicture:
         import zstandard  # here, because most commands read no pictures
 
         self.form = pixels.shape, pixels.dtype
-        self._data = zstandard.ZstdCompressor(level=_LEVEL).compress(np.ascontiguousarray(pixels).data)
+        # compress() would allocate as many bytes as the pixels have. What it leaves of them between two pictures is too
+        # short for the pixels of the next one, and stays unused.
+        packer = zstandard.ZstdCompressor(level=_LEVEL).compressobj(size=pixels.nbytes)
+        self._data = packer.compress(np.ascontiguousarray(pixels).data) + packer.flush()
         memory.grown(self, "a compressed picture", len(self._data))
 
     def pixels(self) -> Pixels:
