@@ -126,7 +126,7 @@ fit_options = bundled(
     click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
-        help="Schedule of about 30, 65 or 120 seconds on two cores; of 2, 5 or 8 minutes for objects in pictures of "
+        help="Schedule of about 35, 65 or 120 seconds on two cores; of 2, 4 or 8 minutes for objects in pictures of "
         "600 pixels or more; of 40, 90 or 230 seconds with scenery. Longer if an object fills the pictures.  "
         "[default: balanced]",
     ),

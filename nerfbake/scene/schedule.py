@@ -13,7 +13,7 @@ Rates = tuple[float, float]  # learning rates of the first and of the last step
 RESOLUTIONS = (8, 1024)
 MAX_MINUTES = 10_000.0
 _SECONDS_BEFORE, _SECONDS_AN_EPOCH = 22.0, 16.0  # before the stages with 2 x 2 rays, and of each of their epochs
-_SECONDS_BEFORE_LARGE, _SECONDS_A_LARGE_EPOCH = 64.0, 55.0  # the same for 512 cells along an axis
+_SECONDS_BEFORE_LARGE, _SECONDS_A_LARGE_EPOCH = 65.0, 50.0  # the same for 512 cells along an axis
 MAX_EPOCHS, MAX_SCALE, MAX_RAYS, MAX_RATE = 1000, 16, 4, 10.0
 _NAMES = ("cells", "scale", "epochs", "density", "colour", "rays", "split", "prune")
 
