@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -55,7 +55,7 @@ def build_views(
     >>> views.cameras.cameras[0].fx, views.background, views.masked
     (5.0, (1.0, 1.0, 1.0), False)
     """
-    fitting, packed = [], []
+    fitting, packed, edges, alphas = [], [], [], []
     for camera, pixels in zip(cameras.cameras, pictures, strict=False):
         camera = _resized(camera, pixels)
         if edge is not None and (factor := reduction_factor(pixels, edge)) > 1:
@@ -64,15 +64,17 @@ def build_views(
             camera, pixels = camera.reduced(factor), reduced_picture(pixels, factor)
         fitting.append(camera)
         packed.append(PackedPicture(pixels))
+        edges.append(_edge(pixels))
+        alphas.append((int(pixels[..., 3].min()), int(pixels[..., 3].max())))
     if len(packed) != len(cameras.cameras):
         raise InvalidScene(Problem("pictures", f"are {len(packed):,}", f"{len(cameras.cameras):,}, one a camera"))
     kept = PackedPictures(packed)
-    masked = any(int(pixels[..., 3].min()) < 255 for pixels in kept)
+    masked = any(least < 255 for least, _ in alphas)
     posed = replace(cameras, cameras=tuple(fitting))
-    if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(kept)):
-        _require_used(posed, kept)
+    if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(edges)):
+        _require_used(posed, [most for _, most in alphas])
         return Views(posed, kept, background or _mean(kept), masked, True)
-    behind = (background or WHITE) if masked else _plain_background(kept, background)
+    behind = (background or WHITE) if masked else _plain_background(edges, background)
     views = Views(posed, kept, behind, masked, rough=rough and masked)
     if all(views.behind(i).all() for i in range(len(kept))):
         found = "show nothing but the background"
@@ -85,10 +87,10 @@ def reduction_factor(pixels: Pixels, edge: int) -> int:
     return int(-(-min(pixels.shape[:2]) // edge))
 
 
-def _require_used(cameras: Cameras, pictures: Sequence[Pixels]) -> None:
-    """Raise InvalidScene if a picture with scenery has no pixel that is used."""
-    for camera, pixels in zip(cameras.cameras, pictures, strict=True):
-        if int(pixels[..., 3].max()) < 255:
+def _require_used(cameras: Cameras, most: Sequence[int]) -> None:
+    """Raise InvalidScene if a picture with scenery has no pixel that is used. most: the largest alpha of each."""
+    for camera, alpha in zip(cameras.cameras, most, strict=True):
+        if alpha < 255:
             place = f"picture {camera.picture or camera.name}"
             raise InvalidScene(Problem(place, "has no pixel with alpha 255", "a mask that is white somewhere"))
 
@@ -124,12 +126,12 @@ def apply_mask(pixels: Pixels, mask: Pixels) -> Pixels:
     return memory.kept(np.concatenate([pixels[..., :3], alpha[..., None]], axis=2))
 
 
-def _plain_background(pictures: Sequence[Pixels], told: Colour | None) -> Colour:
+def _plain_background(edges: Sequence[Pixels], told: Colour | None) -> Colour:
     """Return `told`, or else the median colour along the pictures' edges.
 
     Raises InvalidScene if too few pixels of the edges have this colour.
     """
-    colour, alike = _edge_colour(pictures, told)
+    colour, alike = _edge_colour(edges, told)
     if alike < PLAIN_SHARE:
         words = ",".join(str(round(255 * value)) for value in colour)
         found = f"show scenery behind the object: only {int(100 * alike)} % of their edges are near {words}"
@@ -138,8 +140,8 @@ def _plain_background(pictures: Sequence[Pixels], told: Colour | None) -> Colour
     return colour
 
 
-def _is_plain(pictures: Sequence[Pixels]) -> bool:
-    return _edge_colour(pictures, None)[1] >= PLAIN_SHARE
+def _is_plain(edges: Sequence[Pixels]) -> bool:
+    return _edge_colour(edges, None)[1] >= PLAIN_SHARE
 
 
 def _mean(pictures: Sequence[Pixels]) -> Colour:
@@ -153,20 +155,19 @@ def _mean(pictures: Sequence[Pixels]) -> Colour:
     return red, green, blue
 
 
-def _edge_colour(pictures: Sequence[Pixels], told: Colour | None) -> tuple[Colour, float]:
+def _edge_colour(edges: Sequence[Pixels], told: Colour | None) -> tuple[Colour, float]:
     """Return `told`, or else the median colour along the pictures' edges, and the share of their pixels near it."""
     counts = np.zeros((3, 256), np.int64)
-    for edge in _edges(pictures):
+    for edge in edges:
         for channel in range(3):
             counts[channel] += np.bincount(edge[:, channel], minlength=256)
     total = int(counts[0].sum())
     median = [int(np.argmax(2 * np.cumsum(row) >= total)) for row in counts]
     colour = told or (median[0] / 255, median[1] / 255, median[2] / 255)
-    alike = sum(int(near_colour(edge, colour).sum()) for edge in _edges(pictures))
+    alike = sum(int(near_colour(edge, colour).sum()) for edge in edges)
     return colour, alike / total
 
 
-def _edges(pictures: Sequence[Pixels]) -> Iterator[Pixels]:
-    """Yield the outermost pixels (m, 4) of each picture."""
-    for pixels in pictures:
-        yield np.concatenate([pixels[0], pixels[-1], pixels[1:-1, 0], pixels[1:-1, -1]])
+def _edge(pixels: Pixels) -> Pixels:
+    """Return the outermost pixels (m, 4) of a picture."""
+    return np.concatenate([pixels[0], pixels[-1], pixels[1:-1, 0], pixels[1:-1, -1]])

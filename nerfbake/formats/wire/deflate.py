@@ -50,6 +50,7 @@ def deflate_all(pieces: Iterable[bytes | memoryview]) -> bytes:
 
 def deflate_raw(head: bytes, data: bytes | memoryview) -> list[bytes]:
     """Return a deflate stream without zlib's header and checksum, as in zip archives. The head is not compressed."""
+    # A stored block, which is not the last one: its kind, its length, and the complement of the length.
     stored = struct.pack("<BHH", 0, len(head), len(head) ^ 0xFFFF) + head
     return [stored, bytes(libdeflate.deflate_compress(data, WHOLE_LEVEL))]
 

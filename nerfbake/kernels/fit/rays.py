@@ -414,15 +414,14 @@ def _accumulate_back(
     The distortion loss is sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i with the weights w, the places m, and the
     lengths l on the scale of the places. Source: Mip-NeRF 360 (Barron et al., 2022), equation 15.
     """
+    left = np.float64(own.through[last - 1]) if last > first else 1.0
     # The sums of the weights and of weight times place over the hits ahead, and the same over those behind.
-    ahead_weight, ahead_moment, before = 0.0, 0.0, 1.0
+    ahead_weight, ahead_moment, before = 1 - left, 0.0, 1.0
     if view.distortion > 0:
         for hit in range(first, last):
-            weight = before - np.float64(own.through[hit])
-            ahead_weight, ahead_moment = ahead_weight + weight, ahead_moment + weight * own.depth[hit]
+            ahead_moment += (before - np.float64(own.through[hit])) * own.depth[hit]
             before = np.float64(own.through[hit])
     behind_weight, behind_moment, behind_slope, per_focus = 0.0, 0.0, 0.0, 1 / (4 * view.focus)
-    left = np.float64(own.through[last - 1]) if last > first else 1.0
     s0, s1, s2 = left * view.background[0], left * view.background[1], left * view.background[2]
     r0, r1, r2, ra = own.seen[0], own.seen[1], own.seen[2], view.alpha_weight * own.seen[3] * left
     g0, g1, g2 = view.targets[pixel, 0], view.targets[pixel, 1], view.targets[pixel, 2]
