@@ -75,7 +75,6 @@ def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
 
 def picture_views(scene: RadianceField | Splats, cameras: Cameras, samples: int) -> Views:
     """Render pictures of a field or of splats, with alpha, to which something else is fitted."""
-    cameras.require_memory()
 
     def pictures() -> Iterator[Any]:
         for camera in progress.each(cameras.cameras):

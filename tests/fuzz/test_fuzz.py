@@ -19,7 +19,7 @@ from tests.fuzz.breakage import Case, case_of
 from tests.fuzz.campaign import Result, campaign, numbers
 from tests.fuzz.trial import LIMIT, SLACK, Trial
 
-CASES = 1000
+CASES = 700
 SOUND = Case(0, "obj", "case.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
@@ -29,7 +29,7 @@ def whole(seed: int, cases: int, jobs: int = 1) -> Result:
 
 
 @pytest.mark.long
-def test_a_thousand_broken_files() -> None:
+def test_hundreds_of_broken_files() -> None:
     """`python -m tests.fuzz --minutes 30` tries more cases, and prints the command that repeats a finding."""
     result = whole(0, CASES)  # a second process would first try every sound file, too: 5 CPU seconds
     assert [first for first, *_ in result.by_key().values()] == []
