@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Floats, Singles
 from nerfbake.kernels.jit import borrowed, compiled, part_of
-from nerfbake.kernels.march.traversal import containing_cell, exits
+from nerfbake.kernels.march.lines import Line, cell_at, exits, line_of
 from nerfbake.kernels.parallel import on_every_core
 
 Marks = npt.NDArray[np.uint8]
@@ -43,8 +43,9 @@ def _mark_parts(
         own[:] = 0
         begin, end = part_of(len(directions), task, TASKS)
         for ray in range(begin, end):
-            d0, d1, d2 = directions[ray, 0] / size[0], directions[ray, 1] / size[1], directions[ray, 2] / size[2]
-            _mark(place[0], place[1], place[2], d0, d1, d2, np.uint8(_HELD if held[ray] else _CLEAR), own)
+            way = directions[ray, 0] / size[0], directions[ray, 1] / size[1], directions[ray, 2] / size[2]
+            line = line_of((place[0], place[1], place[2]), way)
+            _mark(line, np.uint8(_HELD if held[ray] else _CLEAR), own)
 
 
 @on_every_core
@@ -62,25 +63,19 @@ def _count(core: int, cores: int, met: Marks, clear: Counts, inside: Counts) -> 
 
 
 @compiled()
-def _mark(o0: float, o1: float, o2: float, d0: float, d1: float, d2: float, mark: Any, met: Marks) -> None:
+def _mark(line: Line, mark: Any, met: Marks) -> None:
     """Mark the cells along a ray."""
     R = met.shape[0]
-    i0 = 1 / d0 if d0 != 0 else np.inf
-    i1 = 1 / d1 if d1 != 0 else np.inf
-    i2 = 1 / d2 if d2 != 0 else np.inf
-    start, end = part_between(o0, i0, R, 0.0, np.inf)
-    start, end = part_between(o1, i1, R, start, end)
-    start, end = part_between(o2, i2, R, start, end)
+    start, end = 0.0, np.inf
+    for axis in range(3):
+        start, end = part_between(line.origin[axis], line.inverse[axis], R, start, end)
     if start >= end:
         return
-    x, y, z = (
-        containing_cell(o0 + start * d0, 0, R - 1),
-        containing_cell(o1 + start * d1, 0, R - 1),
-        containing_cell(o2 + start * d2, 0, R - 1),
-    )
+    x, y, z = cell_at(line, start, (0, 0, 0), (R - 1, R - 1, R - 1))
+    d0, d1, d2 = line.direction
     while 0 <= x < R and 0 <= y < R and 0 <= z < R:
         met[x, y, z] |= mark
-        exit0, exit1, exit2 = exits(x, y, z, 1, o0, o1, o2, d0, d1, d2, i0, i1, i2)
+        exit0, exit1, exit2 = exits((x, y, z), 1, line)
         if exit0 <= exit1 and exit0 <= exit2:
             x += 1 if d0 > 0 else -1
         elif exit1 <= exit2:

@@ -25,7 +25,7 @@ from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
 from nerfbake.kernels.fit.corners import between, corner_rows, density_of_raw, fill_corner_rows
 from nerfbake.kernels.fit.hull import part_between
 from nerfbake.kernels.jit import borrowed, compiled, part_of
-from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell
+from nerfbake.kernels.march.lines import cell_at, containing_cell, exits, line_of, next_cell
 from nerfbake.kernels.maths.elementary import exp
 from nerfbake.kernels.parallel import on_every_core
 
@@ -186,20 +186,14 @@ def _march_ray(
         end = own.enter[shell - 1] if inward else own.leave[shell]
         if t >= end:
             continue
-        o0, o1, o2 = own.place[shell, 0], own.place[shell, 1], own.place[shell, 2]
         d0, d1, d2 = (
             view.directions[ray, 0] / bricks.size[shell, 0],
             view.directions[ray, 1] / bricks.size[shell, 1],
             view.directions[ray, 2] / bricks.size[shell, 2],
         )
-        i0 = 1 / d0 if d0 != 0 else np.inf
-        i1 = 1 / d1 if d1 != 0 else np.inf
-        i2 = 1 / d2 if d2 != 0 else np.inf
-        x, y, z = (
-            containing_cell(o0 + t * d0, 0, edge - 1),
-            containing_cell(o1 + t * d1, 0, edge - 1),
-            containing_cell(o2 + t * d2, 0, edge - 1),
-        )
+        o0, o1, o2 = own.place[shell, 0], own.place[shell, 1], own.place[shell, 2]
+        line = line_of((o0, o1, o2), (d0, d1, d2))
+        x, y, z = cell_at(line, t, (0, 0, 0), (edge - 1, edge - 1, edge - 1))
         exact = 3  # after a wide cell, the only axis along which the last bit of the place is valid; 3: all axes
         while t < end:
             b0, b1, b2 = x >> 3, y >> 3, z >> 3
@@ -220,15 +214,10 @@ def _march_ray(
                 # Skip the empty bricks up to the known distance, in all directions.
                 exact = 3
                 away: Whole = max(-brick, 1)
-                l0, l1, l2, width = (
-                    (b0 - away + 1) << 3,
-                    (b1 - away + 1) << 3,
-                    (b2 - away + 1) << 3,
-                    (2 * away - 1) << 3,
-                )
-                exit0, exit1, exit2 = exits(l0, l1, l2, width, o0, o1, o2, d0, d1, d2, i0, i1, i2)
-                t = max(min(exit0, exit1, exit2), t)
-                x, y, z, _ = next_cell(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
+                low, width = ((b0 - away + 1) << 3, (b1 - away + 1) << 3, (b2 - away + 1) << 3), (2 * away - 1) << 3
+                leaves = exits(low, width, line)
+                t = max(min(leaves), t)
+                (x, y, z), _ = next_cell(low, width, leaves, line, t)
             else:
                 while True:
                     slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
@@ -243,7 +232,7 @@ def _march_ray(
                         slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])
                     wide: Whole = slot & 1
                     l0, l1, l2, width = x & ~wide, y & ~wide, z & ~wide, 1 + wide
-                    exit0, exit1, exit2 = exits(l0, l1, l2, width, o0, o1, o2, d0, d1, d2, i0, i1, i2)
+                    exit0, exit1, exit2 = exits((l0, l1, l2), width, line)
                     ahead = max(min(exit0, exit1, exit2), t)
                     if slot >= 0:
                         row = base + (slot >> 1)

@@ -117,8 +117,9 @@ def _spread(cells: Cells, position: Ints) -> Ints:
 
 # -- compiled --------------------------------------------------------------------------------------------------
 @compiled(inline=True)  # otherwise every call counts references to the arrays: 200 cycles
-def descend(cells: Cells, x: int, y: int, z: int) -> Any:
+def descend(cells: Cells, cell: tuple[int, int, int]) -> Any:
     """Return the slot that contains this cell of the last level, and the level of that slot."""
+    x, y, z = cell
     if cells.radix:
         x, y, z = _encoded(cells, x), _encoded(cells, y), _encoded(cells, z)
     below, bits = cells.top_below, cells.top_bits
@@ -128,17 +129,20 @@ def descend(cells: Cells, x: int, y: int, z: int) -> Any:
         level += 1
         bits, shift = cells.bits[level], cells.shift[level]
         low = (1 << bits) - 1
-        cell = (x >> shift & low) << 2 * bits | (y >> shift & low) << bits | z >> shift & low
-        slot = np.int64(cells.slots[cells.first[level] + (slot << 3 * bits) + cell])
+        part = (x >> shift & low) << 2 * bits | (y >> shift & low) << bits | z >> shift & low
+        slot = np.int64(cells.slots[cells.first[level] + (slot << 3 * bits) + part])
     return slot, level
 
 
 @compiled(inline=True)
-def lowest(cells: Cells, level: int, x: int) -> float:
-    """Return where the cell of this level that contains x starts."""
+def lowest(cells: Cells, level: int, cell: tuple[int, int, int]) -> tuple[float, float, float]:
+    """Return the lowest corner of the cell of this level that contains a cell of the last level."""
+    x, y, z = cell
     if cells.radix:
-        return float(x - x % np.int64(cells.width[level]))
-    return float(x >> cells.shift[level] << cells.shift[level])
+        width = np.int64(cells.width[level])
+        return float(x - x % width), float(y - y % width), float(z - z % width)
+    shift = cells.shift[level]
+    return float(x >> shift << shift), float(y >> shift << shift), float(z >> shift << shift)
 
 
 @compiled()

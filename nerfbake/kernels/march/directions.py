@@ -11,7 +11,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts, compiled_fill_basis
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.traversal import containing_cell, exits, next_cell, span
+from nerfbake.kernels.march.lines import cell_at, cells_at_corners, exits, is_within, line_in_box, next_cell
 from nerfbake.kernels.parallel import on_every_core
 
 _BLOCK = 1024  # rays that a core processes before it takes the next block
@@ -120,23 +120,16 @@ def collect_maxima(
     """
     cells, sigma, box, origin = borrowed((cells, sigma, box, origin))
     directions, largest, alpha = borrowed((directions, largest, alpha))
-    low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
-    high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
+    first, last = cells_at_corners(box)
     for ray in range(len(directions)):
-        start, end, scale = span(box, origin, directions, ray, np.inf)
-        d0, d1, d2 = directions[ray, 0] / scale, directions[ray, 1] / scale, directions[ray, 2] / scale
-        o0, o1, o2 = origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2
-        i0 = 1 / d0 if d0 != 0 else np.inf
-        i1 = 1 / d1 if d1 != 0 else np.inf
-        i2 = 1 / d2 if d2 != 0 else np.inf
+        line, start, end, scale = line_in_box(box, origin, directions, ray, np.inf)
         through, t, end, world = 1.0, 0.0, end - start, 1 / scale
-        x, y, z = containing_cell(o0, low0, high0), containing_cell(o1, low1, high1), containing_cell(o2, low2, high2)
+        cell = cell_at(line, t, first, last)
         while t < end:
-            slot, level = descend(cells, x, y, z)
-            width = cells.width[level]
-            l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
-            exit0, exit1, exit2 = exits(l0, l1, l2, width, o0, o1, o2, d0, d1, d2, i0, i1, i2)
-            ahead = max(min(exit0, exit1, exit2), t)
+            slot, level = descend(cells, cell)
+            low, width = lowest(cells, level, cell), cells.width[level]
+            leaves = exits(low, width, line)
+            ahead = max(min(leaves), t)
             if slot != EMPTY:
                 row = -2 - slot
                 whole, rest = compiled_exp_parts(-sigma[row] * (min(ahead, end) - t) * world)
@@ -147,7 +140,7 @@ def collect_maxima(
                 if through < cut:
                     break
             t = ahead
-            x, y, z, axis = next_cell(l0, l1, l2, width, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
-            if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
+            cell, axis = next_cell(low, width, leaves, line, t)
+            if not is_within(cell, axis, first, last):
                 break
         alpha[ray] = 1 - through

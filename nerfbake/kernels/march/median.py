@@ -11,7 +11,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.traversal import clip, containing_cell, exits, next_cell
+from nerfbake.kernels.march.lines import cell_at, cells_at_corners, clip, exits, is_within, line_of, next_cell
 from nerfbake.kernels.parallel import on_every_core
 
 HALF = log(2)  # the optical depth at which half of the light is left
@@ -54,8 +54,6 @@ def _march(
     cells: Cells, densities: Singles, box: Floats, place: Floats, pose: Floats, optics: Floats, column: int, row: int
 ) -> Any:
     """The median depth and the alpha of one pixel."""
-    low0, low1, low2 = box[0, 0], box[0, 1], box[0, 2]
-    high0, high1, high2 = box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1
     across, up = (column + 0.5 - optics[2]) / optics[0], -(row + 0.5 - optics[3]) / optics[1]
     norm = np.sqrt(across * across + up * up + 1)
     w0 = (pose[0, 0] * across + pose[0, 1] * up - pose[0, 2]) / norm
@@ -76,18 +74,15 @@ def _march(
     median = np.inf
     if start >= end:
         return np.float32(median), np.float32(0)
-    o0, o1, o2 = e0 + start * d0, e1 + start * d1, e2 + start * d2
-    i0 = 1 / d0 if d0 != 0 else np.inf
-    i1 = 1 / d1 if d1 != 0 else np.inf
-    i2 = 1 / d2 if d2 != 0 else np.inf
+    line = line_of((e0 + start * d0, e1 + start * d1, e2 + start * d2), (d0, d1, d2))
     t, end, lost = 0.0, end - start, 0.0
-    x, y, z = containing_cell(o0, low0, high0), containing_cell(o1, low1, high1), containing_cell(o2, low2, high2)
+    first, last = cells_at_corners(box)
+    cell = cell_at(line, t, first, last)
     while t < end:
-        slot, level = descend(cells, x, y, z)
-        edge = cells.width[level]
-        l0, l1, l2 = lowest(cells, level, x), lowest(cells, level, y), lowest(cells, level, z)
-        exit0, exit1, exit2 = exits(l0, l1, l2, edge, o0, o1, o2, d0, d1, d2, i0, i1, i2)
-        ahead = max(min(exit0, exit1, exit2), t)
+        slot, level = descend(cells, cell)
+        low, width = lowest(cells, level, cell), cells.width[level]
+        leaves = exits(low, width, line)
+        ahead = max(min(leaves), t)
         if slot != EMPTY:
             sigma = np.float64(densities[-2 - slot])
             own = sigma * (min(ahead, end) - t) * world
@@ -97,8 +92,8 @@ def _march(
             if lost > _OPAQUE:
                 break
         t = ahead
-        x, y, z, axis = next_cell(l0, l1, l2, edge, exit0, exit1, exit2, o0, o1, o2, d0, d1, d2, t)
-        if not (low0 <= x <= high0 if axis == 0 else low1 <= y <= high1 if axis == 1 else low2 <= z <= high2):
+        cell, axis = next_cell(low, width, leaves, line, t)
+        if not is_within(cell, axis, first, last):
             break
     whole, rest = compiled_exp_parts(-lost)
     return np.float32(median), np.float32(1 - (whole + whole * rest))

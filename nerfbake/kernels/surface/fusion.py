@@ -125,7 +125,7 @@ def sample_opacity(
             for part in range(step * step * step):
                 i, j, k = x + part // (step * step), y + part // step % step, z + part % step
                 if 0 <= i < cells.edge and 0 <= j < cells.edge and 0 <= k < cells.edge:
-                    slot, _ = descend(cells, i, j, k)
+                    slot, _ = descend(cells, (i, j, k))
                     if slot != EMPTY:
                         total += densities[-2 - slot]
             whole, rest = compiled_exp_parts(-total / (step * step * step) * width)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Singles
 from nerfbake.kernels.jit import borrowed, compiled
-from nerfbake.kernels.march.traversal import clip
+from nerfbake.kernels.march.lines import clip
 from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1

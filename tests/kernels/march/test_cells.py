@@ -18,10 +18,9 @@ def at_every_place(cells: Cells, found: npt.NDArray[np.int64]) -> None:
     for x in range(cells.edge):
         for y in range(cells.edge):
             for z in range(cells.edge):
-                slot, level = descend(cells, x, y, z)
+                slot, level = descend(cells, (x, y, z))
                 found[row, 0], found[row, 1] = slot, cells.width[level]
-                found[row, 2] = lowest(cells, level, x)
-                found[row, 3], found[row, 4] = lowest(cells, level, y), lowest(cells, level, z)
+                found[row, 2:] = lowest(cells, level, (x, y, z))
                 row += 1
 
 

@@ -1,0 +1,127 @@
+"""A ray as a line through a lattice: where it enters a box, which cell contains it, and which cell is next.
+
+Places and directions are in cells. All functions are merged into the kernels that call them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.jit import compiled
+
+Triple = tuple[float, float, float]
+Place = tuple[int, int, int]
+
+
+class Line(NamedTuple):
+    """The places origin + t * direction. inverse: one over the direction, infinite where it is 0."""
+
+    origin: Triple
+    direction: Triple
+    inverse: Triple
+
+
+@compiled(merged=True)
+def line_of(origin: Triple, direction: Triple) -> Any:
+    d0, d1, d2 = direction
+    i0 = 1 / d0 if d0 != 0 else np.inf
+    i1 = 1 / d1 if d1 != 0 else np.inf
+    i2 = 1 / d2 if d2 != 0 else np.inf
+    return Line(origin, direction, (i0, i1, i2))
+
+
+@compiled(merged=True)
+def line_in_box(box: Floats, origin: Floats, directions: Floats, ray: int, stop: float) -> Any:
+    """Return a ray from where it enters the box, where that is, where it leaves the box or stops, and a world unit.
+
+    All three are in cells. Distances from the entry stay small and exact, however far away the camera is.
+    """
+    d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+    scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    start, end = 0.0, stop * scale
+    for axis in range(3):
+        d = directions[ray, axis] / scale
+        start, end = clip(box[0, axis] - origin[axis], box[1, axis] - origin[axis], d, start, end)
+    d0, d1, d2 = d0 / scale, d1 / scale, d2 / scale
+    line = line_of((origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2), (d0, d1, d2))
+    return line, start, max(start, end), scale
+
+
+@compiled(merged=True)
+def clip(low: float, high: float, d: float, start: float, end: float) -> Any:
+    """Clip a ray from start to end to low .. high along one axis, all relative to its origin."""
+    if d == 0:
+        return start, end if low <= 0 < high else -1.0
+    return max(start, min(low / d, high / d)), min(end, max(low / d, high / d))
+
+
+@compiled(merged=True)
+def cells_at_corners(box: Floats) -> Any:
+    """Return the first and the last cell of a box (2, 3)."""
+    return (box[0, 0], box[0, 1], box[0, 2]), (box[1, 0] - 1, box[1, 1] - 1, box[1, 2] - 1)
+
+
+@compiled(merged=True)
+def cell_at(line: Line, t: float, first: Triple, last: Triple) -> Any:
+    """Return the cell at t, clamped to first .. last."""
+    o, d = line.origin, line.direction
+    x, y, z = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
+    return (
+        containing_cell(x, first[0], last[0]),
+        containing_cell(y, first[1], last[1]),
+        containing_cell(z, first[2], last[2]),
+    )
+
+
+@compiled(merged=True)
+def containing_cell(place: float, low: float, high: float) -> int:
+    """Return the cell that contains a place on one axis, clamped to low .. high."""
+    return int(min(max(np.floor(place), low), high))
+
+
+@compiled(merged=True)
+def exits(low: Triple, width: float, line: Line) -> Any:
+    """Return where a ray leaves the cell whose lowest corner is `low`, along each axis."""
+    o, d, i = line.origin, line.direction, line.inverse
+    exit0 = ((low[0] + width if d[0] > 0 else low[0]) - o[0]) * i[0] if d[0] != 0 else np.inf
+    exit1 = ((low[1] + width if d[1] > 0 else low[1]) - o[1]) * i[1] if d[1] != 0 else np.inf
+    exit2 = ((low[2] + width if d[2] > 0 else low[2]) - o[2]) * i[2] if d[2] != 0 else np.inf
+    return exit0, exit1, exit2
+
+
+@compiled(merged=True)
+def next_cell(low: Triple, width: float, leaves: Triple, line: Line, t: float) -> Any:
+    """Return the cell that a ray enters when it leaves a cell at t, and the axis of the face between them.
+
+    leaves: exits() of the cell. Steps by cell number, not by a small distance: rounding can neither stop a ray nor skip
+    a cell.
+    """
+    if leaves[0] <= leaves[1] and leaves[0] <= leaves[2]:
+        return (_beyond(low, width, line, 0), _within(low, width, line, 1, t), _within(low, width, line, 2, t)), 0
+    if leaves[1] <= leaves[2]:
+        return (_within(low, width, line, 0, t), _beyond(low, width, line, 1), _within(low, width, line, 2, t)), 1
+    return (_within(low, width, line, 0, t), _within(low, width, line, 1, t), _beyond(low, width, line, 2)), 2
+
+
+@compiled(merged=True)
+def _beyond(low: Triple, width: float, line: Line, axis: int) -> int:
+    return int(low[axis] + width if line.direction[axis] > 0 else low[axis] - 1)
+
+
+@compiled(merged=True)
+def _within(low: Triple, width: float, line: Line, axis: int, t: float) -> int:
+    place = line.origin[axis] + t * line.direction[axis]
+    return containing_cell(place, low[axis], low[axis] + (width - 1))
+
+
+@compiled(merged=True)
+def is_within(cell: Place, axis: int, first: Triple, last: Triple) -> bool:
+    """Return whether a cell lies in first .. last along one axis."""
+    if axis == 0:
+        return first[0] <= cell[0] <= last[0]
+    if axis == 1:
+        return first[1] <= cell[1] <= last[1]
+    return first[2] <= cell[2] <= last[2]
