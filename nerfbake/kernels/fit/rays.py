@@ -215,9 +215,9 @@ def _march_ray(
                 exact = 3
                 away: Whole = max(-brick, 1)
                 low, width = ((b0 - away + 1) << 3, (b1 - away + 1) << 3, (b2 - away + 1) << 3), (2 * away - 1) << 3
-                leaves = exits(low, width, line)
-                t = max(min(leaves), t)
-                (x, y, z), _ = next_cell(low, width, leaves, line, t)
+                crossings = exits(low, width, line)
+                t = max(min(crossings), t)
+                (x, y, z), _ = next_cell(low, width, crossings, line, t)
             else:
                 while True:
                     slot = np.int64(bricks.slots[brick, (x & 7) << 6 | (y & 7) << 3 | z & 7])

@@ -128,8 +128,8 @@ def collect_maxima(
         while t < end:
             slot, level = descend(cells, cell)
             low, width = lowest(cells, level, cell), cells.width[level]
-            leaves = exits(low, width, line)
-            ahead = max(min(leaves), t)
+            crossings = exits(low, width, line)
+            ahead = max(min(crossings), t)
             if slot != EMPTY:
                 row = -2 - slot
                 whole, rest = compiled_exp_parts(-sigma[row] * (min(ahead, end) - t) * world)
@@ -140,7 +140,7 @@ def collect_maxima(
                 if through < cut:
                     break
             t = ahead
-            cell, axis = next_cell(low, width, leaves, line, t)
+            cell, axis = next_cell(low, width, crossings, line, t)
             if not is_within(cell, axis, first, last):
                 break
         alpha[ray] = 1 - through

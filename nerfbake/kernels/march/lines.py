@@ -35,9 +35,10 @@ def line_of(origin: Triple, direction: Triple) -> Any:
 
 @compiled(merged=True)
 def line_in_box(box: Floats, origin: Floats, directions: Floats, ray: int, stop: float) -> Any:
-    """Return a ray from where it enters the box, where that is, where it leaves the box or stops, and a world unit.
+    """Return the line of a ray from where it enters a box, start and end of its part in the box, and a world unit.
 
-    All three are in cells. Distances from the entry stay small and exact, however far away the camera is.
+    start and end: distances from the camera, in cells, and the unit in cells. stop: where the ray ends, in world units.
+    The line begins at the box, so distances along it stay small and exact, however far away the camera is.
     """
     d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]
     scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
@@ -93,15 +94,15 @@ def exits(low: Triple, width: float, line: Line) -> Any:
 
 
 @compiled(merged=True)
-def next_cell(low: Triple, width: float, leaves: Triple, line: Line, t: float) -> Any:
+def next_cell(low: Triple, width: float, crossings: Triple, line: Line, t: float) -> Any:
     """Return the cell that a ray enters when it leaves a cell at t, and the axis of the face between them.
 
-    leaves: exits() of the cell. Steps by cell number, not by a small distance: rounding can neither stop a ray nor skip
-    a cell.
+    crossings: exits() of the cell. Steps by cell number, not by a small distance: rounding can neither stop a ray nor
+    skip a cell.
     """
-    if leaves[0] <= leaves[1] and leaves[0] <= leaves[2]:
+    if crossings[0] <= crossings[1] and crossings[0] <= crossings[2]:
         return (_beyond(low, width, line, 0), _within(low, width, line, 1, t), _within(low, width, line, 2, t)), 0
-    if leaves[1] <= leaves[2]:
+    if crossings[1] <= crossings[2]:
         return (_within(low, width, line, 0, t), _beyond(low, width, line, 1), _within(low, width, line, 2, t)), 1
     return (_within(low, width, line, 0, t), _within(low, width, line, 1, t), _beyond(low, width, line, 2)), 2
 

@@ -81,8 +81,8 @@ def _march(
     while t < end:
         slot, level = descend(cells, cell)
         low, width = lowest(cells, level, cell), cells.width[level]
-        leaves = exits(low, width, line)
-        ahead = max(min(leaves), t)
+        crossings = exits(low, width, line)
+        ahead = max(min(crossings), t)
         if slot != EMPTY:
             sigma = np.float64(densities[-2 - slot])
             own = sigma * (min(ahead, end) - t) * world
@@ -92,7 +92,7 @@ def _march(
             if lost > _OPAQUE:
                 break
         t = ahead
-        cell, axis = next_cell(low, width, leaves, line, t)
+        cell, axis = next_cell(low, width, crossings, line, t)
         if not is_within(cell, axis, first, last):
             break
     whole, rest = compiled_exp_parts(-lost)

@@ -89,8 +89,8 @@ def march(
             while t < end:
                 slot, level = descend(cells, cell)
                 low, width = lowest(cells, level, cell), cells.width[level]
-                leaves = exits(low, width, line)
-                ahead = max(min(leaves), t)
+                crossings = exits(low, width, line)
+                ahead = max(min(crossings), t)
                 if slot != EMPTY:
                     row = -2 - slot
                     fetch(values, row)
@@ -112,7 +112,7 @@ def march(
                     if through < cut:
                         break
                 t = ahead
-                cell, axis = next_cell(low, width, leaves, line, t)
+                cell, axis = next_cell(low, width, crossings, line, t)
                 if not is_within(cell, axis, first, last):
                     break
             red, green, blue = add_leaf_colours(values, basis, ray, rows, weights, hits, looks, red, green, blue)

@@ -76,8 +76,8 @@ def march_smooth(
                         e0, e1, e2 = x // edge * edge, y // edge * edge, z // edge * edge
                         if max(x - e0, y - e1, z - e2) < edge - 1:
                             low, width, fresh = (e0, e1, e2), edge - 1, 8
-                leaves = exits(low, width, line)
-                ahead = max(min(leaves), t)
+                crossings = exits(low, width, line)
+                ahead = max(min(crossings), t)
                 if width == 1:
                     _fetch(cells, values, densities, basis, ray, cell, fresh, corners)
                     length = min(ahead, end) - t
@@ -97,7 +97,7 @@ def march_smooth(
                     if through < cut:
                         break
                 t = ahead
-                cell, axis = next_cell(low, width, leaves, line, t)
+                cell, axis = next_cell(low, width, crossings, line, t)
                 if not is_within(cell, axis, first, last):
                     break
                 if width == 1:
