@@ -87,6 +87,7 @@ class VolumeFormat(FileFormat, Protocol):
     """A format for volumes, which checks the grids before any work is done."""
 
     DEFAULT_GRIDS: tuple[str, ...]  # grids of an octree that are written by default
+    FIELD_GRIDS: tuple[str, ...]  # grids of a fitted field: all of its values, where the format can store them
     KEEPS_HALVES: bool  # False: float16 values lose precision, so they are written on request only
     HALF_NOTE: str | None  # a warning if other programs misread float16 densities
 

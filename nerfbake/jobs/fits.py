@@ -44,7 +44,6 @@ from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measu
 
 Dtype = Literal["float16", "float32"]
 Exposure = Literal["auto", "fit", "fixed"]
-_GRIDS = ("index",)  # all values in one grid, without loss
 
 
 def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut | None) -> N3Tree:
@@ -333,11 +332,9 @@ def _require(target: Target) -> str:
         endings = ", ".join(form.suffix for kind in KINDS for form in catalog.formats_of(kind))
         found = f"{target.ending!r} is not the extension of a field or a mesh"
         raise UsageError(f"{found}; allowed: {endings}, or `to=FORMAT`")
-    form = target.require(kind)
+    target.require(kind)
     if kind == "Meshes":
         require_mesh(target)
-    if kind == "Volume":
-        form.load_volume_module().require_grids(_GRIDS, half=False)
     return kind
 
 
@@ -415,7 +412,8 @@ def _converted(
             case "QuantisedOctree":
                 return _compressed(field, _held_out(posed.judges, rays), target, tell)
             case "Volume":
-                return build_vdb_from_bricks(field, grids=_GRIDS)
+                form = io.format_for(target.path, kind, to=target.to)
+                return build_vdb_from_bricks(field, grids=form.load_volume_module().FIELD_GRIDS)
             case "N3Tree":
                 return _tree(field, dtype, _held_out(posed.judges, rays))
         whole = build_field_from_bricks(field)

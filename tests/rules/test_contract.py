@@ -110,6 +110,7 @@ def test_a_format_of_volumes_says_what_it_can_hold(form: catalog.Format) -> None
     module = form.load_volume_module()
     for half in (False, True):
         module.require_grids(module.DEFAULT_GRIDS, half=half)
+    module.require_grids(module.FIELD_GRIDS, half=False)
     assert isinstance(module.KEEPS_HALVES, bool)
     assert module.HALF_NOTE is None or isinstance(module.HALF_NOTE, str)
 

@@ -30,6 +30,7 @@ from nerfbake.scene.volume import Volume
 
 Codec = Literal["none", "zip"]
 DEFAULT_GRIDS = ("density",)
+FIELD_GRIDS = ("index",)
 KEEPS_HALVES = False  # Fp16 stores codes between the minimum and maximum of a leaf
 HALF_NOTE = "note: half densities in a .nvdb are Fp16, which Warp loads and then reads as zeros"
 

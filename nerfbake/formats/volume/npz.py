@@ -30,6 +30,7 @@ from nerfbake.scene.vdb_topology import VdbTiles, VdbTopology
 from nerfbake.scene.volume import Volume
 
 DEFAULT_GRIDS = ("density", "Cd")
+FIELD_GRIDS = ("index",)
 KEEPS_HALVES = True
 HALF_NOTE = None
 VERSION, FOREIGN = 1, 2  # FOREIGN: files with grids of other programs that version 1 cannot represent

@@ -23,7 +23,7 @@ from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import OctreeFrame, Transform, Volume
 
 LIBRARY = (10, 0)  # the OpenVDB version that files declare
-DEFAULT_GRIDS = ("density", "Cd")
+DEFAULT_GRIDS = FIELD_GRIDS = ("density", "Cd")
 KEEPS_HALVES = True
 HALF_NOTE = None
 
