@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +17,7 @@ from benchmarks import view
 from benchmarks.browser import SWIFTSHADER, chromium
 from benchmarks.view import octree_content, with_octree_lookup
 from nerfbake import (
+    Camera,
     Cameras,
     Page,
     RadianceField,
@@ -102,11 +106,19 @@ def test_both_lookups_are_drawn_compared_and_timed() -> None:
     assert view.chart_pages(report, ".svg").startswith(b"<?xml")
 
 
-def test_a_page_that_draws_something_else_is_not_timed() -> None:
-    white, grey = np.full((4, 4, 3), 255, np.uint8), np.full((4, 4, 3), 0.5)
-    with pytest.raises(NerfbakeError, match=r"6\.0 dB from `nerfbake render`; allowed: 50 or more"):
-        view.likeness(lambda: [white], [grey])
-    assert view.likeness(lambda: [white], [np.ones((4, 4, 3))]) > 50
+class WhiteTab:
+    """A page that draws white pictures, and must not be timed."""
+
+    def pictures(self, views: Sequence[Camera], edge: int) -> list[npt.NDArray[np.uint8]]:
+        return [np.full((edge, edge, 3), 255, np.uint8) for _ in views]
+
+
+def test_a_page_that_draws_something_else_is_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    browser = SimpleNamespace(opened=lambda path: nullcontext(WhiteTab()))
+    monkeypatch.setattr(view, "chromium", lambda flags: nullcontext(browser))
+    tree = sample_n3tree(resolution=16, basis="SH1")
+    with pytest.raises(NerfbakeError, match=r"dB from `nerfbake render`; allowed: 50 or more"):
+        view.compare_pages(tree, "small", rounds=1, progress=quiet, flags=SWIFTSHADER, edge=EDGE)
 
 
 @pytest.mark.tools

@@ -26,6 +26,7 @@ class Line(NamedTuple):
 
 @compiled(merged=True)
 def line_of(origin: Triple, direction: Triple) -> Any:
+    """Return the line through a place along a direction."""
     d0, d1, d2 = direction
     i0 = 1 / d0 if d0 != 0 else np.inf
     i1 = 1 / d1 if d1 != 0 else np.inf
@@ -42,17 +43,24 @@ def line_in_box(box: Floats, origin: Floats, directions: Floats, ray: int, stop:
     """
     d0, d1, d2 = directions[ray, 0], directions[ray, 1], directions[ray, 2]
     scale = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
-    start, end = 0.0, stop * scale
-    for axis in range(3):
-        d = directions[ray, axis] / scale
-        start, end = clip(box[0, axis] - origin[axis], box[1, axis] - origin[axis], d, start, end)
     d0, d1, d2 = d0 / scale, d1 / scale, d2 / scale
+    low, high = (box[0, 0], box[0, 1], box[0, 2]), (box[1, 0], box[1, 1], box[1, 2])
+    start, end = part_in_box(low, high, (origin[0], origin[1], origin[2]), (d0, d1, d2), stop * scale)
     line = line_of((origin[0] + start * d0, origin[1] + start * d1, origin[2] + start * d2), (d0, d1, d2))
     return line, start, max(start, end), scale
 
 
 @compiled(merged=True)
-def clip(low: float, high: float, d: float, start: float, end: float) -> Any:
+def part_in_box(low: Triple, high: Triple, origin: Triple, direction: Triple, end: float) -> Any:
+    """Return start and end of the part of a ray, from 0 to end, in the box from low to high; end < start: none."""
+    start = 0.0
+    start, end = _clip(low[0] - origin[0], high[0] - origin[0], direction[0], start, end)
+    start, end = _clip(low[1] - origin[1], high[1] - origin[1], direction[1], start, end)
+    return _clip(low[2] - origin[2], high[2] - origin[2], direction[2], start, end)
+
+
+@compiled(merged=True)
+def _clip(low: float, high: float, d: float, start: float, end: float) -> Any:
     """Clip a ray from start to end to low .. high along one axis, all relative to its origin."""
     if d == 0:
         return start, end if low <= 0 < high else -1.0
@@ -68,13 +76,16 @@ def cells_at_corners(box: Floats) -> Any:
 @compiled(merged=True)
 def cell_at(line: Line, t: float, first: Triple, last: Triple) -> Any:
     """Return the cell at t, clamped to first .. last."""
-    o, d = line.origin, line.direction
-    x, y, z = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
-    return (
-        containing_cell(x, first[0], last[0]),
-        containing_cell(y, first[1], last[1]),
-        containing_cell(z, first[2], last[2]),
-    )
+    x = _along(line, t, 0, first[0], last[0])
+    y = _along(line, t, 1, first[1], last[1])
+    z = _along(line, t, 2, first[2], last[2])
+    return x, y, z
+
+
+@compiled(merged=True)
+def _along(line: Line, t: float, axis: int, low: float, high: float) -> int:
+    """Return the coordinate of the cell at t along one axis, clamped to low .. high."""
+    return containing_cell(line.origin[axis] + t * line.direction[axis], low, high)
 
 
 @compiled(merged=True)
@@ -100,22 +111,19 @@ def next_cell(low: Triple, width: float, crossings: Triple, line: Line, t: float
     crossings: exits() of the cell. Steps by cell number, not by a small distance: rounding can neither stop a ray nor
     skip a cell.
     """
+    l0, l1, l2 = low
+    last = width - 1
     if crossings[0] <= crossings[1] and crossings[0] <= crossings[2]:
-        return (_beyond(low, width, line, 0), _within(low, width, line, 1, t), _within(low, width, line, 2, t)), 0
+        return (_beyond(line, 0, l0, width), _along(line, t, 1, l1, l1 + last), _along(line, t, 2, l2, l2 + last)), 0
     if crossings[1] <= crossings[2]:
-        return (_within(low, width, line, 0, t), _beyond(low, width, line, 1), _within(low, width, line, 2, t)), 1
-    return (_within(low, width, line, 0, t), _within(low, width, line, 1, t), _beyond(low, width, line, 2)), 2
+        return (_along(line, t, 0, l0, l0 + last), _beyond(line, 1, l1, width), _along(line, t, 2, l2, l2 + last)), 1
+    return (_along(line, t, 0, l0, l0 + last), _along(line, t, 1, l1, l1 + last), _beyond(line, 2, l2, width)), 2
 
 
 @compiled(merged=True)
-def _beyond(low: Triple, width: float, line: Line, axis: int) -> int:
-    return int(low[axis] + width if line.direction[axis] > 0 else low[axis] - 1)
-
-
-@compiled(merged=True)
-def _within(low: Triple, width: float, line: Line, axis: int, t: float) -> int:
-    place = line.origin[axis] + t * line.direction[axis]
-    return containing_cell(place, low[axis], low[axis] + (width - 1))
+def _beyond(line: Line, axis: int, low: float, width: float) -> int:
+    """Return the coordinate of the next cell along one axis."""
+    return int(low + width if line.direction[axis] > 0 else low - 1)
 
 
 @compiled(merged=True)

@@ -11,7 +11,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.compiled import compiled_exp_parts
 from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.march.cells import EMPTY, Cells, descend, lowest
-from nerfbake.kernels.march.lines import cell_at, cells_at_corners, clip, exits, is_within, line_of, next_cell
+from nerfbake.kernels.march.lines import cell_at, cells_at_corners, exits, is_within, line_of, next_cell, part_in_box
 from nerfbake.kernels.parallel import on_every_core
 
 HALF = log(2)  # the optical depth at which half of the light is left
@@ -67,10 +67,8 @@ def _march(
     e0 = place[0, 0] * pose[0, 3] + place[0, 1] * pose[1, 3] + place[0, 2] * pose[2, 3] + place[0, 3]
     e1 = place[1, 0] * pose[0, 3] + place[1, 1] * pose[1, 3] + place[1, 2] * pose[2, 3] + place[1, 3]
     e2 = place[2, 0] * pose[0, 3] + place[2, 1] * pose[1, 3] + place[2, 2] * pose[2, 3] + place[2, 3]
-    start, end = 0.0, np.inf
-    start, end = clip(box[0, 0] - e0, box[1, 0] - e0, d0, start, end)
-    start, end = clip(box[0, 1] - e1, box[1, 1] - e1, d1, start, end)
-    start, end = clip(box[0, 2] - e2, box[1, 2] - e2, d2, start, end)
+    low, high = (box[0, 0], box[0, 1], box[0, 2]), (box[1, 0], box[1, 1], box[1, 2])
+    start, end = part_in_box(low, high, (e0, e1, e2), (d0, d1, d2), np.inf)
     median = np.inf
     if start >= end:
         return np.float32(median), np.float32(0)

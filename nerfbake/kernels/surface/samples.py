@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Coords, Floats, Singles
 from nerfbake.kernels.jit import borrowed, compiled
-from nerfbake.kernels.march.lines import clip
+from nerfbake.kernels.march.lines import part_in_box
 from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1
@@ -131,10 +131,8 @@ def _least(
     e0 = lattice[0, 0] * pose[0, 3] + lattice[0, 1] * pose[1, 3] + lattice[0, 2] * pose[2, 3] + lattice[0, 3]
     e1 = lattice[1, 0] * pose[0, 3] + lattice[1, 1] * pose[1, 3] + lattice[1, 2] * pose[2, 3] + lattice[1, 3]
     e2 = lattice[2, 0] * pose[0, 3] + lattice[2, 1] * pose[1, 3] + lattice[2, 2] * pose[2, 3] + lattice[2, 3]
-    start, end = 0.0, np.inf
-    start, end = clip(-e0, top.shape[0] * EDGE - 1.0 - e0, d0, start, end)
-    start, end = clip(-e1, top.shape[1] * EDGE - 1.0 - e1, d1, start, end)
-    start, end = clip(-e2, top.shape[2] * EDGE - 1.0 - e2, d2, start, end)
+    high = top.shape[0] * EDGE - 1.0, top.shape[1] * EDGE - 1.0, top.shape[2] * EDGE - 1.0
+    start, end = part_in_box((0.0, 0.0, 0.0), high, (e0, e1, e2), (d0, d1, d2), np.inf)
     least, t = outside, start
     while t < end:
         q0, q1, q2 = e0 + t * d0, e1 + t * d1, e2 + t * d2
