@@ -54,6 +54,7 @@ class Source(NamedTuple):
 def _notes(scene: Any) -> Iterator[str]:
     """Yield a line for each part of a file that its scene lacks, and for each assumption."""
     yield from getattr(scene, "notes", ())
+    yield from getattr(scene, "pose_notes", ())  # cameras
     if getattr(scene, "dropped", 0):  # splats
         yield scene.unread_problems()[0].found
 

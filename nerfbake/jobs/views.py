@@ -21,12 +21,12 @@ from nerfbake.stages.splats_to_image import render_splats
 
 
 def read_cameras(steps: Steps, path: str) -> Cameras:
-    """Read the cameras of a file or folder. Print which file of a folder was read, and the assumptions made."""
+    """Read the cameras of a file or folder. Print which file of a folder was read, and what was assumed."""
     with steps.phase(f"reading {path}"):
         read = io.load(path, Cameras)
     if read.source:
         steps.say(f"{path}: {read} from {read.source}")
-    for note in read.notes:
+    for note in (*read.notes, *read.pose_notes):
         steps.say(f"{path}: {note}")
     return read
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -123,8 +123,8 @@ def first_blind_pixel(raster: Raster, lens: Lens) -> int | None:
 
 
 FOCAL_LENGTHS = (1e-6, 1e9)  # pixels
-MAX_AXIS = 1e6  # largest component of a pose's axes; their length has no effect
-MIN_VOLUME = 1e-12  # smallest volume of the box that a pose's axes span
+MAX_AXIS = 1e6  # largest component of a pose's axes, and of one over it
+MIN_VOLUME = 1e-12  # smallest volume of the box that a pose's axes span, relative to a cube of their largest component
 ORTHOGONAL = 1e-3  # tolerance for the axes of a rotation, for rounding in files
 WORLD = np.eye(3)
 MAX_SAMPLES = 8  # rays along an edge of a pixel
@@ -135,11 +135,15 @@ PICTURE_BYTES = 72  # per pixel of a picture that is kept, copied into a contact
 class Camera(CompactRepr):
     """A camera. width and height are in pixels; pose (4, 4) float64 maps camera to world; name is the frame's name.
 
+    If the axes of the given pose are a rotation times a number, `pose` is that rotation, because the length of a ray's
+    direction has no meaning. The position does not change.
+
     focal   focal length in pixels: one for both axes, or (fx, fy)
     centre  (cx, cy), the intersection of the optical axis and the picture, in pixels from the upper left corner; None:
             the middle
     lens    distortion in addition to perspective; None: a pinhole
     picture  the photograph: a path in the capture's folder, possibly without extension; '' if unknown
+    scale   the number that the axes of the given pose were divided by
 
     >>> import numpy as np
     >>> from nerfbake import Camera
@@ -157,6 +161,7 @@ class Camera(CompactRepr):
     centre: tuple[float, float] | None = None
     lens: Lens | None = None
     picture: str = ""
+    scale: float = field(default=1.0, init=False)
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= MAX_EDGE and 1 <= self.height <= MAX_EDGE):
@@ -168,8 +173,14 @@ class Camera(CompactRepr):
             raise self._wrong(f"has its centre at {self.cx:g}, {self.cy:g}", f"up to {FOCAL_LENGTHS[1]:g} pixels away")
         if self.pose.shape != (4, 4):
             raise self._wrong(f"has a pose of shape {self.pose.shape}", "4 x 4 finite numbers")
-        if found := _pose_problem(self.pose.tolist()):
+        rows = self.pose.tolist()
+        if found := _pose_problem(rows):
             raise self._wrong(*found)
+        if (scale := _scale(rows)) != 1:
+            pose = self.pose.copy()
+            pose[:3, :3] /= scale
+            object.__setattr__(self, "pose", pose)
+            object.__setattr__(self, "scale", scale)
 
     def _wrong(self, found: str, allowed: str) -> InvalidScene:
         return InvalidScene(Problem(f"camera {self.name}".strip(), found, allowed))
@@ -368,20 +379,36 @@ class Cameras(Scene):
         return replace(self, cameras=sized)
 
     def value_problems(self) -> list[Problem]:
-        """Poses that are not rotations, and lenses that do not cover their picture."""
+        """Poses that are not rotations, also those with a scale, and lenses that do not cover their picture."""
+        scaled = np.array([camera.scale != 1 for camera in self.cameras])
+        problems = self._pose_problems(self._skewed() | scaled)
+        blind = [problem for camera in self.cameras for problem in camera.lens_problems()]
+        return problems + [problem._replace(times=len(blind)) for problem in blind[:1]]
+
+    @property
+    def pose_notes(self) -> tuple[str, ...]:
+        """What a user should know of the poses, one line each: a scale that is divided out, and axes that are wrong."""
+        scales = [camera.scale for camera in self.cameras if camera.scale != 1]
+        notes = []
+        if scales:
+            told = " to ".join(dict.fromkeys(f"{scale:.4g}" for scale in (min(scales), max(scales))))
+            which = f"{len(scales):,} of {plural(len(self.cameras), 'pose')}"
+            notes = [f"the axes of {which} are a rotation times {told}, which is divided out"]
+        return *notes, *(f"warning: {problem}" for problem in self._pose_problems(self._skewed()))
+
+    def _skewed(self) -> npt.NDArray[np.bool_]:
+        """Return the cameras (n,) with axes that are mirrored, not at right angles, or of different lengths."""
         turns = np.stack([camera.pose[:3, :3] for camera in self.cameras])
         gram = (turns[:, :, :, None] * turns[:, :, None]).sum(axis=1)
         handed = (np.cross(turns[:, 0], turns[:, 1]) * turns[:, 2]).sum(axis=1)
-        skew = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL) | (handed < 0)
-        problems = []
-        if skew.any():
-            name = self.cameras[int(np.argmax(skew))].name
-            allowed = "right-handed axes of length 1, at right angles"
-            problems.append(
-                Problem(f"camera {name}".strip(), "has a pose that is not a rotation", allowed, int(skew.sum()))
-            )
-        blind = [problem for camera in self.cameras for problem in camera.lens_problems()]
-        return problems + [problem._replace(times=len(blind)) for problem in blind[:1]]
+        return np.asarray((np.abs(gram - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL) | (handed < 0))
+
+    def _pose_problems(self, wrong: npt.NDArray[np.bool_]) -> list[Problem]:
+        if not wrong.any():
+            return []
+        place = f"camera {self.cameras[int(np.argmax(wrong))].name}".strip()
+        allowed = "right-handed axes of length 1, at right angles"
+        return [Problem(place, "has a pose that is not a rotation", allowed, int(wrong.sum()))]
 
     def require_covered(self) -> None:
         """Raise InvalidScene for the first lens that does not cover its picture. Call this before rendering."""
@@ -419,11 +446,28 @@ def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:
         return f"has a coordinate of {most:g}", f"up to {MAX_WORLD:g} world units"
     if (most := max(abs(value) for row in rows[:3] for value in row[:3])) > MAX_AXIS:
         return f"has a pose with an axis of {most:g}", f"a rotation, or axes up to {MAX_AXIS:g}"
-    if not abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) > MIN_VOLUME:
+    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if most < 1 / MAX_AXIS or not abs(volume) > MIN_VOLUME * min(most, 1) ** 3:
         return "has a singular pose", "an invertible rotation"
     if last != [0, 0, 0, 1]:
         return f"has a pose whose last row is {last}", "0, 0, 0, 1"
     return None
+
+
+def _scale(rows: list[list[float]]) -> float:
+    """The number that the axes of a pose are a rotation or a reflection times; 1 if they are neither.
+
+    Also 1 if the difference may be rounding, so that such a pose keeps its bits.
+    """
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = rows
+    right, up, back = a * a + d * d + g * g, b * b + e * e + h * h, c * c + f * f + i * i
+    square = (right + up + back) / 3
+    skew = max(abs(a * b + d * e + g * h), abs(a * c + d * f + g * i), abs(b * c + e * f + h * i))
+    lengths = right, up, back
+    if max(skew, *(abs(length - 1) for length in lengths)) <= ORTHOGONAL:
+        return 1.0
+    alike = max(skew, *(abs(length - square) for length in lengths)) <= ORTHOGONAL * square
+    return math.sqrt(square) if alike else 1.0
 
 
 def look_at(

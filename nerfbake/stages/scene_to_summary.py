@@ -124,7 +124,7 @@ def summary_of_cameras(cameras: Cameras) -> dict[str, Any]:
         "lenses": dict(Counter(map(_lens, all_of))),
         "position_box": [places.min(axis=0).tolist(), places.max(axis=0).tolist()],
         "up": _up(np.array([camera.pose[:3, 1] for camera in all_of])),
-        "notes": list(cameras.notes) or None,
+        "notes": [*cameras.notes, *cameras.pose_notes] or None,
     }
 
 

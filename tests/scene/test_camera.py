@@ -94,6 +94,50 @@ def test_poses_that_are_no_rotation_are_told(turn: Any) -> None:
     assert cameras.structure_problems() == []
 
 
+def posed(turn: Any, name: str = "a") -> Camera:
+    pose = np.eye(4)
+    pose[:3, :3] = turn
+    pose[:3, 3] = 1, 2, 3
+    return Camera(4, 3, 5.0, pose, name)
+
+
+TURN = np.array([[0.6, -0.48, 0.64], [0.8, 0.36, -0.48], [0, 0.8, 0.6]])
+NO_ROTATION = "has a pose that is not a rotation; allowed: right-handed axes of length 1, at right angles"
+
+
+@pytest.mark.parametrize("scale", [1.3, 0.1, 0.999, 1e-5, 1e5])
+def test_a_scale_is_divided_out_of_the_axes_and_the_position_stays(scale: float) -> None:
+    camera = posed(TURN * scale)
+    assert_allclose(camera.pose[:3, :3], TURN, rtol=0, atol=1e-15)
+    assert camera.pose[:3, 3].tolist() == [1, 2, 3]
+    assert camera.scale == pytest.approx(scale)
+    cameras = Cameras((posed(TURN), replace(camera, name="b")))
+    assert_allclose(cameras.axes[1], -TURN[:, 2], rtol=0, atol=1e-15)
+
+
+def test_a_scale_is_a_note_and_what_is_wrong_with_axes_a_warning() -> None:
+    assert Cameras((posed(TURN),)).pose_notes == ()
+    assert Cameras((posed(TURN), posed(TURN * 0.5), posed(TURN * 2.5))).pose_notes == (
+        "the axes of 2 of 3 poses are a rotation times 0.5 to 2.5, which is divided out",
+    )
+    cameras = Cameras((posed(TURN), posed(TURN * [1, 1, 0.5], "b"), posed(TURN * [1, -1, 1], "c")))
+    assert cameras.pose_notes == (f"warning: camera b {NO_ROTATION} (and 1 more)",)
+    mirrored = posed(-1.3 * TURN, "b")
+    assert_allclose(mirrored.pose[:3, :3], -TURN, rtol=0, atol=1e-15)
+    assert Cameras((mirrored,)).pose_notes == (
+        "the axes of 1 of 1 pose are a rotation times 1.3, which is divided out",
+        f"warning: camera b {NO_ROTATION}",
+    )
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-7])
+def test_rounding_of_axes_is_left_as_it_is(noise: float) -> None:
+    turn = TURN * (1 + noise) + noise * np.array([[1, -1, 1], [1, 1, -1], [-1, 1, 1]])
+    camera = posed(turn)
+    assert camera.pose[:3, :3].tobytes() == turn.tobytes()
+    assert (camera.scale, Cameras((camera,)).pose_notes, Cameras((camera,)).problems()) == (1, (), [])
+
+
 def test_the_extremes_that_are_allowed_have_rays() -> None:
     far = np.eye(4)
     far[:3, 3] = 1e15

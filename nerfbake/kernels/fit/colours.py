@@ -83,7 +83,7 @@ def pinhole_directions(
 ) -> None:
     """Fill `out` (pixels samples^2, 3) with unit directions at fixed places in each pixel.
 
-    optics: fx, fy, cx, cy; turn (3, 3): the axes of the camera in the world, as columns.
+    optics: fx, fy, cx, cy; turn (3, 3): the axes of the camera in the world, as columns, of any length.
     """
     ray = 0
     for pixel in pixels:
@@ -91,9 +91,11 @@ def pinhole_directions(
             y = -(pixel // width + (j + 0.5) / samples - optics[3]) / optics[1]
             for i in range(samples):
                 x = (pixel % width + (i + 0.5) / samples - optics[2]) / optics[0]
-                part = 1 / np.sqrt(x * x + y * y + 1)
-                for axis in range(3):
-                    out[ray, axis] = (x * turn[axis, 0] + y * turn[axis, 1] - turn[axis, 2]) * part
+                v0 = x * turn[0, 0] + y * turn[0, 1] - turn[0, 2]
+                v1 = x * turn[1, 0] + y * turn[1, 1] - turn[1, 2]
+                v2 = x * turn[2, 0] + y * turn[2, 1] - turn[2, 2]
+                part = 1 / np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
+                out[ray, 0], out[ray, 1], out[ray, 2] = v0 * part, v1 * part, v2 * part
                 ray += 1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,35 @@ def test_one_rig_has_the_same_rays_in_every_dialect(name: str, odd: bool, tmp_pa
         assert_allclose(place, made.poses[i, :3, 3], rtol=0, atol=1e-12)
         assert_allclose(directions, made.directions(i), rtol=0, atol=1e-12)
     assert read.problems() == []
+
+
+@pytest.mark.parametrize("scale", [1.3, 0.1])
+@pytest.mark.parametrize("write", [write_nerf_synthetic, write_instant_ngp, write_nerfstudio, write_llff, write_nsvf])
+def test_a_scale_of_poses_is_divided_out_in_every_dialect(write: Writer, scale: float, tmp_path: Path) -> None:
+    made = rig(odd=False)
+    poses = made.poses.copy()
+    poses[:, :3, :3] *= scale
+    read = load(write(tmp_path, replace(made, poses=poses)), Cameras)
+    for camera, pose in zip(read.cameras, made.poses, strict=True):
+        assert_allclose(camera.pose, pose, rtol=0, atol=1e-14)
+    said = f"the axes of 3 of 3 poses are a rotation times {scale:g}, which is divided out"
+    assert read.pose_notes == (said,)
+    assert [problem.times for problem in read.problems()] == [3]  # `check` names it
+
+
+def test_a_quaternion_of_any_length_is_the_same_rotation(tmp_path: Path) -> None:
+    """As in COLMAP, which normalises quaternions."""
+    made = load(write_colmap_text(tmp_path, rig(odd=False)), Cameras)
+    images = tmp_path / "sparse" / "images.txt"
+    lines = images.read_text().splitlines()
+    for i in range(1, len(lines), 2):
+        number, *rest = lines[i].split(" ")
+        lines[i] = " ".join([number, *(repr(1.3 * float(value)) for value in rest[:4]), *rest[4:]])
+    images.write_text("\n".join(lines) + "\n")
+    read = load(tmp_path, Cameras)
+    for camera, other in zip(made.cameras, read.cameras, strict=True):
+        assert_allclose(camera.pose, other.pose, rtol=0, atol=1e-14)
+    assert (read.pose_notes, read.problems()) == ((), [])
 
 
 def test_what_is_written_has_the_same_rays_to_the_bit(tmp_path: Path) -> None:
