@@ -11,6 +11,7 @@ Call require_options() before encode().
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from numbers import Real
 from types import NoneType, UnionType
@@ -37,6 +38,14 @@ def picture_names(name: str) -> list[str]:
             if name.endswith(ending):
                 names += [name.removesuffix(ending) + other for other in kind if other != ending]
     return names
+
+
+def composed_name(name: str) -> str:
+    """The composed form of a name, which equal names have in common: é is one character, or e and an accent.
+
+    macOS decomposes the names of files, also in .zip files, where most programs write composed ones.
+    """
+    return unicodedata.normalize("NFC", name)
 
 
 class StorableScene(Protocol):

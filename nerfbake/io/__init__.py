@@ -29,6 +29,7 @@ from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.reading import picture_in as picture_in
 from nerfbake.io.results import report_result as report_result
 from nerfbake.io.sources import STREAM as STREAM
+from nerfbake.io.sources import StoredNames as StoredNames
 from nerfbake.io.sources import blame as blame
 from nerfbake.io.sources import reading_name as reading_name
 from nerfbake.io.streams import json_line as json_line

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -26,7 +27,7 @@ from nerfbake.catalog import (
 )
 from nerfbake.contract import HEAD, PICTURES, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
-from nerfbake.io.sources import STREAM, Folder, blame, read_file, read_stdin, reading_name
+from nerfbake.io.sources import STREAM, Folder, StoredNames, blame, read_file, read_stdin, reading_name
 
 Kind = TypeVar("Kind")
 
@@ -213,12 +214,25 @@ def load_lines(source: str | Path) -> str:
         return os.fsdecode(bytes(read_stdin() if str(source) == STREAM else read_file(Path(source))))
 
 
-def find_photograph(folder: str | Path, name: str) -> Path | None:
-    """Return the photograph of this name in a folder, in any spelling of picture_names(); None if there is none."""
-    if not name:
-        return None
-    paths = (Path(folder) / spelled for spelled in picture_names(name))
-    return next((path for path in paths if path.is_file()), None)
+def find_photograph(folder: str | Path | StoredNames, name: str) -> Path | None:
+    """Return the photograph of this name in a folder, in any spelling of picture_names(); None if there is none.
+
+    Composed and decomposed names are equal. Raises OSError for a name that the system cannot look up.
+    """
+    stored = folder if isinstance(folder, StoredNames) else StoredNames(Path(folder))
+    fault: OSError | None = None
+    for spelled in picture_names(name) if name else ():
+        path = stored.path(spelled)
+        try:
+            if stat.S_ISREG(path.stat().st_mode):
+                return path
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except OSError as error:  # too long, perhaps only with this extension
+            fault = fault or error
+    if fault is not None:
+        raise fault
+    return None
 
 
 def is_picture(path: str | Path) -> bool:
@@ -245,7 +259,8 @@ class Truth(Sequence[Any]):
     """
 
     def __init__(self, folder: str | Path, names: Iterable[str], image: type[Any]) -> None:
-        self._paths, self._image = [Path(folder) / f"{name}.png" for name in names], image
+        stored = StoredNames(Path(folder))
+        self._paths, self._image = [stored.path(f"{name}.png") for name in names], image
 
     def __len__(self) -> int:
         return len(self._paths)

@@ -8,11 +8,12 @@ import stat
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO
 
 from nerfbake import memory
 from nerfbake.catalog import require_content
+from nerfbake.contract import composed_name
 from nerfbake.errors import InvalidFile, NerfbakeError
 
 STREAM = "-"
@@ -87,6 +88,33 @@ def _room(size: int) -> memoryview:
     return memoryview(room)
 
 
+class StoredNames:
+    """The names of files in a folder and below, where composed and decomposed names are equal."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._known: dict[Path, dict[str, str]] = {}  # by folder, because a capture may lack 100,000 pictures
+
+    def path(self, name: str) -> Path:
+        """Return the path of a name, each part as it is stored if it is not stored as given. It need not exist."""
+        path = self._folder / name
+        if name.isascii() or os.path.lexists(path):
+            return path
+        path = self._folder
+        for part in PurePosixPath(name).parts:
+            path /= part if os.path.lexists(path / part) else self._stored(path).get(composed_name(part), part)
+        return path
+
+    def _stored(self, folder: Path) -> dict[str, str]:
+        """Return the names in a folder by their composed form; empty if it cannot be read."""
+        if folder not in self._known:
+            names: list[str] = []
+            with suppress(OSError):
+                names = sorted((entry.name for entry in os.scandir(folder)), reverse=True)
+            self._known[folder] = {composed_name(name): name for name in names}
+        return self._known[folder]
+
+
 class Folder(Mapping[str, memoryview]):
     """The files of a folder by name. Each file is read once, at its first access.
 
@@ -94,7 +122,7 @@ class Folder(Mapping[str, memoryview]):
     """
 
     def __init__(self, path: Path, more: Mapping[str, memoryview]) -> None:
-        self._path, self._more = path, dict(more)
+        self._path, self._more, self._stored = path, dict(more), StoredNames(path)
 
     def __getitem__(self, name: str) -> memoryview:
         if name not in self._more:
@@ -110,7 +138,7 @@ class Folder(Mapping[str, memoryview]):
 
     def names(self, folder: str) -> list[str]:
         """The names of the files in a subfolder ('' for this folder), sorted; empty if there is no such folder."""
-        path = self._path / folder
+        path = self._stored.path(folder)
         with blame(str(path)):
             return sorted(entry.name for entry in os.scandir(path) if entry.is_file()) if path.is_dir() else []
 
@@ -118,7 +146,7 @@ class Folder(Mapping[str, memoryview]):
         """The first `size` bytes of a file, or all of a shorter one; empty if there is no such file."""
         if name in self._more:
             return bytes(self._more[name][:size])
-        path = self._path / name
+        path = self._stored.path(name)
         with suppress(OSError):
             if path.is_file():
                 with open(path, "rb") as file:

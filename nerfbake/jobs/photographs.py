@@ -13,7 +13,7 @@ from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import picture_views, read_cameras
-from nerfbake.scene.camera import Cameras
+from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
@@ -100,7 +100,7 @@ def _test_views(steps: Steps, path: str) -> str | None:
 
     Blender add-ons write the cameras of both splits, but may render the training views alone.
     """
-    if any(file is not None for file in _files(io.load(path, Cameras), Path(path).parent)):
+    if any(file is not None for file in _files(path, io.load(path, Cameras), Path(path).parent)):
         return path
     steps.say(f"{path}: has no pictures; one of every {HOLDOUT} training views is held out instead")
     return None
@@ -223,7 +223,7 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
     fewer than half of the pictures exist, since the folder is then probably the wrong one.
     """
     _require_named(path, cameras)
-    cameras, files = _find_pictures(cameras, Path(path) if io.is_folder(path) else Path(path).parent)
+    cameras, files = _find_pictures(path, cameras, Path(path) if io.is_folder(path) else Path(path).parent)
     names = [camera.picture for camera in cameras.cameras]
     kept = [i for i, file in enumerate(files) if file is not None]
     if 2 * len(kept) < len(files):
@@ -248,24 +248,37 @@ def _require_named(path: str, cameras: Cameras) -> None:
     raise InvalidFile(Problem(f"camera {unnamed.name}".strip(), found, allowed), source=path)
 
 
-def _find_pictures(cameras: Cameras, folder: Path) -> tuple[Cameras, list[Path | None]]:
+def _find_pictures(path: str, cameras: Cameras, folder: Path) -> tuple[Cameras, list[Path | None]]:
     """Return the cameras with the names of their pictures, and the paths of those that exist.
 
     A COLMAP model is in a subfolder of the folder with the pictures. Its names are relative to `images`, or to that
     folder, if COLMAP was told that the pictures are there.
     """
     if cameras.dialect != "COLMAP":
-        return cameras, _files(cameras, folder)
+        return cameras, _files(path, cameras, folder)
     for posed in (cameras, _outside_of_images(cameras)):
         for place in (folder, *folder.resolve().parents[:_ABOVE]):
-            files = _files(posed, place)
+            files = _files(path, posed, place)
             if any(file is not None for file in files):
                 return posed, files
     return cameras, [None] * len(cameras.cameras)
 
 
-def _files(cameras: Cameras, folder: Path) -> list[Path | None]:
-    return [io.find_photograph(folder, camera.picture) for camera in cameras.cameras]
+def _files(path: str, cameras: Cameras, folder: Path) -> list[Path | None]:
+    """Return the pictures of cameras, which were read from `path`, in a folder."""
+    stored = io.StoredNames(folder)
+    return [_find(path, camera, stored, camera.picture) for camera in cameras.cameras]
+
+
+def _find(source: str, camera: Camera, folder: io.StoredNames, name: str) -> Path | None:
+    """Return the picture or the mask of a camera in a folder, or None."""
+    try:
+        return io.find_photograph(folder, name)
+    except OSError as error:
+        found = f"has a picture that cannot be looked up ({error.strerror})"
+        raise InvalidFile(
+            Problem(f"camera {camera.name}", found, "a name that the system can find"), source=source
+        ) from error
 
 
 def _outside_of_images(cameras: Cameras) -> Cameras:
@@ -278,7 +291,8 @@ def _masks(folder: str, cameras: Cameras) -> list[Path]:
     if not io.is_folder(folder):
         raise InvalidFile("is not a folder; allowed: a folder with a mask for each picture", source=folder)
     pictures = [camera.picture for camera in cameras.cameras]
-    found = [_mask_of(folder, picture) for picture in pictures]
+    stored = io.StoredNames(Path(folder))
+    found = [_mask_of(folder, camera, stored) for camera in cameras.cameras]
     masks = _all_of([PurePosixPath(picture).stem for picture in pictures], found, folder, "mask")
     owners: dict[Path, str] = {}
     for mask, picture in zip(masks, pictures, strict=True):
@@ -289,13 +303,13 @@ def _masks(folder: str, cameras: Cameras) -> list[Path]:
     return masks
 
 
-def _mask_of(folder: str, picture: str) -> Path | None:
+def _mask_of(folder: str, camera: Camera, stored: io.StoredNames) -> Path | None:
     """Return the mask of a picture; for images/left/1.jpg it is named images/left/1, left/1 or 1."""
-    path = PurePosixPath(picture)
+    path = PurePosixPath(camera.picture)
     for start in range(len(path.parts)):
         end = PurePosixPath(*path.parts[start:])
         for name in (str(end.with_suffix("")), str(end)):
-            if (mask := io.find_photograph(folder, name)) is not None:
+            if (mask := _find(folder, camera, stored, name)) is not None:
                 return mask
     return None
 

@@ -121,8 +121,9 @@ def require_poses(steps: Steps, source: Source) -> None:
 
 def _files(folder: Path) -> list[Path]:
     """Return the files of a folder and of its subfolder of pictures, sorted by name."""
-    places = [place for place in (folder / _PICTURES, folder) if place.is_dir()]
-    return [file for place in places for file in sorted(place.iterdir()) if not file.name.startswith(".")]
+    with io.blame(str(folder)):
+        places = [place for place in (folder / _PICTURES, folder) if place.is_dir()]
+        return [file for place in places for file in sorted(place.iterdir()) if not file.name.startswith(".")]
 
 
 def _unread(folder: Path) -> str:
@@ -140,7 +141,8 @@ def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
     for place in (folder / _PICTURES, folder):
         with io.blame(str(place)):
             files = sorted(place.iterdir()) if place.is_dir() else []
-        names = [file.name for file in files if is_picture(file) and file.is_file() and not file.name.startswith(".")]
+            files = [file for file in files if is_picture(file) and file.is_file() and not file.name.startswith(".")]
+        names = [file.name for file in files]
         if names:
             break
     if len(names) < LEAST:

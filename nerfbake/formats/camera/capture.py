@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.contract import PICTURES, picture_names
+from nerfbake.contract import PICTURES, composed_name, picture_names
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.maths.affine import compose
 
@@ -22,7 +22,7 @@ MAX_NAME = 120  # bytes of a name, which leaves room for suffixes of additional 
 _UNSAFE = re.compile(r"[^\w .+()\[\]-]")
 _OTHERS = (".webp", ".exr", ".tif", ".tiff", ".bmp", ".hdr")
 _MAX_PATH = 1000  # characters
-_MAX_PART = 240  # bytes of a file name without extension
+_MAX_PART = 255  # characters of a name: Linux has up to 255 bytes, macOS and Windows 255 words of UTF-16
 _CAMERA_BYTES = 1000  # memory of one Camera object
 # Bytes of a picture that are read to find its size: enough for a thumbnail and a colour profile, which precede it; then
 # for the depth map and the second picture of a phone's portrait, which may also precede it.
@@ -61,8 +61,8 @@ def opengl(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def names_of(paths: Iterable[str | None]) -> list[str]:
     """Return a unique, safe file name for each frame: the last part of its path without a picture extension.
 
-    Characters other than letters, digits, spaces and .-_+()[] become _, and so does a leading dot or dash. A frame
-    without a name gets its number. Equal names get their number as a suffix. Long names are truncated.
+    The name is composed. Characters other than letters, digits, spaces and .-_+()[] become _, and so does a leading dot
+    or dash. A frame without a name gets its number. Equal names get their number as a suffix. Long names are truncated.
     """
     taken: set[str] = set()
     found = []
@@ -80,7 +80,7 @@ def _safe(path: str) -> str:
     name = path.replace("\\", "/").rstrip("/").rpartition("/")[2]
     for ending in (*PICTURES, *_OTHERS):
         name = name.removesuffix(ending)
-    name = _UNSAFE.sub("_", name[: 2 * MAX_NAME]).strip()
+    name = _UNSAFE.sub("_", composed_name(name[: 2 * MAX_NAME])).strip()
     if not name.strip("._-"):
         return ""
     name = "_" + name[1:] if name[0] in ".-" else name
@@ -97,7 +97,8 @@ class PictureSizes:
         self.unreadable = ""
         self._folder = folder
         self._known: dict[str, Size | None] = {}
-        self._there: dict[str, set[str]] = {}  # names by folder, cached because a capture may have 100,000 frames
+        # Names by folder and composed name, cached because a capture may have 100,000 frames.
+        self._there: dict[str, dict[str, str]] = {}
 
     def of(self, path: str | None) -> Size | None:
         """Return width and height of a picture, or None if it is missing or unreadable. The extension is optional."""
@@ -115,8 +116,11 @@ class PictureSizes:
 
         place, _, name = path.rpartition("/")
         if place not in self._there:
-            self._there[place] = set(self._folder.names(place))
-        found = next((each for each in picture_names(name) if each in self._there[place]), None)
+            names = self._folder.names(place)
+            self._there[place] = {composed_name(each): each for each in names} | {each: each for each in names}
+        there = self._there[place]
+        stored = (there.get(each) or there.get(composed_name(each)) for each in picture_names(name))
+        found = next((each for each in stored if each), None)
         if found is None:
             return None
         inside = f"{place}/{found}" if place else found
@@ -143,7 +147,7 @@ def inside_of(path: str | None) -> str:
     if path is None or len(path) > _MAX_PATH or not _is_shown(path):
         return ""
     parts = path.replace("\\", "/").split("/")
-    if not parts[0] or ".." in parts or any(len(part.encode()) > _MAX_PART for part in parts):
+    if not parts[0] or ".." in parts or any(len(part) > _MAX_PART for part in parts):
         return ""
     return "/".join(part for part in parts if part not in ("", "."))
 
