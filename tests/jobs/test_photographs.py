@@ -330,7 +330,7 @@ WRONG: dict[str, tuple[Callable[[Path], None], str]] = {
     "of a fixed place": (of_a_fixed_place, r"capture: camera r_2 names no picture in the folder"),
     "without a name": (without_a_name, r"capture: camera 0002 names no picture in the folder"),
     "nowhere": (nowhere, r"capture: .*; allowed: "),
-    "NaN": (nan, r"capture: the JSON cannot be parsed"),
+    "NaN": (nan, r"capture: frames\[0\]\.transform_matrix\[0, 0\] is NaN; allowed: a finite number$"),
 }
 
 

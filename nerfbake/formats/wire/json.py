@@ -28,6 +28,8 @@ _CHUNK = 1 << 18
 # parses, orjson also keeps its tree in memory: 16 bytes a value.
 _PER_VALUE, _PER_CONTAINER, _PER_NODE = 44, 128, 16
 _BOM = b"\xef\xbb\xbf"
+# NaN and infinity outside of text, as Python, NumPy and C write them.
+_NO_NUMBER = re.compile(rb'("(?:[^"\\]|\\.)*+")|([-+]?(?:nan|inf(?:inity)?)\b(?:\(\w*\))?)', re.DOTALL | re.IGNORECASE)
 _COMMENT = re.compile(rb'("(?:[^"\\]|\\.)*+")|//[^\n]*|/\*(?:.*?\*/|.*)', re.DOTALL)
 
 
@@ -46,11 +48,53 @@ def parse(view: memoryview | bytes, name: str, *, comments: bool = False) -> Any
         except orjson.JSONDecodeError as error:
             fault = error
         if comments and b"/" in (whole := bytes(text)):
+            text = _COMMENT.sub(lambda found: found[1] or b" ", whole)
             try:
-                return orjson.loads(_COMMENT.sub(lambda found: found[1] or b" ", whole))
+                return orjson.loads(text)
             except orjson.JSONDecodeError as error:
                 fault = error
+        if problem := _no_number(bytes(text), name):
+            raise InvalidFile(problem)
     raise InvalidFile(Problem(name, f"cannot be parsed ({fault})", "one whole JSON document"))
+
+
+def _no_number(text: bytes, name: str) -> Problem | None:
+    """Return the first NaN or infinity of a document that is valid apart from such numbers, else None."""
+    found: list[str] = []
+    mark = b"?"
+    while mark in text:
+        mark += b"?"
+
+    def replaced(token: re.Match[bytes]) -> bytes:
+        if token[1]:
+            return token[1]
+        found.append(token[2].decode())
+        return b'"%s"' % mark if len(found) == 1 else b"0"
+
+    marked = _NO_NUMBER.sub(replaced, text)
+    if not found:
+        return None
+    try:
+        place = _place_of(mark.decode(), orjson.loads(marked))
+    except orjson.JSONDecodeError:
+        return None
+    within = f"{name}: {place}" if name.endswith(".json") else place
+    return Problem(within if place else name, f"is {found[0]}", "a finite number", len(found))
+
+
+def _place_of(mark: str, document: Any) -> str:
+    """Return the path of the value `mark` in a document, such as frames[3].transform_matrix[0, 2]."""
+    waiting = [(document, "", False)]
+    while waiting:
+        value, place, listed = waiting.pop()
+        if value == mark:
+            return place
+        if isinstance(value, dict):
+            waiting += [(each, key_place(place, shorten(key)), False) for key, each in value.items()]
+        elif isinstance(value, list):
+            start = f"{place[:-1]}, " if listed else f"{place}["
+            waiting += [(each, f"{start}{i}]", True) for i, each in enumerate(value)]
+    return ""
 
 
 def parse_object(view: memoryview | bytes, name: str, *, comments: bool = False) -> dict[str, Any]:

@@ -287,7 +287,7 @@ def test_a_byte_order_mark_is_skipped() -> None:
         (framed(latlong=1), r"frames\[1\].latlong is 1"),
         (framed(fl_x=-1), r"frames\[1\].fl_x is -1"),
         (framed(k1=1e300), "k1"),
-        (capture(fl_x=float("nan")), "cannot be parsed"),
+        (capture(fl_x=float("nan")), "^fl_x is NaN; allowed: a finite number"),
     ],
 )
 def test_what_is_no_capture_is_refused(fields: Any, message: str) -> None:
@@ -307,3 +307,12 @@ def test_what_is_no_json_is_refused() -> None:
     for data in (b"{", b"\xff", b"[" * 100_000, b"/*" * 100_000, b'{"frames": [1e999]}', b'{"w": ' + b"9" * 400 + b"}"):
         with pytest.raises(InvalidFile, match="cannot be parsed"):
             cameras_json.decode(memoryview(data))
+
+
+def test_a_pose_with_nan_names_its_frame_and_element() -> None:
+    pose = np.eye(4)
+    pose[1, 2] = np.nan
+    frames = [{"transform_matrix": each.tolist()} for each in (np.eye(4), pose)]
+    data = json.dumps({"camera_angle_x": 1.0, "frames": frames}).encode()  # Python writes NaN
+    with pytest.raises(InvalidFile, match=r"^frames\[1\]\.transform_matrix\[1, 2\] is NaN; allowed: a finite number$"):
+        cameras_json.decode(memoryview(data))

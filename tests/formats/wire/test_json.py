@@ -33,11 +33,35 @@ def test_what_python_writes_is_read(value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "1e999", "9" * 400, "NaN", "-Infinity", '"\\ud800"', "[1,]", "[" * 100_000, '{"a":1', "1 2", '"\xff"']
+    "text", ["", "1e999", "9" * 400, "[NaN", "nano", '"\\ud800"', "[1,]", "[" * 100_000, '{"a":1', "1 2", '"\xff"']
 )
 def test_what_breaks_other_readers_is_one_line(text: str) -> None:
     with pytest.raises(InvalidFile, match=r"^it cannot be parsed \(.*\); allowed: one whole JSON document$"):
         wire_json.parse(text.encode("latin-1"), "it")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("NaN", "it is NaN; allowed: a finite number"),
+        ('{"a": {"b": [1, [2, -Infinity], NaN]}}', "a.b[1, 1] is -Infinity; allowed: a finite number (and 1 more)"),
+        ('[{"NaN, \\"NaN": [[0, {"x y": [nan]}]]}]', '[0].NaN, "NaN[0, 1].x y[0] is nan; allowed: a finite number'),
+        (
+            '{"?": "Infinity", "a": "??", "i": -nan(ind), "j": inf}',
+            "i is -nan(ind); allowed: a finite number (and 1 more)",
+        ),
+    ],
+)
+def test_a_number_that_is_none_is_named_with_its_place(text: str, said: str) -> None:
+    with pytest.raises(InvalidFile) as caught:
+        wire_json.parse(text.encode(), "it")
+    assert str(caught.value) == said
+    with pytest.raises(InvalidFile) as caught:
+        wire_json.parse(text.encode(), "a.json")
+    assert str(caught.value) == ("a.json" + said[2:] if said.startswith("it ") else f"a.json: {said}")
+    with pytest.raises(InvalidFile) as caught:
+        wire_json.parse(f"// NaN\n{text} /* NaN */".encode(), "it", comments=True)
+    assert str(caught.value) == said
 
 
 def test_comments_are_passed_over_where_they_are_allowed() -> None:
