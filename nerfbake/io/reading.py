@@ -98,7 +98,7 @@ def load_split(source: str | Path) -> tuple[str, str] | None:
         return None
     with blame(str(source)):
         files = Folder(path, {})
-        form = folder_of_content(files, "Cameras")
+        form = _folder_form(files, "Cameras")
         split = getattr(form.load_module(), "split", lambda files: None)(files)
     return None if split is None else (str(path / split[0]), str(path / split[1]))
 
@@ -155,10 +155,21 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[An
 
 def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     files = Folder(path, {})
-    form = folder_of_content(files, *(kind.__name__ for kind in kinds))
+    form = _folder_form(files, *(kind.__name__ for kind in kinds))
     _require_kind(form, kinds)
     size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
     return Loaded(form.load_module().decode(files), form, size, {})
+
+
+def _folder_form(files: Folder, *wanted: str) -> FolderKind:
+    """Return folder_of_content(). Its error names a broken link that is in place of a file."""
+    try:
+        return folder_of_content(files, *wanted)
+    except InvalidFile:
+        if files.broken is not None:
+            found = f"is a symbolic link to {files.broken.readlink()}, which does not exist"
+            raise InvalidFile(f"{found}; allowed: a file", source=str(files.broken)) from None
+        raise
 
 
 def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:

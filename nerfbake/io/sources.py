@@ -118,11 +118,13 @@ class StoredNames:
 class Folder(Mapping[str, memoryview]):
     """The files of a folder by name. Each file is read once, at its first access.
 
-    `more` files count as files of the folder and take precedence.
+    `more` files count as files of the folder and take precedence. broken: the first symbolic link without a target that
+    was in place of a file that was asked for; None if there was none.
     """
 
     def __init__(self, path: Path, more: Mapping[str, memoryview]) -> None:
         self._path, self._more, self._stored = path, dict(more), StoredNames(path)
+        self.broken: Path | None = None
 
     def __getitem__(self, name: str) -> memoryview:
         if name not in self._more:
@@ -134,7 +136,17 @@ class Folder(Mapping[str, memoryview]):
         return self._more[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._more or (isinstance(name, str) and (self._path / name).is_file())
+        if name in self._more or not isinstance(name, str):
+            return name in self._more
+        path = self._path / name
+        if path.is_file():
+            return True
+        if self.broken is None:
+            links = (
+                place for place in (path, *path.parents[: len(PurePosixPath(name).parts) - 1]) if place.is_symlink()
+            )
+            self.broken = next((link for link in links if not link.exists()), None)
+        return False
 
     def names(self, folder: str) -> list[str]:
         """The names of the files in a subfolder ('' for this folder), sorted; empty if there is no such folder."""

@@ -139,15 +139,16 @@ def _find(pycolmap: Any, request: Request, tell: Callable[..., None]) -> None:
     models = _map(pycolmap, request, path, effort, tell)
     models.sort(key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
     facts = {"points": 0, "error": 0.0}
+    shutil.rmtree(work)  # frees more room than the model needs: pycolmap does not notice that the disk is full
     if models:
         _adjust(pycolmap, models[0])
         best = work / "best"
-        best.mkdir()
+        best.mkdir(parents=True)
         models[0].write_binary(str(best))
         for name in _FILES:
             (best / name).replace(Path(request.model) / name)
         facts = {"points": models[0].num_points3D(), "error": models[0].compute_mean_reprojection_error()}
-    shutil.rmtree(work)
+        shutil.rmtree(work)
     tell(models=[model.num_reg_images() for model in models], **facts)
 
 

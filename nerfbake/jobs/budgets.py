@@ -92,6 +92,8 @@ def judge_output(
 
     seen = renderable_scene(steps, scene, made_from)
     views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples)
+    with io.blame(budget.cameras or made_from):
+        views.require_covered()
     name = written if name is None else name
     with Source(name).blamed(steps, "measuring the quality"):
         with steps.phase(f"reading {name}"):

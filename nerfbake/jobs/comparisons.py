@@ -108,8 +108,10 @@ def compare_files(
         steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples
     )
     photographs = list(io.Truth(seen.truth, views.names, Image)) if seen.truth else None
-    if photographs and not seen.size:
-        views = views.fitting(photographs)
+    with io.blame(seen.cameras or first.name):
+        if photographs and not seen.size:
+            views = views.fitting(photographs)
+        views.require_covered()
     with second.blamed(steps, f"rendering {2 * len(views.cameras)} pictures"):
         if pages:
             views.require_memory(pictures=6 if photographs else 4)

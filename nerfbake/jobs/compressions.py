@@ -78,7 +78,8 @@ class GroundTruth:
             return {"source_psnr": SOURCE_PSNR if self.source_psnr is None else self.source_psnr}
         read = read_cameras(steps, self.cameras).chosen(samples=self.samples)
         truth = io.Truth(self.truth, read.names, Image)
-        with steps.phase(f"reading {self.truth}"):
+        with steps.phase(f"reading {self.truth}"), io.blame(self.cameras):
+            read.require_covered()
             return {"held_out": HeldOut.of_images(read.fitting(truth), truth)}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -17,6 +18,7 @@ from typing import IO, Any, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
+from nerfbake.io.own_files import require_no_link
 from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_picture
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
@@ -33,6 +35,7 @@ _PICTURES = "images"
 _OTHERS = (".webp", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".mov", ".mp4")
 _EXTRA = "pip install 'nerfbake[poses]'"
 _COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
+_LEAST_ROOM = 1 << 22  # bytes on the disk: with less, pycolmap fails for lack of room
 _ENDS = {"models", "missing", "unread", "failed"}  # what the last line of the process says
 _TRACE = ("@", "***", "PC:")  # how pycolmap begins the lines of a stack trace
 _ADVICE = "sharp pictures of a textured scene that does not move, each of which shows two thirds of the one before"
@@ -112,7 +115,9 @@ def require_poses(steps: Steps, source: Source) -> None:
         return
     try:
         io.load_split(folder)
-    except InvalidFile:
+    except InvalidFile as error:
+        if error.source != str(folder):  # a file in it is wrong
+            raise
         if not any(is_picture(file) for file in _files(folder)) and not _unread(folder):
             raise
         steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
@@ -159,7 +164,9 @@ def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
 
 
 def _require_outputs(folder: Path, force: bool) -> None:
-    """Raise OutputError if an output exists and must not be replaced, or if the folder cannot be written to."""
+    """Raise OutputError if an output is a link or exists and must not be replaced, or if the folder is read-only."""
+    for name in (CAMERAS, Path(MODEL).parent, MODEL):
+        require_no_link(folder / name)  # its target may be outside of the folder
     io.require_absent(folder / CAMERAS, force=force)
     if (folder / MODEL).parent.is_dir():
         io.require_no_folder(folder / MODEL, force=force)
@@ -191,6 +198,7 @@ def _model_folder(folder: Path, force: bool) -> Iterator[Path]:
     target = folder / MODEL
     with io.blame(str(target), OutputError):
         target.parent.mkdir(exist_ok=True)
+        require_no_link(target.parent)
     try:
         with io.blame(str(target), OutputError), replacing_folder(target, force=force) as part:
             yield part
@@ -223,6 +231,7 @@ def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
     """Run pycolmap in a process of its own, twice if it crashes, and return its last line. Raises NerfbakeError."""
     event, ended = _run_once(steps, request)
     if ended:
+        _require_disk(name, request, ended)
         steps.say(f"{name}: warning: pycolmap crashed with {ended}; it runs once more, with one thread")
         shutil.rmtree(request["work"], ignore_errors=True)
         event, ended = _run_once(steps, {**request, "work": f"{request['work']}-again", "threads": 1})
@@ -230,12 +239,31 @@ def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
         return event
     if "missing" in event:
         raise UsageError(Problem("pycolmap", f"cannot be imported ({event['missing']})", _EXTRA), source=name)
+    _require_disk(name, request, event.get("failed", ended))
     if "unread" in event:
         picture = str(Path(request["pictures"]) / event["unread"])
         raise InvalidFile("cannot be read by pycolmap; allowed: a PNG, a JPEG or a HEIC of 8 bits", source=picture)
     if "failed" in event:
         raise NerfbakeError(f"pycolmap failed: {event['failed']}", source=name)
     raise NerfbakeError(f"pycolmap crashed twice, the second time with {ended}", source=name)
+
+
+def _require_disk(name: str, request: Mapping[str, Any], said: str) -> None:
+    """Raise OutputError if pycolmap failed because a folder was removed or the disk is full. said: its last words.
+
+    It does not always say so: `No registered database factory succeeded` stands for both.
+    """
+    model = Path(request["model"])
+    for folder in (Path(request["pictures"]), *reversed(model.parents), model):
+        if not folder.is_dir():
+            found = "was removed while pycolmap was using it; allowed: a folder that stays"
+            raise OutputError(found, source=str(folder))
+    with io.blame(name, OutputError):
+        if "disk is full" in said:  # what SQLite says; it may have given the space back
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        with tempfile.TemporaryFile(dir=model) as file:
+            file.write(bytes(_LEAST_ROOM))
+            file.flush()
 
 
 def _run_once(steps: Steps, request: Mapping[str, Any]) -> tuple[dict[str, Any], str]:

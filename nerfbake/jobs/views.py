@@ -64,7 +64,9 @@ def views_of(
         with steps.phase("framing"), io.blame(name):
             orbit = orbit_cameras(scene, frames=frames, width=width, height=height)
         return orbit.chosen(samples=samples)
-    return read_cameras(steps, cameras).chosen(size=size, samples=samples)
+    read = read_cameras(steps, cameras)
+    with io.blame(cameras):
+        return read.chosen(size=size, samples=samples)
 
 
 def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
@@ -100,4 +102,5 @@ def page_views(
         views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER)
     first = views.cameras[0]
     focal = first.fx * COVER / min(first.width, first.height)
-    return views, Camera(COVER, COVER, focal, first.pose, first.name)
+    with io.blame(cameras or name):
+        return views, Camera(COVER, COVER, focal, first.pose, first.name)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from nerfbake import Image, build_octree, load, save
-from nerfbake.errors import BudgetMissed, MemoryLimit, OutputError, UsageError
+from nerfbake import Cameras, Image, build_octree, load, save
+from nerfbake.errors import BudgetMissed, InvalidScene, MemoryLimit, OutputError, UsageError
 from nerfbake.jobs import (
     ComparedViews,
     ComparisonLimits,
@@ -16,8 +17,11 @@ from nerfbake.jobs import (
     ViewSelection,
     compare_files,
     render_views,
+    view_file,
 )
+from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.memory import memory_limit
+from nerfbake.scene.camera import Lens
 from tests.jobs.listener import Listener
 
 SEEN = ComparedViews(cameras="cameras.json")
@@ -87,3 +91,24 @@ def test_cameras_count_in_the_allowance() -> None:
     Path("cameras.json").write_text(Path("cameras.json").read_text() + " " * 1_000_000)
     with memory_limit(1_000_000), pytest.raises(MemoryLimit, match=r"^cameras\.json: the file needs"):
         compare_files("a.npz", "a.npz", seen=SEEN)
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_camera_that_cannot_be_drawn_is_blamed_on_the_file_of_the_cameras() -> None:
+    cameras = load("cameras.json", Cameras)
+    first = cameras.cameras[0]
+    save("long.json", replace(cameras, cameras=(replace(first, focal=9e8),)))
+    wide = replace(first, lens=Lens("polynomial", (-30.0,)), focal=10.0)
+    save("wide.json", replace(cameras, cameras=(wide,)))
+    for seen, said in (
+        (ComparedViews("long.json", size=(900, 900)), r"^long\.json: camera 0000 has focal length 4\.05e\+10"),
+        (ComparedViews("wide.json"), r"^wide\.json: camera 0000 shows nothing at pixel 0, 0"),
+    ):
+        with pytest.raises(InvalidScene, match=said):
+            compare_files("a.npz", "a.npz", seen=seen)
+    with pytest.raises(InvalidScene, match=r"^long\.json: camera 0000 has focal length"):
+        render_views("a.npz", "a.png", ViewSelection("long.json", size=(900, 900)))
+    with pytest.raises(InvalidScene, match=r"^long\.json: camera 0000 has focal length"):
+        view_file("a.npz", "a.html", cameras="long.json")
+    with pytest.raises(InvalidScene, match=r"^wide\.json: camera 0000 shows nothing"):
+        judge_output("a.npz", load("a.npz"), Budget(min_psnr=1, cameras="wide.json"), made_from="a.npz")

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -176,18 +177,19 @@ def test_many_pictures_give_the_same_bytes_on_any_number_of_threads(
 
 
 @pytest.mark.slow
-def test_a_picture_without_features_is_left_out_and_one_may_have_spaces_or_be_heic(tmp_path: Path) -> None:
+def test_a_picture_without_features_is_left_out_and_one_may_have_a_long_name_or_be_heic(tmp_path: Path) -> None:
     write_room(tmp_path, frames=5)
     for name, new in (("0003.png", "0003.HEIC"), ("0004.png", "0004.png")):  # one has the extension of another format
         with Pillow.open(tmp_path / name) as picture:
             heic = heic_of(picture)
         (tmp_path / name).unlink()
         (tmp_path / new).write_bytes(heic)
-    (tmp_path / "0002.png").rename(tmp_path / "the third of them.png")
+    long = f"the third of them {'影' * 77}.png"  # 253 bytes
+    (tmp_path / "0002.png").rename(tmp_path / long)
     Pillow.new("RGB", (WIDTH, HEIGHT), (128, 128, 128)).save(tmp_path / "grey.png")
     assert find_poses(tmp_path)[1:3] == (6, 5)
     names = [camera.picture for camera in load(tmp_path, Cameras).cameras]
-    assert names == ["0000.png", "0001.png", "0003.HEIC", "0004.png", "the third of them.png"]
+    assert names == ["0000.png", "0001.png", "0003.HEIC", "0004.png", long]
     assert (tmp_path / "0004.png").read_bytes() == heic
     assert sorted(path.name for path in (tmp_path / "sparse" / "0").iterdir()) == MODEL_FILES
 
@@ -220,6 +222,74 @@ def test_a_crash_of_pycolmap_is_an_error_of_one_line(
 ) -> None:
     replace_pycolmap(photographs, code, monkeypatch)
     assert refused(photographs).startswith(f"1 {photographs}: pycolmap {said}")
+
+
+FAILS = (
+    "class logging: pass\ndef set_random_seed(seed): raise RuntimeError('No registered database factory succeeded.')"
+)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "class logging: pass\ndef set_random_seed(seed): raise RuntimeError('database or disk is full')",
+        "import os, sys\nprint('what(): database or disk is full', file=sys.stderr, flush=True)\nos.abort()",
+    ],
+)
+def test_a_full_disk_is_no_bad_input(code: str, photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_pycolmap(photographs, code, monkeypatch)
+    assert refused(photographs) == f"4 {photographs}: No space left on device"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux")
+def test_a_full_disk_is_found_where_pycolmap_does_not_tell_it(
+    photographs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = tempfile.TemporaryFile
+
+    def full(*, dir: Path | None = None) -> Any:
+        return opened() if dir is None else Path("/dev/full").open("wb")
+
+    replace_pycolmap(photographs, FAILS, monkeypatch)
+    assert refused(photographs).startswith(f"1 {photographs}: pycolmap failed: No registered database factory")
+    monkeypatch.setattr(poses.tempfile, "TemporaryFile", full)
+    monkeypatch.setattr(poses, "_require_outputs", lambda folder, force: None)
+    assert refused(photographs) == f"4 {photographs}: No space left on device"
+
+
+def test_a_folder_that_is_removed_meanwhile_is_named(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = f"import pathlib, shutil\nshutil.rmtree(pathlib.Path(__file__).with_name('sparse'))\n{FAILS}"
+    replace_pycolmap(photographs, code, monkeypatch)
+    found = "was removed while pycolmap was using it; allowed: a folder that stays"
+    assert refused(photographs) == f"4 {photographs}/sparse: {found}"
+
+
+@pytest.mark.parametrize("name", ["sparse", "sparse/0", "transforms.json"])
+@pytest.mark.parametrize("there", [True, False])
+def test_outputs_are_not_written_through_a_link(
+    name: str, there: bool, photographs: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    outside = tmp_path_factory.mktemp("outside") / "a"
+    if there:
+        outside.mkdir()
+    (photographs / name).parent.mkdir(exist_ok=True)
+    (photographs / name).symlink_to(outside)
+    for force in (False, True):
+        said = refused(photographs, force=force)
+        assert said == f"4 {photographs / name}: is a symbolic link; allowed: a regular file or folder"
+    assert outside.exists() == there
+    assert not there or not any(outside.iterdir())
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "transforms_train.json", "poses_bounds.npy", "sparse"])
+def test_a_broken_link_in_place_of_cameras_is_named_and_no_poses_are_found(name: str, photographs: Path) -> None:
+    (photographs / name).symlink_to("/nowhere/a")
+    with pytest.raises(InvalidFile) as caught:
+        require_poses(SILENT, Source(str(photographs)))
+    found = "is a symbolic link to /nowhere/a, which does not exist; allowed: a file"
+    assert str(caught.value) == f"{photographs / name}: {found}"
+    with pytest.raises(InvalidFile, match="is a symbolic link to /nowhere/a"):
+        load(photographs)
 
 
 @pytest.mark.slow
