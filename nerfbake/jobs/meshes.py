@@ -13,7 +13,15 @@ from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, render_split
+from nerfbake.jobs.photographs import (
+    ALL,
+    PhotographOptions,
+    SplitViews,
+    mean_of,
+    read_photographs_of,
+    render_split,
+    require_alike,
+)
 from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.environment import EnvironmentMap
@@ -27,7 +35,7 @@ from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views, world_box
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.scene_to_field import build_field
-from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
+from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views
 
 if TYPE_CHECKING:
     from nerfbake.stages.views_and_light_to_materials import Material
@@ -41,8 +49,6 @@ _RIM_ROUNDS = 2  # of moving the vertices to the rims of the silhouettes
 _TURNS, _MOVES = 2, 4
 _TURN_TEXTURE = 1024  # most texels along an edge in these turns: move_vertices() reduces pictures to about 400 pixels
 _LEAST_TEXTURE = 64  # texels along an edge, of a coarse level of detail
-_CHECKED = 4  # views on which photographs and field are compared before the work
-_ALIKE = 1.0  # dB above pictures of a single colour, below which they show something else
 
 Image = Literal["png", "jpeg", "webp"]
 
@@ -64,7 +70,7 @@ class MeshViews(NamedTuple):
         """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
             posed = read_photographs_of(steps, Source(self.views), self.album, field)
-            _require_alike(steps, source, field, posed.judges, self.views)
+            require_alike(steps, source, field, posed.judges, self.views)
             return posed
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
             return render_split(field, frames=self.frames, edge=self.edge, samples=SAMPLES)
@@ -406,22 +412,6 @@ def _read_field(steps: Steps, source: Source, splats: SplatVoxels) -> RadianceFi
                 Problem("the field", "has no leaf with a density", "at least one, or there is no surface")
             )
         return field
-
-
-def _require_alike(steps: Steps, source: Source, field: RadianceField, judges: Views, views: str) -> None:
-    """Raise InvalidScene if the photographs do not show the field, and print how near it comes to them."""
-    some = judges.take(range(0, len(judges.pictures), -(-len(judges.pictures) // _CHECKED)))
-    with source.blamed(steps, f"comparing with {views}"):
-        found = measure_views(field, some)
-        psnr, plain = mean_of(found, "psnr"), plain_psnr(some)
-        if psnr < plain + _ALIKE:
-            told = (
-                f"has {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"
-            )
-            raise InvalidScene(
-                Problem("the field", told, "photographs of the same scene, with poses in its coordinates")
-            )
-    steps.say(f"{source.name}: {psnr:.2f} dB on {some} of {views}")
 
 
 def _levels(scene: Meshes | Stage1) -> list[Mesh]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from nerfbake import io, progress
-from nerfbake.errors import InvalidFile, Problem, UsageError
+from nerfbake.errors import InvalidFile, InvalidScene, Problem, UsageError
 from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
@@ -20,13 +20,13 @@ from nerfbake.scene.views import Views
 from nerfbake.stages.field_and_views_to_views import cut_out_field
 from nerfbake.stages.pictures_to_views import Scenery, apply_mask, build_views, reduction_factor
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
-
-if TYPE_CHECKING:
-    from nerfbake.stages.views_to_error import ViewError
+from nerfbake.stages.views_to_error import ViewError, measure_views, plain_psnr
 
 HOLDOUT = 8  # every eighth view is held out if the capture has no test views
 _LEAST = 2  # lowest number of training views
 _IMAGES = "images/"  # the folder of a COLMAP model's pictures
+_CHECKED = 4  # views on which photographs and field are compared before the work
+_ALIKE = 1.0  # dB above pictures of a single colour, below which they show something else
 _ABOVE = 3  # parent folders of a COLMAP model that may contain its pictures
 # The shorter edge of a picture in pixels. More pixels are finer than the smallest cells, 1 / 1024 of the box.
 MOST_EDGE = 1200
@@ -120,6 +120,22 @@ def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceFiel
             trained = cut_out_field(posed.trained, field)
         with progress.part(count / (count + len(posed.judges.pictures)), 1):
             return SplitViews(trained, cut_out_field(posed.judges, field))
+
+
+def require_alike(steps: Steps, source: Source, field: RadianceField, judges: Views, views: str) -> None:
+    """Raise InvalidScene if the photographs do not show the field, and print how near it comes to them."""
+    some = judges.take(range(0, len(judges.pictures), -(-len(judges.pictures) // _CHECKED)))
+    with source.blamed(steps, f"comparing with {views}"):
+        found = measure_views(field, some)
+        psnr, plain = mean_of(found, "psnr"), plain_psnr(some)
+        if psnr < plain + _ALIKE:
+            told = (
+                f"has {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"
+            )
+            raise InvalidScene(
+                Problem("the field", told, "photographs of the same scene, with poses in its coordinates")
+            )
+    steps.say(f"{source.name}: {psnr:.2f} dB on {some} of {views}")
 
 
 def render_split(

@@ -11,7 +11,15 @@ from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs_of, render_split
+from nerfbake.jobs.photographs import (
+    ALL,
+    PhotographOptions,
+    SplitViews,
+    mean_of,
+    read_photographs_of,
+    render_split,
+    require_alike,
+)
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
@@ -44,9 +52,11 @@ class SplatsModel(NamedTuple):
     edge: int = EDGE
 
     def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
-        """Return the training views and the held-out views."""
+        """Return the training views and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
-            return read_photographs_of(steps, Source(self.views), self.album, field)
+            posed = read_photographs_of(steps, Source(self.views), self.album, field)
+            require_alike(steps, source, field, posed.judges, self.views)
+            return posed
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             framed = without_strays(field)
             return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,19 @@ def test_the_last_line_is_the_quality_of_the_file(capsys: pytest.CaptureFixture[
     assert last.startswith("a.spz: ")
     assert " dB, SSIM " in last
     assert load("a.spz", Splats).antialiased
+
+
+def test_photographs_of_another_scene_are_refused_before_the_work(capsys: pytest.CaptureFixture[str]) -> None:
+    jobs.write_sample_capture("elsewhere", frames=10, edge=32)
+    path = Path("elsewhere/transforms.json")
+    fields = json.loads(path.read_text())
+    for frame in fields["frames"]:
+        frame["transform_matrix"][0][3] += 100.0
+    path.write_text(json.dumps(fields))
+    assert run(["splats", "a.npz", "a.ply", "--views", "elsewhere"]) == 1
+    said = "dB on the photographs of elsewhere, where pictures of a single colour have"
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert not Path("a.ply").exists()
 
 
 def test_below_the_limit_the_output_is_rejected(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ import json
 import unicodedata
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from numpy.testing import assert_array_equal
@@ -20,36 +21,38 @@ from nerfbake.scene.image import Image
 from tests.support.captures import rig, write_colmap_text, write_nerf_synthetic, write_nerfstudio, write_nsvf
 from tests.support.photographs import over, photographed, spot, write_picture
 
-FORMS = [("NFC", "NFD"), ("NFD", "NFC")]  # in the file, on the disk
+Form = Literal["NFC", "NFD"]
+FORMS: list[tuple[Form, Form]] = [("NFC", "NFD"), ("NFD", "NFC")]  # in the file, on the disk
+BOTH: tuple[Form, Form] = FORMS[0]
 
 
 def read(path: Path, **options: str) -> SplitViews:
     return read_photographs(SILENT, Source(str(path)), PhotographOptions(holdout=3, **options))  # type: ignore[arg-type]
 
 
-def renamed(folder: Path, inside: str, form: str) -> None:
+def renamed(folder: Path, inside: str, form: Form) -> None:
     """Give the pictures in a subfolder, and the subfolder, names with accents in this form."""
     for path in (folder / inside).iterdir():
         path.rename(path.with_name(unicodedata.normalize(form, f"Küche é {path.name}")))
 
 
-def replaced(path: Path, form: str) -> None:
+def replaced(path: Path, form: Form) -> None:
     path.write_text(path.read_text().replace("r_", unicodedata.normalize(form, "Küche é r_")))
 
 
-def colmap(folder: Path, form: str, stored: str) -> None:
+def colmap(folder: Path, form: Form, stored: Form) -> None:
     photographed(write_colmap_text, folder)
     replaced(folder / "sparse" / "images.txt", form)
     renamed(folder, "images", stored)
 
 
-def nsvf(folder: Path, form: str, stored: str) -> None:
+def nsvf(folder: Path, form: Form, stored: Form) -> None:
     photographed(write_nsvf, folder)
     renamed(folder, "pose", form)
     renamed(folder, "rgb", stored)
 
 
-def transforms(folder: Path, form: str, stored: str) -> None:
+def transforms(folder: Path, form: Form, stored: Form) -> None:
     photographed(write_nerfstudio, folder)
     path = folder / "transforms.json"
     fields = json.loads(path.read_text())
@@ -66,7 +69,7 @@ def transforms(folder: Path, form: str, stored: str) -> None:
 @pytest.mark.parametrize(("form", "stored"), FORMS)
 @pytest.mark.parametrize("write", [colmap, nsvf, transforms])
 def test_each_camera_gets_its_picture(
-    write: Callable[[Path, str, str], None], form: str, stored: str, tmp_path: Path
+    write: Callable[[Path, Form, Form], None], form: Form, stored: Form, tmp_path: Path
 ) -> None:
     write(tmp_path, form, stored)
     trained, judges = read(tmp_path)
@@ -77,7 +80,7 @@ def test_each_camera_gets_its_picture(
 
 
 @pytest.mark.parametrize(("form", "stored"), FORMS)
-def test_the_size_of_a_picture_is_found(form: str, stored: str, tmp_path: Path) -> None:
+def test_the_size_of_a_picture_is_found(form: Form, stored: Form, tmp_path: Path) -> None:
     photographed(write_nerf_synthetic, tmp_path)
     replaced(tmp_path / "transforms_test.json", form)
     renamed(tmp_path, "test", stored)
@@ -86,7 +89,7 @@ def test_the_size_of_a_picture_is_found(form: str, stored: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("form", "stored"), FORMS)
-def test_masks_and_photographs_to_compare_with_are_found(form: str, stored: str, tmp_path: Path) -> None:
+def test_masks_and_photographs_to_compare_with_are_found(form: Form, stored: Form, tmp_path: Path) -> None:
     nsvf(tmp_path / "capture", form, form)
     masks = tmp_path / "masks"
     made = rig(odd=False)
@@ -99,9 +102,9 @@ def test_masks_and_photographs_to_compare_with_are_found(form: str, stored: str,
 
 
 def test_an_exact_name_comes_first_and_its_extension_is_optional(tmp_path: Path) -> None:
-    for form in ("NFC", "NFD"):
+    for form in BOTH:
         (tmp_path / unicodedata.normalize(form, "é.JPG")).write_bytes(form.encode())
-    for form in ("NFC", "NFD"):
+    for form in BOTH:
         for ending in ("", ".jpg", ".JPG"):
             found = find_photograph(tmp_path, unicodedata.normalize(form, "é") + ending)
             assert found is not None

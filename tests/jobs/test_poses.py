@@ -252,7 +252,7 @@ def test_a_full_disk_is_found_where_pycolmap_does_not_tell_it(
 
     replace_pycolmap(photographs, FAILS, monkeypatch)
     assert refused(photographs).startswith(f"1 {photographs}: pycolmap failed: No registered database factory")
-    monkeypatch.setattr(poses.tempfile, "TemporaryFile", full)
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
     monkeypatch.setattr(poses, "_require_outputs", lambda folder, force: None)
     assert refused(photographs) == f"4 {photographs}: No space left on device"
 
