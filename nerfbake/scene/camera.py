@@ -6,7 +6,6 @@ Lens distortion uses the polynomial models that structure from motion fits.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -21,8 +20,9 @@ from nerfbake.kernels.march import lens
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
-from nerfbake.scene.base import MAX_WORLD, Scene
+from nerfbake.scene.base import Scene
 from nerfbake.scene.compact_repr import CompactRepr
+from nerfbake.scene.pose import ORTHOGONAL, pose_problem, scale_of
 
 LensModel = Literal["polynomial", "rational", "fisheye"]
 MOST = 1e6  # largest coefficient
@@ -123,9 +123,6 @@ def first_blind_pixel(raster: Raster, lens: Lens) -> int | None:
 
 
 FOCAL_LENGTHS = (1e-6, 1e9)  # pixels
-MAX_AXIS = 1e6  # largest component of a pose's axes, and of one over it
-MIN_VOLUME = 1e-12  # smallest volume of the box that a pose's axes span, relative to a cube of their largest component
-ORTHOGONAL = 1e-3  # tolerance for the axes of a rotation, for rounding in files
 WORLD = np.eye(3)
 MAX_SAMPLES = 8  # rays along an edge of a pixel
 PICTURE_BYTES = 72  # per pixel of a picture that is kept, copied into a contact sheet and encoded (72 measured)
@@ -174,9 +171,9 @@ class Camera(CompactRepr):
         if self.pose.shape != (4, 4):
             raise self._wrong(f"has a pose of shape {self.pose.shape}", "4 x 4 finite numbers")
         rows = self.pose.tolist()
-        if found := _pose_problem(rows):
+        if found := pose_problem(rows):
             raise self._wrong(*found)
-        if (scale := _scale(rows)) != 1:
+        if (scale := scale_of(rows)) != 1:
             pose = self.pose.copy()
             pose[:3, :3] /= scale
             object.__setattr__(self, "pose", pose)
@@ -432,42 +429,6 @@ def require_samples(samples: int) -> int:
 def rays_told(samples: int) -> str:
     """Suffix for messages about pictures with more than one ray per pixel, starting with a comma, else ''."""
     return "" if samples == 1 else f", {samples}x{samples} rays a pixel"
-
-
-def _pose_problem(rows: list[list[float]]) -> tuple[str, str] | None:
-    """What was found and what is allowed, for an invalid pose of 4 x 4 numbers; None if it is valid.
-
-    Plain Python numbers are fast enough for captures with many frames.
-    """
-    if not all(math.isfinite(value) for row in rows for value in row):
-        return "has a pose with NaN or infinity", "4 x 4 finite numbers"
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
-    if (most := max(abs(x), abs(y), abs(z))) > MAX_WORLD:
-        return f"has a coordinate of {most:g}", f"up to {MAX_WORLD:g} world units"
-    if (most := max(abs(value) for row in rows[:3] for value in row[:3])) > MAX_AXIS:
-        return f"has a pose with an axis of {most:g}", f"a rotation, or axes up to {MAX_AXIS:g}"
-    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if most < 1 / MAX_AXIS or not abs(volume) > MIN_VOLUME * min(most, 1) ** 3:
-        return "has a singular pose", "an invertible rotation"
-    if last != [0, 0, 0, 1]:
-        return f"has a pose whose last row is {last}", "0, 0, 0, 1"
-    return None
-
-
-def _scale(rows: list[list[float]]) -> float:
-    """The number that the axes of a pose are a rotation or a reflection times; 1 if they are neither.
-
-    Also 1 if the difference may be rounding, so that such a pose keeps its bits.
-    """
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = rows
-    right, up, back = a * a + d * d + g * g, b * b + e * e + h * h, c * c + f * f + i * i
-    square = (right + up + back) / 3
-    skew = max(abs(a * b + d * e + g * h), abs(a * c + d * f + g * i), abs(b * c + e * f + h * i))
-    lengths = right, up, back
-    if max(skew, *(abs(length - 1) for length in lengths)) <= ORTHOGONAL:
-        return 1.0
-    alike = max(skew, *(abs(length - square) for length in lengths)) <= ORTHOGONAL * square
-    return math.sqrt(square) if alike else 1.0
 
 
 def look_at(
