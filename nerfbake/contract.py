@@ -11,6 +11,7 @@ Call require_options() before encode().
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from numbers import Real
@@ -81,6 +82,8 @@ class FileFormat(Protocol):
 
 class FolderFormat(Protocol):
     """A scene as the files of one folder, by name."""
+
+    FILES: re.Pattern[str]  # the names of all files that encode() may write; kinds that are only read have none
 
     def recognise(self, files: Mapping[str, memoryview]) -> bool:
         """Return whether the folder is of this kind, from its file names only; no file is read."""

@@ -254,13 +254,14 @@ _LISTS: tuple[tuple[str, Callable[[Attempt], float | None]], ...] = (
 
 THUMBNAILS, EDGE, BYTES = 48, 192, 2_000_000  # limits of a page: pictures, pixels along their edges, total bytes
 _NO_PICTURES = (".depth.png", ".alpha.png")  # pictures that the page does not show
+_COMMAND = "nerfbake "  # how each line of a plan begins
 _REPORTS = (".html", ".md", ".csv")
 
 
 def save_plan(state: str | Path, items: Sequence[Item]) -> None:
     """Write the command lines of the whole batch to its state, for the report after all shards have ended.
 
-    Raises OutputError.
+    A file of this name that is not a plan is not replaced. Raises OutputError.
     """
     path = Path(state) / "plan.txt"
     text = os.fsencode("".join(f"{item.line}\n" for item in items))
@@ -269,8 +270,16 @@ def save_plan(state: str | Path, items: Sequence[Item]) -> None:
         raise OutputError("is a file; allowed: a new folder, or the state of a batch", source=str(state))
     with io.blame(str(path), OutputError):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not _is_plan(path):
+            raise OutputError("is not the plan of a batch; allowed: a new folder, or the state of a batch")
         with io.replacing(path, force=True) as file:
             file.write(text)
+
+
+def _is_plan(path: Path) -> bool:
+    """True if a file is empty or begins like a plan."""
+    text = io.load_lines(path) if path.is_file() else "no file"
+    return not text or text.startswith(_COMMAND)
 
 
 def load_plan(state: str | Path) -> str:

@@ -15,7 +15,7 @@ from nerfbake.jobs.files import FolderTarget, Source
 @click.command()
 @source_argument
 @click.argument("target", metavar="OUT_DIR", type=JudgedOutput())
-@click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
+@click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
 @click.option(
     "--resolution",
     type=Resolution(),

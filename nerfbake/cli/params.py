@@ -223,7 +223,7 @@ def stage1_arguments(function: Command) -> Command:
     @click.option(
         "--transforms", type=Reads(), help="Training cameras: a transforms.json in the mesh's world coordinates."
     )
-    @click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
+    @click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
     @max_memory
     @functools.wraps(function)
     def command(

@@ -50,7 +50,7 @@ def octree(target: Target, console: Console, **options: Any) -> None:
 @click.argument("target", metavar="OUT_DIR", type=Writes())
 @click.option("--resolution", type=int, default=512, show_default=True, help="Texels along each edge of the textures.")
 @seed
-@click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
+@click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
 @max_memory
 @console_options
 def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> None:

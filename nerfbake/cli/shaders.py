@@ -26,7 +26,7 @@ from nerfbake.jobs.shaders import LANGUAGES, NEEDS, write_shaders
     type=click.Choice(list(NEEDS)),
     help="Write only this shader and its includes. Repeat for more.  [default: all]",
 )
-@click.option("--force", is_flag=True, help="Replace OUT_DIR and everything in it.")
+@click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
 @max_memory
 @console_options
 def shaders(target: str, languages: tuple[str, ...], what: tuple[str, ...], force: bool, console: Console) -> None:

@@ -8,8 +8,10 @@ extension .zst, inputs by their first bytes.
 from nerfbake.catalog import uncompressed as uncompressed
 from nerfbake.io.checkpoints import checkpoint_path as checkpoint_path
 from nerfbake.io.checkpoints import load_checkpoint as load_checkpoint
+from nerfbake.io.checkpoints import remove_checkpoint as remove_checkpoint
 from nerfbake.io.checkpoints import require_checkpoints as require_checkpoints
 from nerfbake.io.checkpoints import save_checkpoint as save_checkpoint
+from nerfbake.io.own_folders import FolderContents as FolderContents
 from nerfbake.io.reading import Loaded as Loaded
 from nerfbake.io.reading import Truth as Truth
 from nerfbake.io.reading import check as check
@@ -37,6 +39,7 @@ from nerfbake.io.streams import print_json as print_json
 from nerfbake.io.streams import print_names as print_names
 from nerfbake.io.streams import print_text as print_text
 from nerfbake.io.streams import versioned as versioned
+from nerfbake.io.targets import is_pipe_or_device as is_pipe_or_device
 from nerfbake.io.targets import rejected_path as rejected_path
 from nerfbake.io.targets import replacing as replacing
 from nerfbake.io.targets import require_absent as require_absent

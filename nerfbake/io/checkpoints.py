@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,13 @@ def save_checkpoint(folder: str | Path, facts: Mapping[str, Any], arrays: Mappin
     with blame(str(path), OutputError), replacing(path, force=True) as file:
         for piece in load_checkpoints().encode_checkpoint(facts, arrays):
             file.write(piece)
+
+
+def remove_checkpoint(folder: str | Path) -> None:
+    """Remove the checkpoint, and the folder if nothing else is in it."""
+    with suppress(OSError):
+        checkpoint_path(folder).unlink(missing_ok=True)
+        Path(folder).rmdir()
 
 
 def load_checkpoint(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]] | None:

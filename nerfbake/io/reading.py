@@ -27,7 +27,7 @@ from nerfbake.catalog import (
 )
 from nerfbake.contract import HEAD, PICTURES, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
-from nerfbake.io.sources import STREAM, Folder, StoredNames, blame, read_file, read_stdin, reading_name
+from nerfbake.io.sources import STREAM, Folder, StoredNames, blame, broken_link, read_file, read_stdin, reading_name
 
 Kind = TypeVar("Kind")
 
@@ -193,7 +193,7 @@ def load_folder(source: str | Path, kind: type[Kind], *, more: Mapping[str, memo
     with blame(str(source)):
         path = Path(source)
         if not path.is_dir():
-            found = "is not a folder" if path.exists() else "does not exist"
+            found = broken_link(path) or ("is not a folder" if path.exists() else "does not exist")
             raise InvalidFile(f"{found}; allowed: a folder, {folders_of(kind.__name__)[0].title}")
         return decode_files(Folder(path, more or {}), kind)
 

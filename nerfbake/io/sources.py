@@ -36,7 +36,19 @@ def blame(name: str, error_type: type[NerfbakeError] = InvalidFile) -> Iterator[
             error.source = name
         raise
     except OSError as error:
-        raise error_type(f"{error.strerror or error}", source=name) from error
+        broken = broken_link(name) if isinstance(error, FileNotFoundError) else ""
+        allowed = "; allowed: an existing file or folder"
+        raise error_type(f"{broken}{allowed}" if broken else f"{error.strerror or error}", source=name) from error
+
+
+def broken_link(path: str | Path) -> str:
+    """Return the description of a path that is a link to nothing, or is behind one; '' for any other path."""
+    with suppress(OSError, ValueError):
+        for place in (Path(path), *Path(path).parents):
+            if place.is_symlink() and not place.exists():
+                link = f"a broken link to {place.readlink()}"
+                return f"is {link}" if place == Path(path) else f"is behind {place}, {link}"
+    return ""
 
 
 def read_file(path: Path) -> memoryview:

@@ -9,6 +9,7 @@ IDs.
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import re
 import shutil
@@ -21,7 +22,8 @@ from typing import IO
 
 from nerfbake.errors import BudgetMissed, OutputError
 from nerfbake.io.own_files import lock
-from nerfbake.io.sources import blame
+from nerfbake.io.own_folders import FolderContents, require_apart
+from nerfbake.io.sources import blame, broken_link
 
 _PART, _OLD = "part", "old"
 _LONGEST_NAME = 200  # of 255 bytes, to leave room for the digits and the suffix
@@ -38,6 +40,9 @@ def require_absent(target: str | Path, *, force: bool, parents: bool = False) ->
     _require_name(target)
     if Path(target).is_dir():
         raise OutputError("is a folder; allowed: a file", source=str(target))
+    broken = broken_link(target)
+    if broken and not (force and Path(os.path.realpath(target)).parent.is_dir()):
+        raise OutputError(f"{broken}; allowed: a new file", source=str(target))
     if not force and os.path.lexists(target) and _is_regular(Path(target)):
         raise OutputError("exists already; allowed: a new file, or `force`", source=str(target))
     if not parents:
@@ -58,23 +63,50 @@ def require_room(targets: Sequence[str], *, force: bool) -> None:
             raise OutputError("is not a folder; allowed: a new or another folder", source=str(there))
 
 
-def require_no_folder(target: str | Path, *, force: bool) -> None:
+def require_no_folder(target: str | Path, contents: FolderContents, *, force: bool, inputs: Sequence[str] = ()) -> None:
     """Raise OutputError if the target folder exists and must not be replaced, or cannot be created.
 
-    Call this before the work.
+    Call this before the work. contents: the kind of folder that is written; no folder with other contents is replaced.
+    inputs: the files and folders that are read; no folder that contains one of them, the working folder or the home
+    folder is replaced.
     """
     path = Path(target)
     _require_name(path)
-    if os.path.lexists(path) and not path.is_dir():
-        raise OutputError("is not a folder; allowed: a new folder", source=str(target))
-    if path.is_dir() and any(path.iterdir()) and not force:
-        raise OutputError("exists already; allowed: a new or empty folder, or `force`", source=str(target))
+    with blame(str(target), OutputError):
+        _require_replaceable(path, contents, force=force, inputs=inputs)
     _require_place(path)
 
 
-def require_rejected_absent(target: str | Path, *, force: bool, folder: bool = False) -> None:
+def _require_replaceable(path: Path, contents: FolderContents, *, force: bool, inputs: Sequence[str] = ()) -> None:
+    """Raise OutputError, OSError if there is something at the path that must not be replaced by a folder."""
+    if not path.is_dir():
+        if os.path.lexists(path):
+            raise OutputError(f"{broken_link(path) or 'is not a folder'}; allowed: a new folder")
+        return
+    require_apart(path, inputs)
+    problem = contents.problem(path)
+    if not force and any(path.iterdir()):
+        raise OutputError(
+            f"exists already, and {problem}; allowed: a new or empty folder"
+            if problem
+            else "exists already; allowed: a new or empty folder, or `force`"
+        )
+    if problem:
+        raise OutputError(f"{problem}; allowed: a new or empty folder, or one with nothing but {contents.title}")
+
+
+def require_rejected_absent(target: str | Path, *, force: bool) -> None:
     """Raise OutputError if TARGET.rejected exists and must not be replaced. Call this before the work."""
-    (require_no_folder if folder else require_absent)(rejected_path(target), force=force)
+    require_absent(rejected_path(target), force=force)
+
+
+def is_pipe_or_device(target: str | Path) -> bool:
+    """True if there is something at the path that is neither a file nor a folder, and is written to directly."""
+    try:
+        mode = Path(target).stat().st_mode
+    except (OSError, ValueError):
+        return False
+    return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
 
 
 @contextmanager
@@ -125,6 +157,21 @@ def _put(part: Path, target: Path, *, force: bool) -> None:
     part.replace(target)
 
 
+def _put_all(part: Path, target: Path, names: Sequence[str], *, force: bool) -> None:
+    """Rename finished files of a folder to the folder of the target; if one of them fails, remove those before it."""
+    put: list[Path] = []
+    try:
+        for name in names:
+            place = target.with_name(name)
+            _keep_mode(part / name, place)
+            _put(part / name, place, force=force)
+            put.append(place)
+    except OutputError:  # another process has written one of them in the meantime
+        for place in put:
+            place.unlink(missing_ok=True)
+        raise
+
+
 @contextmanager
 def replacing_files(target: Path, names: Sequence[str], *, force: bool) -> Iterator[Path]:
     """A new folder for a file and those beside it, `names`, which replace existing ones if the block succeeds.
@@ -142,52 +189,69 @@ def replacing_files(target: Path, names: Sequence[str], *, force: bool) -> Itera
     with _locked_part(target, folder=True) as part:
         try:
             yield part
-            for name in (*beside, target.name):
-                _keep_mode(part / name, target.with_name(name))
-                (part / name).replace(target.with_name(name))
+            _put_all(part, target, (*beside, target.name), force=force)
         except BudgetMissed:
-            _reject_folder(part, rejected, force=force)
+            own = re.compile("|".join(map(re.escape, (*beside, target.name))))
+            contents = FolderContents("a rejected result", own, lambda files: True)
+            require_no_folder(rejected, contents, force=force)
+            _put_folder(part, rejected, contents, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
 
 @contextmanager
-def replacing_folder(target: Path, *, force: bool) -> Iterator[Path]:
+def replacing_folder(target: Path, contents: FolderContents, *, force: bool) -> Iterator[Path]:
     """A new folder that replaces the target if the block succeeds.
 
     The folder becomes TARGET.rejected if the block raises BudgetMissed, and is deleted after any other error. Linux
     exchanges the old and the new folder atomically. Elsewhere the old folder is renamed first; if the process dies at
-    that moment, the next writer restores it.
+    that moment, the next writer restores it. contents: the kind of folder that is written, see require_no_folder().
     """
-    require_no_folder(target, force=force)
+    require_no_folder(target, contents, force=force)
     rejected, target = rejected_path(target), Path(os.path.realpath(target))
     _sweep(target)
     with _locked_part(target, folder=True) as part:
         try:
             yield part
-            if target.exists():
-                _keep_mode(part, target)
-                if not _exchange(part, target):
-                    old = part.with_suffix(f".{_OLD}")
-                    target.replace(old)
-                    part.replace(target)
-                    shutil.rmtree(old, ignore_errors=True)
-            else:
-                part.replace(target)
+            _put_folder(part, target, contents, force=force)
         except BudgetMissed:
-            _reject_folder(part, rejected, force=force)
+            require_no_folder(rejected, contents, force=force)
+            _put_folder(part, Path(os.path.realpath(rejected)), contents, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
 
-def _reject_folder(part: Path, rejected: Path, *, force: bool) -> None:
-    """Rename a folder that misses its quality limit."""
-    require_no_folder(rejected, force=force)
-    if rejected.is_dir():
-        shutil.rmtree(rejected)
-    shutil.move(part, rejected)
+def _put_folder(part: Path, target: Path, contents: FolderContents, *, force: bool) -> None:
+    """Rename a finished folder. What is there is looked at again: another process may have written it meanwhile.
+
+    Without `force`, only a folder that is empty is replaced. Raises OutputError, OSError.
+    """
+    _keep_mode(part, target)
+    try:
+        part.rename(target)  # replaces an empty folder, and fails for any other
+        return
+    except OSError as error:
+        if error.errno == errno.EXDEV:  # TARGET.rejected stands beside a link to another file system
+            with _locked_part(target, folder=True) as copy:
+                try:
+                    shutil.copytree(part, copy, dirs_exist_ok=True)
+                    _put_folder(copy, target, contents, force=force)
+                finally:
+                    shutil.rmtree(copy, ignore_errors=True)
+            return
+        if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+            raise
+    if not force:
+        found = "was written by another process; allowed: a new or empty folder, or `force`"
+        raise OutputError(found, source=str(target))
+    _require_replaceable(target, contents, force=force)
+    if not _exchange(part, target):
+        old = part.with_suffix(f".{_OLD}")
+        target.replace(old)
+        part.replace(target)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def rejected_path(target: str | Path) -> Path:

@@ -20,6 +20,7 @@ from nerfbake.catalog import (
     uncompressed,
 )
 from nerfbake.errors import OutputError, UsageError
+from nerfbake.io.own_folders import FolderContents
 from nerfbake.io.sources import STREAM, blame
 from nerfbake.io.streams import write_stdout
 from nerfbake.io.targets import replacing_file, replacing_files, replacing_folder
@@ -127,7 +128,7 @@ def save_folder(target: str | Path, scene: object, *, force: bool = False, **opt
     """Write a scene as a folder; return the size in bytes of each file.
 
     options: those of the kind of folder. Raises UsageError if it does not take an option. The folder appears completely
-    or not at all. With `force` it replaces an existing folder, whatever that contains.
+    or not at all. With `force` it replaces an existing folder of the same kind that contains nothing else.
     """
     with saving_folder(target, scene, force=force, **options) as saved:
         return saved.sizes
@@ -141,15 +142,23 @@ def saving_folder(
     kind = folder_to_write(type(scene).__name__)
     kind.require_options(options)
     files = kind.load_module().encode(scene, **options)
-    with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
+    contents = FolderContents.of(kind)
+    with blame(str(target), OutputError), replacing_folder(Path(target), contents, force=force) as folder:
         yield PendingFile(str(folder), _write_files(folder, files))
 
 
 def save_files(
-    target: str | Path, files: Iterable[tuple[str, Iterable[bytes | memoryview]]], *, force: bool = False
+    target: str | Path,
+    files: Iterable[tuple[str, Iterable[bytes | memoryview]]],
+    contents: FolderContents,
+    *,
+    force: bool = False,
 ) -> dict[str, int]:
-    """Write files as a folder, like save_folder(); return their sizes. A name may contain subfolders."""
-    with blame(str(target), OutputError), replacing_folder(Path(target), force=force) as folder:
+    """Write files as a folder, like save_folder(); return their sizes. A name may contain a subfolder.
+
+    contents: of a folder that these files may replace.
+    """
+    with blame(str(target), OutputError), replacing_folder(Path(target), contents, force=force) as folder:
         return _write_files(folder, files)
 
 

@@ -49,8 +49,7 @@ def bake_atlas_folder(
     """
     source = source if isinstance(source, Stage1Source) else Stage1Source(str(source))
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
-    target.require()
-    budget.require(target)
+    budget.require_folder(target, "BakedAtlas", (*source.inputs, *budget.inputs))
     stage1 = source.read(steps)
     if budget.min_psnr is not None:
         with source.blamed(steps, "framing"):

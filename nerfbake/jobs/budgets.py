@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from nerfbake import io
-from nerfbake.errors import BudgetMissed, NerfbakeError, UsageError
+from nerfbake.errors import BudgetMissed, NerfbakeError
 from nerfbake.jobs.files import FolderTarget, Source, Target
 from nerfbake.jobs.steps import SILENT, Steps
 
@@ -27,17 +27,29 @@ class Budget(NamedTuple):
     cameras: str | None = None
     samples: int | None = None
 
-    def require(self, target: Target | FolderTarget) -> None:
+    def require(self, target: Target) -> None:
         """Check that the output can be compared. Call it before doing any work.
 
-        Raises UsageError if the output is stdout, and OutputError if OUT.rejected exists and must not be replaced.
+        Raises UsageError if the output is stdout, a pipe or a device, and OutputError if OUT.rejected exists and must
+        not be replaced.
         """
-        if self.min_psnr is None:
-            return
-        if target.path == io.STREAM:
-            raise UsageError("`min_psnr` needs an output file; allowed: an OUT other than '-'")
-        folder = isinstance(target, FolderTarget)
-        io.require_rejected_absent(target.path, force=target.force, folder=folder)
+        if self.min_psnr is not None:
+            target.require_measurable("`min_psnr` needs an output file")
+            io.require_rejected_absent(target.path, force=target.force)
+
+    def require_folder(self, target: FolderTarget, scene: str, inputs: Sequence[str | None] = ()) -> None:
+        """Raise NerfbakeError if OUT, or OUT.rejected if there is a limit, cannot be written as a folder.
+
+        scene: the type of the scene. inputs: the paths that are read. Call it before doing any work.
+        """
+        target.require(scene, inputs)
+        if self.min_psnr is not None:
+            target._replace(path=str(io.rejected_path(target.path))).require(scene, inputs)
+
+    @property
+    def inputs(self) -> tuple[str | None, ...]:
+        """The paths that measuring reads."""
+        return (self.cameras,)
 
 
 UNLIMITED = Budget()

@@ -6,7 +6,7 @@ may be replaced.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -78,6 +78,11 @@ class Stage1Source(NamedTuple):
         """The name in messages and errors."""
         return self.folder or ", ".join(self.features)
 
+    @property
+    def inputs(self) -> tuple[str | None, ...]:
+        """The paths that are read."""
+        return (self.folder, *self.features, self.mlp, self.transforms)
+
     def read(self, steps: Steps) -> Stage1:
         named = {"transforms.json": self.transforms, "mlp.json": self.mlp}
         named |= {f"feat1_{c}{Path(path).suffix.lower()}": path for c, path in enumerate(self.features)}
@@ -133,6 +138,16 @@ class Target(NamedTuple):
         io.require_absent(self.path, force=self.force)
         return form
 
+    def require_measurable(self, reason: str) -> None:
+        """Raise UsageError for an output that cannot be read back: stdout, a pipe or a device.
+
+        reason: why it is read back. Call it before doing any work.
+        """
+        if self.path == io.STREAM:
+            raise UsageError(f"{reason}; allowed: an OUT other than '-'")
+        if io.is_pipe_or_device(self.path):
+            raise UsageError(f"{self.path} is a pipe or a device, but {reason}; allowed: a regular file")
+
     def write(self, steps: Steps, scene: Any, **options: Any) -> None:
         """Write a scene. Options are passed to the format, except those that are None."""
         with self.writing(steps, scene, **options):
@@ -152,16 +167,23 @@ class Target(NamedTuple):
 
 
 class FolderTarget(NamedTuple):
-    """A folder to write. force: replace an existing folder and everything in it."""
+    """A folder to write. force: replace an existing folder of the same kind that contains nothing else."""
 
     path: str
     force: bool = False
 
-    def require(self) -> None:
-        """Raise UsageError for '-', OutputError if the folder cannot be written. Call it before doing any work."""
+    def require(self, contents: io.FolderContents | str, inputs: Sequence[str | None] = ()) -> None:
+        """Raise UsageError for '-', OutputError if the folder cannot be written. Call it before doing any work.
+
+        contents: those of the folder, or the type of the scene that is written. inputs: the paths that are read; None
+        and '' are ignored. A folder that contains one of them is not replaced.
+        """
         if self.path == io.STREAM:
             raise UsageError("stdout takes one file; allowed: a folder")
-        io.require_no_folder(self.path, force=self.force)
+        if isinstance(contents, str):
+            contents = io.FolderContents.of(catalog.folder_to_write(contents))
+        given = [path for path in inputs if path]
+        io.require_no_folder(self.path, contents, force=self.force, inputs=given)
 
     def write(self, steps: Steps, scene: Any, **options: Any) -> dict[str, int]:
         """Write a scene and return the size in bytes of each file. Options are passed to the format's encode()."""

@@ -321,8 +321,7 @@ def _read(
 
 def _require(target: Target) -> str:
     """Return the type of scene of the target. Raises NerfbakeError if a field cannot be written there."""
-    if target.path == io.STREAM:
-        raise UsageError("fit measures the file that it wrote; allowed: an OUT other than '-'")
+    target.require_measurable("fit measures the file that it wrote")
     kinds = [kind for kind in KINDS if catalog.is_ending(target.ending, kind)]
     kind = kinds[0] if kinds else None
     # Meshes and splats share extensions. Such a file is a mesh if its format has a texture, and splats otherwise.

@@ -93,8 +93,7 @@ def bake_lattice(
 
     source = as_source(source)
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
-    target.require()
-    budget.require(target)
+    budget.require_folder(target, "LatticeField", (source.path, *budget.inputs))
     scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree))
     judged = None if budget.min_psnr is None else scene
     with source.blamed(steps, "building the octree"):

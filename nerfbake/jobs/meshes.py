@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -65,6 +65,11 @@ class MeshViews(NamedTuple):
     frames: int = 100
     edge: int = EDGE
     album: PhotographOptions = ALL
+
+    @property
+    def inputs(self) -> tuple[str | None, ...]:
+        """The paths that are read."""
+        return (self.views, self.album.masks, self.album.test)
 
     def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
         """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else."""
@@ -226,8 +231,11 @@ def bake_mesh(
     """
     source, place = as_source(source), mesh_target(target)
     model.album.require()
-    options = require_mesh(place, recipe, file)
-    Budget(min_psnr).require(place)
+    options = require_mesh(place, recipe, file, inputs=(source.path, *model.inputs, file.environment))
+    if isinstance(place, FolderTarget):
+        Budget(min_psnr).require_folder(place, "Stage1", (source.path, *model.inputs))
+    else:
+        Budget(min_psnr).require(place)
     light = None if file.environment is None else Source(file.environment).read(steps, EnvironmentMap)
     field = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
     posed = model.posed(steps, source, field)
@@ -273,22 +281,25 @@ def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:
 
 
 def require_mesh(
-    place: Target | FolderTarget, recipe: MeshOptions = PLAIN, file: MeshFile = AS_IT_IS
+    place: Target | FolderTarget,
+    recipe: MeshOptions = PLAIN,
+    file: MeshFile = AS_IT_IS,
+    *,
+    inputs: Sequence[str | None] = (),
 ) -> dict[str, Any]:
     """Return the options of the output's format. Call it before doing any work.
 
-    Raises NerfbakeError if a mesh with these options cannot be written there.
+    inputs: the paths that are read. Raises NerfbakeError if a mesh with these options cannot be written there.
     """
     recipe.require()
     if isinstance(place, FolderTarget):
-        place.require()
+        place.require("Stage1", inputs)
         given = [name for name, value in file._asdict().items() if value]
         if given or len(recipe.triangles) > 1:
             names = ", ".join(f"`{name}`" for name in given) or "levels of detail"
             raise UsageError(f"{place.path} is a folder, for which {names} have no effect; allowed: with a file")
         return {}
-    if place.path == io.STREAM:
-        raise UsageError("mesh measures the file that it wrote; allowed: an OUT other than '-'")
+    place.require_measurable("mesh measures the file that it wrote")
     form = place.require("Meshes")
     options = file.options(form)
     if file.environment is not None and "reversible" not in options:

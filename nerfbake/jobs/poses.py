@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -30,6 +31,9 @@ CAMERAS, MODEL = "transforms.json", "sparse/0"  # the outputs, in the folder of 
 MOST_EXHAUSTIVE = 150  # pictures of which every pair is matched; more are matched in their order
 LEAST = 3  # pictures of a model
 MAX_SEED = 2**31 - 1
+_CONTENTS = io.FolderContents(
+    "a COLMAP model", re.compile(r"(cameras|images|points3D)\.bin"), lambda files: "images.bin" in files
+)
 _PICTURES = "images"
 # Photographs and videos that are not read, so that an error can name one.
 _OTHERS = (".webp", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".mov", ".mp4")
@@ -169,7 +173,7 @@ def _require_outputs(folder: Path, force: bool) -> None:
         require_no_link(folder / name)  # its target may be outside of the folder
     io.require_absent(folder / CAMERAS, force=force)
     if (folder / MODEL).parent.is_dir():
-        io.require_no_folder(folder / MODEL, force=force)
+        io.require_no_folder(folder / MODEL, _CONTENTS, force=force)
 
 
 def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
@@ -200,7 +204,7 @@ def _model_folder(folder: Path, force: bool) -> Iterator[Path]:
         target.parent.mkdir(exist_ok=True)
         require_no_link(target.parent)
     try:
-        with io.blame(str(target), OutputError), replacing_folder(target, force=force) as part:
+        with io.blame(str(target), OutputError), replacing_folder(target, _CONTENTS, force=force) as part:
             yield part
     finally:
         with suppress(OSError):

@@ -146,8 +146,7 @@ def refit_file(
 
 def _require(target: Target, no_child: int | None) -> None:
     """Raise NerfbakeError if an octree cannot be written to the target."""
-    if target.path == io.STREAM:
-        raise UsageError("refit measures the file that it wrote; allowed: an OUT other than '-'")
+    target.require_measurable("refit measures the file that it wrote")
     target.require("SparseVoxelOctree", no_child=no_child)
 
 

@@ -50,7 +50,7 @@ def write_sample_stage1(
     1
     """
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
-    target.require()
+    target.require("Stage1")
     with steps.phase("fitting the MLP"):
         scene = sample_stage1(resolution=resolution, seed=seed)
     sizes = target.write(steps, scene)

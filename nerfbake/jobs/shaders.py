@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pkgutil
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from nerfbake import io
@@ -24,7 +24,26 @@ NEEDS = {  # each shader and the files that it includes; WGSL has no #include, s
     "nanovdb": (),
 }
 PAGE = "README.md"
+_TITLE = b"# Shaders that read nerfbake's files\n"  # the first line of PAGE, in every version
 _INCLUDE = re.compile(r'^#include "(.*)"\n', re.MULTILINE)
+
+
+def _path(language: str, name: str) -> str:
+    """Return the path of a shader in the package and in the output; '' if the language has none.
+
+    C and HLSL share one nanovdb file.
+    """
+    if name == "nanovdb":
+        return "pnanovdb/nanovdb.h" if language in ("hlsl", "c") else ""
+    return "" if language == "c" else f"{language}/{name}.{language}"
+
+
+def _recognise(files: Mapping[str, memoryview]) -> bool:
+    return PAGE in files and bytes(files[PAGE][: len(_TITLE)]) == _TITLE
+
+
+_PATHS = (PAGE, *(_path(language, name) for language in LANGUAGES for name in NEEDS if _path(language, name)))
+CONTENTS = io.FolderContents("nerfbake's shaders", re.compile("|".join(map(re.escape, _PATHS))), _recognise)
 
 
 def write_shaders(
@@ -53,10 +72,10 @@ def write_shaders(
         allowed = "nanovdb in hlsl and c, all else in glsl, hlsl and wgsl"
         raise UsageError(f"{', '.join(what)} does not exist in {', '.join(languages)}; allowed: {allowed}")
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
-    target.require()
+    target.require(CONTENTS)
     files = [(path, [shader_text(path).encode()]) for path in (PAGE, *paths)]
     with steps.phase(f"writing {target.path}"):
-        sizes = io.save_files(target.path, files, force=target.force)
+        sizes = io.save_files(target.path, files, CONTENTS, force=target.force)
     steps.say(f"{target.path}: {len(sizes)} files, {sum(sizes.values()):,} bytes; {PAGE} explains their inputs")
     return sizes
 
@@ -65,16 +84,6 @@ def _require_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
     for value in given:
         if value not in known:
             raise UsageError(f"{option} is {value!r:.40}; allowed: {', '.join(known)}")
-
-
-def _path(language: str, name: str) -> str:
-    """Return the path of a shader in the package and in the output; '' if the language has none.
-
-    C and HLSL share one nanovdb file.
-    """
-    if name == "nanovdb":
-        return "pnanovdb/nanovdb.h" if language in ("hlsl", "c") else ""
-    return "" if language == "c" else f"{language}/{name}.{language}"
 
 
 def shader_text(name: str) -> str:

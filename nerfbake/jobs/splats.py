@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from nerfbake import io, progress
-from nerfbake.errors import BudgetMissed, Problem, UsageError
+from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
@@ -174,8 +174,7 @@ def fitted_splats(
 
 
 def _require(target: Target, min_psnr: float | None) -> None:
-    if target.path == io.STREAM:
-        raise UsageError("splats measures the file that it wrote; allowed: an OUT other than '-'")
+    target.require_measurable("splats measures the file that it wrote")
     target.require("Splats")
     Budget(min_psnr).require(target)
 

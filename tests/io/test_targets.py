@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import shutil
 import signal
 import stat
@@ -11,20 +13,25 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from nerfbake.errors import OutputError
+from nerfbake.errors import BudgetMissed, OutputError
 from nerfbake.io import targets
 from nerfbake.io.own_files import lock
-from nerfbake.io.targets import replacing, replacing_folder, require_absent, require_no_folder
+from nerfbake.io.own_folders import FolderContents
+from nerfbake.io.targets import replacing, replacing_files, replacing_folder, require_absent, require_no_folder
+
+OWN = FolderContents("the tests' a", re.compile("a"), lambda files: True)  # folders with one file, a
 
 # Writes half of what it should under the target's name, says so, and waits to be killed.
 HALF_WRITER = """
 import sys, time
 from pathlib import Path
 from nerfbake.io.targets import replacing, replacing_folder
+from tests.io.test_targets import OWN
 target = Path(sys.argv[1])
 if target.suffix:
     with replacing(target, force=True) as file:
@@ -33,7 +40,7 @@ if target.suffix:
         print("ready", flush=True)
         time.sleep(60)
 else:
-    with replacing_folder(target, force=True) as folder:
+    with replacing_folder(target, OWN, force=True) as folder:
         (folder / "a").write_bytes(b"half")
         print("ready", flush=True)
         time.sleep(60)
@@ -53,7 +60,7 @@ def write(target: Path, content: bytes) -> None:
 
 
 def write_folder(target: Path, content: bytes) -> None:
-    with replacing_folder(target, force=True) as folder:
+    with replacing_folder(target, OWN, force=True) as folder:
         (folder / "a").write_bytes(content)
 
 
@@ -106,6 +113,10 @@ def test_two_writers_of_one_target_do_not_meet(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
 
 
+def require_own_folder(target: Path, *, force: bool) -> None:
+    require_no_folder(target, OWN, force=force)
+
+
 def no_links(part: Path, target: Path) -> None:
     raise OSError("Operation not supported")
 
@@ -134,6 +145,105 @@ def test_what_another_process_wrote_in_the_meantime_is_replaced_with_force_only(
         file.write(b"new")
     assert target.read_bytes() == b"new"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_what_another_process_wrote_into_a_folder_is_replaced_with_force_only(tmp_path: Path) -> None:
+    target = tmp_path / "folder"
+
+    def write(name: str, *, force: bool) -> None:
+        with replacing_folder(target, OWN, force=force) as folder:
+            (folder / "a").write_bytes(b"mine")
+            target.mkdir(exist_ok=True)
+            (target / name).write_bytes(b"another's")
+
+    with pytest.raises(OutputError, match="was written by another process; allowed: a new or empty folder, or `force`"):
+        write("a", force=False)
+    assert (target / "a").read_bytes() == b"another's"
+    write("a", force=True)
+    assert (target / "a").read_bytes() == b"mine"
+    with pytest.raises(OutputError, match="has 'b', which nerfbake did not write"):
+        write("b", force=True)
+    assert {path.name: path.read_bytes() for path in target.iterdir()} == {"a": b"mine", "b": b"another's"}
+    shutil.rmtree(target)
+    target.mkdir()  # an empty folder is replaced
+    with replacing_folder(target, OWN, force=False) as folder:
+        (folder / "a").write_bytes(b"new")
+    assert (target / "a").read_bytes() == b"new"
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_of_many_writers_of_a_new_folder_one_succeeds(tmp_path: Path) -> None:
+    target, ready, won = tmp_path / "folder", threading.Barrier(8), []
+
+    def work(number: int) -> None:
+        with suppress(OutputError):
+            with replacing_folder(target, OWN, force=False) as folder:
+                (folder / "a").write_text(str(number))
+                ready.wait()
+            won.append(str(number))
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert won == [(target / "a").read_text()]
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_of_two_writers_of_a_file_with_others_beside_it_one_succeeds(tmp_path: Path) -> None:
+    target = tmp_path / "a.obj"
+
+    def write(names: list[str], content: str) -> None:
+        with replacing_files(target, names, force=False) as folder:
+            for name in names:
+                (folder / name).write_text(content)
+            if content == "first":
+                write(["a.obj", "a.jpg", "a.mtl"], "second")
+
+    with pytest.raises(OutputError, match=r"a\.mtl: was written by another process"):
+        write(["a.obj", "a.png", "a.mtl"], "first")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
+        ["a.obj", "a.jpg", "a.mtl"], "second"
+    )
+
+
+def test_a_rejected_folder_beside_a_link_to_another_file_system_is_moved_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "real").mkdir()
+    (tmp_path / "out").symlink_to("far/real")
+    rename = Path.rename
+
+    def apart(path: Path, target: Path) -> Path:
+        if path.parent != Path(target).parent:
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", apart)
+    for content in ("1", "2"):
+        with suppress(BudgetMissed), replacing_folder(tmp_path / "out", OWN, force=True) as folder:
+            (folder / "a").write_text(content)
+            raise BudgetMissed("too bad")
+        assert (tmp_path / "out.rejected" / "a").read_text() == content
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["far", "out", "out.rejected"]
+    assert [path.name for path in (tmp_path / "far").iterdir()] == ["real"]
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_a_broken_link_is_told_and_force_is_not_advised(folder: bool, tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to("nowhere")
+    require = require_own_folder if folder else require_absent
+    with pytest.raises(OutputError) as error:
+        require(link, force=False)
+    assert str(error.value) == f"{link}: is a broken link to nowhere; allowed: a new {'folder' if folder else 'file'}"
+    with pytest.raises(OutputError, match=r"is behind .*link, a broken link to nowhere"):
+        require_absent(link / "a.bin", force=False)
+    if not folder:
+        write(link, b"whole")  # with force, as before: the file that the link names
+        assert (tmp_path / "nowhere").read_bytes() == b"whole"
 
 
 def test_a_folder_is_there_whole_at_every_moment(tmp_path: Path) -> None:
@@ -174,7 +284,7 @@ def test_without_an_exchange_the_old_folder_comes_back_if_the_writer_dies(
     # The writer dies after it has moved the old folder aside: its part and the old one are what is left.
     target.rename(tmp_path / ".folder.0123456789abcdef.old")
     (tmp_path / ".folder.0123456789abcdef.part").mkdir()
-    with pytest.raises(KeyboardInterrupt), replacing_folder(target, force=True):
+    with pytest.raises(KeyboardInterrupt), replacing_folder(target, OWN, force=True):
         raise KeyboardInterrupt
     assert (target / "a").read_bytes() == b"new"
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
@@ -255,7 +365,7 @@ def test_what_is_no_name_of_a_file_is_refused(target: str, tmp_path: Path) -> No
     [
         ("none/a.bin", "No such file"),
         ("file/a.bin", "Not a directory"),
-        ("dangling", "No such file"),
+        ("dangling", "is a broken link to none/a.bin; allowed: a new file"),
         ("loop", "symbolic links"),
         ("x" * 256, "too long"),
     ],
@@ -265,7 +375,7 @@ def test_a_place_where_nothing_can_be_written_is_told_before_the_work(name: str,
     (tmp_path / "file").write_bytes(b"")
     (tmp_path / "dangling").symlink_to("none/a.bin")
     (tmp_path / "loop").symlink_to("loop")
-    for require in (require_absent, require_no_folder)[: 1 if name in ("dangling", "loop") else 2]:
+    for require in (require_absent, require_own_folder)[: 1 if name in ("dangling", "loop") else 2]:
         with pytest.raises(OutputError, match=found):
             require(tmp_path / name, force=True)
     if name.startswith("none"):
@@ -273,7 +383,7 @@ def test_a_place_where_nothing_can_be_written_is_told_before_the_work(name: str,
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc, where not even root can create a file")
-@pytest.mark.parametrize("require", [require_absent, require_no_folder])
+@pytest.mark.parametrize("require", [require_absent, require_own_folder])
 def test_a_folder_that_nobody_may_write_to_is_told_before_the_work(require: Callable[..., None]) -> None:
     with pytest.raises(OutputError, match=r"^/proc/a.bin: (No such file|Permission denied)"):
         require("/proc/a.bin", force=False)
@@ -281,7 +391,7 @@ def test_a_folder_that_nobody_may_write_to_is_told_before_the_work(require: Call
 
 def test_looking_for_a_place_leaves_nothing(tmp_path: Path) -> None:
     require_absent(tmp_path / "a.bin", force=False)
-    require_no_folder(tmp_path / "a", force=False)
+    require_no_folder(tmp_path / "a", OWN, force=False)
     assert not list(tmp_path.iterdir())
 
 

@@ -46,10 +46,10 @@ def test_figures_are_reported_even_where_the_budget_is_missed(tmp_path: Path, st
 
 def test_a_folder_that_may_not_be_replaced_is_told_before_anything_is_read(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine").touch()
+    (tmp_path / "out" / "atlas.json").touch()
     with pytest.raises(OutputError, match="exists already"):
         bake_atlas_folder("none", tmp_path / "out")
     source = stage1_folder(tmp_path / "in", mesh_0_obj=None)
     with pytest.raises(InvalidScene, match=r"mesh_0\.obj is missing"):
         bake_atlas_folder(str(source), FolderTarget(str(tmp_path / "out"), force=True), budget=Budget(10), **SMALL)
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["atlas.json"]

@@ -47,8 +47,11 @@ def test_a_folder_is_replaced_only_when_told_so(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "shaders").mkdir()
+    assert main.run(["shaders", "--what", "atlas", "-q"]) == 0
     (tmp_path / "shaders" / "mine.hlsl").touch()
     assert main.run(["shaders", "--what", "world"]) == 4
     assert capsys.readouterr().err.count("\n") == 1
+    assert main.run(["shaders", "--what", "world", "--force", "-q"]) == 4
+    (tmp_path / "shaders" / "mine.hlsl").unlink()
     assert main.run(["shaders", "--what", "world", "--force", "-q"]) == 0
     assert sorted(path.name for path in (tmp_path / "shaders").iterdir()) == ["README.md", "glsl", "hlsl", "wgsl"]

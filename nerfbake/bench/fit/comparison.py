@@ -7,7 +7,6 @@ fit is a process of its own, an item of a batch whose state survives interruptio
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -142,9 +141,9 @@ def compare_papers(
     checkpoints = {item.argv: item.spare[0] for item in items}
 
     def clear(event: dict[str, Any]) -> None:
-        """Remove the checkpoints of a fit that is done: they take as much space as its file."""
+        """Remove the checkpoint of a fit that is done: it takes as much space as its file."""
         if event.get("status") == "done":
-            shutil.rmtree(checkpoints[tuple(event["argv"])], ignore_errors=True)
+            io.remove_checkpoint(checkpoints[tuple(event["argv"])])
 
     batch = run_batch(items, state=state, run=BatchOptions(jobs=1), steps=steps, report=clear)
     if batch.stopped:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from typing import Any, Literal, NamedTuple
@@ -37,6 +38,7 @@ from nerfbake.scene.stage1 import diffuse_name
 
 VERSION = 1
 _NAME = "atlas.json"
+FILES = re.compile(r"atlas\.json|scene\.glb|(atlas|labels|features)_\d+\.png|feat0_\d+\.(png|jpg)|mesh_\d+\.(obj|mtl)")
 
 CONVENTION = {
     "up_axis": "y, in the mesh's own coordinates",

@@ -5,6 +5,7 @@ The test split comes before the training split, because pictures are evaluated o
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from nerfbake.formats.camera.capture import CaptureFolder
 from nerfbake.scene.camera import Cameras
 
 _NAMES = ("transforms.json", "transforms_test.json", "transforms_val.json", "transforms_train.json")
+FILES = re.compile(re.escape(_NAMES[0]))
 
 
 def recognise(files: CaptureFolder) -> bool:

@@ -23,6 +23,7 @@ that its program writes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -242,6 +243,7 @@ def _colour(colour: Colour) -> tuple[Dictionary, Dictionary]:
 _MODEL = "fine_last.tar"
 _DENSITY, _COLOURS = "finedensity.vdb", "finecolor.vdb"
 _ROWS, _TABLE = "mergedidxs.vdb", "mergeddata.npz"
+FILES = re.compile("|".join(map(re.escape, (_MODEL, _DENSITY, _COLOURS, _ROWS, _TABLE))))
 _LEAVES = 1 << 10  # leaves whose voxels are scattered at a time
 _EXACT = 1 << 24  # float32 represents all integers up to this one
 _ALLOWED = f"{_MODEL}, and {_DENSITY} with {_COLOURS} or {_ROWS} with {_TABLE}"

@@ -14,6 +14,7 @@ Older forks write textures as .png.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from nerfbake.scene.stage1 import SpecularField, Stage1
 
 MAX_CASCADES = 16
 _NAME = "mlp.json"
+FILES = re.compile(r"mlp\.json|feat1_\d+\.png|feat0_\d+\.(png|jpg)|mesh_\d+\.(obj|mtl)")
 
 
 class Mlp(NamedTuple):
