@@ -156,7 +156,7 @@ class Console:
         jit = sys.modules.get("nerfbake.kernels.jit")
         if jit is not None and jit.uncached and not self._told:
             self._told = True
-            self.say("note: no cache folder is writable, so kernels are compiled again")
+            self.say("note: no cache folder can be written (read-only, or full), so kernels are compiled again")
 
 
 def _draw(step: Callable[[], ConsoleStep], done: threading.Event) -> None:

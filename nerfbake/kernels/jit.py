@@ -3,7 +3,7 @@
 compiled() keeps the type of the function, which numba's decorator drops.
 
 Compiled code is cached beside the module or in the user's cache folder, so only the first run compiles. If neither is
-writable, every run compiles. Compiled kernels release the GIL, for kernels.parallel.
+writable, or the disk is full, every run compiles. Compiled kernels release the GIL, for kernels.parallel.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from typing import Any, Literal, NamedTuple, TypeVar, cast
 import numba
 from numba.core import event, types
 from numba.extending import intrinsic
+
+from nerfbake.kernels.kernel_cache import harden_cache
 
 uncached: list[str] = []  # names of kernels that are compiled again in every process
 
@@ -86,32 +88,14 @@ def compiled(*, inline: bool = False, merged: bool = False) -> Callable[[Functio
         options["error_model"] = "numpy"
         try:
             result: Any = numba.njit(function, cache=True, **options)
-            _ignore_unreadable_index(result)
+            if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+                harden_cache(result._cache, lambda: uncached.append(function.__name__))
         except RuntimeError:  # numba found no writable cache folder
             uncached.append(function.__name__)
             result = numba.njit(function, **options)
         return cast(Function, result)
 
     return compile_
-
-
-def _ignore_unreadable_index(dispatcher: Any) -> None:
-    """Compile anew if the cache of an older version refers to types that no longer exist.
-
-    Numba unpickles an index, with the types of the arguments, before it compares the index with the source file.
-    """
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return
-    file = dispatcher._cache._cache_file
-    load = file._load_index
-
-    def load_index() -> Any:
-        try:
-            return load()
-        except (AttributeError, ImportError):
-            return {}
-
-    file._load_index = load_index
 
 
 @compiled(merged=True)

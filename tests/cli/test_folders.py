@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -169,7 +170,7 @@ def test_a_folder_with_anything_else_is_never_replaced(
     capsys.readouterr()
     own = contents(out)
     some = next(iter(own))
-    entries = {
+    entries: dict[str, Any] = {
         "thesis.tex": lambda path: path.write_text("precious"),
         ".hidden": lambda path: path.write_text("precious"),
         "a link": lambda path: path.symlink_to(out / some),
