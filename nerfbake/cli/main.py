@@ -13,7 +13,7 @@ from contextlib import suppress
 from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -59,8 +59,21 @@ GROUPS = {
 }
 
 
+class LeakedEndOfFile(Exception):
+    """An EOFError that a command did not expect. Click would turn it into Abort, as it does Ctrl-C."""
+
+    def __init__(self, fault: EOFError) -> None:
+        self.fault = fault
+
+
 class GroupedCommands(click.Group):
     """A click group whose help lists the commands under the headings of GROUPS."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:
+            raise LeakedEndOfFile(error) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -140,9 +153,10 @@ def run(arguments: list[str]) -> int:
         return _fail("stopped", 128 + signal.SIGINT)
     except OSError as error:
         return _fail(error.strerror or str(error), OutputError.exit_code)
-    except Exception as error:
+    except Exception as caught:
+        error = caught.fault if isinstance(caught, LeakedEndOfFile) else caught
         if os.environ.get("NERFBAKE_TRACEBACK"):
-            raise
+            raise error from error.__cause__
         return _fail(f"{_describe_bug(error)}; please report it (NERFBAKE_TRACEBACK=1 shows more)", OWN_FAULT)
 
 

@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import re
+import struct
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -91,7 +92,7 @@ def decoded_bytes(path: str | Path) -> int:
         return Path(path).stat().st_size
     except zipfile.BadZipFile:
         return Path(path).stat().st_size
-    except (OSError, ValueError, NotImplementedError):
+    except (OSError, ValueError, NotImplementedError, EOFError, IndexError, struct.error):  # what zipfile raises
         return 0
 
 

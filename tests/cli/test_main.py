@@ -84,7 +84,14 @@ def test_names_that_the_terminal_cannot_show_are_shown_all_the_same(folder: Path
 
 @pytest.mark.parametrize(
     "fault",
-    [ZeroDivisionError("division by zero"), RecursionError("too deep"), UnicodeError("no text"), KeyError("x" * 9999)],
+    [
+        ZeroDivisionError("division by zero"),
+        RecursionError("too deep"),
+        UnicodeError("no text"),
+        KeyError("x" * 9999),
+        EOFError("ran out of input"),  # click turns it into Abort, as it does Ctrl-C
+        EOFError(),
+    ],
 )
 def test_a_fault_of_our_own_is_one_line(
     fault: Exception, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
