@@ -50,11 +50,16 @@ def one_line(text: str, longest: int = LONGEST_LINE) -> str:
     return _shortened(found, longest - len(mark + allowed)) + mark + allowed
 
 
+def printable(text: str) -> str:
+    """Return the text with a space for each character that is not printable, except line feeds."""
+    return "".join(char if char.isprintable() or char == "\n" else " " for char in text)
+
+
 def _shortened(text: str, longest: int) -> str:
     """Return printable characters. Text that is too long keeps its first two thirds and its end."""
     if len(text) > 4 * longest:
         text = text[: 2 * longest] + text[-2 * longest :]
-    line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
+    line = " ".join(printable(text).split())
     if len(line) <= longest:
         return line
     first = longest * 2 // 3

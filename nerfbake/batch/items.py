@@ -5,7 +5,8 @@ Command lines come from a file, or from a template that is filled with each inpu
     svo {in} baked/{stem}.svo.pb --resolution 256
 
 A line is split at spaces and quotes, as in a shell, before the placeholders are filled: file names may contain spaces,
-quotes, line breaks and braces. No other shell syntax is supported: no variables, no patterns, no pipes.
+quotes, line breaks and braces. $'...' may have the escapes \\xNN, which Item.line writes for characters that are not
+printable. No other shell syntax is supported: no variables, no patterns, no pipes.
 """
 
 from __future__ import annotations
@@ -40,12 +41,10 @@ class Item(NamedTuple):
 
     @property
     def line(self) -> str:
-        """The whole command line, quoted for a shell and for parse_lines()."""
-        return shlex.join(("nerfbake", *self.argv))
+        """The whole command line on one line, quoted for bash, zsh and parse_lines().
 
-    @property
-    def pasteable(self) -> str:
-        """The whole command line on one line, with escapes for characters that are not printable: for bash and zsh."""
+        Characters that are not printable have escapes.
+        """
         return " ".join(map(_pasteable, ("nerfbake", *self.argv)))
 
     @property
@@ -110,7 +109,7 @@ def require_apart(items: Sequence[Item], keep: Sequence[str] = ()) -> None:
 def require_names(item: Item) -> None:
     """Raise UsageError if the item reads or writes a stream, or if an argument or path contains NUL."""
     if STREAM in (*item.reads, *item.albums, *item.writes, *item.spare):
-        raise UsageError(f"{item.pasteable}: reads or writes a stream; allowed in a batch: files and folders")
+        raise UsageError(f"{item.line}: reads or writes a stream; allowed in a batch: files and folders")
     for word in (*item.argv, *item.reads, *item.albums, *item.writes, *item.spare):
         if "\0" in word:
             raise UsageError(f"{word!r} has a NUL; allowed: arguments and paths without one")
@@ -131,7 +130,7 @@ def _real(path: str) -> str:
 
 def _label(items: Sequence[Item], number: int) -> str:
     """The name of an item in errors: its number, from 1, and its command line."""
-    return f"item {number + 1} ({one_line(items[number].pasteable, 80)})"
+    return f"item {number + 1} ({one_line(items[number].line, 80)})"
 
 
 def _conflict(items: Sequence[Item], number: int, found: str, allowed: str) -> UsageError:
@@ -212,9 +211,21 @@ def _split(text: str, place: str) -> list[str]:
     if "\0" in text:
         raise _line_error(place, "a NUL")
     try:
-        return shlex.split(text)
+        return shlex.split(_ESCAPED.sub(_unescaped, text))
     except ValueError as error:
         raise _line_error(place, str(error).lower()) from None
+
+
+# A quoted part, which stays as it is, or $'...' with the escapes that Item.line writes.
+_ESCAPED = re.compile(r"""(?:"(?:[^"\\]|\\.)*"|\\.|(?<!\$)'[^']*')|\$'((?:[^'\\]|\\x[0-9a-f]{2})*)'""", re.DOTALL)
+
+
+def _unescaped(found: re.Match[str]) -> str:
+    """Quote what $'...' stands for, as shlex understands it."""
+    if found[1] is None:
+        return found[0]
+    data = re.sub(rb"\\x(..)", lambda byte: bytes([int(byte[1], 16)]), os.fsencode(found[1]))
+    return shlex.quote(os.fsdecode(data))
 
 
 def _line_error(place: str, found: str) -> UsageError:

@@ -48,7 +48,7 @@ def as_csv(batch: Batch) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["command", "status", "exit", "error", "seconds", "peak_bytes", "bytes_in", "bytes_out", "psnr"])
     for row in batch.rows:
-        writer.writerow([row.item.pasteable, row.status, *_exact(row)])
+        writer.writerow([row.item.line, row.status, *_exact(row)])
     return text.getvalue()
 
 
@@ -74,7 +74,7 @@ def as_markdown(batch: Batch) -> str:
 
 def _markdown_fault(row: Row) -> str:
     error = f": {one_line(row.attempt.error)}" if row.attempt and row.attempt.error else ""
-    return f"- {row.status}{_cell(error)}\n\n      {row.item.pasteable}"
+    return f"- {row.status}{_cell(error)}\n\n      {row.item.line}"
 
 
 def _markdown_table(rows: Any) -> str:
@@ -140,7 +140,7 @@ def _html_fault(row: Row) -> str:
     """The error of an item, and its whole command line to paste, of any length."""
     error = f": {text(row.attempt.error)}" if row.attempt and row.attempt.error else ""
     code = f" (exit {row.attempt.code})" if row.attempt else ""
-    command = f'<pre style="{_WRAPPED}">{html.escape(row.item.pasteable)}</pre>'
+    command = f'<pre style="{_WRAPPED}">{html.escape(row.item.line)}</pre>'
     return f'<section>\n<p class="missed">{row.status}{code}{error}</p>\n{command}\n</section>\n'
 
 

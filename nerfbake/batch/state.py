@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 from nerfbake import __version__
 from nerfbake.batch.items import Item
+from nerfbake.errors import one_line
 from nerfbake.io.digests import Stamp, digest_of, stamp_of
 from nerfbake.io.journal import Event, Journal, journals, read_journal
 from nerfbake.io.reading import is_picture
@@ -297,4 +298,4 @@ def _is_unchanged(output: OutputRecord, verify: bool) -> bool:
 
 
 def _machine(event: Event) -> str:
-    return f"{event['machine']}, Python {event['python']}, nerfbake {event['nerfbake']}"
+    return one_line(f"{event['machine']}, Python {event['python']}, nerfbake {event['nerfbake']}")

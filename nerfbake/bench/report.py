@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from nerfbake.bench.measure import Statistics
+from nerfbake.errors import one_line
 from nerfbake.io import versioned
 
 
@@ -31,7 +32,7 @@ class Report(NamedTuple):
 
 def markdown(report: Report) -> str:
     """Write Markdown, for people and for a README."""
-    head = "; ".join(f"{name} {value}" for name, value in report.head.items())
+    head = "; ".join(f"{name} {one_line(value)}" for name, value in report.head.items())
     parts = [f"# {report.title}", head, *map(_markdown_table, report.tables), *(f"- {note}" for note in report.notes)]
     return "\n\n".join(parts[: 2 + len(report.tables)]) + "\n\n" + "\n".join(parts[2 + len(report.tables) :]) + "\n"
 
@@ -109,7 +110,7 @@ def _cell(cell: Any) -> str:
         case float():
             return _number(cell)
         case _:
-            return str(cell).replace("|", "\\|")
+            return one_line(str(cell)).replace("|", "\\|")
 
 
 def _number(value: float) -> str:

@@ -7,7 +7,7 @@ import click
 from nerfbake import io
 from nerfbake.cli.console import Console
 from nerfbake.cli.params import as_json, console_options, source_argument
-from nerfbake.errors import for_shell
+from nerfbake.errors import for_shell, one_line
 from nerfbake.jobs.files import Source
 
 
@@ -30,7 +30,7 @@ def check(source: Source, as_json: bool, console: Console) -> int:
         io.print_json({"file": source.path, "ok": not problems, "problems": found})
     else:
         for problem in problems:
-            io.print_text(f"{source.path}: {for_shell(problem.line)}")
+            io.print_text(f"{one_line(source.path)}: {for_shell(problem.line)}")
         if not problems:
             console.say(f"{source.path}: ok")
     return 1 if problems else 0

@@ -21,6 +21,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Capture, Reads, Writes
+from nerfbake.errors import one_line
 from nerfbake.jobs.files import Source
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def _print(compared: FileComparison) -> None:
         for pair, errors in view.items():
             if pair != "name":
                 figures = f"{errors['psnr']:>9.2f}{errors['ssim']:>9.4f}{errors['max_error']:>11.4f}"
-                io.print_text(f"{view['name']:<12}{names[pair]:<14}{figures}")
+                io.print_text(f"{one_line(view['name']):<12}{names[pair]:<14}{figures}")
     for name, errors in found.values.items():
         io.print_text(f"{'values':<12}{name:<14}mean {errors['mean']:.4g}, max {errors['max']:.4g}")
     for name, file in (("IN", compared.a), ("IN2", compared.b)):

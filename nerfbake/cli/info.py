@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
+from nerfbake.cli.console import LONGEST_TOLD, Console
 from nerfbake.cli.params import as_json, console_options, source_argument
-from nerfbake.errors import format_size
+from nerfbake.errors import format_size, one_line
 from nerfbake.jobs.files import Source
 
 
@@ -46,7 +46,7 @@ def _table(facts: dict[str, Any]) -> None:
     for name, value in facts.items():
         if name in ("grids", "cascades"):
             for part, parts in value.items():
-                io.print_text(f"\n{name[:-1]} {part}")
+                io.print_text(f"\n{name[:-1]} {one_line(part)}")
                 _table(parts)
             io.print_text()
         else:
@@ -62,10 +62,10 @@ def _text(name: str, value: Any) -> str:
         case int():
             return f"{value:,} ({format_size(value)})" if name.startswith("bytes") else f"{value:,}"
         case dict():
-            return ", ".join(f"{key} {_text(key, part)}" for key, part in value.items())
+            return ", ".join(f"{one_line(str(key))} {_text(key, part)}" for key, part in value.items())
         case [float(), *_]:
             return f"[{', '.join(f'{part:.6g}' for part in value)}]"
         case list():
             return (" x " if name == "resolution" else ", ").join(_text("", part) for part in value)
         case _:
-            return str(value)
+            return one_line(str(value), LONGEST_TOLD)

@@ -9,15 +9,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from nerfbake.errors import OutputError, PipeClosed, UsageError
+from nerfbake.errors import OutputError, PipeClosed, UsageError, printable
 
 
 def print_text(text: str = "") -> None:
-    """Print a line of data. Raises OutputError if it cannot be written, PipeClosed if the reader closed the pipe."""
-    _require_open("a pipe, a file or a terminal")
-    with _blamed():
-        sys.stdout.write(f"{text}\n")
-        sys.stdout.flush()
+    """Print lines of data, with a space for each character that is not printable, such as a terminal's escapes.
+
+    A name from a file or a command line may contain a line feed: put it on one line first. Raises OutputError if the
+    text cannot be written, PipeClosed if the reader closed the pipe.
+    """
+    _print(printable(text))
 
 
 def versioned(facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -30,12 +31,19 @@ def versioned(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def print_json(facts: Mapping[str, Any]) -> None:
     """Print output for scripts as one line of JSON, with its version. Raises OutputError, PipeClosed."""
-    print_text(json_line(facts))
+    _print(json_line(facts))
 
 
 def json_line(facts: Mapping[str, Any]) -> str:
     """Output for scripts as one line of JSON, with its version."""
-    return json.dumps(versioned(facts))
+    return json.dumps(versioned(facts)).replace("\x7f", "\\u007f")  # JSON escapes all other controls
+
+
+def _print(text: str) -> None:
+    _require_open("a pipe, a file or a terminal")
+    with _blamed():
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 def print_names(text: str) -> None:

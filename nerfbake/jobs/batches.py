@@ -156,4 +156,4 @@ def _run(
 def _print_failure(steps: Steps, item: Item, attempt: Attempt) -> None:
     if attempt.status != DONE:
         steps.say(f"{attempt.status} (exit {attempt.code}): {attempt.error}")
-        steps.say(item.pasteable)
+        steps.say(item.line)

@@ -72,8 +72,8 @@ def test_a_line_without_an_end_is_told_where_it_begins(text: str) -> None:
 
 
 def test_a_command_can_be_pasted_whatever_its_names_hold() -> None:
-    assert Item(("svo", "a b", "it's")).pasteable == "nerfbake svo 'a b' 'it'\"'\"'s'"
-    assert Item(("svo", "a\n'\\\udcff")).pasteable == r"nerfbake svo $'a\x0a\x27\x5c\xff'"
+    assert Item(("svo", "a b", "it's")).line == "nerfbake svo 'a b' 'it'\"'\"'s'"
+    assert Item(("svo", "a\n'\\\udcff")).line == r"nerfbake svo $'a\x0a\x27\x5c\xff'"
 
 
 @pytest.mark.parametrize("text", ["svo a b\nsvo a\0 b\n", "svo a b\nsvo 'a\n\0'\n"])

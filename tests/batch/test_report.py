@@ -47,7 +47,7 @@ def test_the_page_tells_what_is_wrong_first_and_the_command_to_paste() -> None:
     page = as_page(BATCH)
     assert re.findall(r'<p class="missed">(\w+)', page) == ["failed", "rejected", "waiting"]
     commands = [html.unescape(found) for found in re.findall(r"<pre[^>]*>(.*?)</pre>", page)]
-    assert commands == [BATCH.rows[i].item.pasteable for i in (3, 4, 2)]
+    assert commands == [BATCH.rows[i].item.line for i in (3, 4, 2)]
     assert shlex.split(commands[1]) == ["nerfbake", "svo", "poor.npz", "out"]
     assert page.index("Not done") < page.index("Slowest") < page.index("<h2>Items")
     assert "Not all done" in page
