@@ -154,10 +154,10 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         return _fail(error.strerror or str(error), OutputError.exit_code)
     except Exception as caught:
-        error = caught.fault if isinstance(caught, LeakedEndOfFile) else caught
+        fault = caught.fault if isinstance(caught, LeakedEndOfFile) else caught
         if os.environ.get("NERFBAKE_TRACEBACK"):
-            raise error from error.__cause__
-        return _fail(f"{_describe_bug(error)}; please report it (NERFBAKE_TRACEBACK=1 shows more)", OWN_FAULT)
+            raise fault from fault.__cause__
+        return _fail(f"{_describe_bug(fault)}; please report it (NERFBAKE_TRACEBACK=1 shows more)", OWN_FAULT)
 
 
 def _describe_bug(error: Exception) -> str:

@@ -191,13 +191,28 @@ def replacing_files(target: Path, names: Sequence[str], *, force: bool) -> Itera
             yield part
             _put_all(part, target, (*beside, target.name), force=force)
         except BudgetMissed:
-            own = re.compile("|".join(map(re.escape, (*beside, target.name))))
-            contents = FolderContents("a rejected result", own, lambda files: True)
+            contents = _these((*beside, target.name))
             require_no_folder(rejected, contents, force=force)
             _put_folder(part, rejected, contents, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
+
+
+def _these(names: Sequence[str]) -> FolderContents:
+    """The contents of a folder with files of these names."""
+    return FolderContents("the same files", re.compile("|".join(map(re.escape, names))), lambda files: True)
+
+
+def keep_pending(part: Path, kept: Path, *, folder: bool) -> None:
+    """Rename a file that was not given its name yet. folder: with the files beside it, to a folder."""
+    if not folder:
+        require_absent(kept, force=True)
+        shutil.move(part, kept)
+        return
+    contents = _these([path.name for path in part.parent.iterdir()])
+    require_no_folder(kept, contents, force=True)
+    _put_folder(part.parent, kept, contents, force=True)
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from nerfbake.errors import OutputError, UsageError
 from nerfbake.io.own_folders import FolderContents
 from nerfbake.io.sources import STREAM, blame
 from nerfbake.io.streams import write_stdout
-from nerfbake.io.targets import replacing_file, replacing_files, replacing_folder
+from nerfbake.io.targets import keep_pending, replacing_file, replacing_files, replacing_folder
 
 
 def save(
@@ -122,6 +122,17 @@ def _saving_files(
             sizes = _write_files(folder, [(name, pieces) for name, (_, pieces) in zip(names, files, strict=True)])
             endings = ["", *(ending for ending, _ in files[1:])]
             yield PendingFile(str(folder / target.name), dict(zip(endings, sizes.values(), strict=True)))
+
+
+def keep_partial(written: PendingFile, target: str | Path) -> str:
+    """Rename an output that is written to TARGET.partial; return that path. Raises OutputError.
+
+    Files that stand beside each other become a folder. An earlier TARGET.partial is replaced.
+    """
+    partial = Path(f"{target}.partial")
+    with blame(str(partial), OutputError):
+        keep_pending(Path(written.path), partial, folder=len(written.sizes) > 1)
+    return str(partial)
 
 
 def save_folder(target: str | Path, scene: object, *, force: bool = False, **options: object) -> dict[str, int]:

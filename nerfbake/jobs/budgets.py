@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from nerfbake import io
-from nerfbake.errors import BudgetMissed, NerfbakeError
-from nerfbake.jobs.files import FolderTarget, Source, Target
+from nerfbake.errors import BudgetMissed
+from nerfbake.jobs.files import FolderTarget, Source, Target, read_back_as
 from nerfbake.jobs.steps import SILENT, Steps
 
 FRAMES, EDGE = 8, 400  # number of views around a scene that are compared, and their width and height in pixels
@@ -108,12 +108,8 @@ def judge_output(
         views.require_covered()
     name = written if name is None else name
     with Source(name).blamed(steps, "measuring the quality"):
-        with steps.phase(f"reading {name}"):
-            try:
-                made = read(written)
-            except NerfbakeError as error:
-                error.source = name
-                raise
+        with steps.phase(f"reading {name}"), read_back_as(name):
+            made = read(written)
         found = compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
         decibels = float(found.means["a_b"]["psnr"])
         io.report_result(psnr=decibels)

@@ -120,8 +120,11 @@ def convert_splats(
     if up is not None:
         splats = splats.with_up(ways[up])
     kept = splats.with_degree(module.MOST_DEGREE)
-    target.write(steps, kept, **options)
-    with steps.phase("measuring the loss"):
+    with (
+        target.writing(steps, kept, **options),
+        steps.phase("measuring the loss"),
+        io.blame(target.name),
+    ):
         found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)
     steps.say(f"{target.name}: {_told(loss)}")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nerfbake import catalog, io, memory
-from nerfbake.errors import UsageError
+from nerfbake.errors import NerfbakeError, UsageError
 from nerfbake.jobs.steps import Steps, Tell
 
 if TYPE_CHECKING:
@@ -195,6 +195,16 @@ class FolderTarget(NamedTuple):
         """Like write(), with a block that runs before the folder gets its final name; see io.saving_folder()."""
         with _written(steps, self.path, io.saving_folder(self.path, scene, force=self.force, **options)) as saved:
             yield saved
+
+
+@contextmanager
+def read_back_as(name: str) -> Iterator[None]:
+    """Run a block that reads an output before it has its final name: errors have this name, not the temporary one."""
+    try:
+        yield
+    except NerfbakeError as error:
+        error.source = name
+        raise
 
 
 @contextmanager

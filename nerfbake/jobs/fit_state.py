@@ -15,7 +15,7 @@ from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
 from nerfbake import io
-from nerfbake.errors import InvalidFile, MemoryLimit, Problem, Stopped
+from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, Problem, Stopped
 from nerfbake.jobs.files import Target
 from nerfbake.jobs.photographs import SplitViews
 from nerfbake.jobs.steps import Steps
@@ -244,6 +244,17 @@ def write_partial(
     partial.write(steps, scene, **options)
     goes_on = f"; run the same command to resume from {state}" if state else ""
     raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
+
+
+@contextmanager
+def kept_as_partial(steps: Steps, target: Target, written: io.PendingFile) -> Iterator[None]:
+    """Run a block that measures an output. If it fails, the output becomes target.partial: the work took long."""
+    try:
+        yield
+    except (NerfbakeError, MemoryError, KeyboardInterrupt):
+        partial = io.keep_partial(written, target.path)
+        steps.say(f"{partial}: is complete, but was not measured")
+        raise
 
 
 @contextmanager

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
 from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, write_partial
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
+from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
 from nerfbake.jobs.meshes import build_mesh, require_mesh
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
@@ -235,7 +236,8 @@ def fit_file(
     Reads the cameras and pictures of `source` and `album`; a folder of photographs without cameras gets their poses
     from find_poses() first. Writes `target`, whose extension selects the type of scene, and checkpoints to the folder
     `state`. A run that was killed resumes from the last checkpoint and writes the same bytes. Ctrl-C writes the current
-    state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
+    state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
+    name. Raises NerfbakeError.
 
     dtype   number type of a PlenOctree's values; None: float16, or float32 if a value is too large for float16
     report  is called with the result
@@ -265,22 +267,25 @@ def fit_file(
     steps.say(f"{source.name}: `epochs={schedule}`")
     keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule, posed.trained), posed.trained)
     course = FitRun(posed, schedule, recipe.rays(schedule))
-    with interrupts() as asked:
-        field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
-        if judges.scenery and kind in _OF_INNER_CUBE:
-            steps.say(f"{source.name}: has scenery; {target.path} shows the inner cube")
-            field = field.shell(0)
-            posed = cut_out(steps, source, posed, build_field_from_bricks(field))
-            judges = posed.judges
-        scene = _converted(steps, source, target, kind, field, posed, recipe.rays(schedule), dtype, asked)
-        del field, posed
-        if asked:
-            write_partial(steps, target, kind, scene, state, **_options(target, kind))
-        target.write(steps, scene, **_options(target, kind))
+    with ExitStack() as output:
+        with interrupts() as asked:
+            field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
+            if judges.scenery and kind in _OF_INNER_CUBE:
+                steps.say(f"{source.name}: has scenery; {target.path} shows the inner cube")
+                field = field.shell(0)
+                posed = cut_out(steps, source, posed, build_field_from_bricks(field))
+                judges = posed.judges
+            scene = _converted(steps, source, target, kind, field, posed, recipe.rays(schedule), dtype, asked)
+            del field, posed
+            if asked:
+                write_partial(steps, target, kind, scene, state, **_options(target, kind))
+            written = output.enter_context(target.writing(steps, scene, **_options(target, kind)))
+        del scene
+        if not asked:
+            with kept_as_partial(steps, target, written):
+                fitted = _judged(steps, target, written, judges, schedule, recipe, course)
     if asked:
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
-    del scene
-    fitted = _judged(steps, target, judges, schedule, recipe, course)
     if report is not None:
         report(fitted)
     return fitted
@@ -423,14 +428,20 @@ def _converted(
 
 
 def _judged(
-    steps: Steps, target: Target, judges: Views, schedule: Schedule, recipe: FitOptions, course: FitRun
+    steps: Steps,
+    target: Target,
+    written: io.PendingFile,
+    judges: Views,
+    schedule: Schedule,
+    recipe: FitOptions,
+    course: FitRun,
 ) -> FitResult:
     """Read the written file and measure it on the held-out views."""
     samples = recipe.rays(schedule)
     worked, passed = course.clock.worked, course.clock.passed
-    file = Source(target.path)
-    with file.blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
-        loaded = file.read_with_format(steps)
+    with Source(target.path).blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
+        with steps.phase(f"reading {target.name}"), read_back_as(target.path):
+            loaded: io.Loaded[Any] = io.load_with_format(written.path)
         scene = loaded.scene if isinstance(loaded.scene, Meshes | Splats) else build_field(loaded.scene)
         views = measure_views(scene, judges, samples=samples)
         shapes = measure_silhouettes(scene, judges) if isinstance(scene, Meshes) else ()

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from nerfbake import catalog, io, progress
 from nerfbake.errors import BudgetMissed, InvalidScene, Problem, UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
-from nerfbake.jobs.files import AnySource, AnyTarget, FolderTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.files import (
+    AnySource,
+    AnyTarget,
+    FolderTarget,
+    Source,
+    Target,
+    as_source,
+    as_target,
+    read_back_as,
+)
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import (
@@ -236,7 +245,7 @@ def bake_mesh(
         Budget(min_psnr).require_folder(place, "Stage1", (source.path, *model.inputs))
     else:
         Budget(min_psnr).require(place)
-    light = None if file.environment is None else Source(file.environment).read(steps, EnvironmentMap)
+    light = None if file.environment is None else _read_light(steps, Source(file.environment))
     field = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
     posed = model.posed(steps, source, field)
     clock = Clock()
@@ -360,6 +369,13 @@ def build_mesh(
     return Meshes((levels[0],), tuple(levels[1:]))
 
 
+def _read_light(steps: Steps, source: Source) -> EnvironmentMap:
+    light: EnvironmentMap = source.read(steps, EnvironmentMap)
+    with io.blame(source.name):
+        light.require_light()
+    return light
+
+
 def _with_materials(
     steps: Steps, source: Source, scene: Meshes, views: Views, light: EnvironmentMap
 ) -> tuple[Meshes, tuple[Material, ...]]:
@@ -399,10 +415,9 @@ def _judged(
     """Read the written file or folder, and measure it on the held-out views. pictures: these views in words."""
     told = pictures + replace(judges.cameras, samples=SAMPLES).rays_told
     with steps.phase(f"measuring on {len(judges.pictures)} pictures"), io.blame(place.path):
-        if isinstance(place, FolderTarget):
-            found: Meshes | Stage1 = io.load_folder(path, Stage1)
-        else:
-            found = io.load(path, Meshes)
+        with read_back_as(place.path):
+            folder = isinstance(place, FolderTarget)
+            found: Meshes | Stage1 = io.load_folder(path, Stage1) if folder else io.load(path, Meshes)
         return found, measure_mesh(found, judges, told=told)
 
 

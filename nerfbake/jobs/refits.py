@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from nerfbake import io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.lattices import without_scenery
 from nerfbake.jobs.octrees import read_octree
@@ -133,10 +133,11 @@ def refit_file(
     field, worked = _fit(steps, source, cells, posed, again)
     with source.blamed(steps, "storing the values"):
         refitted = fill_octree(octree, field)
-    target.write(steps, refitted, no_child=no_child)
-    del octree, cells, field, refitted
-    loaded = Source(target.path).read_with_format(steps)
-    after = _measure(steps, Source(target.path), loaded.scene, posed, again)
+    with target.writing(steps, refitted, no_child=no_child) as written:
+        del octree, cells, field, refitted
+        with steps.phase(f"reading {target.name}"), read_back_as(target.path):
+            loaded: io.Loaded[Any] = io.load_with_format(written.path)
+        after = _measure(steps, Source(target.path), loaded.scene, posed, again)
     found = RefitResult(target.path, str(loaded.scene), loaded.size, before, after, worked)
     was, now = found.psnr
     io.report_result(psnr=now)

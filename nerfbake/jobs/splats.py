@@ -8,8 +8,8 @@ from typing import NamedTuple
 from nerfbake import io, progress
 from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.budgets import Budget, reporting
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.fit_state import Clock, interrupts, write_partial
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
+from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
 from nerfbake.jobs.photographs import (
     ALL,
@@ -117,7 +117,8 @@ def bake_splats(
 
     This is `nerfbake splats`. Reads `source` (a PlenOctree, an octree, a volume or a lattice) and the photographs of
     `model`. Writes `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes
-    the current state as `target`.partial and raises Stopped (exit code 130). Raises NerfbakeError.
+    the current state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept
+    under this name. Raises NerfbakeError.
 
     report  is called with the result, also if it is below `min_psnr`
 
@@ -145,7 +146,8 @@ def bake_splats(
     with told, target.writing(steps, splats) as written:
         count = splats.n
         del splats
-        views, content = _measured(steps, target, written, posed.judges)
+        with kept_as_partial(steps, target, written):
+            views, content = _measured(steps, target, written, posed.judges)
         found = SplatsResult(target.path, content, written.size, count, views, worked, passed)
         io.report_result(psnr=found.psnr)
         if min_psnr is not None and not found.psnr >= min_psnr:
@@ -192,5 +194,6 @@ def _measured(
 ) -> tuple[tuple[ViewError, ...], str]:
     """Read the file that was written, and measure it on the held-out views."""
     with Source(target.path).blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
-        loaded = io.load(written.path, Splats)
+        with read_back_as(target.path):
+            loaded = io.load(written.path, Splats)
         return measure_views(loaded, judges), str(loaded)

@@ -40,6 +40,11 @@ class EnvironmentMap(Scene):
         if (self.radiance < 0).any():
             raise InvalidScene(Problem("the environment map", "has values below 0", "radiance, 0 or more"))
 
+    def require_light(self) -> None:
+        """Raise InvalidScene if the map is black."""
+        if not (self.radiance > 0).any():
+            raise InvalidScene(Problem("the environment map", "is black", "some light"))
+
     def __str__(self) -> str:
         H, W, _ = self.radiance.shape
         return f"environment map of {W:,}x{H:,} pixels"

@@ -85,8 +85,7 @@ def fit_materials(
     (32, 32, 2)
     """
     require_texture(edge)
-    if not (environment.radiance > 0).any():
-        raise InvalidScene(Problem("the environment map", "is black", "some light"))
+    environment.require_light()
     with memory.scope():
         memory.hold(f"a texture of {edge}x{edge} texels", _TEXEL_BYTES * edge * edge)
         seen = see(mesh, views, edge, samples)

@@ -71,6 +71,16 @@ def test_materials_are_told_and_written(capsys: pytest.CaptureFixture[str]) -> N
     assert last_line(capsys) == "error: .obj stores no materials; allowed: a format that does, glTF"
 
 
+def test_a_black_map_is_told_before_the_work_by_its_own_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """It was told after the work, as a fault of IN."""
+    Path("black.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 4\n" + bytes(32))
+    assert run(["mesh", "nothing.npz", "a.glb", *SMALL, "--environment", "black.hdr"]) == 1
+    assert last_line(capsys) == "error: black.hdr: the environment map is black; allowed: some light"
+    Path("link.hdr").symlink_to("gone.hdr")
+    assert run(["mesh", "nothing.npz", "a.glb", *SMALL, "--environment", "link.hdr"]) == 1
+    assert last_line(capsys).startswith("error: link.hdr: is a broken link to gone.hdr; allowed: an existing file")
+
+
 def test_a_glb_looks_like_its_field_and_is_the_same_again(capsys: pytest.CaptureFixture[str]) -> None:
     facts = told(["mesh", "a.npz", "a.glb", *SMALL], capsys)
     assert (facts["in"], facts["file"], facts["bytes"]) == ("a.npz", "a.glb", Path("a.glb").stat().st_size)

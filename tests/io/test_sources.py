@@ -12,8 +12,9 @@ import pytest
 
 from nerfbake import load, memory_limit, sample_n3tree, save
 from nerfbake.errors import InvalidFile, MemoryLimit
-from nerfbake.io import sources
+from nerfbake.io import load_folder, sources
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.stage1 import Stage1
 
 
 def test_a_file_that_is_cut_short_while_it_is_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,3 +108,18 @@ def test_loaded_scenes_count_for_as_long_as_they_live(tmp_path: Path) -> None:
         del first
         load(tmp_path / "a.npz", N3Tree)
         load(tmp_path / "a.npz", N3Tree)
+
+
+def test_a_broken_link_is_told_as_one(tmp_path: Path) -> None:
+    (tmp_path / "link.npz").symlink_to("gone/a.npz")
+    (tmp_path / "folder").symlink_to("gone")
+    for name, told in (
+        ("link.npz", r"link\.npz: is a broken link to gone/a\.npz; allowed: an existing file or folder"),
+        ("folder", r"folder: is a broken link to gone; allowed: "),
+        ("folder/a.npz", r"folder/a\.npz: is behind .*/folder, a broken link to gone; allowed: "),
+        ("none.npz", r"none\.npz: No such file or directory$"),
+    ):
+        with pytest.raises(InvalidFile, match=told):
+            load(tmp_path / name)
+    with pytest.raises(InvalidFile, match=r"folder: is a broken link to gone; allowed: a folder"):
+        load_folder(tmp_path / "folder", Stage1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nerfbake import SparseVoxelOctree, Splats, VdbTree, Volume, load, save
-from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
+from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
 from nerfbake.jobs import GridChoice, Target, bake_volume, convert_file, convert_splats, split_volume
 from tests.jobs.listener import Listener
 from tests.support.scenes import assert_same_octree
@@ -132,6 +132,24 @@ def test_what_a_format_loses_is_told(tmp_path: Path, listener: Listener) -> None
     convert_file(tmp_path / "a.spz", tmp_path / "b.ply", steps=listener)
     assert listener.said[-1].endswith("; SH bands left out: 1")
     assert load(tmp_path / "b.ply", Splats).degree == 3
+
+
+@pytest.mark.parametrize("error", [MemoryLimit, KeyboardInterrupt])
+def test_a_file_whose_loss_cannot_be_measured_gets_no_name(
+    error: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*splats: object) -> None:
+        raise error("the loss", 2, 1)
+
+    save(tmp_path / "a.ply", splats(30, degree=2))
+    monkeypatch.setattr("nerfbake.stages.splats_to_loss.measure_splats", fail)
+    (tmp_path / "b.spz").write_bytes(b"good")
+    for name in ("a.spz", "b.spz"):
+        with pytest.raises(error) as caught:
+            convert_splats(tmp_path / "a.ply", Target(str(tmp_path / name), force=True))
+        assert error is KeyboardInterrupt or str(caught.value).startswith(f"{tmp_path / name}: the loss")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "b.spz"]
+    assert (tmp_path / "b.spz").read_bytes() == b"good"
 
 
 def test_the_axis_that_points_up_becomes_that_of_the_format(tmp_path: Path) -> None:

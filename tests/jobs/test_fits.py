@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
-from nerfbake.errors import InvalidFile, InvalidScene, NerfbakeError, OutputError, Stopped, UsageError
+from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, OutputError, Stopped, UsageError
 from nerfbake.jobs import (
     ComparedViews,
     FitOptions,
@@ -318,6 +318,24 @@ def test_ctrl_c_loses_nothing_while_what_was_fitted_is_made_and_written(
     with pytest.raises(Stopped, match=said):
         fit_file(capture, "a.npz")
     assert [path.name for path in Path().iterdir()] == [left]
+
+
+@pytest.mark.usefixtures("trainer")
+@pytest.mark.parametrize("error", [MemoryLimit("the pictures", 2, 1), KeyboardInterrupt()])
+def test_what_was_fitted_is_kept_if_it_cannot_be_measured(
+    error: BaseException, capture: Path, listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr("nerfbake.jobs.fits.measure_views", fail)
+    for _ in range(2):  # the second one replaces what the first one has kept
+        with pytest.raises(type(error)):
+            fit_file(capture, "a.npz", steps=listener)
+        assert listener.said[-1] == "a.npz.partial: is complete, but was not measured"
+        assert [path.name for path in Path().iterdir()] == ["a.npz.partial"]
+    Path("a.npz.partial").rename("a.npz")
+    assert isinstance(load("a.npz"), N3Tree)
 
 
 def test_what_ctrl_c_has_stopped_goes_on_from_its_state(trainer: FakeFit, capture: Path) -> None:

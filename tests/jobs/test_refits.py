@@ -18,7 +18,7 @@ from nerfbake import (
     sample_n3tree,
     save,
 )
-from nerfbake.errors import InvalidScene, NerfbakeError, OutputError, UsageError
+from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
 from nerfbake.jobs import RefitOptions, RefitTarget, Source, bake_octree, refit_file
 from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.splat_fields import Part
@@ -43,6 +43,22 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def octree(name: str) -> SparseVoxelOctree:
     return load(name, SparseVoxelOctree)
+
+
+def test_an_octree_that_cannot_be_measured_gets_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured: list[object] = []
+
+    def fail(*arguments: object, **options: object) -> tuple[object, ...]:
+        measured.append(arguments)
+        if len(measured) == 2:  # the first one is IN
+            raise MemoryLimit("the pictures", 2, 1)
+        return ()
+
+    monkeypatch.setattr("nerfbake.jobs.refits.measure_views", fail)
+    like, again = RefitTarget(like="fine.npz", frames=2, edge=8), RefitOptions(epochs=1, samples=1)
+    with pytest.raises(MemoryLimit, match=r"^out\.svo\.npz: the pictures"):
+        refit_file("coarse.svo.npz", "out.svo.npz", like, again=again)
+    assert sorted(path.name for path in Path().iterdir()) == ["coarse.svo.npz", "fine.npz"]
 
 
 def test_it_comes_nearer_to_the_finer_scene_with_the_same_nodes(listener: Listener) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from nerfbake import Splats, load
-from nerfbake.errors import BudgetMissed, Stopped, UsageError
+from nerfbake.errors import BudgetMissed, MemoryLimit, Stopped, UsageError
 from nerfbake.jobs import SplatsModel, SplatsOptions, SplatsResult, bake_splats
 from nerfbake.stages import views_to_splats
 from tests.jobs.listener import Listener
@@ -36,6 +36,18 @@ def test_ctrl_c_writes_the_current_splats(folder: Path, monkeypatch: pytest.Monk
     assert len(seen) == 3
     assert load("a.ply.partial", Splats).n > 10
     assert not (folder / "a.ply").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_splats_that_cannot_be_measured_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: Any) -> None:
+        raise MemoryLimit("the pictures", 2, 1)
+
+    monkeypatch.setattr("nerfbake.jobs.splats.measure_views", fail)
+    with pytest.raises(MemoryLimit, match=r"^a\.ply: the pictures"):
+        bake_splats("a.npz", "a.ply", MODEL, recipe=RECIPE)
+    assert not Path("a.ply").exists()
+    assert load("a.ply.partial", Splats).n > 10
 
 
 def test_a_missed_limit_is_reported_and_nothing_takes_the_name(folder: Path, listener: Listener) -> None:

@@ -71,7 +71,7 @@ def photographs(view: memoryview) -> None:
         lambda: picture.decode_texture(view, "the texture", any_mode=True, webp=True),
     ):
         with suppress(NerfbakeError):
-            decode()  # type: ignore[no-untyped-call]
+            decode()
 
 
 def decoders() -> dict[str, Decoder]:
