@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.march.sh import rotation_of_sh
@@ -238,6 +239,16 @@ def join_splats(parts: Sequence[Splats]) -> Splats:
     return Splats(means, scales, quats, opacity, sh, parts[0].antialiased, dropped, notes)
 
 
+class Rows(NamedTuple):
+    """Rows of a file: any floats, and quaternions of any length."""
+
+    means: npt.NDArray[Any]  # (n, 3)
+    scales: npt.NDArray[Any]  # (n, 3)
+    quats: npt.NDArray[Any]  # (n, 4) w first
+    opacity: npt.NDArray[Any]  # (n,)
+    sh: npt.NDArray[Any]  # (n, B, 3)
+
+
 def splats_of_rows(
     means: npt.NDArray[Any],
     scales: npt.NDArray[Any],
@@ -253,32 +264,66 @@ def splats_of_rows(
     A row that cannot be drawn is dropped and counted: it has a number that is not finite, a coordinate or scale above
     MAX_WORLD, or a quaternion of length 0. Raises InvalidScene if these are more than half.
     """
-    n = len(means)
+    found, dropped = _drawable(Rows(means, scales, quats, opacity, sh))
+    _require_most(len(means), dropped)
+    return Splats(*found, antialiased, dropped, notes)
+
+
+def splats_in_blocks(
+    n: int, B: int, rows: Callable[[slice], Rows], *, antialiased: bool = False, notes: tuple[str, ...] = ()
+) -> Splats:
+    """Make splats as splats_of_rows() does of n rows of a file, which rows(slice) decodes.
+
+    They are decoded in blocks, because the numbers of float64 on the way take several times the memory of the splats.
+    The splats are counted until the surrounding memory.scope() ends. Raises MemoryLimit.
+    """
+    memory.hold("the splats", splats_size(n, B))
+    with memory.lent("the splats", _WAY * 8 * (11 + 3 * B) * min(n, _BLOCK)):
+        shapes = ((n, 3), (n, 3), (n, 4), (n,), (n, B, 3))
+        arrays = [np.empty(shape, np.float32) for shape in shapes]
+        end = dropped = 0
+        for start in range(0, n, _BLOCK):
+            found, without = _drawable(rows(slice(start, min(n, start + _BLOCK))))
+            for array, part in zip(arrays, found, strict=True):
+                array[end : end + len(part)] = part
+            end += len(found.means)
+            dropped += without
+    _require_most(n, dropped)
+    return Splats(*(array[:end] for array in arrays), antialiased, dropped, notes)
+
+
+_BLOCK = 1 << 13  # rows
+_WAY = 5  # copies of a block's numbers in float64 while it is decoded
+
+
+def splats_size(n: int, B: int) -> int:
+    """The bytes of n splats with B coefficients of each colour."""
+    return 4 * n * (11 + 3 * B)
+
+
+def _require_most(n: int, dropped: int) -> None:
     if not n:
         raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    if 2 * dropped > n:
+        found = f"have {plural(dropped, 'row')} of {n:,} that cannot be drawn"
+        raise InvalidScene(Problem("the splats", found, "at most half: finite numbers, quaternions other than 0"))
+
+
+def _drawable(rows: Rows) -> tuple[Rows, int]:
+    """Return the rows that can be drawn, as float32 with unit quaternions, and the number of the others."""
+    means, scales, quats, opacity, sh = rows
     quats = quats.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.sqrt((quats * quats).sum(axis=1))
         good = (np.abs(means) <= MAX_WORLD).all(axis=1) & (scales >= 0).all(axis=1) & (scales <= MAX_WORLD).all(axis=1)
         good &= (lengths > 1e-30) & (lengths < 1e30) & (opacity >= 0) & (opacity <= 1)
         good &= (np.abs(sh) <= np.finfo(np.float32).max).all(axis=(1, 2))
-    dropped = n - int(np.count_nonzero(good))
-    if 2 * dropped > n:
-        found = f"have {plural(dropped, 'row')} of {n:,} that cannot be drawn"
-        raise InvalidScene(Problem("the splats", found, "at most half: finite numbers, quaternions other than 0"))
+    dropped = len(means) - int(np.count_nonzero(good))
     if dropped:
         means, scales, quats, opacity, sh = (array[good] for array in (means, scales, quats, opacity, sh))
         lengths = lengths[good]
-    return Splats(
-        _float32(means),
-        _float32(scales),
-        _float32(quats / lengths[:, None]),
-        _float32(opacity),
-        _float32(sh),
-        antialiased,
-        dropped,
-        notes,
-    )
+    unit = quats / lengths[:, None]
+    return Rows(_float32(means), _float32(scales), _float32(unit), _float32(opacity), _float32(sh)), dropped
 
 
 def _float32(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

@@ -113,6 +113,17 @@ def gzip_spz(scene: Splats, version: int, *, bits: int = 12) -> bytes:
     return gzip.compress(head + places.tobytes() + b"".join(parts), mtime=0)
 
 
+def spark_spz(scene: Splats, tree: list[tuple[int, int]], version: int = 2) -> bytes:
+    """Levels of detail as Spark writes them. tree: the number of children of each row, and its first child."""
+    whole = bytearray(gzip.decompress(gzip_spz(scene, version)))
+    whole[14] |= 0x80
+    alphas = 16 + 9 * scene.n
+    whole[alphas : alphas + scene.n] = np.floor(scene.opacity * 127.5 + 0.5).astype(np.uint8).tobytes()
+    counts, starts = zip(*tree, strict=True)
+    whole += np.array(counts, "<u2").tobytes() + np.array(starts, "<u4").tobytes()
+    return gzip.compress(whole, mtime=0)
+
+
 def _signed_three(quat: np.ndarray) -> int:
     turn = [float(part) for part in (*quat[1:], quat[0])]
     which = max(range(4), key=lambda k: abs(turn[k]))

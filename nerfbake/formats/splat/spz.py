@@ -2,7 +2,7 @@ r"""Read Gaussian splats from .spz files (versions 1 to 4), and write version 4.
 
     0     4        8   12     13    14    15       16          20       32
     "NGSP"|version |n  |degree|bits |flags|streams |toc offset |12 x 0  | extensions | toc | streams   version 4
-    "NGSP"|version |n  |degree|bits |flags|0       | attributes                                        1 to 3, in gzip
+    "NGSP"|version |n  |degree|bits |flags|0       | attributes                             1 to 3, in gzip or not
 
 toc: two u64 for each stream, its packed and unpacked size. A stream is zstd; the empty ones are left out.
 
@@ -17,15 +17,20 @@ toc: two u64 for each stream, its packed and unpacked size. A stream is zstd; th
 Extensions: u32 type, u32 size, payload, one behind the other; in versions 1 to 3 behind the attributes. Only
 0xADBE0003, which names the axes of the file, changes how it is read.
 
+Flags: 1 antialiased, 2 extensions, 0x80 levels of detail. Spark's build-lod writes these in versions 2 and 3: parents
+are further rows, all opacities are halved, and behind the attributes are u16 the number of children of each row, then
+u32 its first child.
+
 A file's y is up and its z points back; y and z change their signs here, and so do quaternions and SH.
 
-Source: nianticlabs/spz (load-spz.cc, coordinate-system-adobe.cc).
+Source: nianticlabs/spz (load-spz.cc, coordinate-system-adobe.cc); sparkjsdev/spark (spark-lib, spz.rs).
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,19 +38,24 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import with_largest
-from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip
+from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip, gunzip_start
 from nerfbake.formats.wire.zstd import compress, decompress_exactly
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log
-from nerfbake.scene.splats import BASES, Splats, splats_of_rows
+from nerfbake.scene.splats import BASES, Rows, Splats, splats_in_blocks, splats_size
 
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
 _HEAD = struct.Struct("<4sIIBBBB")
 _WHOLE_HEAD = 32  # bytes in version 4
 _PARTS = ("positions", "alphas", "colours", "scales", "rotations", "sh")
-_ANTIALIASED, _EXTENDED = 1, 2  # flags
-_EXTENSIONS = 1 << 16  # bytes of them that are read
+_ANTIALIASED, _EXTENDED, _LEVELS = 1, 2, 0x80  # flags
+_EXTENSIONS = 1 << 20  # bytes of them at most
+_MOST_EXTENSIONS = 100
+_A_NODE = 6  # bytes of a row in the tree of levels of detail
+_MANY = 1 << 16  # splats that a file of any size may have
+_MOST_PER_BYTE = 16  # splats
+_TURNED = 100  # bytes a splat beyond its own while it is turned by a matrix
 _COORDINATE_SYSTEM = 0xADBE0003
 # By number the directions of x, y and z: left or right, up or down, forward or back. 0: not specified, as RUB.
 _SYSTEMS = (
@@ -65,63 +75,137 @@ def recognise(view: memoryview) -> bool:
     """Return True for the magic number, in the clear or in gzip."""
     if bytes(view[:2]) == _GZIP:
         try:
-            return gunzip(view[:4096], 4, "gzip") == _MAGIC
+            return gunzip_start(view, 4, "gzip") == _MAGIC
         except InvalidFile:
             return False
     return bytes(view[:4]) == _MAGIC
 
 
+class _Head(NamedTuple):
+    """The first bytes of a file."""
+
+    version: int
+    n: int
+    degree: int
+    bits: int
+    flags: int
+    last: int  # the number of streams in version 4, reserved in the others
+
+    @property
+    def sizes(self) -> list[int]:
+        """The bytes of each attribute."""
+        place, turn = 6 if self.version == 1 else 9, 4 if self.version >= 3 else 3
+        return [self.n * each for each in (place, 1, 3, 3, turn, 3 * (BASES[self.degree] - 1))]
+
+
+def _head(view: memoryview) -> _Head:
+    """Parse the header. Raises InvalidFile, InvalidScene for no splats."""
+    packed = bytes(view[:2]) == _GZIP
+    head = gunzip_start(view, _HEAD.size, "the .spz") if packed else bytes(view[: _HEAD.size])
+    if len(head) < _HEAD.size or head[:4] != _MAGIC:
+        raise InvalidFile(Problem("the .spz", "has no whole header", _ALLOWED))
+    found = _Head(*_HEAD.unpack(head)[1:])
+    if found.version not in ((1, 2, 3) if packed else (1, 2, 3, 4)):
+        raise InvalidFile(Problem("version", f"is {found.version}", "1 to 3, mostly in gzip, or 4 without"))
+    if found.degree >= len(BASES):
+        raise InvalidFile(Problem("the SH degree", f"is {found.degree}", "0 to 4"))
+    if found.bits > 24:
+        raise InvalidFile(Problem("the fractional bits", f"are {found.bits}", "0 to 24"))
+    known = _ANTIALIASED | _EXTENDED | (_LEVELS if found.version < 4 else 0)
+    if unknown := found.flags & ~known:
+        allowed = f"1 antialiased, 2 extensions{', 0x80 levels of detail' if found.version < 4 else ''}"
+        raise InvalidFile(Problem("the flags", f"have 0x{unknown:02x}", allowed))
+    if not found.n:
+        raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    # A real file has 8 bytes or more for each splat, because the low bytes of coordinates are noise. Without a limit,
+    # 150 kB that say nothing would take ten seconds and a gigabyte.
+    if found.n > max(_MANY, _MOST_PER_BYTE * len(view)):
+        told = f"has {len(view):,} bytes for {found.n:,} splats"
+        raise InvalidFile(Problem("the .spz", told, f"{_MOST_PER_BYTE} splats a byte at most"))
+    return found
+
+
 def decode(view: memoryview) -> Splats:
     """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit.
 
-    If an extension names the axes of the file, they are obeyed. Other extensions are ignored with a note.
+    If an extension names the axes of the file, they are obeyed. Other extensions are ignored with a note. Of a file
+    with levels of detail, the finest is read.
     """
-    in_gzip = bytes(view[:2]) == _GZIP
-    head = gunzip(view, _HEAD.size, "the .spz") if in_gzip else bytes(view[: _HEAD.size])
-    if len(head) < _HEAD.size or head[:4] != _MAGIC:
-        raise InvalidFile(Problem("the .spz", "has no whole header", _ALLOWED))
-    _, version, n, degree, bits, flags, streams = _HEAD.unpack(head)
-    if version not in ((1, 2, 3) if in_gzip else (4,)):
-        raise InvalidFile(Problem("version", f"is {version}", "1 to 3 in gzip, or 4"))
-    if degree >= len(BASES):
-        raise InvalidFile(Problem("the SH degree", f"is {degree}", "0 to 4"))
-    if bits > 24:
-        raise InvalidFile(Problem("the fractional bits", f"are {bits}", "0 to 24"))
-    B = BASES[degree]
-    sizes = [n * each for each in (6 if version == 1 else 9, 1, 3, 3, 4 if version >= 3 else 3, 3 * (B - 1))]
-    if not n:
-        raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
-    if in_gzip:
-        size = _HEAD.size + sum(sizes)
-        more = min(_EXTENSIONS, max(0, MAX_INFLATION * len(view) - size)) if flags & _EXTENDED else 0
-        whole = memoryview(gunzip(view, size + more, "the .spz"))[_HEAD.size :]
-        if len(whole) < sum(sizes):
-            found = f"holds {len(whole):,} bytes of attributes"
-            raise InvalidFile(Problem("the .spz", found, f"{sum(sizes):,} for {n:,} splats"))
-        ends = np.cumsum(sizes)
-        parts = [whole[int(end) - size : int(end)] for size, end in zip(sizes, ends, strict=True)]
-        extensions = whole[sum(sizes) :]
+    head = _head(view)
+    if head.version < 4:
+        parts, extensions, notes = _attributes(view, head)
     else:
-        parts = _streams(view, streams, sizes)
-        extensions = view[_WHOLE_HEAD : int.from_bytes(view[16:20], "little")]
-    system, notes = _axes(extensions[:_EXTENSIONS] if flags & _EXTENDED else memoryview(b""))
-    memory.require("the splats", n * 2 * 8 * (11 + 3 * B))
+        parts, extensions, notes = _streams(view, head)
+    n = len(parts[1])
+    B = BASES[head.degree]
+    system, told = _axes(extensions)
     positions, alphas, colours, scales, rotations, coefficients = (np.frombuffer(part, np.uint8) for part in parts)
-    rest = (coefficients.reshape(n, B - 1, 3) - 128.0) / 128
-    dc = (colours.reshape(n, 1, 3) / 255 - 0.5) / 0.15
-    quats = _rotations(rotations.view("<u4")) if version >= 3 else _first_rotations(rotations.reshape(n, 3))
-    splats = splats_of_rows(
-        _halves(positions) if version == 1 else _positions(positions) / 2.0**bits,
-        exp(scales.reshape(n, 3) / 16 - 10),
-        quats[:, [3, 0, 1, 2]],
-        alphas / 255,
-        np.concatenate([dc, rest], axis=1),
-        antialiased=bool(flags & _ANTIALIASED),
-        notes=notes,
-    )
+    places = positions.reshape(n, -1)
+    turns = rotations.reshape(n, -1)
+    rest = coefficients.reshape(n, B - 1, 3)
+
+    def rows(block: slice) -> Rows:
+        dc = (colours.reshape(n, 1, 3)[block] / 255 - 0.5) / 0.15
+        quats = _rotations(turns[block].view("<u4")[:, 0]) if head.version >= 3 else _first_rotations(turns[block])
+        return Rows(
+            _halves(places[block]) if head.version == 1 else _positions(places[block]) / 2.0**head.bits,
+            exp(scales.reshape(n, 3)[block] / 16 - 10),
+            quats[:, [3, 0, 1, 2]],
+            alphas[block] / 255,
+            np.concatenate([dc, (rest[block] - 128.0) / 128], axis=1),
+        )
+
+    antialiased = bool(head.flags & _ANTIALIASED)
+    splats = splats_in_blocks(n, B, rows, antialiased=antialiased, notes=(*notes, *told))
     if system == "RUB":
+        memory.hold("the splats", splats_size(n, B))
         return splats.flipped()
+    memory.hold("the splats", splats_size(n, B) + _TURNED * n)
     return splats.transformed(np.array([*(_DIRECTIONS[letter] for letter in system), (0, 0, 0)], np.float64).T)
+
+
+def _attributes(view: memoryview, head: _Head) -> tuple[list[memoryview], memoryview, list[str]]:
+    """Return the attributes of versions 1 to 3, the bytes of extensions, and notes. Raises InvalidFile, MemoryLimit."""
+    need = sum(head.sizes) + (_A_NODE * head.n if head.flags & _LEVELS else 0)
+    if bytes(view[:2]) == _GZIP:
+        if _HEAD.size + need > MAX_INFLATION * len(view) + 64:
+            found = f"declares {_HEAD.size + need:,} bytes from {len(view):,}"
+            raise InvalidFile(Problem("the .spz", found, f"{MAX_INFLATION} times as many, deflate's bound"))
+        memory.require("the .spz", _HEAD.size + need)
+        room = _EXTENSIONS if head.flags & _EXTENDED else 0
+        view = gunzip(view, "the .spz", most=_HEAD.size + need + room)
+    whole = view[_HEAD.size :]
+    if len(whole) < need or (len(whole) > need and not head.flags & _EXTENDED):
+        found = f"holds {len(whole):,} bytes of attributes"
+        raise InvalidFile(Problem("the .spz", found, f"{need:,} for {head.n:,} splats"))
+    notes = [f"byte {_HEAD.size - 1}, which is reserved, is {head.last} and not 0"] if head.last else []
+    ends = np.cumsum(head.sizes)
+    parts = [whole[int(end) - size : int(end)] for size, end in zip(head.sizes, ends, strict=True)]
+    extensions = whole[need:] if head.flags & _EXTENDED else whole[:0]
+    if head.flags & _LEVELS:
+        parts, note = _leaves(parts, whole[sum(head.sizes) : need], head.n)
+        notes.append(note)
+    return parts, extensions, notes
+
+
+def _leaves(parts: list[memoryview], tree: memoryview, n: int) -> tuple[list[memoryview], str]:
+    """Return the rows of the attributes that have no children, with their own opacity, and a note.
+
+    tree: u16 number of children of each row, then u32 first child of each row. Opacities of all rows are halved,
+    because those of parents may exceed 1. Raises InvalidFile.
+    """
+    counts, starts = np.frombuffer(tree, "<u2", n), np.frombuffer(tree, "<u4", n, 2 * n)
+    memory.hold("the levels of detail", sum(map(len, parts)) + 20 * n)
+    if (ends := starts.astype(np.int64) + counts)[counts > 0].max(initial=0) > n:
+        found = f"has children up to row {int(ends[counts > 0].max()):,} of {n:,}"
+        raise InvalidFile(Problem("the tree of the levels of detail", found, "all of its rows in one .spz"))
+    leaves = np.flatnonzero(counts == 0)
+    if not len(leaves):
+        raise InvalidFile(Problem("the tree of the levels of detail", "has no leaves", "rows without children"))
+    chosen = [np.frombuffer(part, np.uint8).reshape(n, -1)[leaves] for part in parts]
+    chosen[1] = np.minimum(chosen[1].astype(np.uint16) * 2, 255).astype(np.uint8)
+    note = f"of the levels of detail (flag 0x80), only the finest is read: {len(leaves):,} of {n:,} rows"
+    return [memoryview(np.ascontiguousarray(each).reshape(-1)) for each in chosen], note
 
 
 def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
@@ -131,11 +215,14 @@ def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
         kind, size = struct.unpack_from("<II", extensions, at)
         payload = extensions[at + 8 : at + 8 + size]
         at += 8 + size
+        if at > len(extensions) or len(notes) >= _MOST_EXTENSIONS:
+            found = f"of type 0x{kind:08X} has {size:,} bytes, with {len(payload):,} left"
+            raise InvalidFile(Problem("an extension", found, f"whole extensions, {_MOST_EXTENSIONS} at most"))
         if kind != _COORDINATE_SYSTEM:
             notes.append(f"extension 0x{kind:08X} is left out")
             continue
         number = int.from_bytes(payload[:4], "little")
-        if size != 4 or len(payload) < 4 or number >= len(_SYSTEMS):
+        if size != 4 or number >= len(_SYSTEMS):
             found = f"has {size:,} bytes, with {number}"
             raise InvalidFile(Problem("the extension of the axes", found, f"4 bytes, with 0 to {len(_SYSTEMS) - 1}"))
         system = _SYSTEMS[number]
@@ -143,9 +230,13 @@ def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
     return system, tuple(dict.fromkeys(notes))
 
 
-def _streams(view: memoryview, count: int, sizes: list[int]) -> list[memoryview]:
-    """Return the streams of version 4, with empty ones for those that are left out. Raises InvalidFile, MemoryLimit."""
-    filled = [size for size in sizes if size]
+def _streams(view: memoryview, head: _Head) -> tuple[list[memoryview], memoryview, list[str]]:
+    """Return the streams of version 4, with empty ones for those that are left out, the extensions, and notes.
+
+    Raises InvalidFile, MemoryLimit.
+    """
+    count = head.last
+    filled = [size for size in head.sizes if size]
     if count != len(filled):
         raise InvalidFile(Problem("the .spz", f"has {count} streams", f"{len(filled)}"))
     toc = int.from_bytes(view[16:20], "little")
@@ -154,7 +245,7 @@ def _streams(view: memoryview, count: int, sizes: list[int]) -> list[memoryview]
         raise InvalidFile(Problem("the table of streams", f"is at byte {toc:,} of {len(view):,}", _ALLOWED))
     lengths = [int(length) for length in np.frombuffer(view, "<u8", 2 * count, toc)]
     found = []
-    for name, size in zip(_PARTS, sizes, strict=True):
+    for name, size in zip(_PARTS, head.sizes, strict=True):
         if not size:
             found.append(memoryview(b""))
             continue
@@ -166,7 +257,13 @@ def _streams(view: memoryview, count: int, sizes: list[int]) -> list[memoryview]
             raise InvalidFile(Problem(f"stream {name}", f"declares {packed:,} packed bytes", f"{len(view) - at:,}"))
         found.append(memoryview(decompress_exactly(view[at : at + packed], size, f"stream {name}")))
         at += packed
-    return found
+    if at != len(view):
+        raise InvalidFile(Problem("the .spz", f"goes on after its streams, which end at byte {at:,}", _ALLOWED))
+    notes = ["bytes 20 to 31, which are reserved, are not 0"] if any(view[20:_WHOLE_HEAD]) else []
+    extended = head.flags & _EXTENDED
+    if toc > _WHOLE_HEAD and not extended:
+        notes.append(f"{toc - _WHOLE_HEAD:,} bytes before the table of streams are not read")
+    return found, view[_WHOLE_HEAD:toc] if extended else view[:0], notes
 
 
 def _positions(data: npt.NDArray[np.uint8]) -> Floats:

@@ -24,6 +24,10 @@ WHOLE_LEVEL = 5  # libdeflate: on a fit's float16 rows 2 % larger than level 6, 
 BEST_LEVEL = 12  # libdeflate: on the chair's coefficients 8 % smaller than level 9, in 2 s
 LEVEL = 2  # zlib-ng: on the chair's densities level 6 saves 0.6 % and takes 2.4 times as long, level 1 adds 31 %
 MAX_INFLATION = 1032  # limit of deflate: 258 bytes for a quarter of a byte
+_GZIP_BITS = 31  # zlib's window bits that stand for gzip
+_GZIP_HEAD = 1 << 12  # bytes: ten, and the name and comment of the packed file
+_SLICE = 1 << 14  # bytes of a stream that are given to zlib-ng at once: it copies those that it does not use
+_PIECE = 1 << 20  # bytes that are inflated before the next check of memory
 
 
 def deflate(data: bytes | memoryview) -> bytes:
@@ -67,16 +71,52 @@ def inflate(packed: memoryview, size: int, what: str) -> bytes | bytearray:
     return data if len(data) == size else _diagnosed(packed, size, what)
 
 
-def gunzip(packed: memoryview, most: int, what: str) -> bytes:
-    """Return the first `most` bytes of a gzip stream, or all if it has fewer. Raises InvalidFile, MemoryLimit."""
-    if most > MAX_INFLATION * len(packed) + 64:
-        found = f"declares {most:,} bytes from {len(packed):,}"
-        raise InvalidFile(Problem(what, found, f"{MAX_INFLATION} times as many, deflate's bound"))
-    memory.require(what, most)
+def gunzip_start(packed: memoryview, size: int, what: str) -> bytes:
+    """Return the first `size` bytes of a gzip stream, or fewer if it has no more. Raises InvalidFile."""
     try:
-        return zlib_ng.decompressobj(wbits=31).decompress(packed, most)
+        return zlib_ng.decompressobj(wbits=_GZIP_BITS).decompress(packed[: _GZIP_HEAD + 2 * size], size)
     except zlib_ng.error as error:  # type: ignore[misc]  # an exception, although its stub does not declare it so
-        raise InvalidFile(Problem(what, f"is damaged ({error})", "a whole gzip stream")) from None
+        raise _damaged_gzip(what, error) from None
+
+
+def gunzip(packed: memoryview, what: str, *, most: int | None = None) -> memoryview:
+    """Return the content of all gzip streams in a file, read to their ends: the lengths and the CRC-32 are checked.
+
+    The content is counted until the surrounding memory.scope() ends. most: its size at most. Raises InvalidFile if it
+    has more, or is damaged or cut off, MemoryLimit.
+    """
+    out = bytearray()
+    unpacker = zlib_ng.decompressobj(wbits=_GZIP_BITS)
+    at = 0
+    while at < len(packed):
+        if unpacker.eof:
+            if not any(packed[at : at + 1]):  # zeros fill the last block of a tape or a device
+                at += 1
+                continue
+            unpacker = zlib_ng.decompressobj(wbits=_GZIP_BITS)
+        piece = packed[at : at + _SLICE]
+        at += len(piece)
+        given: memoryview | bytes = piece
+        while len(given):
+            # A growing buffer over-allocates by an eighth.
+            memory.require(what, _PIECE + len(out) // 8)
+            try:
+                found = unpacker.decompress(given, _PIECE)
+            except zlib_ng.error as error:  # type: ignore[misc]  # as above
+                raise _damaged_gzip(what, error) from None
+            if most is not None and len(out) + len(found) > most:
+                raise InvalidFile(Problem(what, f"continues after {most:,} bytes", "a gzip stream that ends there"))
+            memory.hold(what, len(found))
+            out += found
+            given = unpacker.unconsumed_tail
+        at -= len(unpacker.unused_data)
+    if not unpacker.eof:
+        raise InvalidFile(Problem(what, f"is cut off after {len(out):,} bytes of content", "a whole gzip stream"))
+    return memoryview(out).toreadonly()
+
+
+def _damaged_gzip(what: str, error: Exception) -> InvalidFile:
+    return InvalidFile(Problem(what, f"is damaged ({error})", "a whole gzip stream"))
 
 
 def _diagnosed(packed: memoryview, size: int, what: str) -> bytes:

@@ -57,20 +57,42 @@ def decompress(view: memoryview) -> memoryview:
 
 
 def decompress_exactly(view: memoryview, size: int, what: str) -> bytes:
-    """Return the `size` bytes of one frame. Raises InvalidFile if it has fewer or more, or is damaged; MemoryLimit."""
+    """Return the `size` bytes of one frame, which ends with the view; its checksum is verified if it has one.
+
+    The content is counted until the surrounding memory.scope() ends. Raises InvalidFile if it has fewer or more bytes,
+    or is damaged; MemoryLimit.
+    """
     if size > _BLOCK * (len(view) // 4):  # a block of one repeated byte takes four
         found = f"declares {size:,} bytes from {len(view):,}"
         raise InvalidFile(Problem(what, found, f"{_BLOCK // 4:,} times as many, zstd's bound"))
-    memory.require(what, size + MAX_WINDOW)
-    reader = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW).stream_reader(view)
     try:
-        data = reader.read(size + 1)
+        declared = zstandard.get_frame_parameters(view[:_HEAD])
     except zstandard.ZstdError as error:
-        raise InvalidFile(Problem(what, f"is damaged ({error})", "a whole zstd frame")) from None
+        raise _unwhole(what, error) from None
+    memory.hold(what, size)
+    content = declared.content_size
+    if content not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+        raise InvalidFile(Problem(what, f"holds {content:,} bytes", f"{size:,} exactly"))
+    # A frame that declares its content is decompressed in place, without a window; another one fills no more of it.
+    memory.require("zstd's window", min(declared.window_size, size) if content != size else 0)
+    context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
+    try:
+        data = context.decompress(view, max_output_size=size, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        with memory.lent(what, size + 1), context.stream_reader(view) as reader:
+            try:
+                if len(reader.read(size + 1)) > size:
+                    raise InvalidFile(Problem(what, f"holds more than {size:,} bytes", f"{size:,} exactly"))
+            except zstandard.ZstdError:
+                pass  # damaged, and not too long
+        raise _unwhole(what, error) from None
     if len(data) != size:
-        more = "more than " if len(data) > size else ""
-        raise InvalidFile(Problem(what, f"holds {more}{min(len(data), size):,} bytes", f"{size:,} exactly"))
+        raise InvalidFile(Problem(what, f"holds {len(data):,} bytes", f"{size:,} exactly"))
     return data
+
+
+def _unwhole(what: str, error: Exception) -> InvalidFile:
+    return InvalidFile(Problem(what, f"is damaged ({error})", "a whole zstd frame"))
 
 
 class _Frame(NamedTuple):

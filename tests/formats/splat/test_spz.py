@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import Splats, load, save
-from nerfbake.errors import InvalidScene
+from nerfbake import Splats, load, memory_limit, save
+from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.splat import spz
 from nerfbake.formats.wire.zstd import compress
 from nerfbake.kernels.march.sh import sh_basis
 from tests.formats.splat.test_ply import assert_same, columns_of, converted
 from tests.support.hostile import refused_as_it_is
-from tests.support.splats import gzip_spz, splats
+from tests.support.splats import gzip_spz, spark_spz, splats
 
 # Terms of the SH whose sign changes if y and z change theirs, up to degree 3.
 SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
@@ -162,6 +162,76 @@ def test_gaussforge_reads_the_first_versions_as_we_do(version: int) -> None:
     assert_same(columns_of(converted(data, "spz")), turned(spz.decode(memoryview(data))), atol=1e-5)
 
 
+def flagged(whole: bytes, flags: int) -> bytes:
+    return whole[:14] + bytes([whole[14] | flags]) + whole[15:]
+
+
+def counted(packed: bytes, n: int) -> bytes:
+    """The same attributes with another number of splats."""
+    whole = gzip.decompress(packed)
+    return gzip.compress(whole[:8] + struct.pack("<I", n) + whole[12:], mtime=0)
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_the_first_versions_are_read_without_gzip(version: int, tmp_path: Path) -> None:
+    packed = gzip_spz(splats(40), version)
+    (tmp_path / "a.spz").write_bytes(gzip.decompress(packed))
+    assert_same(load(tmp_path / "a.spz", Splats), spz.decode(memoryview(packed)), atol=0)
+
+
+@pytest.mark.data
+def test_a_file_of_version_2_without_gzip_is_read(data: Path) -> None:
+    found = load(data / "reports/F10_wrapped_files/raw_v2.spz", Splats)
+    assert_same(found, load(data / "reports/F2_lod_spz/leaf.spz", Splats), atol=0)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_of_levels_of_detail_the_leaves_are_read_with_their_opacity(version: int) -> None:
+    """A root with a leaf and a parent of two leaves: rows 1, 3 and 4 have no children."""
+    scene = splats(5, degree=1)
+    scene.opacity[4] = 1  # half of it is written as 128, which doubled is above 255
+    found = spz.decode(memoryview(spark_spz(scene, [(2, 1), (0, 0), (2, 3), (0, 0), (0, 0)], version)))
+    expected = spz.decode(memoryview(gzip_spz(scene, version)))
+    rows = [1, 3, 4]
+    for name in ("means", "scales", "quats", "sh"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name)[rows])
+    np.testing.assert_allclose(found.opacity, scene.opacity[rows], atol=1 / 255)
+    assert found.opacity[2] == 1
+    assert found.notes == ("of the levels of detail (flag 0x80), only the finest is read: 3 of 5 rows",)
+
+
+@pytest.mark.data
+def test_the_leaves_of_sparks_levels_are_the_file_they_were_made_of(data: Path) -> None:
+    found, leaves = (load(data / f"reports/F2_lod_spz/{name}.spz", Splats) for name in ("lod", "leaf"))
+    assert found.n == leaves.n == 800
+    order, of = (np.lexsort(each.means.T) for each in (found, leaves))
+    assert np.array_equal(found.means[order], leaves.means[of])
+    np.testing.assert_allclose(found.opacity[order], leaves.opacity[of], atol=1 / 255)
+
+
+def test_reserved_bytes_are_told() -> None:
+    """They may once say what is not read."""
+    whole = bytearray(gzip.decompress(gzip_spz(splats(2), 3)))
+    whole[15] = 7
+    assert spz.decode(memoryview(whole)).notes == ("byte 15, which is reserved, is 7 and not 0",)
+    whole = bytearray(written(splats(2)))
+    whole[31] = 1
+    assert spz.decode(memoryview(whole)).notes == ("bytes 20 to 31, which are reserved, are not 0",)
+
+
+def test_a_dull_file_has_a_limit_by_its_bytes() -> None:
+    """65,536 splats may be as equal as they like; more need a byte for 16."""
+    one = gzip.decompress(gzip_spz(splats(1, degree=0), 3))[16:]
+
+    def equal(n: int) -> memoryview:
+        parts = (one[:9], one[9:10], one[10:13], one[13:16], one[16:20])
+        return memoryview(gzip.compress(header(3, n) + b"".join(part * n for part in parts)))
+
+    assert spz.decode(equal(1 << 16)).n == 1 << 16
+    with pytest.raises(InvalidFile, match="bytes for 200,000 splats; allowed: 16 splats a byte at most"):
+        spz.decode(equal(200_000))
+
+
 # -- hostile files ---------------------------------------------------------------------------------------------
 SOUND = written(splats(3, degree=1))
 
@@ -178,11 +248,18 @@ def bombed(n: int) -> bytes:
 
 
 LIES: dict[str, tuple[bytes, str]] = {
-    "2^32 in gzip": (gzip.compress(header(3, 2**32 - 1)), "declares 85,899,345,"),
+    "2^32 in gzip": (gzip.compress(header(3, 2**32 - 1)), "bytes for 4,294,967,295 splats; allowed: 16 splats a byte"),
+    "65,536 in gzip": (gzip.compress(header(3, 1 << 16)), "declares 1,310,736 bytes from"),
     "2^32 in zstd": (
         header(4, 2**32 - 1, streams=5)
         + struct.pack("<I12x", 32)
         + b"".join(struct.pack("<QQ", 4, each * (2**32 - 1)) for each in (9, 1, 3, 3, 4)),
+        "bytes for 4,294,967,295 splats",
+    ),
+    "65,536 in zstd": (
+        header(4, 1 << 16, streams=5)
+        + struct.pack("<I12x", 32)
+        + b"".join(struct.pack("<QQ", 4, each << 16) for each in (9, 1, 3, 3, 4)),
         "stream positions declares",
     ),
     "a zstd bomb": (bombed(1000), "stream positions holds more than 9,000 bytes; allowed: 9,000 exactly"),
@@ -196,14 +273,41 @@ LIES: dict[str, tuple[bytes, str]] = {
         extended(splats(1), struct.pack("<III", 0xADBE0003, 4, 99)),
         "the extension of the axes has 4 bytes, with 99; allowed: 4 bytes, with 0 to 16",
     ),
-    "version 5": (SOUND[:4] + b"\5" + SOUND[5:], "version is 5; allowed: 1 to 3 in gzip, or 4"),
-    "version 4 in gzip": (gzip.compress(SOUND), "version is 4; allowed: 1 to 3 in gzip, or 4"),
+    "version 5": (SOUND[:4] + b"\5" + SOUND[5:], "version is 5; allowed: 1 to 3, mostly in gzip, or 4 without"),
+    "version 4 in gzip": (gzip.compress(SOUND), "version is 4; allowed: 1 to 3, mostly in gzip, or 4 without"),
     "no rows": (SOUND[:8] + bytes(4) + SOUND[12:], "have no rows"),
     "streams": (SOUND[:15] + b"\xff" + SOUND[16:], "has 255 streams; allowed: 6"),
     "toc": (SOUND[:16] + b"\xff" * 4 + SOUND[20:], "the table of streams is at byte 4,294,967,295"),
     "a long stream": (SOUND[:32] + b"\xff" * 8 + SOUND[40:], "stream positions declares 18,446,744,073,709,551,615"),
     "too few": (gzip.compress(header(3, 10) + bytes(100)), "holds 100 bytes of attributes; allowed: 200"),
-    "cut gzip": (gzip_spz(splats(9), 3)[:60], "holds"),
+    "cut gzip": (gzip_spz(splats(9), 3)[:60], "the .spz is cut off after"),
+    "cut CRC": (gzip_spz(splats(9), 3)[:-5], "the .spz is cut off after"),
+    "another CRC": (gzip_spz(splats(9), 3)[:-8] + b"1234" + gzip_spz(splats(9), 3)[-4:], "the .spz is damaged"),
+    "a count too low": (counted(gzip_spz(splats(9), 3), 8), "the .spz continues after 368 bytes"),
+    "a count too low, in the clear": (
+        gzip.decompress(counted(gzip_spz(splats(9), 3), 8)),
+        "the .spz holds 396 bytes of attributes; allowed: 352 for 8 splats",
+    ),
+    "a count too low, with extensions": (
+        gzip.compress(flagged(gzip.decompress(counted(gzip_spz(splats(9), 3), 8)), 2)),
+        "an extension of type",
+    ),
+    "an unknown flag": (gzip.compress(flagged(gzip.decompress(gzip_spz(splats(1), 3)), 4)), "the flags have 0x04"),
+    "an unknown flag in version 4": (flagged(SOUND, 0x80), "the flags have 0x80; allowed: 1 antialiased, 2 extensions"),
+    "bytes after version 4": (SOUND + b"\0", "the .spz goes on after its streams"),
+    "a cut extension": (
+        extended(splats(1), struct.pack("<II", 1, 5) + b"1234"),
+        "an extension of type 0x00000001 has 5",
+    ),
+    "a child in another file": (
+        spark_spz(splats(4), [(3, 2), (0, 0), (0, 0), (0, 0)]),
+        "the tree of the levels of detail has children up to row 5 of 4",
+    ),
+    "no leaves": (spark_spz(splats(2), [(1, 1), (1, 0)]), "the tree of the levels of detail has no leaves"),
+    "no tree": (
+        gzip.compress(flagged(gzip.decompress(gzip_spz(splats(2), 2)), 0x80)),
+        "of attributes; allowed: 98 for 2",
+    ),
     "cut": (SOUND[:20], "the table of streams"),
     "no header": (SOUND[:9], "has no whole header"),
     "a signalling NaN": (gzip.compress(header(1, 1) + b"\1\x7c" * 8), "have 1 row of 1 that cannot be drawn"),
@@ -221,6 +325,31 @@ def test_no_more_of_a_gzip_bomb_is_unpacked_than_its_count_tells() -> None:
     turn = struct.pack("<I", 3 << 30)
     bomb = gzip.compress(header(3, 3) + bytes(3 * 16) + turn * 3 + bytes(1 << 26))
     tracemalloc.start()
-    assert spz.decode(memoryview(bomb)).n == 3
+    with pytest.raises(InvalidFile, match="continues after 76 bytes"):
+        spz.decode(memoryview(bomb))
     assert tracemalloc.get_traced_memory()[1] < 1 << 24
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_no_change_of_a_bit_is_read_silently(version: int) -> None:
+    """Of a byte of the stream, its CRC tells; of the header, also what it declares."""
+    whole = gzip.decompress(gzip_spz(splats(5, degree=1), version))
+    for at in range(8 * 12):
+        changed = bytearray(whole)
+        changed[at // 8] ^= 1 << at % 8
+        with pytest.raises((InvalidFile, InvalidScene)):
+            spz.decode(memoryview(changed))
+
+
+@pytest.mark.data
+def test_a_count_of_which_a_bit_is_lost_is_refused(data: Path) -> None:
+    with pytest.raises(InvalidFile, match="incorrect data check"):
+        load(data / "hostile4/spz_count/one_bit.spz")
+
+
+def test_a_small_file_of_version_4_needs_little_memory(tmp_path: Path) -> None:
+    """zstd's window counts only where it is allocated, and as the frame declares it."""
+    (tmp_path / "a.spz").write_bytes(written(splats(9)))
+    with memory_limit(1 << 20):
+        assert load(tmp_path / "a.spz", Splats).n == 9
