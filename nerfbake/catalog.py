@@ -29,6 +29,7 @@ class Format(NamedTuple):
     packed: bool = False  # the format is compressed already, so .zst is rejected
     written: str = ""  # name of the scene type that encode() takes, if it differs from `scene`
     writable: bool = True  # False: files of other programs, which are only read; there is no encode()
+    in_gzip: bool = False  # the format may be a gzip stream
     spread: tuple[str, ...] = ()  # extensions of the files that may be written beside it; see contract.SpreadFormat
 
     def load_module(self) -> contract.FileFormat:
@@ -112,7 +113,7 @@ FORMATS = (
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
     Format("ply", "Meshes", ".ply", "mesh.ply", "PLY mesh with vertex colours"),
     Format("ply", "Splats", ".ply", "splat.ply", "Gaussian splats (3DGS)"),
-    Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)"),
+    Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)", in_gzip=True),
     Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)", writable=False),
     Format("splat", "Splats", ".splat", "splat.splat", "Gaussian splats, 32 bytes each", writable=False),
 )
@@ -142,6 +143,10 @@ FOLDERS = (
 COMPRESSED = ".zst"
 COMPRESSION = "nerfbake.formats.wire.zstd"
 COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
+
+# What other programs put around a file of any format: gzip, or a zip archive.
+WRAPPING = "nerfbake.formats.wire.wrapping"
+ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".th")  # extensions of formats that are zip archives themselves
 
 # Files that do not contain a scene by themselves; each is read by one command only.
 PHOTOGRAPHS = "nerfbake.formats.wire.picture"
@@ -181,6 +186,10 @@ ADVICE = {
 
 def load_compression() -> contract.CompressionFormat:
     return cast(contract.CompressionFormat, import_module(COMPRESSION))
+
+
+def load_wrapping() -> contract.WrappingFormat:
+    return cast(contract.WrappingFormat, import_module(WRAPPING))
 
 
 def load_photographs() -> contract.PhotographFormat:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from numbers import Real
 from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, Protocol, Union, get_args, get_origin, get_type_hints
@@ -156,6 +156,24 @@ class CompressionFormat(Protocol):
 
     def decompress(self, view: memoryview, /) -> memoryview:
         """Raises InvalidFile, and MemoryLimit before the output exceeds the limit."""
+
+
+class WrappingFormat(Protocol):
+    """What other programs put around a file of any format. Results are bytes, name, and the files beside it."""
+
+    def is_gzip(self, view: memoryview, /) -> bool:
+        """Return whether these are the first bytes of a gzip stream."""
+
+    def unwrap_gzip(self, view: memoryview, name: str, /) -> tuple[memoryview, str, Mapping[str, memoryview] | None]:
+        """Raises InvalidFile, MemoryLimit."""
+
+    def unwrap_zip(
+        self, view: memoryview, endings: Sequence[tuple[str, ...]], /
+    ) -> tuple[memoryview, str, Mapping[str, memoryview] | None] | None:
+        """Return the only file with one of these endings, by groups of endings in order of preference, or None.
+
+        Raises InvalidFile, MemoryLimit.
+        """
 
 
 class PhotographFormat(Protocol):

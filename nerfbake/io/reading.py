@@ -27,7 +27,18 @@ from nerfbake.catalog import (
 )
 from nerfbake.contract import HEAD, PICTURES, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
-from nerfbake.io.sources import STREAM, Folder, StoredNames, blame, broken_link, read_file, read_stdin, reading_name
+from nerfbake.io.sources import (
+    STREAM,
+    Folder,
+    StoredNames,
+    blame,
+    broken_link,
+    read_file,
+    read_stdin,
+    reading_name,
+    require_some,
+)
+from nerfbake.io.wrappings import unwrapped
 
 Kind = TypeVar("Kind")
 
@@ -136,16 +147,16 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[An
     if packed:
         view = load_compression().decompress(view)
         path = uncompressed(path)
-    if not len(view):
-        raise InvalidFile("is empty; allowed: a file that nerfbake reads")
+    require_some(view)
+    view, path, archive = unwrapped(view, path)
     form = format_of_content(path, view)
     if packed and form.packed:
         raise InvalidFile(f"is a {form.suffix} in zstd frames, but it is compressed already; allowed: {form.suffix}")
     extra: dict[str, object] = {}
-    if form.companion and path:
+    if form.companion and path and archive is None:
         extra["companion"] = Path(path[: -len(form.suffix)] + form.companion).exists()
     if form.beside and path:
-        extra["beside"] = Folder(Path(path).parent, {})
+        extra["beside"] = Folder(Path(path).parent, {}) if archive is None else archive
     _require_kind(form, kinds)
     scene = form.load_module().decode(view, **extra)
     if form.packed:

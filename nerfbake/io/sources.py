@@ -74,6 +74,12 @@ def read_file(path: Path) -> memoryview:
         return buffer.toreadonly()
 
 
+def require_some(view: memoryview) -> None:
+    """Raise InvalidFile if there are no bytes."""
+    if not len(view):
+        raise InvalidFile("is empty; allowed: a file that nerfbake reads")
+
+
 def read_stdin() -> memoryview:
     """Return all bytes of stdin. Raises InvalidFile if stdin is closed, MemoryLimit."""
     if sys.stdin is None:

@@ -299,9 +299,7 @@ class _Looks:
         if source not in self._textures:
             image, place = self._document.item("images", source), f"images[{source}]"
             content = _inline(image["uri"], place) if "uri" in image else self._document.view(image.get("bufferView"))
-            texture = decode_texture(content, place, any_mode=True, webp=True)
-            memory.hold(place, texture.nbytes)
-            self._textures[source] = texture
+            self._textures[source] = decode_texture(content, place, any_mode=True, webp=True)
         return self._textures[source]
 
 

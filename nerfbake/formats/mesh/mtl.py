@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.picture import decode_texture
 
@@ -73,9 +72,7 @@ class Materials:
         if _PLACING.search(line[: len(line) - len(named)]):
             self._leave("texture", line, "is shown without its options")
         if name not in self._textures:
-            texture = decode_texture(self._beside[name], name, any_mode=True)
-            memory.hold(name, texture.nbytes)
-            self._textures[name] = texture
+            self._textures[name] = decode_texture(self._beside[name], name, any_mode=True)
         return self._textures[name]
 
     def _leave(self, what: str, name: bytes, reason: str) -> None:

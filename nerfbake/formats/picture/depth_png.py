@@ -31,7 +31,7 @@ def encode(depth: Depth) -> Iterator[bytes]:
 
 
 def decode(view: memoryview) -> Depth:
-    with opened(view, "PNG", "PNG", bytes_per_pixel=13) as picture:
+    with opened(view, "PNG", "PNG", bytes_per_pixel=11) as picture:
         if not picture.mode.startswith("I"):
             raise InvalidFile(Problem("PNG", f"holds {picture.mode} pixels", "16 bits of grey"))
         steps = np.asarray(picture)

@@ -19,7 +19,7 @@ Source: playcanvas/splat-transform (read-sog, read-sog-v1, read-lod).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -31,11 +31,11 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import exp_or_nan, sigmoid_or_nan, with_largest
 from nerfbake.formats.wire.json import key_place, kind_of, parse_object, shorten, table, whole
 from nerfbake.formats.wire.picture import decode_lossless_webp
-from nerfbake.formats.wire.zip_reader import ZipReader, npz_keys
+from nerfbake.formats.wire.zip_reader import ZipFolder, npz_keys, own_names
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import expm1
 from nerfbake.kernels.soundness import plural
-from nerfbake.scene.splats import Splats, join_splats, splats_of_rows
+from nerfbake.scene.splats import Rows, Splats, join_splats, splats_in_blocks, splats_size
 
 Bytes = npt.NDArray[np.uint8]
 META, LOD = "meta.json", "lod-meta.json"
@@ -50,31 +50,29 @@ _NAME = re.compile(r"[^/\\:\0]{1,200}")
 
 
 def recognise(view: memoryview) -> bool:
-    """Return True for an archive with a meta.json."""
-    return not {META, LOD}.isdisjoint(npz_keys(view))
+    """Return True for an archive with a meta.json, at its top or in a folder."""
+    return any(name.rpartition("/")[2] in (META, LOD) for name in own_names(npz_keys(view)))
 
 
 def decode(view: memoryview) -> Splats:
-    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit."""
-    return splats_in(_Members(view))
+    """Parse splats. Raises InvalidFile, InvalidScene, MemoryLimit.
+
+    An archive may contain the folder instead of its files, as the Finder packs it.
+    """
+    files = ZipFolder(view, "a .sog")
+    return splats_in(files.below(_folder(files)))
 
 
-class _Members(Mapping[str, memoryview]):
-    """The files of an archive by name."""
-
-    def __init__(self, view: memoryview) -> None:
-        self._zip = ZipReader(view, "a .sog")
-
-    def __getitem__(self, name: str) -> memoryview:
-        if name not in self._zip.members:
-            raise KeyError(name)
-        return self._zip.unpacked(name, name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._zip.members)
-
-    def __len__(self) -> int:
-        return len(self._zip.members)
+def _folder(files: Iterable[str]) -> str:
+    """Return the folder of the only lod-meta.json or else meta.json; '' for the top. Raises InvalidFile."""
+    places = {key: [name.removesuffix(key) for name in files if name.rpartition("/")[2] == key] for key in (LOD, META)}
+    if "" in (both := places[LOD] + places[META]) or not both:
+        return ""
+    found = places[LOD] or places[META]
+    if len(found) > 1:
+        names = ", ".join(found[:3])
+        raise InvalidFile(Problem("the archive", f"has {len(found):,} scenes, in {names[:100]}", "one scene"))
+    return found[0]
 
 
 def splats_in(files: Mapping[str, memoryview]) -> Splats:
@@ -113,19 +111,18 @@ def _finest(files: Mapping[str, memoryview]) -> Splats:
     parts = []
     for path, ranges in places.items():
         part = _scene(files, path)
-        size = memory.size_of(part) // part.n
         for start, count in ranges:
             end = part.n + part.dropped if count < 0 else start + count
             if end > part.n + part.dropped:
                 found = f"has rows up to {end:,} of {part.n:,} in {path}"
                 raise InvalidFile(Problem(f"{LOD}: lods", found, "rows that the file has"))
-            memory.hold("the finest level", 3 * size * max(0, end - start))
             if part.dropped:
                 raise InvalidScene(Problem(path, "has rows that cannot be drawn", "finite numbers"))
             if end > start:
                 parts.append(_rows(part, start, end))
     if not parts:
         raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    memory.hold("the finest level", splats_size(sum(part.n for part in parts), max(part.B for part in parts)))
     whole_scene = join_splats(parts)
     return replace(whole_scene, notes=(*whole_scene.notes, *notes))
 
@@ -192,12 +189,12 @@ class _Part:
     def numbers(self, key: str, *shape: int) -> Floats:
         return table(self.fields.get(key), f"{self.place}.{key}", shape)
 
-    def decoded(self, codes: Bytes, *, columns: bool = True) -> Floats:
-        """The values of bytes: by the codebook, or in version 1 between minimum and maximum (of each column)."""
+    def decoder(self, codes: Bytes, *, columns: bool = True) -> Callable[[Bytes], Floats]:
+        """Return what decodes some of these bytes: a codebook, or in version 1 minimum and maximum (of each column)."""
         if "codebook" in self.fields:
-            return self._codebook(int(codes.max(initial=0)))[codes]
+            return self._codebook(int(codes.max(initial=0))).__getitem__
         low, high = (self.numbers(key, *codes.shape[1:2]) if columns else self.numbers(key) for key in ("mins", "maxs"))
-        return np.asarray(low + (high - low) * (codes / 255))
+        return lambda some: np.asarray(low + (high - low) * (some / 255))
 
     def _codebook(self, last: int) -> Floats:
         """The numbers of a codebook, up to the entry `last` or more: 256, or fewer for few splats.
@@ -235,30 +232,27 @@ def _scene(files: Mapping[str, memoryview], path: str) -> Splats:
         found = f"has {len(packed):,} bytes for {n:,} splats"
         raise InvalidFile(Problem(picture, found, f"{_MOST_PER_BYTE} splats a byte at most"))
     most = 4 * n + _SPARE
-    low = means.picture(0, n, most)
-    memory.require("the splats", n * 8 * 40)
-    high = means.picture(1, n, most)
+    low, high = (means.picture(k, n, most)[:, :3] for k in (0, 1))
     least, largest = means.numbers("mins", 3), means.numbers("maxs", 3)
-    t = least + (largest - least) * ((low[:, :3] + 256.0 * high[:, :3]) / 65535)
-    with np.errstate(over="ignore"):
-        places = np.copysign(expm1(np.abs(t)), t)
     colours = sh0.picture(0, n, most)
-    if version is None:
-        both = sh0.decoded(colours)
-        dc, opacity = both[:, :3], sigmoid_or_nan(both[:, 3])
-    else:
-        dc, opacity = sh0.decoded(colours[:, :3]), colours[:, 3] / 255
-    sh = dc[:, None]
-    if meta.get("shN") is not None:
-        sh = np.concatenate([sh, _higher(_Part(files, meta, "shN", path), n, version)], axis=1)
-    return splats_of_rows(
-        places,
-        exp_or_nan(scales.decoded(scales.picture(0, n, most)[:, :3])),
-        _rotations(quats.picture(0, n, most)),
-        opacity,
-        sh,
-        antialiased=meta.get("antialias") is True or meta.get("model") == "antialiased",
-    )
+    sizes, turns = scales.picture(0, n, most)[:, :3], quats.picture(0, n, most)
+    size_of, colour_of = scales.decoder(sizes), sh0.decoder(colours if version is None else colours[:, :3])
+    higher = _Higher(_Part(files, meta, "shN", path), n, version) if meta.get("shN") is not None else None
+
+    def rows(block: slice) -> Rows:
+        t = least + (largest - least) * ((low[block] + 256.0 * high[block]) / 65535)
+        with np.errstate(over="ignore"):
+            places = np.copysign(expm1(np.abs(t)), t)
+        if version is None:
+            both = colour_of(colours[block])
+            dc, opacity = both[:, :3], sigmoid_or_nan(both[:, 3])
+        else:
+            dc, opacity = colour_of(colours[block, :3]), colours[block, 3] / 255
+        sh = dc[:, None] if higher is None else np.concatenate([dc[:, None], higher.rows(block)], axis=1)
+        return Rows(places, exp_or_nan(size_of(sizes[block])), _rotations(turns[block]), opacity, sh)
+
+    antialiased = meta.get("antialias") is True or meta.get("model") == "antialiased"
+    return splats_in_blocks(n, 1 if higher is None else 1 + higher.width, rows, antialiased=antialiased)
 
 
 def _rotations(pixels: Bytes) -> Floats:
@@ -270,24 +264,32 @@ def _rotations(pixels: Bytes) -> Floats:
     return np.where(known[:, None], quats, 0)
 
 
-def _higher(part: _Part, n: int, version: int | None) -> Floats:
-    """(n, 3 | 8 | 15, 3) the coefficients above the first."""
-    centroids = part.image(0, _WIDTHS[-1] * _PALETTE)
-    rows, width = centroids.shape[:2]
-    if version is None:
-        degree = next((degree for degree in (1, 2, 3) if width == _A_ROW * _WIDTHS[degree]), 0)
-        count = rows * _A_ROW
-    else:
-        degree = whole(part.fields, "bands", part.place, low=1, high=3)
-        count = whole(part.fields, "count", part.place, low=1, high=_PALETTE)
-    if width != _A_ROW * _WIDTHS[degree] or not degree or count > rows * _A_ROW:
-        found = f"has {width:,}x{rows:,} pixels"
-        allowed = f"{_A_ROW} entries of 3, 8 or 15 pixels in a row, and a row for {_A_ROW} entries"
-        raise InvalidFile(Problem(f"{part.place}.files[0]", found, allowed))
-    pixels = part.picture(1, n, 4 * n + _SPARE)
-    labels = pixels[:, 0] + pixels[:, 1].astype(np.int64) * 256
-    if (top := int(labels.max())) >= count:
-        raise InvalidFile(Problem(f"{part.place}.files[1]", f"names entry {top:,}", f"below {count:,}, the palette's"))
-    palette = part.decoded(centroids[..., :3].reshape(rows * _A_ROW, _WIDTHS[degree], 3), columns=False)
-    memory.require("the splats", n * 2 * 8 * 3 * (_WIDTHS[degree] + 1))
-    return np.asarray(palette[labels])
+class _Higher:
+    """The coefficients above the first: a palette, and an entry of it for each splat."""
+
+    def __init__(self, part: _Part, n: int, version: int | None) -> None:
+        centroids = part.image(0, _WIDTHS[-1] * _PALETTE)
+        rows, width = centroids.shape[:2]
+        if version is None:
+            degree = next((degree for degree in (1, 2, 3) if width == _A_ROW * _WIDTHS[degree]), 0)
+            count = rows * _A_ROW
+        else:
+            degree = whole(part.fields, "bands", part.place, low=1, high=3)
+            count = whole(part.fields, "count", part.place, low=1, high=_PALETTE)
+        if width != _A_ROW * _WIDTHS[degree] or not degree or count > rows * _A_ROW:
+            found = f"has {width:,}x{rows:,} pixels"
+            allowed = f"{_A_ROW} entries of 3, 8 or 15 pixels in a row, and a row for {_A_ROW} entries"
+            raise InvalidFile(Problem(f"{part.place}.files[0]", found, allowed))
+        pixels = part.picture(1, n, 4 * n + _SPARE)
+        memory.hold("the labels", 4 * n)
+        self._labels = pixels[:, 0] | pixels[:, 1].astype(np.int32) << 8
+        if (top := int(self._labels.max())) >= count:
+            found = f"names entry {top:,}"
+            raise InvalidFile(Problem(f"{part.place}.files[1]", found, f"below {count:,}, the palette's"))
+        self._codes = centroids[..., :3].reshape(rows * _A_ROW, _WIDTHS[degree], 3)
+        self.width = _WIDTHS[degree]
+        self._decoded = part.decoder(self._codes, columns=False)
+
+    def rows(self, block: slice) -> Floats:
+        """The coefficients (rows, 3 | 8 | 15, 3)."""
+        return self._decoded(self._codes[self._labels[block]])

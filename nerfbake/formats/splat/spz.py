@@ -72,12 +72,13 @@ _ALLOWED = "a whole .spz"
 
 
 def recognise(view: memoryview) -> bool:
-    """Return True for the magic number, in the clear or in gzip."""
+    """Return True for the magic number, in the clear, or in gzip before a version below 4."""
     if bytes(view[:2]) == _GZIP:
         try:
-            return gunzip_start(view, 4, "gzip") == _MAGIC
+            start = gunzip_start(view, 8, "gzip")
         except InvalidFile:
             return False
+        return start[:4] == _MAGIC and int.from_bytes(start[4:], "little") < 4
     return bytes(view[:4]) == _MAGIC
 
 

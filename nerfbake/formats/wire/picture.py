@@ -60,20 +60,25 @@ _BRANDS = {b"avif": "an AVIF", b"avis": "an AVIF", b"crx ": "a raw photograph"} 
 
 @contextmanager
 def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> Iterator[Image.Image]:
-    """Open a picture; decode it inside the block. Raises InvalidFile, MemoryLimit."""
+    """Open a picture; decode it inside the block. Raises InvalidFile, MemoryLimit.
+
+    bytes_per_pixel: of memory that is needed in addition to the picture that Pillow decodes.
+    """
     if "HEIF" in kinds and is_heic(view):
         _require_heif(name)
         kinds = ("HEIF",)
     else:
         kinds = tuple(kind for kind in kinds if kind != "HEIF")
     try:
-        with warnings.catch_warnings(), memory.lent(name, len(view)):  # Pillow reads from a copy
+        copies = 4 if bytes(view[:4]) == b"RIFF" else 1  # Pillow reads from a copy, of a WebP from several
+        with warnings.catch_warnings(), memory.lent(name, copies * len(view)):
             warnings.simplefilter("ignore")  # large images are rejected below
             with Image.open(io.BytesIO(view), formats=kinds) as picture:
                 width, height = picture.size
                 if max(width, height) > MAX_EDGE:
                     raise InvalidFile(Problem(name, f"declares {width:,}x{height:,} pixels", f"{MAX_EDGE:,} an edge"))
-                memory.require(name, bytes_per_pixel * width * height)
+                if bytes_per_pixel:
+                    memory.require(name, (_decoded_size(picture) + bytes_per_pixel) * width * height)
                 yield picture
     except Image.DecompressionBombError:
         most = f"178 million, with {MAX_EDGE:,} an edge at most"
@@ -82,6 +87,36 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
         # Pillow's own message has the address of the buffer.
         reason = _content(bytes(view[:16])) if isinstance(error, UnidentifiedImageError) else error
         raise InvalidFile(Problem(name, f"cannot be read ({reason})", f"a whole {' or '.join(kinds)}")) from None
+
+
+def _decoded_size(picture: Image.Image) -> int:
+    """Bytes a pixel that Pillow needs at most to decode this picture, as measured."""
+    kind = picture.format or ""
+    if kind in _DECODED:
+        return _DECODED[kind]
+    return {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}.get(picture.mode, 4)
+
+
+# A WebP: two canvases of libwebp, the picture as bytes, and Pillow's. A JPEG: Pillow's picture and, if it is
+# progressive, all coefficients. A HEIC: libheif's planes and two copies.
+_DECODED = {"WEBP": 16, "JPEG": 12, "HEIF": 12}
+_BAND = 1 << 18  # pixels that are converted at once
+
+
+def pixels_of(picture: Image.Image, mode: str, name: str) -> npt.NDArray[np.uint8]:
+    """Return the pixels in this mode (RGB or RGBA), (H, W, channels), of 16 bits the upper 8.
+
+    They are converted in bands, because Pillow copies all pixels twice for NumPy and once for each mode. They are
+    counted until the surrounding memory.scope() ends. Raises MemoryLimit.
+    """
+    width, height = picture.size
+    memory.hold(name, len(mode) * width * height)
+    out = np.empty((height, width, len(mode)), np.uint8)
+    rows = max(1, _BAND // width)
+    for top in range(0, height, rows):
+        band = picture.crop((0, top, width, min(height, top + rows)))
+        out[top : top + rows] = np.asarray(eight_bits(band).convert(mode))
+    return out
 
 
 def is_heic(head: memoryview) -> bool:
@@ -131,15 +166,15 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False, webp:
     """Decode a texture to (H, W, 3) uint8, row 0 at the top. Raises InvalidFile unless it is 8-bit RGB, PNG or JPEG.
 
     any_mode  convert grey, palette and alpha to RGB instead, for pictures that are only displayed
-    webp      also decode WebP, of which 4 bytes per pixel are decoded at once
+    webp      also decode WebP
+
+    The texels are counted until the surrounding memory.scope() ends. Raises MemoryLimit.
     """
     kinds = ("PNG", "JPEG", "WEBP") if webp else ("PNG", "JPEG")
-    with opened(view, name, *kinds, bytes_per_pixel=7 if webp else 3) as image:
-        if any_mode:
-            return np.asarray(eight_bits(image).convert("RGB"))
-        if image.mode != "RGB":
+    with opened(view, name, *kinds, bytes_per_pixel=3) as image:
+        if not any_mode and image.mode != "RGB":
             raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
-        return np.asarray(image)
+        return pixels_of(image, "RGB", name)
 
 
 def eight_bits(picture: Image.Image) -> Image.Image:
@@ -153,16 +188,16 @@ def decode_lossless_webp(view: memoryview, name: str, most: int) -> npt.NDArray[
     """Decode a picture of data to (H, W, 4) uint8; alpha is 255 if the file has none.
 
     most: pixels that it may have, checked before Pillow opens the file, because libwebp allocates the picture then.
-    Raises InvalidFile, MemoryLimit.
+    They are counted until the surrounding memory.scope() ends. Raises InvalidFile, MemoryLimit.
     """
     width, height = _webp_size(bytes(view[:_WEBP_HEAD]))
     if not 0 < width * height <= most:
         found = f"declares {width:,}x{height:,} pixels" if width else "is not a lossless WebP"
         raise InvalidFile(Problem(name, found, f"a lossless WebP of at most {most:,} pixels"))
-    with opened(view, name, "WEBP", bytes_per_pixel=12) as picture:
+    with opened(view, name, "WEBP", bytes_per_pixel=4) as picture:
         if picture.size != (width, height) or getattr(picture, "n_frames", 1) > 1:
             raise InvalidFile(Problem(name, f"has a size of {picture.size}, or frames", f"{width:,}x{height:,}, once"))
-        return np.asarray(picture.convert("RGBA"))
+        return pixels_of(picture, "RGBA", name)
 
 
 _WEBP_HEAD = 64  # bytes: of the file, VP8X, and the start of VP8L
@@ -210,13 +245,13 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
     size: (W, H) of the camera. If the EXIF orientation is a quarter turn and only the rotated picture has the camera's
     shape, the picture is rotated upright. Raises InvalidFile, MemoryLimit.
     """
-    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
+    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=4) as picture:
         _require_mode(picture)
         turn = None if size is None else _turn(picture, size)
         if turn is None:
-            return np.asarray(picture.convert("RGBA"))
-        memory.require("the picture", 2 * 12 * picture.width * picture.height)
-        return np.asarray(picture.convert("RGBA").transpose(turn))
+            return pixels_of(picture, "RGBA", "the picture")
+        memory.require("the picture", (_decoded_size(picture) + 8) * picture.width * picture.height)
+        return pixels_of(picture.transpose(turn), "RGBA", "the picture")
 
 
 def check_photograph(view: memoryview) -> tuple[int, int]:
@@ -224,7 +259,7 @@ def check_photograph(view: memoryview) -> tuple[int, int]:
 
     A JPEG is decoded at an eighth of its resolution, in a tenth of the time: that reads all of its data, too.
     """
-    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
+    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=4) as picture:
         _require_mode(picture)
         size = picture.size
         picture.draft(None, (1, 1))

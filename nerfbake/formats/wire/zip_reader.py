@@ -21,6 +21,8 @@ import io
 import struct
 import warnings
 import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 
 import deflate
 
@@ -91,6 +93,49 @@ class ZipReader:
             found = f"declares {info.file_size:,} bytes from {info.compress_size:,}"
             raise InvalidFile(Problem(key, found, f"{MAX_INFLATION} times as many, deflate's bound"))
         return packed
+
+
+class ZipFolder(Mapping[str, memoryview]):
+    """The files of an archive, or of a folder in it, by name. `what`: the expected file, for error messages.
+
+    Files that macOS adds for itself are not among them.
+    """
+
+    def __init__(self, view: memoryview, what: str) -> None:
+        self._zip = ZipReader(view, what)
+        self._at = ""
+        self._names = own_names(self._zip.members)
+
+    def below(self, folder: str) -> ZipFolder:
+        """The files in a folder ('' or 'NAME/'), by their names in it."""
+        found = copy(self)
+        found._at = self._at + folder
+        found._names = [name.removeprefix(folder) for name in self._names if name.startswith(folder)]
+        return found
+
+    def __getitem__(self, name: str) -> memoryview:
+        if name not in self:
+            raise KeyError(name)
+        return self._zip.unpacked(self._at + name, name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def own_names(names: Iterable[str]) -> list[str]:
+    """The names of an archive's files, without folders and the files that macOS adds: __MACOSX/*, ._* and .DS_Store."""
+    parts = {name: name.split("/") for name in names}
+    return [
+        name
+        for name, (*folders, last) in parts.items()
+        if last and not last.startswith("._") and last != ".DS_Store" and "__MACOSX" not in folders[:1]
+    ]
 
 
 class _ViewFile(io.RawIOBase):
