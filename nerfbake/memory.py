@@ -112,9 +112,15 @@ def kept(scene: Counted) -> Counted:
 
 
 def grown(scene: Any, what: str, size: int) -> None:
-    """Count `size` more bytes for a scene as long as it exists. Raises MemoryLimit if they do not fit."""
-    require(what, size)
-    _keep(scene, size)
+    """Count `size` more bytes for a scene as long as it exists. Raises MemoryLimit if they do not fit.
+
+    Outside memory_limit() they count until the end of the surrounding scope().
+    """
+    if _current.get().keeps:
+        require(what, size)
+        _keep(scene, size)
+    else:
+        hold(what, size)
 
 
 def _keep(scene: Any, size: int) -> None:

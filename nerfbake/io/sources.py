@@ -149,8 +149,9 @@ class Folder(Mapping[str, memoryview]):
             path = self._path / name
             if not path.is_file():
                 raise KeyError(name)
-            with blame(str(path)):
+            with blame(str(path)), memory.scope():
                 self._more[name] = read_file(path)
+            memory.grown(self, name, len(self._more[name]))  # beyond the scope in which the file is needed first
         return self._more[name]
 
     def __contains__(self, name: object) -> bool:

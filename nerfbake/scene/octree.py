@@ -250,7 +250,10 @@ class SparseVoxelOctree(Scene):
 
         Returns the octree itself if it is in this order already, or if it has other structural problems.
         """
-        if self._order is not None or self._walk.problems:
+        if self._order is not None:
+            return self
+        memory.require("the order of the nodes", 56 * self.n)
+        if self._walk.problems:
             return self
         order = np.concatenate(self._walk.levels)
         if len(order) < self.n:

@@ -19,6 +19,7 @@ from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems, require_shape
 
 BASES = (1, 4, 9, 16, 25)  # coefficients of each colour at degree 0, 1, 2, 3, 4
+MOVING = 200  # bytes a splat that transformed() takes beside its result
 _UNIT = 1e-3  # how far from 1 the length of a quaternion may be
 _EVEN = 1e-4  # how far a transform may be from a rotation or reflection times one scale: rounding in files
 

@@ -42,10 +42,10 @@ def test_the_file_is_named_in_what_is_wrong_with_it(tmp_path: Path) -> None:
 
 def test_photographs_count_for_as_long_as_they_live(tmp_path: Path) -> None:
     Pillow.fromarray(np.zeros((100, 100, 3), np.uint8)).save(tmp_path / "a.png")
-    with memory_limit(250_000):
+    with memory_limit(210_000):
         kept = [load_photograph(tmp_path / "a.png") for _ in range(4)]
-        assert left() == 250_000 - 4 * 40_000
+        assert left() == 210_000 - 4 * 40_000
         with pytest.raises(MemoryLimit, match=r"a\.png: the picture needs .* in addition to"):
             load_photograph(tmp_path / "a.png")
         kept.clear()
-        assert left() == 250_000
+        assert left() == 210_000

@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.mesh.glb_writer import MeshPart, encode_glb
 from nerfbake.formats.mesh.surface import decode_surface, encode_surface
@@ -128,6 +129,7 @@ def _read_entry(numbers: dict[str, Any], place: str) -> CascadeEntry:
     )
 
 
+_LABEL = 10  # bytes of a label while it is put together
 _GENERATOR = f"nerfbake {version('nerfbake')}"
 
 
@@ -183,7 +185,9 @@ def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
             name = f"{role}_{cascade}.png"
             return decode_texture(_require(files, name), name)
 
-        image, labels = texture("atlas"), texture("labels").astype(np.uint16)
+        image, texels = texture("atlas"), texture("labels")
+        memory.hold("the atlas", image.nbytes + _LABEL * len(texels) * texels.shape[1])
+        labels = texels.astype(np.uint16)
         count, size, border = entry.maps, entry.map_size, entry.border
         edge = size + 2 * border
         per_row = octahedron.tiles_per_row(count)

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.json import parse_object, whole
 from nerfbake.formats.wire.picture import decode_texture
@@ -20,6 +21,7 @@ from nerfbake.kernels.surface.octahedron import tiles_per_row
 from nerfbake.scene.atlas import MAX_MAP_SIZE, MAX_TILES, BakedAtlas, OctahedralAtlas
 
 _PICTURES = ("octahedron_maps.png", "labels_map.png")
+_LABEL = 6  # bytes of a label while it is put together
 _SIZES = {"final_clusters": MAX_TILES, "mapping_resolution": MAX_MAP_SIZE}
 
 
@@ -32,6 +34,7 @@ def decode(files: Mapping[str, memoryview]) -> BakedAtlas:
         if name not in files:
             raise InvalidFile(Problem(name, "is missing", " and ".join(_PICTURES)))
     image, texels = (decode_texture(files[name], name) for name in _PICTURES)
+    memory.hold("the atlas", image.nbytes + _LABEL * len(texels) * texels.shape[1])
     labels = (texels[..., 0] | texels[..., 1].astype(np.uint16) << 8).astype(np.uint16)
     K, R = _sizes(files, image.shape, int(labels.max()) + 1)
     if texels[..., 2].any():

@@ -245,6 +245,7 @@ def _planes(files: Mapping[str, memoryview], params: MerfParams) -> Planes:
     first = floor(low)
     P = R - 2 * first
     memory.hold("the planes", 3 * P * P * 4 * _CHANNELS)
+    memory.require("a plane", 2 * _CHANNELS * R * R + 8 * _CHANNELS * P * P)
     density, features = np.empty((3, P, P), np.float32), np.empty((3, P, P, len(_LOOKS)), np.float32)
     for plane in range(3):
         names = [f"{prefix}_{plane}.png" for prefix in _PLANE]
@@ -256,4 +257,5 @@ def _planes(files: Mapping[str, memoryview], params: MerfParams) -> Planes:
         turned = whole if plane == 0 else whole[:, ::-1].transpose(1, 0, 2)
         flat = _values(turned.reshape(-1, _CHANNELS), params)
         density[where], features[where] = flat[0].reshape(P, P), flat[1].reshape(P, P, -1)
+        del parts, whole, turned, flat  # before the next plane is decoded
     return Planes(density, features, low - first, R / 2)

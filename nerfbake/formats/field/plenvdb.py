@@ -244,7 +244,7 @@ _MODEL = "fine_last.tar"
 _DENSITY, _COLOURS = "finedensity.vdb", "finecolor.vdb"
 _ROWS, _TABLE = "mergedidxs.vdb", "mergeddata.npz"
 FILES = re.compile("|".join(map(re.escape, (_MODEL, _DENSITY, _COLOURS, _ROWS, _TABLE))))
-_LEAVES = 1 << 10  # leaves whose voxels are scattered at a time
+_LEAVES = 64  # leaves whose voxels are scattered at once: 2 MB of indices
 _EXACT = 1 << 24  # float32 represents all integers up to this one
 _ALLOWED = f"{_MODEL}, and {_DENSITY} with {_COLOURS} or {_ROWS} with {_TABLE}"
 
@@ -324,6 +324,7 @@ def _plain(files: Mapping[str, memoryview], model: DvgoModel, colour: Colour) ->
         shape = _filled_shape(tree, "the grid")
         density = _zeros(1, shape)
         _scatter(tree, density)
+        del tree  # the memory of the scope
     memory.hold("density", density.nbytes)
     with _within(_COLOURS), memory.scope():
         trees = _trees(colour_file, channels=3)
@@ -335,6 +336,7 @@ def _plain(files: Mapping[str, memoryview], model: DvgoModel, colour: Colour) ->
             if (found_shape := _filled_shape(tree, f"grid [{number}]")) != shape:
                 raise InvalidFile(Problem(f"grid [{number}]", f"has {found_shape} nodes", f"{shape}, as {_DENSITY}"))
             _scatter(tree, features[3 * number : 3 * number + 3])
+        del tree, trees
     memory.hold("colours", features.nbytes)
     rows = features.reshape(colour.features, -1).T  # each channel is contiguous, as in DirectVoxGO's checkpoint
     links = every_node(shape)
@@ -374,7 +376,7 @@ def _links(view: memoryview, mask: Bits, n: int) -> npt.NDArray[np.int32]:
     memory.hold("links", 4 * mask.size)
     with memory.scope():
         (tree,) = _trees(view, channels=1, one=True)
-        memory.hold("the rows", 8 * len(tree.values))
+        memory.hold("the rows", 32 * len(tree.values))
         rows = cast(tree.active_values[:, 0], np.float64)
         sound = (rows >= 1) & (rows <= n) & (rows == np.floor(rows))
         if not sound.all():

@@ -110,7 +110,8 @@ _INDICES = "atlas_indices.png"
 _ALLOWED = f"{_INDICES}, and the rgba and feature pictures of all slices"
 _SLICES = 4  # per picture
 _CHANNELS = 8
-_AT_ONCE = 1 << 21  # voxels
+_AT_ONCE = 1 << 18  # voxels
+_VOXEL_BYTES = 110  # of a voxel while it is found
 _ROW_BYTES = 3 * 4 + _CHANNELS + 2 * _CHANNELS + 4  # position and bytes of a voxel, then its features and opacity
 
 Ints32 = npt.NDArray[np.int32]
@@ -219,7 +220,7 @@ def _voxels(files: Mapping[str, memoryview], params: SnergParams, indices: Bytes
         for kept, where in ((inside, inner), (around, free)):
             kept.append(_Voxels(found.places[where], found.values[where]))
             count += int(np.count_nonzero(where))
-        memory.require("the voxels", 2 * _ROW_BYTES * count)
+        memory.require("the voxels", 4 * _ROW_BYTES * count)
     places = np.concatenate([each.places for each in inside + around])
     values = np.concatenate([each.values for each in inside + around])
     x, y, z = (places + 1).astype(np.int64).T
@@ -233,6 +234,7 @@ def _blocks(files: Mapping[str, memoryview], params: SnergParams, indices: Bytes
     blocks = np.argwhere(indices[..., 0] != EMPTY)
     atlas_index = indices[tuple(blocks.T)].astype(np.int64)
     step = max(1, _AT_ONCE // edge**3)
+    given = 0
     for layer in range(params.atlas_blocks[2]):
         here = np.flatnonzero(atlas_index[:, 2] == layer)
         if not len(here):
@@ -243,9 +245,11 @@ def _blocks(files: Mapping[str, memoryview], params: SnergParams, indices: Bytes
             parts = atlas[:, :height, :width].reshape(edge, height // edge, edge, width // edge, edge, _CHANNELS)
             for begin in range(0, len(here), step):
                 chunk = here[begin : begin + step]
+                memory.require("the voxels", _VOXEL_BYTES * len(chunk) * edge**3 + _ROW_BYTES * given)
                 found = parts[:, atlas_index[chunk, 1], :, atlas_index[chunk, 0]]  # (k, z, y, x, 8)
                 k, z, y, x = np.nonzero(found.any(axis=4))
                 at = np.stack([x, y, z], axis=1)
                 inner = np.asarray(((at >= 1) & (at <= params.block)).all(axis=1))
                 places = blocks[chunk][k] * params.block + at - 1
+                given += len(places)
                 yield inner, _Voxels(places.astype(np.int32), found[k, z, y, x])

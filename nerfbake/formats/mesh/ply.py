@@ -31,6 +31,7 @@ _HEAD = 1 << 14  # bytes in which a mesh is recognised
 _WORD = 90  # bytes of memory per word of text
 _VERTEX = 60  # and per vertex
 _CORNER = 60  # and per corner of a polygon
+_TRIANGLE = 40  # and per corner while its polygon becomes triangles
 _INDICES = ("vertex_indices", "vertex_index")
 _TOLD = 60  # characters of a name in a note
 _RGB = ("red", "green", "blue")
@@ -137,10 +138,12 @@ def _binary_rows(element: wire.Element, body: npt.NDArray[np.uint8], order: str)
         raise InvalidFile(Problem(f"element {element.name[:40]}", "does not end within the file", _ALLOWED)) from None
     end = int(last[0][-1] + last[1][-1] * steps[-1, 0]) if element.rows else 0
     kind = np.dtype(order + element.properties[wanted].kind)
-    memory.hold("the mesh", _CORNER * int(counts.sum()))
+    memory.hold("the mesh", (_CORNER + _TRIANGLE) * int(counts.sum()))
     each = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     places = np.repeat(starts, counts) + each * kind.itemsize
-    octets = body[places[:, None] + np.arange(kind.itemsize)]
+    octets = np.empty((0, kind.itemsize), np.uint8)
+    if len(places):
+        octets = np.lib.stride_tricks.sliding_window_view(body, kind.itemsize)[places]
     with np.errstate(invalid="ignore"):
         corners = np.ascontiguousarray(octets).view(kind).reshape(-1).astype(np.int64)
     return _Polygons(corners, counts), body[end:]
@@ -172,6 +175,7 @@ def _alike(
     lengths = [name for name, *_ in fields if name.startswith("count")]
     if any((rows[name] != rows[name][0]).any() for name in lengths):
         return None
+    memory.hold("the mesh", _TRIANGLE * rows[f"list {wanted}"].size)
     with np.errstate(invalid="ignore"):
         corners = rows[f"list {wanted}"].astype(np.int64)
     return _Polygons(corners.reshape(-1), np.full(element.rows, corners.shape[1])), body[element.rows * at :]

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.transforms import decode_positions
 from nerfbake.formats.mesh.surface import decode_surface, encode_surface
@@ -91,6 +92,7 @@ def decode(files: Mapping[str, memoryview]) -> Stage1:
         features = decode_texture(files[name], name)
         mesh = decode_surface(files, cascade)
         H, W, _ = features.shape
+        memory.hold(name, 2 * H * W)  # of the texels that are used
         used = covered_texels(mesh.require_unwrapped(), mesh.faces, H, W) if mesh else np.ones((H, W), bool)
         fields.append(SpecularField(features, mlp.w0, mlp.w1, used))
         meshes.append(mesh)

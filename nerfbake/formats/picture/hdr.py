@@ -34,6 +34,7 @@ _MAGIC = (b"#?RADIANCE", b"#?RGBE")
 _MAX_HEADER = 1 << 16
 _RUN_WIDTHS = range(8, 1 << 15)  # of rows that can be run-length coded
 _MOST_RUN = 127
+_BAND = 1 << 16  # pixels that are decoded at once
 
 
 def recognise(view: memoryview) -> bool:
@@ -52,13 +53,17 @@ def decode(view: memoryview) -> EnvironmentMap:
         raise InvalidFile(Problem("the picture", found, f"at least {least * height:,}"))
     memory.hold("an environment map", 12 * width * height)
     with memory.scope():
-        memory.hold("the pixels of an environment map", 56 * width * height)
+        band = max(1, _BAND // width)  # rows
+        memory.hold("the pixels of an environment map", 9 * width * height + 72 * width * min(band, height))
         coded = np.empty((height, width, 4), np.uint8)
         row = unpack_rows(np.frombuffer(body, np.uint8), coded)
         if row >= 0:
             found = f"row {row:,} is cut off or has broken runs"
             raise InvalidFile(Problem("the picture", found, "whole rows, flat or with runs of a channel each"))
-        return EnvironmentMap(_radiance(coded, exposure))
+        light = np.empty((height, width, 3), np.float32)
+        for top in range(0, height, band):  # in float64 all pixels would take several times the memory of the map
+            light[top : top + band] = _radiance(coded[top : top + band], exposure)
+        return EnvironmentMap(light)
 
 
 def _radiance(coded: npt.NDArray[np.uint8], exposure: float) -> npt.NDArray[np.float32]:

@@ -31,7 +31,7 @@ from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.picture.metrics import to_linear
-from nerfbake.scene.splats import BASES, Splats, join_splats, splats_of_rows
+from nerfbake.scene.splats import BASES, MOVING, Rows, Splats, join_splats, splats_in_blocks
 
 EXTENSION = "KHR_gaussian_splatting"
 MOST_DEGREE = 3
@@ -78,8 +78,10 @@ def decode(view: memoryview) -> Splats:
                 raise malformed("the file", f"has more than {_MANY:,} primitives of splats", f"{_MANY:,}")
             with np.errstate(over="ignore", invalid="ignore"):
                 part = _splats(document, primitive, extension, place)
-                memory.hold("the splats", memory.size_of(part))
-                parts.append(part if np.array_equal(matrix, np.eye(4)) else part.transformed(matrix[:3]))
+                if not np.array_equal(matrix, np.eye(4)):
+                    memory.hold("the splats", memory.size_of(part) + MOVING * part.n)
+                    part = part.transformed(matrix[:3])
+                parts.append(part)
     if not parts:
         raise malformed("the .glb", "has no splats", f"a primitive with {EXTENSION} in the scene")
     memory.hold("the splats", 2 * sum(map(memory.size_of, parts)))
@@ -121,7 +123,7 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
     if inner is not None:
         notes.append(f"the extension {inner!r} is left out")
 
-    def column(name: str, kind: str) -> Floats:
+    def column(name: str, kind: str) -> npt.NDArray[Any]:
         index = attributes.get(name)
         # Attributes that an extension compresses have no bufferView, or have also one for programs without it.
         if inner is not None and (index is None or "bufferView" not in document.item("accessors", index)):
@@ -130,32 +132,41 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
             raise malformed(f"{place}.attributes", f"lack {name}", f"POSITION, {_PREFIX}ROTATION, SCALE, OPACITY, SH")
         with memory.scope():
             values = document.accessor(index, (kind,))
+        if values.dtype == np.float64:  # normalised integers; other numbers are a view of the file
+            memory.hold(f"{place}.{name}", values.nbytes)
         if len(values) != n and n:
             raise malformed(f"{place}.{name}", f"has {len(values):,} rows", f"{n:,}, as POSITION")
-        return values.astype(np.float64)
+        return values
 
     n = 0
     means = column("POSITION", "VEC3")
     n = len(means)
     top = next((d for d in range(MOST_DEGREE, 0, -1) if f"{_PREFIX}SH_DEGREE_{d}_COEF_0" in attributes), 0)
-    memory.require("the splats", n * 8 * (11 + 2 * 3 * BASES[top]))
-    sh = np.empty((n, BASES[top], 3))
-    for degree in range(top + 1):
-        for k in range(2 * degree + 1):
-            sh[:, degree * degree + k] = column(f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}", "VEC3")
+    names = [f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}" for degree in range(top + 1) for k in range(2 * degree + 1)]
+    coefficients = [column(name, "VEC3") for name in names]
     scales = column(_PREFIX + "SCALE", "VEC3")
-    if (scales < 0).any():
+    turns, opacities = column(_PREFIX + "ROTATION", "VEC4"), column(_PREFIX + "OPACITY", "SCALAR")
+    memory.require("the splats", 3 * n)
+    logarithms = bool((scales < 0).any())
+    if logarithms:
         notes.append("its scales are logarithms, as in an early draft of the extension")
-        scales = exp_or_nan(scales)
-    return splats_of_rows(
-        means,
-        scales,
-        column(_PREFIX + "ROTATION", "VEC4")[:, [3, 0, 1, 2]],
-        column(_PREFIX + "OPACITY", "SCALAR")[:, 0],
-        sh,
-        antialiased=isinstance(extras := primitive.get("extras"), dict) and extras.get(_ANTIALIASED) is True,
-        notes=tuple(notes),
-    )
+
+    def rows(block: slice) -> Rows:
+        def wide(values: npt.NDArray[Any]) -> Floats:
+            return np.asarray(values[block], np.float64)
+
+        sizes = wide(scales)
+        sh = np.stack([wide(values) for values in coefficients], axis=1)
+        return Rows(
+            wide(means),
+            exp_or_nan(sizes) if logarithms else sizes,
+            wide(turns)[:, [3, 0, 1, 2]],
+            wide(opacities)[:, 0],
+            sh,
+        )
+
+    antialiased = isinstance(extras := primitive.get("extras"), dict) and extras.get(_ANTIALIASED) is True
+    return splats_in_blocks(n, BASES[top], rows, antialiased=antialiased, notes=tuple(notes))
 
 
 def encode(scene: Splats) -> Iterator[bytes]:

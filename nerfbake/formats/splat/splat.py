@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.splat.ply import SH0
-from nerfbake.scene.splats import Splats, splats_of_rows
+from nerfbake.scene.splats import Rows, Splats, splats_in_blocks
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("quat", "u1", 4)])
 _LOOKED_AT = 64  # rows
@@ -43,11 +42,14 @@ def decode(view: memoryview) -> Splats:
             Problem("the .splat", f"has {len(view):,} bytes", f"a multiple of {size}, the bytes of a row")
         )
     n = len(view) // size
-    memory.require("the splats", n * 2 * 8 * 14)
-    rows = np.frombuffer(view, _ROW, n)
-    colour = rows["colour"] / 255
-    with np.errstate(invalid="ignore"):
-        means, scales = rows["mean"] * np.float64(1), rows["scale"] * np.float64(1)
-    return splats_of_rows(
-        means, scales, (rows["quat"] - 128.0) / 128, colour[:, 3], ((colour[:, :3] - 0.5) / SH0)[:, None]
-    )
+    table = np.frombuffer(view, _ROW, n)
+
+    def rows(block: slice) -> Rows:
+        part = table[block]
+        colour = part["colour"] / 255
+        with np.errstate(invalid="ignore"):
+            means, scales = part["mean"] * np.float64(1), part["scale"] * np.float64(1)
+        sh = ((colour[:, :3] - 0.5) / SH0)[:, None]
+        return Rows(means, scales, (part["quat"] - 128.0) / 128, colour[:, 3], sh)
+
+    return splats_in_blocks(n, 1, rows)

@@ -42,7 +42,7 @@ from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip, gunzip_start
 from nerfbake.formats.wire.zstd import compress, decompress_exactly
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log
-from nerfbake.scene.splats import BASES, Rows, Splats, splats_in_blocks, splats_size
+from nerfbake.scene.splats import BASES, MOVING, Rows, Splats, splats_in_blocks, splats_size
 
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
@@ -55,7 +55,6 @@ _MOST_EXTENSIONS = 100
 _A_NODE = 6  # bytes of a row in the tree of levels of detail
 _MANY = 1 << 16  # splats that a file of any size may have
 _MOST_PER_BYTE = 16  # splats
-_TURNED = 100  # bytes a splat beyond its own while it is turned by a matrix
 _COORDINATE_SYSTEM = 0xADBE0003
 # By number the directions of x, y and z: left or right, up or down, forward or back. 0: not specified, as RUB.
 _SYSTEMS = (
@@ -161,7 +160,7 @@ def decode(view: memoryview) -> Splats:
     if system == "RUB":
         memory.hold("the splats", splats_size(n, B))
         return splats.flipped()
-    memory.hold("the splats", splats_size(n, B) + _TURNED * n)
+    memory.hold("the splats", splats_size(n, B) + MOVING * n)
     return splats.transformed(np.array([*(_DIRECTIONS[letter] for letter in system), (0, 0, 0)], np.float64).T)
 
 

@@ -103,14 +103,12 @@ _DECODED = {"WEBP": 16, "JPEG": 12, "HEIF": 12}
 _BAND = 1 << 18  # pixels that are converted at once
 
 
-def pixels_of(picture: Image.Image, mode: str, name: str) -> npt.NDArray[np.uint8]:
+def pixels_of(picture: Image.Image, mode: str) -> npt.NDArray[np.uint8]:
     """Return the pixels in this mode (RGB or RGBA), (H, W, channels), of 16 bits the upper 8.
 
-    They are converted in bands, because Pillow copies all pixels twice for NumPy and once for each mode. They are
-    counted until the surrounding memory.scope() ends. Raises MemoryLimit.
+    They are converted in bands, because Pillow copies all pixels twice for NumPy and once for each mode.
     """
     width, height = picture.size
-    memory.hold(name, len(mode) * width * height)
     out = np.empty((height, width, len(mode)), np.uint8)
     rows = max(1, _BAND // width)
     for top in range(0, height, rows):
@@ -174,7 +172,9 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False, webp:
     with opened(view, name, *kinds, bytes_per_pixel=3) as image:
         if not any_mode and image.mode != "RGB":
             raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGB, 8 bits a channel"))
-        return pixels_of(image, "RGB", name)
+        texels = pixels_of(image, "RGB")
+    memory.hold(name, texels.nbytes)
+    return texels
 
 
 def eight_bits(picture: Image.Image) -> Image.Image:
@@ -197,7 +197,9 @@ def decode_lossless_webp(view: memoryview, name: str, most: int) -> npt.NDArray[
     with opened(view, name, "WEBP", bytes_per_pixel=4) as picture:
         if picture.size != (width, height) or getattr(picture, "n_frames", 1) > 1:
             raise InvalidFile(Problem(name, f"has a size of {picture.size}, or frames", f"{width:,}x{height:,}, once"))
-        return pixels_of(picture, "RGBA", name)
+        pixels = pixels_of(picture, "RGBA")
+    memory.hold(name, pixels.nbytes)
+    return pixels
 
 
 _WEBP_HEAD = 64  # bytes: of the file, VP8X, and the start of VP8L
@@ -249,9 +251,9 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
         _require_mode(picture)
         turn = None if size is None else _turn(picture, size)
         if turn is None:
-            return pixels_of(picture, "RGBA", "the picture")
+            return pixels_of(picture, "RGBA")
         memory.require("the picture", (_decoded_size(picture) + 8) * picture.width * picture.height)
-        return pixels_of(picture.transpose(turn), "RGBA", "the picture")
+        return pixels_of(picture.transpose(turn), "RGBA")
 
 
 def check_photograph(view: memoryview) -> tuple[int, int]:

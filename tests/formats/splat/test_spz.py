@@ -274,7 +274,6 @@ LIES: dict[str, tuple[bytes, str]] = {
         "the extension of the axes has 4 bytes, with 99; allowed: 4 bytes, with 0 to 16",
     ),
     "version 5": (SOUND[:4] + b"\5" + SOUND[5:], "version is 5; allowed: 1 to 3, mostly in gzip, or 4 without"),
-    "version 4 in gzip": (gzip.compress(SOUND), "version is 4; allowed: 1 to 3, mostly in gzip, or 4 without"),
     "no rows": (SOUND[:8] + bytes(4) + SOUND[12:], "have no rows"),
     "streams": (SOUND[:15] + b"\xff" + SOUND[16:], "has 255 streams; allowed: 6"),
     "toc": (SOUND[:16] + b"\xff" * 4 + SOUND[20:], "the table of streams is at byte 4,294,967,295"),
