@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from nerfbake import catalog, io
+from nerfbake import catalog, io, memory
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
@@ -124,6 +124,7 @@ def convert_splats(
         target.writing(steps, kept, **options),
         steps.phase("measuring the loss"),
         io.blame(target.name),
+        memory.scope(),
     ):
         found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)

@@ -17,6 +17,7 @@ Source: KhronosGroup/glTF, KHR_gaussian_splatting (release candidate).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -44,6 +45,10 @@ _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
 _DISPLAY, _LINEAR = "srgb_rec709_display", "lin_rec709_display"
 _ANTIALIASED = "nerfbake_antialiased"
 _MANY = 1000  # primitives
+_GENERATOR = re.compile(r"splat-transform ([0-9]{1,4})\.([0-9]{1,4})")
+_LINEAR_SINCE = (2, 7)  # playcanvas/splat-transform#268
+_LOOKED_AT = 1 << 15  # splats
+_DOUBTFUL = (0.05, 20.0)  # scales that may be logarithms of sizes from 1 unit up
 
 
 def recognise(view: memoryview) -> bool:
@@ -147,9 +152,9 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
     scales = column(_PREFIX + "SCALE", "VEC3")
     turns, opacities = column(_PREFIX + "ROTATION", "VEC4"), column(_PREFIX + "OPACITY", "SCALAR")
     memory.require("the splats", 3 * n)
-    logarithms = bool((scales < 0).any())
-    if logarithms:
-        notes.append("its scales are logarithms, as in an early draft of the extension")
+    logarithms, note = _scale_kind(scales, document.root.get("asset"))
+    if note:
+        notes.append(note)
 
     def rows(block: slice) -> Rows:
         def wide(values: npt.NDArray[Any]) -> Floats:
@@ -167,6 +172,31 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
 
     antialiased = isinstance(extras := primitive.get("extras"), dict) and extras.get(_ANTIALIASED) is True
     return splats_in_blocks(n, BASES[top], rows, antialiased=antialiased, notes=tuple(notes))
+
+
+def _scale_kind(scales: npt.NDArray[Any], asset: Any) -> tuple[bool, str]:
+    """Return whether scales are logarithms, and a note if they are, or if it cannot be told.
+
+    An early draft of the extension had logarithms, and splat-transform wrote them up to 2.6. Negative ones are certain.
+    Others, of a program that is not known, are in doubt if nearly all are numbers that logarithms of sizes from 1 unit
+    up have: among the sizes of a scene in metres, some are nearly always far smaller.
+    """
+    generator = str(asset.get("generator", "")) if isinstance(asset, dict) else ""
+    version = _GENERATOR.match(generator)
+    early = version is not None and (int(version[1]), int(version[2])) < _LINEAR_SINCE
+    if early:
+        return True, f"its scales are logarithms, as {version[0]} wrote them"
+    if bool((scales < 0).any()):
+        return True, "its scales are logarithms, as in an early draft of the extension"
+    if version is not None or generator.startswith("nerfbake"):
+        return False, ""
+    some = scales[:: max(1, len(scales) // _LOOKED_AT)].astype(np.float64)
+    low, high = (
+        float(np.partition(some, k, axis=None).flat[k]) for k in (some.size // 100, some.size - 1 - some.size // 100)
+    )
+    if not (_DOUBTFUL[0] <= low and high <= _DOUBTFUL[1]):
+        return False, ""
+    return False, f"its scales, {low:.2g} to {high:.2g}, are read as sizes, but may be the logarithms of an early draft"
 
 
 def encode(scene: Splats) -> Iterator[bytes]:

@@ -171,6 +171,46 @@ def test_logarithms_of_an_early_draft_are_told_by_their_signs() -> None:
     assert found.notes == ("its scales are logarithms, as in an early draft of the extension",)
 
 
+def positive_logarithms(generator: str | None) -> bytes:
+    """Splats of more than one unit, whose logarithms are written as their scales."""
+    scene = splats(300, degree=0)
+    scene = replace(scene, scales=np.log(scene.scales * 100 + np.float32(1.2)))
+    asset = {"version": "2.0"} | ({} if generator is None else {"generator": generator})
+    return changed(written(scene), lambda document: document.update(asset=asset))
+
+
+@pytest.mark.parametrize(
+    "generator", ["splat-transform 2.6.0", "splat-transform 1.9.2", "splat-transform 2.0.0-beta.1"]
+)
+def test_logarithms_of_early_splat_transform_are_told_by_its_name(generator: str) -> None:
+    plain = decoded(positive_logarithms("splat-transform 2.7.0"))
+    assert plain.notes == ()
+    found = decoded(positive_logarithms(generator))
+    np.testing.assert_allclose(np.log(found.scales), plain.scales, rtol=1e-4)
+    assert found.notes == (f"its scales are logarithms, as {generator[:19]} wrote them",)
+
+
+@pytest.mark.parametrize("generator", [None, "something", "not splat-transform 2.6.0"])
+def test_scales_that_may_be_logarithms_are_a_doubt(generator: str | None) -> None:
+    found = decoded(positive_logarithms(generator))
+    assert np.array_equal(found.scales, decoded(positive_logarithms("nerfbake")).scales)
+    (note,) = found.notes
+    assert note.startswith("its scales, 0.")
+    assert note.endswith(" are read as sizes, but may be the logarithms of an early draft")
+
+
+def test_small_scales_are_no_doubt() -> None:
+    assert (
+        decoded(changed(written(splats(300)), lambda document: document.update(asset={"version": "2.0"}))).notes == ()
+    )
+
+
+@pytest.mark.data
+def test_the_scales_of_the_report_are_a_doubt(data: Path) -> None:
+    (note,) = load(data / "reports/F9_odd_meshes/logscale_big.glb", Splats).notes
+    assert note == "its scales, 0.52 to 1.3, are read as sizes, but may be the logarithms of an early draft"
+
+
 def test_extensions_of_meshes_that_are_left_out_may_be_required() -> None:
     names = [NAME, "KHR_texture_transform", "KHR_materials_unlit", "EXT_texture_webp"]
     data = changed(written(splats(3)), lambda document: document.update(extensionsRequired=names))
