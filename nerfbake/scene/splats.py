@@ -240,8 +240,8 @@ def join_splats(parts: Sequence[Splats]) -> Splats:
     return Splats(means, scales, quats, opacity, sh, parts[0].antialiased, dropped, notes)
 
 
-class Rows(NamedTuple):
-    """Rows of a file: any floats, and quaternions of any length."""
+class SplatRows(NamedTuple):
+    """SplatRows of a file: any floats, and quaternions of any length."""
 
     means: npt.NDArray[Any]  # (n, 3)
     scales: npt.NDArray[Any]  # (n, 3)
@@ -265,13 +265,13 @@ def splats_of_rows(
     A row that cannot be drawn is dropped and counted: it has a number that is not finite, a coordinate or scale above
     MAX_WORLD, or a quaternion of length 0. Raises InvalidScene if these are more than half.
     """
-    found, dropped = _drawable(Rows(means, scales, quats, opacity, sh))
+    found, dropped = _drawable(SplatRows(means, scales, quats, opacity, sh))
     _require_most(len(means), dropped)
     return Splats(*found, antialiased, dropped, notes)
 
 
 def splats_in_blocks(
-    n: int, B: int, rows: Callable[[slice], Rows], *, antialiased: bool = False, notes: tuple[str, ...] = ()
+    n: int, B: int, rows: Callable[[slice], SplatRows], *, antialiased: bool = False, notes: tuple[str, ...] = ()
 ) -> Splats:
     """Make splats as splats_of_rows() does of n rows of a file, which rows(slice) decodes.
 
@@ -310,7 +310,7 @@ def _require_most(n: int, dropped: int) -> None:
         raise InvalidScene(Problem("the splats", found, "at most half: finite numbers, quaternions other than 0"))
 
 
-def _drawable(rows: Rows) -> tuple[Rows, int]:
+def _drawable(rows: SplatRows) -> tuple[SplatRows, int]:
     """Return the rows that can be drawn, as float32 with unit quaternions, and the number of the others."""
     means, scales, quats, opacity, sh = rows
     quats = quats.astype(np.float64)
@@ -324,7 +324,7 @@ def _drawable(rows: Rows) -> tuple[Rows, int]:
         means, scales, quats, opacity, sh = (array[good] for array in (means, scales, quats, opacity, sh))
         lengths = lengths[good]
     unit = quats / lengths[:, None]
-    return Rows(_float32(means), _float32(scales), _float32(unit), _float32(opacity), _float32(sh)), dropped
+    return SplatRows(_float32(means), _float32(scales), _float32(unit), _float32(opacity), _float32(sh)), dropped
 
 
 def _float32(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

@@ -33,6 +33,7 @@ from nerfbake.kernels.maths.elementary import cast, sine_cosine
 from nerfbake.kernels.picture.metrics import from_linear
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
 
+_VERSION = "2.0"
 _COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -48,6 +49,11 @@ class Document:
     def __init__(self, view: memoryview) -> None:
         json_chunk, self._bin = _chunks(view)
         self.root = parse_object(json_chunk, "the JSON chunk")
+        asset = self.root.get("asset")
+        for key in ("version", "minVersion") if isinstance(asset, dict) else ():
+            found = str(asset.get(key, _VERSION))[:40]
+            if found != _VERSION and (key == "minVersion" or not found.startswith("2.")):
+                raise malformed(f"asset.{key}", f"is {found}", _VERSION)
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
         """Return root[name][index], which must be an object."""

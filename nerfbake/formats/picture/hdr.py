@@ -3,6 +3,7 @@
     #?RADIANCE           or #?RGBE
     FORMAT=32-bit_rle_rgbe
     EXPOSURE=2           optional, several multiply: pixels are radiance times this
+    COLORCORR=1 .9 1.1   the same for red, green and blue
     <tab>EXPOSURE=2      without effect: pcomb keeps the headers of its inputs in this way
                          an empty line
     -Y 512 +X 1024       rows from the top, columns from the left; other orders are rejected
@@ -26,6 +27,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.coding.rgbe import unpack_rows
 from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.scene.environment import EnvironmentMap
@@ -66,16 +68,16 @@ def decode(view: memoryview) -> EnvironmentMap:
         return EnvironmentMap(light)
 
 
-def _radiance(coded: npt.NDArray[np.uint8], exposure: float) -> npt.NDArray[np.float32]:
+def _radiance(coded: npt.NDArray[np.uint8], exposure: Floats) -> npt.NDArray[np.float32]:
     power = coded[..., 3:].astype(np.int32) - 136
     light = np.ldexp(coded[..., :3].astype(np.float64), power) / exposure
     with np.errstate(over="ignore"):
         return np.where(coded[..., 3:] > 0, light, 0).astype(np.float32)
 
 
-def _header(head: bytes) -> tuple[tuple[int, int], float, int]:
-    """Return (H, W), the exposure and where the rows start."""
-    exposure, place = 1.0, 0
+def _header(head: bytes) -> tuple[tuple[int, int], Floats, int]:
+    """Return (H, W), the exposure of each channel and where the rows start."""
+    exposure, place = np.ones(3), 0
     lines = head.split(b"\n")
     if not head.startswith(_MAGIC):
         raise InvalidFile(Problem("the picture", "is not a Radiance picture", "#?RADIANCE at its start"))
@@ -85,9 +87,14 @@ def _header(head: bytes) -> tuple[tuple[int, int], float, int]:
         if name == b"FORMAT" and value != b"32-bit_rle_rgbe":
             raise InvalidFile(Problem("FORMAT", f"is {_shown(value)}", "32-bit_rle_rgbe"))
         if name == b"EXPOSURE":
-            exposure *= _exposure(value)
-            if not 1e-30 < exposure < 1e30:
-                raise InvalidFile(Problem("EXPOSURE", f"is {exposure:g} in all", "1e-30 to 1e30"))
+            exposure *= _positive("EXPOSURE", value)
+        if name == b"COLORCORR":
+            words = value.split()
+            if len(words) != 3:
+                raise InvalidFile(Problem("COLORCORR", f"is {_shown(value)}", "three numbers above 0"))
+            exposure *= [_positive("COLORCORR", word) for word in words]
+        if not ((exposure > 1e-30) & (exposure < 1e30)).all():
+            raise InvalidFile(Problem("EXPOSURE", f"is {exposure[0]:g} in all", "1e-30 to 1e30"))
         if not line.strip() and number + 2 < len(lines):
             size = lines[number + 1]
             return _size(size), exposure, place + len(size) + 1
@@ -107,13 +114,13 @@ def _size(line: bytes) -> tuple[int, int]:
     return height, width
 
 
-def _exposure(value: bytes) -> float:
+def _positive(name: str, value: bytes) -> float:
     try:
         found = float(value)
     except ValueError:
         found = math.nan
     if not 0 < found < math.inf:
-        raise InvalidFile(Problem("EXPOSURE", f"is {_shown(value)}", "a number above 0"))
+        raise InvalidFile(Problem(name, f"is {_shown(value)}", "a number above 0"))
     return found
 
 

@@ -32,7 +32,7 @@ from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.picture.metrics import to_linear
-from nerfbake.scene.splats import BASES, MOVING, Rows, Splats, join_splats, splats_in_blocks
+from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, join_splats, splats_in_blocks
 
 EXTENSION = "KHR_gaussian_splatting"
 MOST_DEGREE = 3
@@ -156,13 +156,13 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
     if note:
         notes.append(note)
 
-    def rows(block: slice) -> Rows:
+    def rows(block: slice) -> SplatRows:
         def wide(values: npt.NDArray[Any]) -> Floats:
             return np.asarray(values[block], np.float64)
 
         sizes = wide(scales)
         sh = np.stack([wide(values) for values in coefficients], axis=1)
-        return Rows(
+        return SplatRows(
             wide(means),
             exp_or_nan(sizes) if logarithms else sizes,
             wide(turns)[:, [3, 0, 1, 2]],

@@ -35,7 +35,7 @@ from nerfbake.formats.wire.zip_reader import ZipFolder, npz_keys, own_names
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import expm1
 from nerfbake.kernels.soundness import plural
-from nerfbake.scene.splats import Rows, Splats, join_splats, splats_in_blocks, splats_size
+from nerfbake.scene.splats import SplatRows, Splats, join_splats, splats_in_blocks, splats_size
 
 Bytes = npt.NDArray[np.uint8]
 META, LOD = "meta.json", "lod-meta.json"
@@ -43,6 +43,7 @@ _WIDTHS = (0, 3, 8, 15)  # pixels of an entry of the palette, by degree
 _A_ROW = 64  # entries of the palette
 _PALETTE = 1 << 16  # entries at most: a label has 16 bits
 _MOST = 1 << 32  # splats
+_MODELS = (None, "default", "antialiased", "2dgs")
 _FIRST_TAG = 252
 _MOST_PER_BYTE = 256  # splats
 _SPARE = 1 << 14  # pixels of a picture beyond four for each splat
@@ -239,7 +240,7 @@ def _scene(files: Mapping[str, memoryview], path: str) -> Splats:
     size_of, colour_of = scales.decoder(sizes), sh0.decoder(colours if version is None else colours[:, :3])
     higher = _Higher(_Part(files, meta, "shN", path), n, version) if meta.get("shN") is not None else None
 
-    def rows(block: slice) -> Rows:
+    def rows(block: slice) -> SplatRows:
         t = least + (largest - least) * ((low[block] + 256.0 * high[block]) / 65535)
         with np.errstate(over="ignore"):
             places = np.copysign(expm1(np.abs(t)), t)
@@ -249,10 +250,13 @@ def _scene(files: Mapping[str, memoryview], path: str) -> Splats:
         else:
             dc, opacity = colour_of(colours[block, :3]), colours[block, 3] / 255
         sh = dc[:, None] if higher is None else np.concatenate([dc[:, None], higher.rows(block)], axis=1)
-        return Rows(places, exp_or_nan(size_of(sizes[block])), _rotations(turns[block]), opacity, sh)
+        return SplatRows(places, exp_or_nan(size_of(sizes[block])), _rotations(turns[block]), opacity, sh)
 
-    antialiased = meta.get("antialias") is True or meta.get("model") == "antialiased"
-    return splats_in_blocks(n, 1 if higher is None else 1 + higher.width, rows, antialiased=antialiased)
+    model = meta.get("model")
+    notes = () if model in _MODELS else (f"its model is {shorten(model)!r}, which is read as 'default'",)
+    antialiased = meta.get("antialias") is True or model == "antialiased"
+    B = 1 if higher is None else 1 + higher.width
+    return splats_in_blocks(n, B, rows, antialiased=antialiased, notes=notes)
 
 
 def _rotations(pixels: Bytes) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.splat.ply import SH0
-from nerfbake.scene.splats import Rows, Splats, splats_in_blocks
+from nerfbake.scene.splats import SplatRows, Splats, splats_in_blocks
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("quat", "u1", 4)])
 _LOOKED_AT = 64  # rows
@@ -44,12 +44,12 @@ def decode(view: memoryview) -> Splats:
     n = len(view) // size
     table = np.frombuffer(view, _ROW, n)
 
-    def rows(block: slice) -> Rows:
+    def rows(block: slice) -> SplatRows:
         part = table[block]
         colour = part["colour"] / 255
         with np.errstate(invalid="ignore"):
             means, scales = part["mean"] * np.float64(1), part["scale"] * np.float64(1)
         sh = ((colour[:, :3] - 0.5) / SH0)[:, None]
-        return Rows(means, scales, (part["quat"] - 128.0) / 128, colour[:, 3], sh)
+        return SplatRows(means, scales, (part["quat"] - 128.0) / 128, colour[:, 3], sh)
 
     return splats_in_blocks(n, 1, rows)

@@ -42,7 +42,7 @@ from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip, gunzip_start
 from nerfbake.formats.wire.zstd import compress, decompress_exactly
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log
-from nerfbake.scene.splats import BASES, MOVING, Rows, Splats, splats_in_blocks, splats_size
+from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, splats_in_blocks, splats_size
 
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
@@ -144,10 +144,10 @@ def decode(view: memoryview) -> Splats:
     turns = rotations.reshape(n, -1)
     rest = coefficients.reshape(n, B - 1, 3)
 
-    def rows(block: slice) -> Rows:
+    def rows(block: slice) -> SplatRows:
         dc = (colours.reshape(n, 1, 3)[block] / 255 - 0.5) / 0.15
         quats = _rotations(turns[block].view("<u4")[:, 0]) if head.version >= 3 else _first_rotations(turns[block])
-        return Rows(
+        return SplatRows(
             _halves(places[block]) if head.version == 1 else _positions(places[block]) / 2.0**head.bits,
             exp(scales.reshape(n, 3)[block] / 16 - 10),
             quats[:, [3, 0, 1, 2]],

@@ -240,6 +240,7 @@ def _segments(view: memoryview) -> Iterator[tuple[str, memoryview]]:
             found = f"starts with {one_line(bytes(view[at : at + 8]).decode('latin-1'))!r}"
             place = "the data after the grids" if at else "the file"
             raise InvalidFile(Problem(place, found, "'NanoVDB0', or 'NanoVDB2' since version 32.7"))
+        _require_version(int(file["version"]), "the file")
         count += int(file["grids"])
         if not int(file["grids"]) or count > MAX_GRIDS:
             raise InvalidFile(Problem("the file", f"contains {count:,} grids", f"1 to {MAX_GRIDS:,}"))
@@ -289,6 +290,13 @@ def _unblosced(payload: memoryview, size: int) -> bytes:
     return b"".join(parts)
 
 
+def _require_version(version: int, place: str) -> None:
+    """Raise InvalidFile for another major version, whose structs may differ."""
+    major, minor = version >> 21, version >> 10 & 1023
+    if major != nano.MAJOR:
+        raise InvalidFile(Problem(place, f"has version {major}.{minor}", f"{nano.MAJOR}, the major version"))
+
+
 # -- a grid ----------------------------------------------------------------------------------------------------
 def _read_grid(view: memoryview, name: str) -> _Grid | Problem:
     """Return the grid, or the problem if its type is not supported."""
@@ -296,6 +304,9 @@ def _read_grid(view: memoryview, name: str) -> _Grid | Problem:
     if int(head["magic"]) not in (nano.MAGIC, nano.GRID_MAGIC):
         found, allowed = f"has magic {int(head['magic']):016x}", f"{nano.MAGIC:016x} or {nano.GRID_MAGIC:016x}"
         raise InvalidFile(Problem("GridData", found, allowed))
+    _require_version(int(head["version"]), "GridData")
+    if unknown := int(head["flags"]) & ~nano.KNOWN_FLAGS:
+        raise InvalidFile(Problem("GridData", f"has flags 0x{unknown:x}", f"0x{nano.KNOWN_FLAGS:x}"))
     if not int(head["flags"]) & nano.FLAG_LONG_NAME:
         name = _text(head["name"])
     number = int(head["type"])

@@ -169,6 +169,8 @@ def read_file(view: memoryview) -> Volume:
         )
     if not OLDEST <= version <= NEWEST:
         raise InvalidFile(Problem("the file", f"has version {version}", f"{OLDEST} to {NEWEST}"))
+    if offsets > 1:
+        raise InvalidFile(Problem("the file", f"has {offsets} as its flag of offsets", "0 or 1"))
     stream.take(36, "the UUID")
     stream.metadata()
     (count,) = stream.numbers("i", "the number of grids")

@@ -140,7 +140,9 @@ HALF_CHECKSUM = 0xFFFFFFFF  # value of the second CRC if the file has only the f
 EMPTY_BOX = np.array([2**31 - 1] * 3 + [-(2**31)] * 3, np.int32)
 CLASSES = {"unknown": 0, "level set": 1, "fog volume": 2, "staggered": 3}
 INDEX_CLASS, CHANNEL_BLIND = 8, 4
+MAJOR = 32
 FLAG_LONG_NAME, FLAG_BOX, FLAG_STATS, FLAG_BREADTH_FIRST = 1, 2, 4 | 8 | 16, 32
+KNOWN_FLAGS = FLAG_LONG_NAME | FLAG_BOX | FLAG_STATS | FLAG_BREADTH_FIRST
 NAME_SIZE = 256  # with the NUL
 
 Dtype = np.dtype[Any]

@@ -117,7 +117,7 @@ def parse_header(view: memoryview) -> Header:
     found = ""
     for line in head[:end].decode("latin-1").split("\n")[1:]:
         match line.split():
-            case ["format", kind, _] if kind == TEXT or kind in ORDERS:
+            case ["format", kind, "1.0"] if kind == TEXT or kind in ORDERS:
                 found = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) <= _DIGITS:
                 if name in [element.name for element in elements]:

@@ -71,6 +71,8 @@ def read_file(view: memoryview) -> tuple[np.void, list[SvoqPart]]:
         raise InvalidFile(Problem("the file", f"starts with {bytes(view[:4]).hex(' ')}", "SVOQ"))
     if header["version"] != VERSION:
         raise InvalidFile(Problem("version", f"is {header['version']}", f"{VERSION}"))
+    if header["zero"]:
+        raise InvalidFile(Problem("the bytes before masks", f"are {header['zero']}", "0, as in version 1"))
     start = HEADER.itemsize + int(header["parts"]) * PART.itemsize
     if start + CHECKSUM > len(view):
         raise InvalidFile(Problem("the file", f"ends in its table of {header['parts']} parts", "a whole file"))
@@ -82,6 +84,8 @@ def read_file(view: memoryview) -> tuple[np.void, list[SvoqPart]]:
     if (own := zlib.crc32(view[:-CHECKSUM])) != checksum:
         found = f"is damaged: its checksum is {own:08x}"
         raise InvalidFile(Problem("the file", found, f"{checksum:08x}, as stored in it"))
+    if table["zero"].any():
+        raise InvalidFile(Problem("a line of the table of parts", "has bytes that are not 0", "0, as in version 1"))
     ends = np.cumsum(sizes) + start
     parts = [
         SvoqPart(int(line["kind"]), int(line["end"]), view[end - size : end], int(line["unpacked"]))

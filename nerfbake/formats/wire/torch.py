@@ -240,6 +240,7 @@ MAX_PICKLE = 16 << 20  # bytes: real checkpoints have some thousands
 _WHAT = "a file as torch.save (1.6 or newer) writes it"
 _LEGACY = bytes.fromhex("80028a0a6cfc9c46f920")  # first bytes of files of torch < 1.6
 _PICKLE = "/data.pkl"
+_NEWEST = 10  # version of the archive that torch reads
 _HEAD = 1 << 20  # bytes at the start of the file that contain the start of the pickle
 
 
@@ -265,7 +266,12 @@ class TorchReader:
         if len(pickles) != 1:
             raise InvalidFile(Problem("zip directory", f"lists {len(pickles)} members data.pkl", f"one, of {_WHAT}"))
         self._prefix = pickles[0].removesuffix(_PICKLE)
-        self._big = self._small("byteorder") == b"big"
+        order, version = self._small("byteorder"), self._small("version")
+        if order not in (b"", b"little", b"big"):
+            raise InvalidFile(Problem("byteorder", f"is {order[:40]!r}", "little or big"))
+        if version and not (version.isdigit() and 1 <= int(version) <= _NEWEST):
+            raise InvalidFile(Problem("version", f"is {version[:40]!r}", f"1 to {_NEWEST}"))
+        self._big = order == b"big"
         size = self._zip.members[pickles[0]].file_size
         if size > MAX_PICKLE:
             raise InvalidFile(Problem("data.pkl", f"has {size:,} bytes", f"{MAX_PICKLE:,} at most"))

@@ -29,6 +29,7 @@ import deflate
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 
+_NO_PLAIN_DATA = 1 | 1 << 5 | 1 << 6 | 1 << 13  # flags: encrypted, patched, encrypted strongly, masked headers
 MAX_INFLATION = 1032  # limit of deflate: 258 bytes for a quarter of a byte
 
 
@@ -75,10 +76,9 @@ class ZipReader:
 
     def _packed(self, key: str, info: zipfile.ZipInfo) -> memoryview:
         """Return the member's bytes in the file, after a check of the directory against the local header."""
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or info.flag_bits & 1:
-            raise InvalidFile(
-                Problem(key, f"uses zip method {info.compress_type}", "stored or deflated, not encrypted")
-            )
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or info.flag_bits & _NO_PLAIN_DATA:
+            found = f"uses zip method {info.compress_type}, flags 0x{info.flag_bits:x}"
+            raise InvalidFile(Problem(key, found, "stored or deflated, not encrypted"))
         head = bytes(self._view[info.header_offset : info.header_offset + 30])
         if len(head) < 30 or head[:4] != ZIP_MAGIC[0]:
             raise InvalidFile(Problem(key, f"has no local header at byte {info.header_offset:,}", "PK 03 04 there"))
