@@ -53,6 +53,7 @@ OWN_LIBRARY = {
     "formats/wire/json": {"orjson"},
     "formats/wire/npz": {"zlib_ng"},
     "formats/wire/picture": {"PIL", "pillow_heif"},
+    "formats/wire/png": {"deflate"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
     "jobs/_matching": {"numpy"},  # in the process of pycolmap, which must not load kernels
