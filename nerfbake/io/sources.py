@@ -167,6 +167,10 @@ class Folder(Mapping[str, memoryview]):
             self.broken = next((link for link in links if not link.exists()), None)
         return False
 
+    def holds(self, name: str) -> bool:
+        """Whether a file is below this folder with all links followed, so that no name in a file leads out of it."""
+        return name in self and (self._path / name).resolve().is_relative_to(self._path.resolve())
+
     def names(self, folder: str) -> list[str]:
         """The names of the files in a subfolder ('' for this folder), sorted; empty if there is no such folder."""
         path = self._stored.path(folder)

@@ -12,7 +12,7 @@ from nerfbake import catalog
 from tests.fuzz import corpus, hostile_values
 from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_json import break_json, break_json_lines
-from tests.fuzz.breaking_media import break_glb, break_obj, break_png, break_svoq, break_vdb
+from tests.fuzz.breaking_media import break_glb, break_obj, break_ply, break_png, break_svoq, break_vdb
 from tests.fuzz.breaking_torch import break_torch
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
 from tests.fuzz.breaking_zip import archive_of, break_npy, break_zip, members_of
@@ -42,6 +42,7 @@ _BREAKERS: dict[str, Breaker] = {
     "bin": break_words,
     "mtl": break_obj,
     "glb": break_glb,
+    "ply": break_ply,
     "sog": lambda random, data, other: _broken_archive(random, data, other),
     "splat": break_words,
 }

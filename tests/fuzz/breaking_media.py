@@ -1,4 +1,4 @@
-"""Break .svoq, PNG, .glb, .obj and VDB files."""
+"""Break .svoq, PNG, .glb, .obj, .ply and VDB files."""
 
 from __future__ import annotations
 
@@ -153,13 +153,17 @@ def _with_nodes(random: Random, tree: Any) -> Any:
 def _retyped(random: Random, tree: Any) -> Any:
     """Change a property of an accessor, view, mesh, image, texture or material."""
     lists = dict(tree) if isinstance(tree, Pairs) else {}
-    entries = lists.get(random.choice(("accessors", "bufferViews", "meshes", "images", "textures", "materials")))
+    entries = lists.get(
+        random.choice(("accessors", "bufferViews", "buffers", "meshes", "images", "textures", "materials"))
+    )
     if not isinstance(entries, list) or not entries or not isinstance(entries[0], Pairs):
         return tree
     choices: dict[str, Any] = {
         "componentType": random.choice((5120, 5121, 5122, 5123, 5125, 5126, 5124, 0)),
         "count": hostile.whole(random),
         "type": random.choice(("SCALAR", "VEC2", "VEC3", "VEC4", "MAT4", 3)),
+        "sparse": _sparse(random),
+        "uri": random.choice(("data:;base64,AAAA" + "AAAA" * 20, "data:;base64,A", "a.bin", 5)),
         "normalized": random.choice((True, False, 1)),
         "byteOffset": hostile.whole(random),
         "byteLength": hostile.whole(random),
@@ -176,6 +180,74 @@ def _retyped(random: Random, tree: Any) -> Any:
     value = choices[name]
     entry[:] = [pair for pair in entry if pair[0] != name] + [(name, value)]
     return tree
+
+
+def _sparse(random: Random) -> Any:
+    indices = Pairs(
+        [("bufferView", random.randrange(4)), ("componentType", random.choice((5121, 5123, 5125, 5126, 0)))]
+    )
+    return Pairs(
+        [
+            ("count", random.choice((0, 1, 2, 3, hostile.whole(random)))),
+            ("indices", random.choice((indices, 5))),
+            ("values", random.choice((Pairs([("bufferView", random.randrange(4))]), indices, None))),
+        ]
+    )
+
+
+def break_ply(random: Random, data: bytes, other: bytes = b"") -> bytes:
+    """Change, remove, repeat and insert lines of the header, or of the rows in text, or change the rows as numbers."""
+    at = data.find(b"end_header")
+    if random.random() < 0.1 or at < 0:
+        return break_bytes(random, data, other)
+    if random.random() < 0.4 and b"ascii" not in data[:at]:
+        return data[: at + 11] + break_words(random, data[at + 11 :], other)
+    lines = data.split(b"\n") if b"ascii" in data[:at] else [*data[:at].split(b"\n")[:-1], data[at:]]
+    for _ in range(random.choice((1, 1, 2, 4))):
+        k = random.randrange(len(lines))
+        words = lines[k].split(b" ")
+        match random.randrange(8):
+            case 0:
+                del lines[k : k + 1]
+            case 1:
+                lines[k:k] = lines[k : k + 1] * random.choice((1, 3))
+            case 2:
+                lines.insert(k, random.choice(_HEADS))
+            case 3:
+                lines[k : k + 2] = [b" ".join(lines[k : k + 2])]
+            case 4:
+                lines[k : k + 1] = [b" ".join(words[:1]), b" ".join(words[1:])]
+            case 5 if len(words) > 1:
+                words[random.randrange(len(words))] = random.choice(_PLY_WORDS)
+                lines[k] = b" ".join(words)
+            case _ if len(words) > 1:
+                words[random.randrange(1, len(words))] = _obj_word(random)
+                lines[k] = b" ".join(words)
+        lines = lines or [b""]
+    joined = b"\n".join(lines)
+    return joined.replace(b"\n", b"\r") if random.random() < 0.05 else joined
+
+
+_HEADS = [b"comment x", b"by hand", b"", b"end_header", b"property float x", b"property list uchar int vertex_indices"]
+_HEADS += [b"element face 2", b"element tristrips 1", b"element edge 1", b"property list float int vertex_indices"]
+_HEADS += [
+    b"property double red",
+    b"property double green",
+    b"property double blue",
+    b"property uchar alpha",
+    b"3 0 1 2",
+]
+_PLY_WORDS = [b"vertex", b"face", b"tristrips", b"list", b"uchar", b"int", b"double", b"float", b"ushort", b"red", b"x"]
+_PLY_WORDS += [
+    b"ascii",
+    b"binary_little_endian",
+    b"binary_big_endian",
+    b"vertex_indices",
+    b"nan",
+    b"-1",
+    b"1e308",
+    b"0",
+]
 
 
 def break_obj(random: Random, data: bytes, other: bytes = b"") -> bytes:
@@ -222,6 +294,17 @@ _STATEMENTS += [
     b"v nan inf 0",
     b"#",
     b"\\",
+]
+_STATEMENTS += [
+    b"v 0 1 0 nan 0 0",
+    b"v 0 1 0 1 0 0 1",
+    b"v 1 0 0 255 1e300 -inf",
+    b"vt nan -1.#IND",
+    b"#MRGB ffff0000ff00ff",
+    b"#MRGB " + 300 * b"ff",
+    b"f 1 2 \\",
+    b"f ",
+    b"mtllib a/b.mtl",
 ]
 _STATEMENTS += [
     b"f 1/1 2/2 3",

@@ -30,7 +30,7 @@ from tests.support import captures, environments
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
-from tests.support.meshes import cube, polygon_ply, square
+from tests.support.meshes import ODD_OBJ, cube, odd_plys, polygon_ply, sparse_glb, square
 from tests.support.n3trees import archive, held_out, quantised, svox
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
@@ -241,8 +241,12 @@ def _meshes(name: str) -> Iterator[bytes]:
         yield _encoded(name, Meshes((textured, coloured)))
         painted = replace(textured, colours=np.linspace(0, 1, 12, dtype=np.float32).reshape(4, 3))
         yield _encoded(name, Meshes((painted,), (flat,)), quantised=True, lit=True, image="webp")
+        yield sparse_glb()
     if name == "ply":
         yield polygon_ply([(0, 1, 2), (0, 2, 3, 1)])
+        yield from odd_plys()
+    if name == "obj":
+        yield ODD_OBJ
 
 
 def _splats(name: str) -> Iterator[bytes]:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import struct
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -89,3 +93,61 @@ def polygon_ply(polygons: list[tuple[int, ...]]) -> bytes:
     head += ["property uchar flags", "property list uchar int vertex_indices", "end_header"]
     faces = [" ".join(map(str, (7, len(polygon), *polygon))) for polygon in polygons]
     return "\n".join([*head, *corners, *faces, ""]).encode()
+
+
+ODD_OBJ = b"""# what other programs write
+v 0 0 0 1 0 0
+v 1 0 0 nan 0 0
+v 0 1 0 \\
+ 1 1 0 0
+v 0 0 1
+vt 0
+vt nan 1
+vt 1.#QNAN 0.5
+usemtl a
+f 1/1/1 2/2 3/3
+f 1 2
+f -1 -2 -3
+#MRGB ffff000000ff00ff
+"""
+
+
+def odd_plys() -> Iterator[bytes]:
+    """Strips of triangles in text and binary, rows that are longer than declared in both, and colours of floats."""
+    columns = "".join(f"property float {axis}\n" for axis in "xyz")
+    head = f"element vertex 4\n{columns}"
+    points, corners = np.vstack([np.zeros(3), np.eye(3)]).astype("<f4"), (0, 1, 2, 3, -1, 2, 1, 0)
+    text, binary = "ply\nformat ascii 1.0\n", "ply\nformat binary_little_endian 1.0\n"
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in points.tolist())
+    end = "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    yield (text + head + end + rows + " ".join(map(str, (len(corners), *corners))) + "\n").encode()
+    yield (binary + head + end).encode() + points.tobytes() + np.array([len(corners), *corners], "<i4").tobytes()
+    end = "element face 2\nproperty list uchar int vertex_indices\nproperty uchar red\nend_header\n"
+    faces = np.zeros(2, [("n", "u1"), ("v", "<i4", 3), ("m", "u1"), ("c", "<f4", 3)])
+    faces["n"], faces["v"], faces["m"] = 3, [[0, 1, 2], [3, 2, 1]], 3
+    yield (binary + "by hand\n" + head + end).encode() + points.tobytes() + faces.tobytes()
+    yield (text + head + end + rows + "3 0 1 2 3 1 1 1\n2 1 0 3 1 1 1\n").encode()
+    colours = "".join(f"property double {name}\n" for name in ("red", "green", "blue"))
+    rows = "".join(f"{row} 255 0 nan\n" for row in rows.splitlines())
+    yield (text + head + colours + end + rows + "3 0 1 2 3\n3 1 0 3 1\n").encode().replace(b"\n", b"\r")
+
+
+def sparse_glb() -> bytes:
+    """A triangle with a sparse accessor of zeros, colours of integers that lack `normalized`, in a data URI."""
+    body = np.array([1, 2], "<u2").tobytes() + np.eye(2, 3, dtype="<f4").tobytes() + bytes(range(0, 240, 20))
+    views = [{"buffer": 0, "byteOffset": at, "byteLength": size} for at, size in ((0, 4), (4, 24), (28, 12))]
+    part = {"count": 2, "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 1}}
+    root = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
+        "accessors": [
+            {"componentType": 5126, "count": 3, "type": "VEC3", "sparse": part},
+            {"bufferView": 2, "componentType": 5121, "count": 3, "type": "VEC4"},
+        ],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(body), "uri": "data:;base64," + base64.b64encode(body).decode()}],
+    }
+    text = json.dumps(root).encode()
+    text += bytes(-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text

@@ -12,9 +12,7 @@ KHR_materials_pbrSpecularGlossiness, MSFT_lod.
 
 from __future__ import annotations
 
-import base64
 import math
-import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
@@ -23,115 +21,22 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats.mesh.colours import GREY, normalised, sound_colours
+from nerfbake.formats.mesh.glb_document import Document, extension_of, inline, list_of, malformed, numbers_of, whole
 from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
-from nerfbake.formats.wire.json import kind_of, number, parse_object
+from nerfbake.formats.wire.json import kind_of, number
 from nerfbake.formats.wire.picture import Coding, decode_texture
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose, determinant, length, transform_points
 from nerfbake.kernels.maths.elementary import cast, sine_cosine
-from nerfbake.kernels.picture.metrics import from_linear
+from nerfbake.kernels.picture.metrics import from_linear, to_linear
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
-
-_VERSION = "2.0"
-_COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
-_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-
-
-def malformed(place: str, found: str, allowed: str) -> InvalidFile:
-    return InvalidFile(Problem(place, found, allowed))
-
-
-class Document:
-    """The parts of a .glb file. Each part is checked when it is accessed."""
-
-    def __init__(self, view: memoryview) -> None:
-        json_chunk, self._bin = _chunks(view)
-        self.root = parse_object(json_chunk, "the JSON chunk")
-        asset = self.root.get("asset")
-        for key in ("version", "minVersion") if isinstance(asset, dict) else ():
-            found = str(asset.get(key, _VERSION))[:40]
-            if found != _VERSION and (key == "minVersion" or not found.startswith("2.")):
-                raise malformed(f"asset.{key}", f"is {found}", _VERSION)
-
-    def item(self, name: str, index: Any) -> dict[str, Any]:
-        """Return root[name][index], which must be an object."""
-        entries = self.root.get(name)
-        if not isinstance(entries, list):
-            entries = []
-        if type(index) is not int or not 0 <= index < len(entries):
-            raise malformed(name, f"have no entry {str(index)[:40]}", f"one of {len(entries):,}")
-        entry = entries[index]
-        if not isinstance(entry, dict):
-            raise malformed(f"{name}[{index}]", f"is a {type(entry).__name__}", "an object")
-        return entry
-
-    def accessor(self, index: Any, kinds: tuple[str, ...]) -> npt.NDArray[Any]:
-        """Return an accessor whose type is among `kinds`, (count, columns). Normalised integers become floats."""
-        place, entry = f"accessors[{index}]", self.item("accessors", index)
-        kind, component = entry.get("type"), entry.get("componentType")
-        dtype = _DTYPES.get(component) if type(component) is int else None
-        if kind not in kinds or dtype is None:
-            found = f"is {str(kind)[:40]} of {str(component)[:40]}"
-            raise malformed(place, found, f"{' or '.join(kinds)} of 5120 to 5126")
-        if "sparse" in entry or "bufferView" not in entry:
-            raise malformed(place, "is sparse or has no bufferView", "an accessor with a bufferView, not sparse")
-        count, columns, item = whole(entry, "count", place), _COLUMNS[kind], np.dtype(dtype).itemsize
-        view = self.item("bufferViews", entry["bufferView"])
-        body = self.view(entry["bufferView"])
-        stride, start = whole(view, "byteStride", place, columns * item), whole(entry, "byteOffset", place, 0)
-        end = start + (count - 1) * stride + columns * item
-        if not count or stride < columns * item or end > len(body):
-            found = f"has {count:,} entries, up to byte {end:,}"
-            raise malformed(place, found, f"1 or more, within the {len(body):,} bytes of its bufferView")
-        memory.hold(place, _COPIES * count * columns)
-        array = np.ndarray((count, columns), dtype, body, start, (stride, item))
-        if entry.get("normalized") and dtype != "<f4":
-            return np.maximum(array.astype(np.float64) / np.iinfo(dtype).max, -1)
-        return array
-
-    def view(self, index: Any) -> memoryview:
-        """Return the bytes of a bufferView."""
-        place, entry = f"bufferViews[{index}]", self.item("bufferViews", index)
-        if "uri" in self.item("buffers", entry.get("buffer")) or entry.get("buffer") != 0:
-            raise malformed(place, "is in another file", "the binary chunk of the .glb")
-        start, size = whole(entry, "byteOffset", place, 0), whole(entry, "byteLength", place)
-        if start + size > len(self._bin):
-            raise malformed(
-                place, f"ends at byte {start + size:,}", f"the {len(self._bin):,} bytes of the binary chunk"
-            )
-        return self._bin[start : start + size]
-
-
-def whole(entry: dict[str, Any], key: str, place: str, default: int | None = None) -> int:
-    """Return a whole number, 0 or more."""
-    value = entry.get(key, default)
-    if type(value) is not int or not 0 <= value < 1 << 40:
-        raise malformed(f"{place}.{key}", f"is {str(value)[:40]}", "a whole number, 0 or more")
-    return value
-
-
-def _chunks(view: memoryview) -> tuple[memoryview, memoryview]:
-    if len(view) < 20 or bytes(view[:4]) != b"glTF":
-        raise malformed("file", "is not a .glb", "a complete binary glTF 2.0 file")
-    version, size, json_size, kind = struct.unpack_from("<III4s", view, 4)
-    if version != 2 or kind != b"JSON":
-        raise malformed("header", f"has version {version}, first chunk {kind!r}", "version 2, first chunk JSON")
-    if size > len(view) or 20 + json_size > size:
-        raise malformed("header", f"declares {max(size, 20 + json_size):,} bytes", f"the file's {len(view):,}")
-    rest = view[20 + json_size : size]
-    if len(rest) < 8:
-        return view[20 : 20 + json_size], rest[:0]
-    body_size, kind = struct.unpack_from("<I4s", rest)
-    if kind != b"BIN\0" or 8 + body_size > len(rest):
-        raise malformed("second chunk", f"is {kind!r} of {body_size:,} bytes", f"BIN, within {len(rest) - 8:,} bytes")
-    return view[20 : 20 + json_size], rest[8 : 8 + body_size]
-
 
 _MATERIALS = "KHR_materials_"  # prefix of extensions that only change the reflection of light, which is ignored
 _GLOSSY = "KHR_materials_pbrSpecularGlossiness"  # holds the base colour under names of its own
 _MOVED = "KHR_texture_transform"
+_DRACO = "KHR_draco_mesh_compression"
+_INSTANCES = "EXT_mesh_gpu_instancing"
 _KNOWN = ("KHR_mesh_quantization", _MOVED, "EXT_texture_webp")
 # Extensions that do not affect triangles and their colours: lights, animation, audio and metadata.
 _BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
@@ -141,13 +46,13 @@ _MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
-def _meshes_of(document: Document) -> tuple[Mesh, ...]:
-    """Return a mesh for each primitive of each node, with base colour, texture and vertex colours.
+def _meshes_of(document: Document) -> tuple[tuple[Mesh, ...], dict[str, None]]:
+    """Return a mesh for each primitive of each node, with base colour, texture and vertex colours; and notes.
 
     Lines and points are skipped. Raises InvalidFile for invalid glTF 2.0, for files that require another extension or
     another file, and for files without triangles.
     """
-    for extension in _list(document.root, "extensionsRequired", "JSON"):
+    for extension in list_of(document.root, "extensionsRequired", "JSON"):
         if not (
             isinstance(extension, str)
             and (extension.startswith(_MATERIALS) or extension in _KNOWN or extension in _BESIDE)
@@ -159,7 +64,7 @@ def _meshes_of(document: Document) -> tuple[Mesh, ...]:
     found: list[Mesh] = []
     for index, matrix in placed_meshes(document):
         mesh = document.item("meshes", index)
-        for k, primitive in enumerate(_list(mesh, "primitives", f"meshes[{index}]")):
+        for k, primitive in enumerate(list_of(mesh, "primitives", f"meshes[{index}]")):
             place = f"meshes[{index}].primitives[{k}]"
             if not isinstance(primitive, dict):
                 raise malformed(place, f"is a {type(primitive).__name__}", "an object")
@@ -168,17 +73,17 @@ def _meshes_of(document: Document) -> tuple[Mesh, ...]:
             require_few(len(found))
     if not found:
         raise malformed("the mesh", "has no faces", "at least one triangle")
-    return tuple(found)
+    return tuple(found), looks.notes
 
 
 def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
     """Yield the mesh of each node of the scene, and its transform to the scene."""
-    nodes = _list(document.root, "nodes", "JSON")
+    nodes = list_of(document.root, "nodes", "JSON")
     if len(nodes) > MAX_NODES:
         raise malformed("nodes", f"are {len(nodes):,}", f"{MAX_NODES:,} at most")
-    children = [_list(document.item("nodes", i), "children", f"nodes[{i}]") for i in range(len(nodes))]
-    if _list(document.root, "scenes", "JSON"):
-        roots = _list(document.item("scenes", document.root.get("scene", 0)), "nodes", "scenes")
+    children = [list_of(document.item("nodes", i), "children", f"nodes[{i}]") for i in range(len(nodes))]
+    if list_of(document.root, "scenes", "JSON"):
+        roots = list_of(document.item("scenes", document.root.get("scene", 0)), "nodes", "scenes")
     else:
         below = {child for each in children for child in each if type(child) is int}
         roots = [index for index in range(len(nodes)) if index not in below]
@@ -201,8 +106,8 @@ def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
 
 def _matrix(node: dict[str, Any], place: str) -> Floats:
     if "matrix" in node:
-        return _numbers(node, "matrix", place, *([0.0] * 16)).reshape(4, 4).T
-    turn = _numbers(node, "rotation", place, 0, 0, 0, 1)
+        return numbers_of(node, "matrix", place, *([0.0] * 16)).reshape(4, 4).T
+    turn = numbers_of(node, "rotation", place, 0, 0, 0, 1)
     if not turn.any():
         raise malformed(f"{place}.rotation", "has length 0", "a quaternion of length 1")
     turn /= np.abs(turn).max()  # so that no square overflows
@@ -215,8 +120,8 @@ def _matrix(node: dict[str, Any], place: str) -> Floats:
         ]
     )
     matrix = np.eye(4)
-    matrix[:3, :3] = axes * _numbers(node, "scale", place, 1, 1, 1)
-    matrix[:3, 3] = _numbers(node, "translation", place, 0, 0, 0)
+    matrix[:3, :3] = axes * numbers_of(node, "scale", place, 1, 1, 1)
+    matrix[:3, 3] = numbers_of(node, "translation", place, 0, 0, 0)
     return matrix
 
 
@@ -226,6 +131,9 @@ def _primitive(
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict):
         raise malformed(f"{place}.attributes", "are missing", "an object with POSITION")
+    stored = document.item("accessors", attributes.get("POSITION"))
+    if extension_of(primitive, _DRACO, place) is not None and "bufferView" not in stored:
+        raise malformed(place, f"needs {_DRACO}", "triangles without this compression")
     points = document.accessor(attributes.get("POSITION"), ("VEC3",))
     if "indices" in primitive:
         indices = document.accessor(primitive["indices"], ("SCALAR",)).reshape(-1)
@@ -263,6 +171,7 @@ class _Looks:
     def __init__(self, document: Document) -> None:
         self._document = document
         self._textures: dict[int, npt.NDArray[np.uint8]] = {}
+        self.notes: dict[str, None] = {}  # what was repaired
 
     def dress(self, mesh: Mesh, primitive: dict[str, Any], attributes: dict[str, Any], place: str) -> Mesh:
         """Return the mesh with its material.
@@ -277,7 +186,11 @@ class _Looks:
         if base.factor is not None:
             light = light * base.factor
         if "COLOR_0" in attributes:
-            light = light * cast(self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3], np.float64)
+            stored = self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3]
+            values, repaired = normalised(stored)
+            values, told = sound_colours(values, grey=float(to_linear(np.float64(GREY))))
+            light = light * values
+            self.notes |= dict.fromkeys((*repaired, *told))
         if isinstance(base.texture, dict):
             uvs = self._corners(base.texture, attributes, base.place)
             texture = None if uvs is None else self._texture(base.texture.get("index"))
@@ -293,42 +206,36 @@ class _Looks:
         self, texture: dict[str, Any], attributes: dict[str, Any], place: str
     ) -> npt.NDArray[np.float32] | None:
         """Return the texture coordinates that a reference to a texture asks for; None if the mesh lacks them."""
-        move, at = _extension(texture, _MOVED, place), f"{place}.extensions.{_MOVED}"
+        move, at = extension_of(texture, _MOVED, place), f"{place}.extensions.{_MOVED}"
         chosen = whole(move or {}, "texCoord", at, whole(texture, "texCoord", place, 0))
         if (key := f"TEXCOORD_{chosen}") not in attributes:
             return None
         uvs = self._document.accessor(attributes[key], ("VEC2",))
+        if (wrong := np.isnan(uvs)).any():
+            self.notes["texture coordinates that are not numbers are 0"] = None
+            uvs = np.where(wrong, 0, uvs)
         return cast(uvs if move is None else _moved(uvs, move, at), np.float32)
 
     def _texture(self, index: Any) -> npt.NDArray[np.uint8]:
         source = _source(self._document.item("textures", index), f"textures[{index}]")
         if source not in self._textures:
             image, place = self._document.item("images", source), f"images[{source}]"
-            content = _inline(image["uri"], place) if "uri" in image else self._document.view(image.get("bufferView"))
+            if "uri" in image:
+                content = inline(image["uri"], place, "pictures inside the .glb")
+            else:
+                content = self._document.view(image.get("bufferView"))
             self._textures[source] = decode_texture(content, place, any_mode=True, webp=True)
         return self._textures[source]
 
 
 def _source(texture: dict[str, Any], place: str) -> int:
     """Return the picture of a texture: its PNG or JPEG, or else its WebP."""
-    webp = _extension(texture, "EXT_texture_webp", place)
+    webp = extension_of(texture, "EXT_texture_webp", place)
     if "source" not in texture and webp is not None:
         return whole(webp, "source", f"{place}.extensions.EXT_texture_webp")
     if "source" not in texture and isinstance(others := texture.get("extensions"), dict) and others:
         raise malformed(place, f"needs {str(next(iter(others)))[:60]}", "a picture in PNG, JPEG or WebP")
     return whole(texture, "source", place)
-
-
-def _inline(uri: Any, place: str) -> memoryview:
-    """Return the picture in a data URI: data:image/png;base64,..."""
-    head, comma, text = uri.partition(",") if isinstance(uri, str) else ("", "", "")
-    if not (head.startswith("data:") and head.endswith(";base64") and comma):
-        raise malformed(place, "is in another file", "pictures inside the .glb")
-    memory.require(place, len(text))
-    try:
-        return memoryview(base64.b64decode(text, validate=True))
-    except ValueError:
-        raise malformed(place, "has a data URI that is damaged", "base64") from None
 
 
 class _Base(NamedTuple):
@@ -342,11 +249,11 @@ class _Base(NamedTuple):
 def _base_of(material: dict[str, Any], place: str) -> _Base:
     surface, factor, texture = material.get("pbrMetallicRoughness", {}), "baseColorFactor", "baseColorTexture"
     at = f"{place}.pbrMetallicRoughness"
-    if (glossy := _extension(material, _GLOSSY, place)) is not None:
+    if (glossy := extension_of(material, _GLOSSY, place)) is not None:
         surface, factor, texture, at = glossy, "diffuseFactor", "diffuseTexture", f"{place}.extensions.{_GLOSSY}"
     if not isinstance(surface, dict):
         raise malformed(at, f"is {kind_of(surface)}", "an object")
-    light = _numbers(surface, factor, at, 1, 1, 1, 1)[:3] if factor in surface else None
+    light = numbers_of(surface, factor, at, 1, 1, 1, 1)[:3] if factor in surface else None
     return _Base(light, surface.get(texture), f"{at}.{texture}")
 
 
@@ -356,38 +263,11 @@ def _moved(uvs: npt.NDArray[Any], move: dict[str, Any], place: str) -> Floats:
     The rotation is counter-clockwise where v points down, as the extension's text and its example say, and as other
     programs do. The matrix in its README has the other sign: github.com/KhronosGroup/glTF/issues/1563.
     """
-    scale, shift = _numbers(move, "scale", place, 1, 1), _numbers(move, "offset", place, 0, 0)
+    scale, shift = numbers_of(move, "scale", place, 1, 1), numbers_of(move, "offset", place, 0, 0)
     sine, cosine = sine_cosine(math.fmod(number(move, "rotation", place, default=0.0), math.tau))
     with np.errstate(over="ignore", invalid="ignore"):
         u, v = (cast(uvs, np.float64) * scale).T
         return np.stack([cosine * u + sine * v, cosine * v - sine * u], axis=1) + shift
-
-
-def _extension(entry: dict[str, Any], name: str, place: str) -> dict[str, Any] | None:
-    extensions = entry.get("extensions")
-    found = extensions.get(name) if isinstance(extensions, dict) else None
-    if found is not None and not isinstance(found, dict):
-        raise malformed(f"{place}.extensions.{name}", f"is {kind_of(found)}", "an object")
-    return found
-
-
-def _numbers(entry: dict[str, Any], key: str, place: str, *default: float) -> Floats:
-    """Return a list of as many numbers as the default has. Parsed JSON holds no others than finite ones."""
-    values = entry.get(key, default)
-    if (
-        not isinstance(values, list | tuple)
-        or len(values) != len(default)
-        or not all(type(value) in (int, float) for value in values)
-    ):
-        raise malformed(f"{place}.{key}", "is not a list of numbers", f"{len(default)} finite numbers")
-    return np.array(values, np.float64)
-
-
-def _list(entry: dict[str, Any], key: str, place: str) -> list[Any]:
-    found = entry.get(key, [])
-    if not isinstance(found, list):
-        raise malformed(f"{place}.{key}", f"is a {type(found).__name__}", "a list")
-    return found
 
 
 def recognise(view: memoryview) -> bool:
@@ -418,13 +298,17 @@ def decode(view: memoryview) -> Meshes:
     asset = document.root.get("asset")
     extras = asset.get("extras") if isinstance(asset, dict) else None
     turned = isinstance(extras, dict) and extras.get(UP) == "z"
-    return Meshes(_meshes_of(document), notes=tuple(_notes(document))).with_up("z" if turned else "y")
+    meshes, repaired = _meshes_of(document)
+    return Meshes(meshes, notes=(*_notes(document), *repaired)).with_up("z" if turned else "y")
 
 
 def _notes(document: Document) -> Iterator[str]:
-    """Yield a line for poses that are not applied."""
-    if any("mesh" in node and "skin" in node for node in _list(document.root, "nodes", "JSON")):
+    """Yield a line for poses that are not applied, and for copies that are left out."""
+    nodes = list_of(document.root, "nodes", "JSON")
+    if any("mesh" in node and "skin" in node for node in nodes):
         yield "skins are not read: the mesh has the pose that it was modelled in"
-    meshes = [mesh for mesh in _list(document.root, "meshes", "JSON") if isinstance(mesh, dict)]
+    if any("mesh" in node and extension_of(node, _INSTANCES, "nodes") is not None for node in nodes):
+        yield f"copies by {_INSTANCES} are not read: each mesh is read once"
+    meshes = [mesh for mesh in list_of(document.root, "meshes", "JSON") if isinstance(mesh, dict)]
     if any(isinstance(shares := mesh.get("weights"), list) and any(shares) for mesh in meshes):
         yield "morph targets are not read: the mesh has its basic shape"

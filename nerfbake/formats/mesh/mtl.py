@@ -1,10 +1,11 @@
-"""Read and write the materials of .obj files (.mtl): names, and the pictures of their diffuse colours.
+r"""Read and write the materials of .obj files (.mtl): names, and the pictures of their diffuse colours.
 
     newmtl NAME     map_Kd [-option value ...] PICTURE
 
-Pictures stand beside the .obj as PNG or JPEG. Other pictures and missing files are left out with a note, as are names
-with a folder other than ./: a file from elsewhere must not choose what is read. Names may contain spaces and #; a line
-that starts with # is a comment. Options of a picture are skipped.
+Pictures are PNG or JPEG beside the .obj or in a folder below it, with / or \ in their names. Other pictures and missing
+files are left out with a note, as are names that lead out of the folder of the .obj, by .., from the root or through a
+link in a folder below: a file from elsewhere must not choose what is read. Names may contain spaces and #; a line that
+starts with # is a comment. Options of a picture are skipped.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ _ENDINGS = (".png", ".jpg", ".jpeg")
 _LONGEST = 200  # bytes of a file name
 _MOST = 100  # names of libraries
 _TOLD = 60  # characters of a name in a note
-_HERE = re.compile(rb"\A(?:\.[/\\]++)++")  # the folder of the .obj, as MeshLab names it
 _NUMBER = rb"[-+]?[.0-9]++(?:e[-+]?[0-9]++)?"
 _OPTIONS = re.compile(
     rb"\A(?:-(?:imfchan|type)\s++\S++\s++|-[a-z]++\s++(?:(?:on|off|%b)\s++)*+)++" % _NUMBER, re.IGNORECASE
@@ -43,9 +43,11 @@ class Materials:
     def __init__(self, libraries: Iterable[bytes], beside: Mapping[str, memoryview] | None) -> None:
         self._beside = {} if beside is None else beside
         self._left: dict[str, None] = {}  # what is left out, and why
-        self._pictures: dict[bytes, bytes] = {}
+        self._pictures: dict[bytes, tuple[str, bytes]] = {}  # by material: the folder of its library, and its line
         for name in self._names(libraries):
-            self._pictures = _pictures(bytes(self._beside[name])) | self._pictures
+            folder = name[: name.rfind("/") + 1]
+            found = _pictures(bytes(self._beside[name]))
+            self._pictures = {material: (folder, line) for material, line in found.items()} | self._pictures
         self._textures: dict[str, npt.NDArray[np.uint8]] = {}
 
     @property
@@ -59,9 +61,9 @@ class Materials:
 
         placed: the mesh has texture coordinates. Without them, its texture is left out.
         """
-        line = self._pictures.get(material, b"")
+        folder, line = self._pictures.get(material, ("", b""))
         named = _OPTIONS.sub(b"", line)  # a name may contain spaces
-        name = self._there(named)
+        name = self._there(named, folder)
         if name is None or not name.lower().endswith(_ENDINGS):
             if named:
                 self._leave("texture", named, "is no PNG or JPEG in the folder of the .obj")
@@ -95,13 +97,22 @@ class Materials:
                 raise InvalidFile(Problem("mtllib", f"names more than {_MOST} libraries", f"{_MOST} at most"))
         return [name for name in dict.fromkeys(found.values()) if name]
 
-    def _there(self, name: bytes | None) -> str | None:
-        """The name of a file beside the .obj, as the system spells it; None if it names none, or one in a folder."""
-        name = _HERE.sub(b"", name or b"")
-        if not name or len(name) > _LONGEST or b"/" in name or b"\\" in name or b"\0" in name or name in (b".", b".."):
+    def _there(self, name: bytes | None, folder: str = "") -> str | None:
+        """The path of a file from the folder of the .obj, as the system spells it; None if it names none, or leads out.
+
+        folder: where the name is looked for first. A file beside the .obj may be a link to elsewhere: whoever made the
+        folder put it there under this name. `holds`, which a folder on the disk has, follows the links below it.
+        """
+        path = (name or b"").replace(b"\\", b"/")
+        parts = [part for part in path.split(b"/") if part not in (b"", b".")]
+        if not parts or len(path) > _LONGEST or b".." in parts or path.startswith(b"/") or b"\0" in path:
             return None
-        plain = name.decode("utf-8", "surrogateescape")
-        return plain if plain in self._beside else None
+        plain = "/".join(part.decode("utf-8", "surrogateescape") for part in parts)
+        holds = getattr(self._beside, "holds", self._beside.__contains__)
+        for found in dict.fromkeys((folder + plain, plain)):
+            if found in self._beside and ("/" not in found or holds(found)):
+                return found
+        return None
 
 
 def _pictures(content: bytes) -> dict[bytes, bytes]:
@@ -114,7 +125,7 @@ def _pictures(content: bytes) -> dict[bytes, bytes]:
         if word == b"newmtl":
             material = rest
             found.setdefault(material, b"")
-        if word == b"map_Kd" and rest:
+        if word.lower() == b"map_kd" and rest:
             found[material] = rest
     return found
 

@@ -1,11 +1,14 @@
 r"""Read and write meshes as Wavefront text (.obj): positions, texture coordinates, vertex colours, faces.
 
-    v x y z [w] [r g b]     vt u v     usemtl NAME     f v[/vt[/vn]] v[/vt[/vn]] v[/vt[/vn]] ...
+    v x y z [w] [r g b [a]]     vt u v     usemtl NAME     f v[/vt[/vn]] v[/vt[/vn]] v[/vt[/vn]] ...
 
 Indices start at 1 and count through the whole file. Negative indices count back from their line: -1 is the last entry
-before it. w is ignored. A \ at the end of a line joins it with the next line. # starts a comment at the start of a line
-and after numbers, but names may contain it. All other statements are ignored. The parser works on whole columns at a
-time.
+before it. w and a are ignored. A \ at the end of a line joins it with the next line. # starts a comment at the start of
+a line and after numbers, but names may contain it. All other statements are ignored. The parser works on whole columns
+at a time.
+
+ZBrush stores colours as comments, of up to 64 vertices a line: #MRGB and two hexadecimal digits each of a mask, red,
+green and blue.
 
 Coordinates are those of the field. Materials and textures stand in files beside the .obj: `mtllib NAME ...` names the
 libraries, see mtl.py. A textured mesh is written as three files, because other programs look for them there: NAME.obj,
@@ -18,7 +21,6 @@ import io
 import re
 from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -27,7 +29,9 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.mesh.colours import GREY, sound_colours
 from nerfbake.formats.mesh.mtl import Materials, encode_mtl
+from nerfbake.formats.mesh.words import words_of
 from nerfbake.formats.wire.picture import encode_picture
 from nerfbake.kernels.arrays import Floats, Ints
 from nerfbake.kernels.soundness import plural
@@ -37,9 +41,13 @@ from nerfbake.scene.mesh import Mesh, Meshes, require_few, rounding_notes
 _PER_BYTE = 8  # bytes of memory per byte of text while it is parsed
 _PER_CORNER = 200  # and per corner of a polygon; two bytes of text may be one corner
 _ALLOWED = "a whole .obj of polygons"
+_WHITE = 1.0  # of vertices without a colour beside others, on a texture
+_PAINT = b"#MRGB"
 _NAMES = {b"v": "vertex", b"vt": "texture coordinate", b"f": "face"}  # of lines, in errors
 _NUMBER = rb"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++|nan|inf)(?:e[-+]?[0-9]++)?"
 _NUMBERS = re.compile(rb"\s*+(?:" + _NUMBER + rb"(?:\s++|$))*+", re.IGNORECASE)
+_JOINED = re.compile(rb"\\[ \t\r]*+\n")
+_NOT_NUMBERS = re.compile(rb"(?<=[ \t])-?(?:1\.#(?:IND|QNAN|SNAN)[0-9]*+|nan\([a-z]*+\))")  # as Windows prints them
 _INDEX = rb"-?[0-9]{1,18}+"
 _CORNERS = re.compile(rb"\s*+(?:%b(?:/(?:%b)?(?:/(?:%b)?)?)?(?:\s++|$))*+" % (_INDEX, _INDEX, _INDEX))
 
@@ -49,13 +57,14 @@ Bytes = npt.NDArray[np.uint8]
 def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | None = None) -> Meshes:
     """Parse the meshes, one for each material. Polygons become triangle fans. beside: the files of the same folder.
 
-    Vertices with several texture coordinates are split, and unused vertices are dropped. Colours are used only if every
-    vertex has one, texture coordinates only if every corner of a mesh has one. Notes tell which libraries and pictures
-    are not read. Raises InvalidFile, InvalidScene for invalid mesh values, MemoryLimit.
+    Vertices with several texture coordinates are split, and unused vertices are dropped. Vertices without a colour are
+    grey if others of their mesh have one, and white on a texture. Texture coordinates are used only if every corner of
+    a mesh has one. Notes tell what is repaired or not read. Raises InvalidFile, InvalidScene for invalid mesh values,
+    MemoryLimit.
     """
     with memory.lent(name, _PER_BYTE * len(view)):
         text = _Text(view, name)
-        points, colours = text.vertices()
+        points, paint = text.vertices()
         places = text.places()
         corners = text.corners(len(points), len(places))
         order = np.argsort(corners.material, kind="stable")
@@ -65,10 +74,29 @@ def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | N
         known, materials = text.material_names(), Materials(text.libraries(), beside)
         found = []
         for part in sorted(parts, key=lambda part: part[0]):  # in the order in which materials first occur in the file
-            mesh = _mesh(corners, part, points, colours, places)
-            texture = materials.texture(known[corners.material[part[0]]], placed=mesh.uvs is not None)
-            found.append(mesh if texture is None else replace(mesh, texture=texture))
-        return Meshes(tuple(found), notes=(*materials.notes, *rounding_notes(points)))
+            placed = not (corners.place[part] < 0).any()
+            texture = materials.texture(known[corners.material[part[0]]], placed=placed)
+            found.append(_mesh(corners, part, points, paint, places if placed else None, texture))
+        notes = dict.fromkeys((*materials.notes, *text.notes, *(paint.notes if paint else ())))
+        return Meshes(tuple(found), notes=(*notes, *rounding_notes(points)))
+
+
+class _Paint:
+    """Colours (v, 3) of vertices, of which some may have none: given, (v,) bool."""
+
+    def __init__(self, colours: Floats, given: npt.NDArray[np.bool_], notes: list[str]) -> None:
+        self._colours, self._given, self.notes = colours, given, notes
+
+    def of(self, used: Ints, *, textured: bool) -> npt.NDArray[np.float32] | None:
+        """Return the colours of these vertices; None if none of them has one."""
+        given = self._given[used]
+        if not given.any():
+            return None
+        colours = self._colours[used].astype(np.float32)
+        if not given.all():
+            colours[~given] = _WHITE if textured else GREY
+            self.notes.append(f"vertices without a colour beside others are {'white' if textured else 'grey'}")
+        return colours
 
 
 class _Corners(NamedTuple):
@@ -87,9 +115,17 @@ class _Numbers(NamedTuple):
     counts: Ints
 
 
-def _mesh(corners: _Corners, part: Ints, points: Floats, colours: Floats | None, places: Floats) -> Mesh:
+def _mesh(
+    corners: _Corners,
+    part: Ints,
+    points: Floats,
+    paint: _Paint | None,
+    places: Floats | None,
+    texture: npt.NDArray[np.uint8] | None,
+) -> Mesh:
+    """Return the mesh of these triangles. places: None if it has no texture coordinates."""
     vertex, place = corners.vertex[part].reshape(-1), corners.place[part].reshape(-1)
-    if (place < 0).any():
+    if places is None:
         used, faces = np.unique(vertex, return_inverse=True)
         uvs = None
     else:
@@ -100,7 +136,8 @@ def _mesh(corners: _Corners, part: Ints, points: Floats, colours: Floats | None,
             points[used].astype(np.float32),
             None if uvs is None else uvs.astype(np.float32),
             faces.reshape(-1, 3).astype(np.uint32),
-            colours=None if colours is None else colours[used].astype(np.float32),
+            texture,
+            None if paint is None else paint.of(used, textured=texture is not None),
         )
 
 
@@ -109,7 +146,17 @@ class _Text:
 
     def __init__(self, view: memoryview, name: str) -> None:
         self._name = name
-        whole = bytes(view).removeprefix(BOM_UTF8).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
+        self.notes: list[str] = []  # what was repaired or skipped
+        self._lines: dict[bytes, Ints] = {}  # by word, because most are asked for several times
+        whole = bytes(view).removeprefix(BOM_UTF8)
+        if b"\n" not in whole:
+            whole = whole.replace(b"\r", b"\n")  # as the first Macintoshes ended lines
+        if b"\\" in whole:
+            whole = _JOINED.sub(b" ", whole)
+        commented = b"#" in whole  # to look for one byte takes a tenth of the time
+        if (commented and b"1.#" in whole) or (b"(" in whole and b"nan(" in whole):
+            whole = _NOT_NUMBERS.sub(b"nan", whole)
+        self._painted = commented and _PAINT in whole
         # Normalise the text: every line starts with its first word, and the last one is followed by other bytes.
         self._bytes = np.frombuffer(re.sub(rb"\n[ \t\r\n]++", b"\n", b"\n" + whole + b"\n") + bytes(8), np.uint8)
         breaks = np.flatnonzero(self._bytes == ord("\n"))
@@ -117,10 +164,13 @@ class _Text:
 
     def lines(self, word: bytes) -> Ints:
         """Return the indices of the lines that start with this word."""
+        if word in self._lines:
+            return self._lines[word]
         found: npt.NDArray[np.bool_] = self._bytes[self._starts + len(word)] <= ord(" ")
         for k, letter in enumerate(word):
             found &= self._bytes[self._starts + k] == letter
-        return np.flatnonzero(found & (self._ends - self._starts > len(word)))
+        self._lines[word] = np.flatnonzero(found & (self._ends - self._starts > len(word)))
+        return self._lines[word]
 
     def numbers(self, word: bytes) -> _Numbers:
         """Parse the numbers after this word on each of its lines. Raises InvalidFile."""
@@ -128,33 +178,66 @@ class _Text:
         text = self._behind_words(lines)
         if not (match := _NUMBERS.match(text)) or match.end() < len(text):
             self._refuse(word, text, match.end() if match else 0)
-        starts, line = _tokens(text)
+        starts, line = words_of(text)
         values = np.fromstring(text.decode("ascii"), np.float64, sep=" ")
         if len(values) != len(starts):
             found = f"it has {len(starts):,} words, of which only {len(values):,} are numbers"
             raise self._fault(found, _ALLOWED)
         return _Numbers(word, values, np.bincount(line, minlength=len(lines)))
 
-    def columns(self, numbers: _Numbers, first: int, end: int, skipped: Ints | int = 0) -> Floats:
-        """Return columns first to end of the numbers, (lines, end - first). Raises InvalidFile for shorter lines.
-
-        skipped: how many columns further right they are, on each line.
-        """
+    def columns(self, numbers: _Numbers, first: int, end: int) -> Floats:
+        """Return columns first to end of the numbers, (lines, end - first). Raises InvalidFile for shorter lines."""
         word, values, counts = numbers
         if (counts < end).any():
             short = int((counts < end).argmax())
             raise self._fault(
                 f"{_NAMES[word]} {short + 1:,} has {plural(int(counts[short]), 'number')}", f"{end} or more"
             )
-        begin = np.cumsum(counts) - counts + skipped
+        begin = np.cumsum(counts) - counts
         return np.asarray(values[begin[:, None] + np.arange(first, end)], np.float64)
 
-    def vertices(self) -> tuple[Floats, Floats | None]:
-        """Return positions (v, 3), and colours (v, 3) if all vertices have one."""
+    def vertices(self) -> tuple[Floats, _Paint | None]:
+        """Return positions (v, 3), and their colours if any has one."""
         found = self.numbers(b"v")
-        coloured = len(found.counts) and (found.counts >= 6).all()
-        weighted = (found.counts == 7).astype(np.int64)  # x y z w r g b
-        return self.columns(found, 0, 3), self.columns(found, 3, 6, weighted) if coloured else None
+        points, given = self.columns(found, 0, 3), found.counts >= 6
+        if not given.any():
+            return points, self._polypaint(len(points))
+        first = np.cumsum(found.counts) - found.counts + 3
+        first += self._weighted(found, first)
+        colours = np.zeros_like(points)
+        colours[given], notes = sound_colours(found.values[first[given, None] + np.arange(3)])
+        return points, _Paint(colours, given, notes)
+
+    def _weighted(self, found: _Numbers, first: Ints) -> npt.NDArray[np.bool_]:
+        """Whether a weight precedes the colours, (lines,): x y z w r g b. Else opacity follows them: x y z r g b a.
+
+        A weight is 1 everywhere while the last number is not, or it is beyond 0 to 1 while colours are within.
+        """
+        seven = found.counts == 7
+        if not seven.any():
+            return seven
+        w, a = found.values[first[seven]], found.values[first[seven] + 3]
+        rest = found.values[first[seven, None] + np.arange(1, 4)]
+        if (w == 1).all() and (a == 1).all():
+            if not (rest == 1).all():  # else both are white
+                self.notes.append("vertices with seven numbers are read as x y z, red, green, blue and opacity")
+            return np.zeros_like(seven)
+        beyond = ((w < 0) | (w > 1)).any() and ((rest >= 0) & (rest <= 1)).all()
+        return seven & bool((w == 1).all() or beyond)
+
+    def _polypaint(self, count: int) -> _Paint | None:
+        """Return the colours in ZBrush's comments; None if there are none."""
+        text = b"".join(self._rests(_PAINT)) if self._painted else b""
+        if not text:
+            return None
+        try:
+            paint = np.frombuffer(bytes.fromhex(text.decode("ascii")), np.uint8)
+        except ValueError:
+            paint = np.empty(0, np.uint8)
+        if len(paint) != 4 * count:
+            self.notes.append(f"the colours of {_PAINT.decode()} are not read, because they do not fit the vertices")
+            return None
+        return _Paint(paint.reshape(-1, 4)[:, 1:] / np.float64(255), np.ones(count, bool), [])
 
     def places(self) -> Floats:
         """Return the texture coordinates, (p, 2). A line may leave out v, which is then 0."""
@@ -163,22 +246,23 @@ class _Text:
         if short.any():
             values = np.insert(found.values, np.cumsum(found.counts)[short], 0.0)
             found = found._replace(values=values, counts=found.counts + short)
-        return self.columns(found, 0, 2)
+        places = self.columns(found, 0, 2)
+        if (wrong := np.isnan(places)).any():
+            self.notes.append("texture coordinates that are not numbers are 0")
+            places[wrong] = 0
+        return places
 
     def corners(self, vertices: int, places: int) -> _Corners:
         """Parse all faces as triangles. Raises InvalidFile for invalid polygons and indices."""
         lines = self.lines(b"f")
+        text, starts, line, counts = self._polygons(lines)
+        if (short := counts < 3).any():
+            self.notes.append(f"faces of fewer than three corners are skipped ({int(short.sum()):,})")
+            lines = lines[~short]
+            text, starts, line, counts = self._polygons(lines)
         if not len(lines):
             raise InvalidFile(Problem(self._name, "has no faces", "at least one triangle"))
-        text = self._behind_words(lines)
-        if not (match := _CORNERS.match(text)) or match.end() < len(text):
-            self._refuse(b"f", text, match.end() if match else 0)
-        starts, line = _tokens(text)
         memory.hold(self._name, _PER_CORNER * len(starts))
-        counts = np.bincount(line, minlength=len(lines))
-        if (counts < 3).any():
-            short = int((counts < 3).argmax())
-            raise self._fault(f"face {short + 1:,} has {plural(int(counts[short]), 'corner')}", "3 or more")
         split = np.frombuffer(text, np.uint8)
         slashes = np.cumsum(split == ord("/"), dtype=np.int32)
         widths = np.diff(np.concatenate([[0], starts[1:], [len(split)]]))
@@ -188,6 +272,14 @@ class _Text:
         polygon = np.repeat(np.arange(len(counts)), counts - 2)
         corner = fan(np.cumsum(counts) - counts, counts)
         return _Corners(vertex[corner], place[corner], self._materials(lines)[polygon])
+
+    def _polygons(self, lines: Ints) -> tuple[bytes, Ints, Ints, Ints]:
+        """Return the corners of these faces as text, the start and the line of each, and the corners of each face."""
+        text = self._behind_words(lines)
+        if not (match := _CORNERS.match(text)) or match.end() < len(text):
+            self._refuse(b"f", text, match.end() if match else 0)
+        starts, line = words_of(text)
+        return text, starts, line, np.bincount(line, minlength=len(lines))
 
     def _indices(
         self,
@@ -203,6 +295,11 @@ class _Text:
         """Parse one index of each corner, (corners,), from 0; -1 if a corner does not have it."""
         chosen = (slashes == part) & (text > ord(" ")) & (text != ord("/"))
         have = np.logical_or.reduceat(chosen, starts)
+        found = np.full(len(starts), -1, np.int64)
+        if word == b"vt" and not count:
+            if have.any():
+                self.notes.append("faces name texture coordinates, of which the file has none")
+            return found
         digits = np.where(chosen, text, np.uint8(ord(" "))).tobytes().decode("ascii")
         numbers = np.fromstring(digits, np.int64, sep=" ")
         before = np.searchsorted(self.lines(word), lines[line[have]])
@@ -210,9 +307,9 @@ class _Text:
         wrong = (index < 0) | (index >= count)
         if wrong.any():
             first = int(wrong.argmax())
-            told = f"face {line[have][first] + 1:,} has the {word.decode()} index {numbers[first]}"
+            face = np.searchsorted(self.lines(b"f"), lines[line[have][first]])
+            told = f"face {face + 1:,} has the {word.decode()} index {numbers[first]}"
             raise self._fault(told, f"1 to {count:,}, or -1 and below")
-        found = np.full(len(starts), -1, np.int64)
         found[have] = index
         return found
 
@@ -253,14 +350,6 @@ class _Text:
 
     def _fault(self, found: str, allowed: str) -> InvalidFile:
         return InvalidFile(Problem(self._name, f"cannot be read: {found}", allowed))
-
-
-def _tokens(text: bytes) -> tuple[Ints, Ints]:
-    """Return the start of each word, and the line that contains it."""
-    bytes_ = np.frombuffer(text, np.uint8)
-    solid = bytes_ > ord(" ")
-    starts = np.flatnonzero(solid & ~np.concatenate([[False], solid[:-1]])) if len(solid) else np.empty(0, np.int64)
-    return starts, np.searchsorted(np.flatnonzero(bytes_ == ord("\n")), starts)
 
 
 def encode_obj(meshes: Sequence[Mesh], library: str | None = None, materials: Sequence[str] = ()) -> Iterator[bytes]:

@@ -9,6 +9,12 @@ Colours are sRGB; their type decides whether they go to 1 (float), 65,535 (ushor
 takes text and both byte orders, other properties in any order, and polygons of any size. Textures and colours of faces
 are left out with a note. Files with f_dc_0 or packed_position are splats, which splat/ply.py reads, as are files
 without faces.
+
+It also reads, with a note, rows that are longer than the header declares, lines of the header that start with no word
+of the format, and polygons of one or two corners, which it skips. Instead of `face`, a file may have `tristrips`: lists
+of vertices of which every three in a row are a triangle, every second one reversed; -1 starts the next strip.
+
+Source: formats/wire/ply.py; for tristrips trimesh2 (Rusinkiewicz) and the Stanford 3D Scanning Repository.
 """
 
 from __future__ import annotations
@@ -21,57 +27,87 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.mesh.colours import GREY, are_bytes_in_shorts, sound_colours
+from nerfbake.formats.mesh.ply_text import LONGER, Rows, read_text
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.surface.fans import fan
 from nerfbake.scene.mesh import Mesh, Meshes, rounding_notes
 
 _ALLOWED = "a whole .ply of polygons"
-_HEAD = 1 << 14  # bytes in which a mesh is recognised
-_WORD = 90  # bytes of memory per word of text
 _VERTEX = 60  # and per vertex
 _CORNER = 60  # and per corner of a polygon
 _TRIANGLE = 40  # and per corner while its polygon becomes triangles
 _INDICES = ("vertex_indices", "vertex_index")
 _TOLD = 60  # characters of a name in a note
 _RGB = ("red", "green", "blue")
-_GREY = 0.75  # of a mesh without colours beside one with colours
+_COLOURS = (_RGB, ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))  # as programs name them
+_FACES = ("face", "tristrips")
+_SPLATS = ("f_dc_0", "scalar_f_dc_0")  # as in splat/ply.py
 
 
 def recognise(view: memoryview) -> bool:
     """Return True for a header with faces, and without the properties of splats."""
-    head, _, _ = bytes(view[:_HEAD]).partition(b"end_header")
-    return wire.recognise(view) and b"\nelement face " in head and b" f_dc_0" not in head and b" packed_" not in head
+    try:
+        header = wire.parse_header(view)
+    except InvalidFile:
+        return False
+    vertex = header.element("vertex")
+    names = [each.name for each in vertex.properties] if vertex else []
+    splats = any(name in _SPLATS or name.startswith("packed_") for name in names)
+    return not splats and any(header.element(name) for name in _FACES)
 
 
 def decode(view: memoryview) -> Meshes:
     """Parse a mesh. Raises InvalidFile, InvalidScene for invalid mesh values, MemoryLimit."""
     header = wire.parse_header(view)
+    notes: dict[str, None] = {}
+    if header.unknown:
+        notes[f"the line {header.unknown[0].strip()[:_TOLD]!r} of the header is skipped"] = None
+    vertices, faces = _tables(view, header, notes)
+    positions = _columns(vertices, ("x", "y", "z"))
+    colours = _colours(vertices, header, notes)
+    triangles = faces.triangles(len(positions), notes)
+    if not np.isfinite(positions).all():  # as in scans, for pixels without depth
+        used, corners = np.unique(triangles, return_inverse=True)
+        triangles = corners.reshape(-1, 3).astype(np.uint32)
+        positions, colours = positions[used], None if colours is None else colours[used]
+    with np.errstate(over="ignore", invalid="ignore"):
+        mesh = Mesh(positions.astype(np.float32), None, triangles, colours=colours)
+    return Meshes((mesh,), notes=(*notes, *_notes(header, colours is None), *rounding_notes(positions)))
+
+
+def _tables(view: memoryview, header: wire.Header, notes: dict[str, None]) -> tuple[Any, _Polygons]:
+    """Return the rows of the vertices, and the polygons."""
+    wanted = {"vertex", next((name for name in _FACES if header.element(name)), "face")}
+    names = [element.name for element in header.elements]
+    if missing := sorted(wanted.difference(names), reverse=True):
+        raise InvalidFile(Problem("the mesh", f"has no element {missing[0]}", _ALLOWED))
+    end = 1 + max(names.index(name) for name in wanted)
+    elements, later = header.elements[:end], header.elements[end:]
+    lists = [_list_of(element) for element in elements]
+    body = view[header.end :]
     tables: dict[str, Any] = {}
+    vertices = header.elements[names.index("vertex")].rows
     if header.kind == wire.TEXT:
-        memory.hold("the mesh", _WORD * (len(view) - header.end) // 2)
-        try:
-            body: Any = np.array(bytes(view[header.end :]).split(), np.float64)
-        except ValueError:
-            raise InvalidFile(Problem("the mesh", "has words that are no numbers", _ALLOWED)) from None
+        after = sum(element.rows * len(element.properties) for element in later)
+        rows, told = read_text(body, elements, lists, after)
+        notes |= dict.fromkeys(told)
+        tables = {each.name: _text_rows(each, found) for each, found in zip(elements, rows, strict=True)}
     else:
-        body = np.frombuffer(view, np.uint8)[header.end :]
-    for element in header.elements:
-        if {"vertex", "face"} <= set(tables):
-            break
-        read = _text_rows if header.kind == wire.TEXT else _binary_rows
-        tables[element.name], body = read(element, body, wire.ORDERS.get(header.kind, "<"))
-    if "vertex" not in tables or "face" not in tables:
-        missing = "vertex" if "vertex" not in tables else "face"
-        raise InvalidFile(Problem("the mesh", f"has no element {missing}", _ALLOWED))
-    positions = _columns(tables["vertex"], ("x", "y", "z"))
-    colours = _colours(tables["vertex"], header)
-    faces = tables["face"]
+        octets = np.frombuffer(body, np.uint8)
+        for number, (element, chosen) in enumerate(zip(elements, lists, strict=True)):
+            order = wire.ORDERS[header.kind]
+            if number + 1 == len(header.elements) and element.name == "face":
+                tables["face"], octets = _last_rows(element, octets, order, chosen, vertices)
+            else:
+                tables[element.name], octets = _binary_rows(element, octets, order, chosen)
+    faces = tables[(wanted - {"vertex"}).pop()]
     if not isinstance(faces, _Polygons):
         raise InvalidFile(Problem("element face", "has no list vertex_indices", _ALLOWED))
-    with np.errstate(over="ignore", invalid="ignore"):
-        mesh = Mesh(positions.astype(np.float32), None, faces.triangles(len(positions)), colours=colours)
-    return Meshes((mesh,), notes=(*_notes(header, colours is None), *rounding_notes(positions)))
+    if faces.longer:
+        notes[LONGER] = None
+    return tables["vertex"], faces if "face" in wanted else faces.of_strips()
 
 
 def _notes(header: wire.Header, grey: bool) -> Iterator[str]:
@@ -79,32 +115,84 @@ def _notes(header: wire.Header, grey: bool) -> Iterator[str]:
     words = (comment.partition(" ") for comment in header.comments)
     if pictures := [name for word, _, name in words if word == "TextureFile"]:
         yield f"texture {pictures[0][:_TOLD]!r} is not read from a .ply, but from a .glb or .obj"
-    of_faces = {each.name for element in header.elements if element.name == "face" for each in element.properties}
-    if grey and {*_RGB} <= of_faces:
+    faces = header.element("face")
+    if grey and faces and {*_RGB} <= {each.name for each in faces.properties}:
         yield "colours of faces are not read, but colours of vertices"
 
 
 class _Polygons:
-    """The corners of all polygons, one after the other, and the number of corners of each."""
+    """The corners of all polygons, one after the other, and the number of corners of each.
 
-    def __init__(self, corners: Ints, counts: Ints) -> None:
-        self._corners, self._counts = corners, counts
+    longer: the rows of the file are longer than declared.
+    """
 
-    def triangles(self, vertices: int) -> npt.NDArray[np.uint32]:
-        if not len(self._counts):
+    def __init__(self, corners: Ints, counts: Ints, *, longer: bool = False) -> None:
+        self._corners, self._counts, self.longer = corners, counts, longer
+
+    def fit(self, vertices: int) -> bool:
+        """Whether all corners are vertices, and most polygons have three or more."""
+        if not len(self._corners):
+            return not len(self._counts)
+        inside = self._corners.min() >= 0 and self._corners.max() < vertices
+        return bool(inside and 2 * np.count_nonzero(self._counts >= 3) >= len(self._counts))
+
+    def of_strips(self) -> _Polygons:
+        """Return the triangles, if these are strips. Triangles without an area, which join strips, are left out."""
+        index = np.arange(len(self._corners))
+        cut = self._corners == -1
+        begin = np.where(cut, index + 1, 0)
+        firsts = np.cumsum(self._counts) - self._counts
+        begin[firsts[self._counts > 0]] = firsts[self._counts > 0]
+        begin = np.maximum.accumulate(begin)  # where the strip of each corner begins
+        whole = (begin[2:] <= index[:-2]) & ~cut[2:]
+        first = index[:-2][whole]
+        odd = (first - begin[first]) % 2
+        triangles = self._corners[np.stack([first + odd, first + 1 - odd, first + 2], axis=1)]
+        a, b, c = triangles.T
+        triangles = triangles[(a != b) & (b != c) & (a != c)]
+        return _Polygons(triangles.reshape(-1), np.full(len(triangles), 3))
+
+    def triangles(self, vertices: int, notes: dict[str, None]) -> npt.NDArray[np.uint32]:
+        """Return the triangles, (t, 3). Polygons of fewer than three corners are skipped with a note."""
+        corners, counts = self._corners, self._counts
+        if (short := counts < 3).any():
+            notes[f"faces of fewer than three corners are skipped ({int(short.sum()):,})"] = None
+            corners, counts = corners[np.repeat(~short, counts)], counts[~short]
+        if not len(counts):
             raise InvalidFile(Problem("the mesh", "has no faces", "at least one triangle"))
-        if (self._counts < 3).any():
-            found = f"has a face of {self._counts[(self._counts < 3).argmax()]} corners"
-            raise InvalidFile(Problem("the mesh", found, "3 or more"))
-        wrong = (self._corners < 0) | (self._corners >= vertices)
+        wrong = (corners < 0) | (corners >= vertices)
         if wrong.any():
-            found = f"has a corner at vertex {self._corners[wrong.argmax()]:,}"
+            found = f"has a corner at vertex {corners[wrong.argmax()]:,}"
             raise InvalidFile(Problem("the mesh", found, f"0 to {vertices - 1:,}"))
-        starts = np.cumsum(self._counts) - self._counts
-        return self._corners[fan(starts, self._counts)].astype(np.uint32)
+        return corners[fan(np.cumsum(counts) - counts, counts)].astype(np.uint32)
 
 
-def _binary_rows(element: wire.Element, body: npt.NDArray[np.uint8], order: str) -> tuple[Any, npt.NDArray[np.uint8]]:
+def _last_rows(
+    element: wire.Element, body: npt.NDArray[np.uint8], order: str, wanted: int, vertices: int
+) -> tuple[Any, npt.NDArray[np.uint8]]:
+    """_binary_rows() of the last element. If its rows make no mesh as declared, they may be longer and fill the file.
+
+    VCGLIB declares four numbers of a colour where it writes a list of nine, for example.
+    """
+    problem = polygons = None
+    try:
+        polygons, rest = _binary_rows(element, body, order, wanted)
+        if not len(rest) or polygons.fit(vertices):
+            return polygons, rest
+    except InvalidFile as error:
+        problem = error
+    if 0 < element.rows <= len(body) and len(body) % element.rows == 0:
+        alike = _alike(element, body, order, wanted, len(body) // element.rows)
+        if alike is not None and alike[0].fit(vertices):
+            return alike
+    if problem is not None:
+        raise problem
+    return polygons, rest
+
+
+def _binary_rows(
+    element: wire.Element, body: npt.NDArray[np.uint8], order: str, wanted: int
+) -> tuple[Any, npt.NDArray[np.uint8]]:
     """Return the rows of an element, and the bytes after them."""
     if not element.lists:
         dtype = np.dtype([(name, order + kind) for name, kind in element.numbers])
@@ -112,7 +200,6 @@ def _binary_rows(element: wire.Element, body: npt.NDArray[np.uint8], order: str)
         memory.hold("the mesh", _VERTEX * element.rows)
         rows = np.frombuffer(body, dtype, element.rows) if dtype.itemsize else np.empty(element.rows)
         return rows, body[element.rows * dtype.itemsize :]
-    wanted = _list_of(element)
     least = sum(np.dtype(each.counts or each.kind).itemsize for each in element.properties)
     _require_rows(element, element.rows * least <= len(body), len(body))
     memory.hold("the mesh", _CORNER * element.rows)
@@ -150,9 +237,12 @@ def _binary_rows(element: wire.Element, body: npt.NDArray[np.uint8], order: str)
 
 
 def _alike(
-    element: wire.Element, body: npt.NDArray[np.uint8], order: str, wanted: int
+    element: wire.Element, body: npt.NDArray[np.uint8], order: str, wanted: int, stride: int = 0
 ) -> tuple[_Polygons, npt.NDArray[np.uint8]] | None:
-    """_binary_rows() if lists have the same lengths in all rows, as in a mesh of triangles, else None."""
+    """_binary_rows() if lists have the same lengths in all rows, as in a mesh of triangles, else None.
+
+    stride: bytes of a row that is longer than its properties; 0 for rows as declared
+    """
     if not element.rows:
         return None
     fields: list[Any] = []
@@ -169,7 +259,12 @@ def _alike(
         if count < 0 or at > len(body):
             return None
         fields.append((f"list {k}", order + each.kind, (count,)))
-    if element.rows * at > len(body):
+    if stride:
+        if stride <= at:
+            return None
+        fields.append(("more", f"V{stride - at}"))
+        at = stride
+    if element.rows * at > len(body) or at >= 1 << 31:  # NumPy's limit of a row
         return None
     rows = np.frombuffer(body, np.dtype(fields), element.rows)
     lengths = [name for name, *_ in fields if name.startswith("count")]
@@ -178,47 +273,27 @@ def _alike(
     memory.hold("the mesh", _TRIANGLE * rows[f"list {wanted}"].size)
     with np.errstate(invalid="ignore"):
         corners = rows[f"list {wanted}"].astype(np.int64)
-    return _Polygons(corners.reshape(-1), np.full(element.rows, corners.shape[1])), body[element.rows * at :]
+    counts = np.full(element.rows, corners.shape[1])
+    return _Polygons(corners.reshape(-1), counts, longer=stride > 0), body[element.rows * at :]
 
 
-def _text_rows(element: wire.Element, body: npt.NDArray[np.float64], _: str) -> tuple[Any, npt.NDArray[np.float64]]:
-    """Return the rows of an element, and the numbers after them."""
-    columns = len(element.properties)
-    if not element.lists:
-        size = element.rows * columns
-        _require_rows(element, size <= len(body), len(body))
+def _text_rows(element: wire.Element, rows: Rows) -> Any:
+    """Return the columns of an element by name, or the polygons of its list."""
+    if element.name == "vertex":
         memory.hold("the mesh", _VERTEX * element.rows)
-        table = body[:size].reshape(element.rows, columns)
-        return {each.name: table[:, k] for k, each in enumerate(element.properties)}, body[size:]
-    wanted = _list_of(element)
-    _require_rows(element, element.rows * columns <= len(body), len(body))
-    memory.hold("the mesh", (_CORNER + 40) * len(body))
-    lists, at = [], 0
-    for _row in range(element.rows):
-        for k, each in enumerate(element.properties):
-            count = 1
-            if each.counts is not None:
-                length = body[at] if at < len(body) else -1.0
-                if not 0 <= length <= len(body):
-                    raise InvalidFile(Problem("element face", "does not end within the file", _ALLOWED))
-                count, at = int(length), at + 1
-            if k == wanted:
-                lists.append(body[at : at + count])
-            at += count
-    _require_rows(element, at <= len(body), len(body))
-    counts = np.array([len(each) for each in lists], np.int64)
-    corners = np.concatenate(lists) if lists else np.empty(0)
-    whole = np.where(np.isfinite(corners) & (np.abs(corners) < 2**53), corners, -1)
-    return _Polygons(whole.astype(np.int64), counts), body[at:]
+        return rows.columns
+    memory.hold("the mesh", _CORNER * len(rows.entries))
+    sound = np.isfinite(rows.entries) & (np.abs(rows.entries) < 2**53)
+    return _Polygons(np.where(sound, rows.entries, -1).astype(np.int64), rows.counts) if element.lists else None
 
 
 def _list_of(element: wire.Element) -> int:
-    """Return the index of the list of an element's corners; of another element's first list."""
+    """Return the index of the list of an element's corners; of another element's first list; -1 if it has no lists."""
     names = [each.name if each.counts else "" for each in element.properties]
-    wanted = next((names.index(name) for name in _INDICES if name in names), None)
-    if element.name == "face" and wanted is None:
-        raise InvalidFile(Problem("element face", "has no list vertex_indices", _ALLOWED))
-    return next(k for k, name in enumerate(names) if name) if wanted is None else wanted
+    wanted = next((names.index(name) for name in _INDICES if name in names), -1)
+    if element.name in _FACES and wanted < 0:
+        raise InvalidFile(Problem(f"element {element.name}", "has no list vertex_indices", _ALLOWED))
+    return next((k for k, name in enumerate(names) if name), -1) if wanted < 0 else wanted
 
 
 def _require_rows(element: wire.Element, fits: bool, left: int) -> None:
@@ -239,12 +314,19 @@ def _columns(rows: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
         return np.stack([np.asarray(rows[name], np.float64) for name in names], axis=1)
 
 
-def _colours(rows: Any, header: wire.Header) -> npt.NDArray[np.float32] | None:
-    if not all(_has(rows, name) for name in _RGB):
+def _colours(rows: Any, header: wire.Header, notes: dict[str, None]) -> npt.NDArray[np.float32] | None:
+    names = next((names for names in _COLOURS if all(_has(rows, name) for name in names)), None)
+    if names is None:
         return None
     kinds = dict(next(each for each in header.elements if each.name == "vertex").numbers)
-    white = [1 if kinds[name][0] == "f" else 65_535 if kinds[name] == "u2" else 255 for name in _RGB]
-    return (_columns(rows, _RGB) / white).astype(np.float32)
+    white = [1 if kinds[name][0] == "f" else 65_535 if kinds[name] == "u2" else 255 for name in names]
+    values = _columns(rows, names)
+    if white == [65_535] * 3 and are_bytes_in_shorts(values):
+        white = [255] * 3
+        notes["colours of 16 bits go to 255 only, and are read as those of 8 bits"] = None
+    colours, told = sound_colours(values / white, scaled=white != [1] * 3)
+    notes |= dict.fromkeys(told)
+    return colours.astype(np.float32)
 
 
 def encode(scene: Meshes) -> Iterator[bytes]:
@@ -270,7 +352,7 @@ def encode(scene: Meshes) -> Iterator[bytes]:
         )
         rows["place"] = mesh.positions
         if coloured:
-            rows["colour"] = np.rint(255 * (_GREY if mesh.colours is None else mesh.colours))
+            rows["colour"] = np.rint(255 * (GREY if mesh.colours is None else mesh.colours))
         yield rows.tobytes()
     first = 0
     for mesh in scene.meshes:

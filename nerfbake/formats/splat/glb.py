@@ -27,7 +27,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.formats.mesh.glb import Document, malformed, placed_meshes
+from nerfbake.formats.mesh.glb import placed_meshes
+from nerfbake.formats.mesh.glb_document import Document, malformed
 from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
 from nerfbake.kernels.arrays import Floats

@@ -3,7 +3,8 @@ r"""Read the header and the elements of .ply files, of splats and of meshes: bin
     ply\n format FORMAT 1.0\n comment ...\n element NAME COUNT\n property TYPE NAME\n
     property list TYPE TYPE NAME\n ... end_header\n | rows of the first element | rows of the second | ...
 
-A row has its properties one behind the other; of a list first the length. In text each row is a line.
+A row has its properties one behind the other; of a list first the length. In text each row is a line. Lines of the
+header end with \n, \r\n or, from the first Macintoshes, \r.
 
 Source: Greg Turk, The PLY Polygon File Format (1994).
 """
@@ -20,7 +21,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 
 Table = npt.NDArray[Any]
-_HEADER = 1 << 16  # bytes
+_HEADER = 1 << 20  # bytes
 TEXT = "ascii"
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
@@ -59,12 +60,22 @@ class Element(NamedTuple):
 
 
 class Header(NamedTuple):
-    """The elements, the comments, the format (TEXT or one of ORDERS), and the offset of the first row."""
+    """The header of a file.
+
+    kind     TEXT, or one of ORDERS
+    end      the offset of the first row
+    unknown  lines that start with no word of the format: Blender 2.47 wrote comments without the word
+    """
 
     elements: list[Element]
     comments: list[str]
     kind: str
     end: int
+    unknown: list[str]
+
+    def element(self, name: str) -> Element | None:
+        """The element of this name; None if there is none."""
+        return next((each for each in self.elements if each.name == name), None)
 
 
 class Ply(NamedTuple):
@@ -90,7 +101,9 @@ def parse(view: memoryview, *wanted: str) -> Ply:
 
     Other elements are skipped. A wanted element must not have lists.
     """
-    elements, comments, kind, at = parse_header(view)
+    elements, comments, kind, at, unknown = parse_header(view)
+    for line in unknown:
+        raise _strange(line)
     found = {element.name: [each.name for each in element.properties] for element in elements}
     tables: dict[str, Table] = {}
     rows = _Text(view, at) if kind == TEXT else _Binary(view, at, ORDERS[kind])
@@ -107,39 +120,47 @@ def parse(view: memoryview, *wanted: str) -> Ply:
 
 def parse_header(view: memoryview) -> Header:
     """Parse the header. Raises InvalidFile."""
-    head = bytes(view[:_HEADER]).replace(b"\r\n", b" \n")  # of the same length
-    end = head.find(b"\nend_header")
+    head = bytes(view[:_HEADER])
+    if head[3:4] == b"\r" and head[4:5] != b"\n":
+        head = head.replace(b"\r", b"\n")
+    end = max(head.find(b"\nend_header"), 0)
     stop = head.find(b"\n", end + 1)
-    if not recognise(view) or end < 0 or stop < 0:
+    if not recognise(view) or not end or stop < 0:
         raise InvalidFile(Problem("the header", f"does not end within {_HEADER:,} bytes", _ALLOWED))
-    elements: list[Element] = []
+    elements: dict[str, Element] = {}
     comments: list[str] = []
+    unknown: list[str] = []
     found = ""
+    last: Element | None = None
     for line in head[:end].decode("latin-1").split("\n")[1:]:
         match line.split():
             case ["format", kind, "1.0"] if kind == TEXT or kind in ORDERS:
                 found = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) <= _DIGITS:
-                if name in [element.name for element in elements]:
+                if name in elements:
                     raise InvalidFile(Problem("the header", f"has element {name[:40]!r} twice", "each name once"))
-                elements.append(Element(name, int(count), []))
-            case ["property", "list", counts, kind, name] if elements and {counts, kind} <= _TYPES.keys():
-                elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[counts]))
-            case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append(Property(name, _TYPES[kind]))
+                last = elements[name] = Element(name, int(count), [])
+            case ["property", "list", counts, kind, name] if last and {counts, kind} <= _TYPES.keys():
+                last.properties.append(Property(name, _TYPES[kind], _TYPES[counts]))
+            case ["property", kind, name] if last and kind in _TYPES:
+                last.properties.append(Property(name, _TYPES[kind]))
             case ["comment" | "obj_info", *words]:
                 comments.append(" ".join(words))
-            case []:
-                pass
-            case _:
-                raise InvalidFile(Problem("the header", f"has the line {line.strip()[:60]!r}", _ALLOWED))
+            case ["format" | "element" | "property", *_]:
+                raise _strange(line)
+            case [_, *_]:
+                unknown.append(line)
     if not found:
         raise InvalidFile(Problem("the header", "names no format", " or ".join((*ORDERS, TEXT))))
-    for element in elements:
+    for element in elements.values():
         names = [each.name for each in element.properties]
         if len(set(names)) < len(names):
             raise InvalidFile(Problem(f"element {element.name[:40]}", "has a property twice", "each name once"))
-    return Header(elements, comments, found, stop + 1)
+    return Header([*elements.values()], comments, found, stop + 1, unknown)
+
+
+def _strange(line: str) -> InvalidFile:
+    return InvalidFile(Problem("the header", f"has the line {line.strip()[:60]!r}", _ALLOWED))
 
 
 class _Binary:

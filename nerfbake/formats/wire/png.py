@@ -1,6 +1,8 @@
 r"""Check the checksums of a PNG's pixels, which Pillow skips.
 
-    \x89 P N G \r \n \x1a \n | chunks: u32 length, 4 bytes of type, data, u32 CRC-32 of type and data (big endian) | IEND
+    \x89 P N G \r \n \x1a \n | chunks: u32 length, 4 bytes of type, data, u32 CRC-32 of type and data | IEND
+
+Numbers are big endian.
 
 Pillow checks the CRC of all other chunks. It stops inflating at the last row, so that it does not always reach the
 Adler-32 of the stream: of 400 single bits flipped in a small texture, 119 gave other texels.

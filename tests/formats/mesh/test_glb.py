@@ -21,6 +21,7 @@ from PIL import Image
 from nerfbake import Meshes, load, save
 from nerfbake.errors import NerfbakeError
 from nerfbake.formats.mesh import glb as glb_format
+from nerfbake.formats.mesh.glb_document import Document
 from nerfbake.memory import memory_limit
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import TEXELS, assert_same_mesh, painted, sphere, square
@@ -84,7 +85,7 @@ def test_normals_point_outwards_and_have_no_seam(tmp_path: Path) -> None:
     )
     for quantised in (False, True):
         save(tmp_path / "a.glb", Meshes((split,)), lit=True, quantised=quantised, force=True)
-        found = glb_format.Document(memoryview((tmp_path / "a.glb").read_bytes()))
+        found = Document(memoryview((tmp_path / "a.glb").read_bytes()))
         index = found.root["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
         normals = found.accessor(index, ("VEC3",))
         np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=0.01)
@@ -350,6 +351,53 @@ def test_a_picture_may_be_in_a_data_uri() -> None:
     np.testing.assert_array_equal(found.texture, [[[1, 2, 3]]])
 
 
+def test_sparse_accessors_replace_entries_of_an_accessor_or_of_zeros() -> None:
+    order = np.array([1, 3], np.uint16).tobytes()
+    moved = np.array([[5, 6, 7], [8, 9, 10]], np.float32)
+    views = document()["bufferViews"]
+    views += [{"buffer": 0, "byteOffset": 56, "byteLength": 4}, {"buffer": 0, "byteOffset": 60, "byteLength": 24}]
+    part = {"count": 2, "indices": {"bufferView": 2, "componentType": 5123}, "values": {"bufferView": 3}}
+    body = BODY + order + moved.tobytes()
+    wanted = CORNERS.copy()
+    wanted[[1, 3]] = moved
+    (found,) = decoded(glb(document(bufferViews=views, **accessor(sparse=part)), body)).meshes
+    np.testing.assert_array_equal(found.positions, wanted)
+    zeros = document(bufferViews=views, **accessor(sparse=part))
+    del zeros["accessors"][0]["bufferView"]
+    (found,) = decoded(glb(zeros, body)).meshes
+    np.testing.assert_array_equal(found.positions, [[0, 0, 0], moved[0], [0, 0, 0], moved[1]])
+
+
+@pytest.mark.parametrize("kind", ["octet-stream", "gltf-buffer"])
+def test_a_buffer_may_be_in_a_data_uri(kind: str) -> None:
+    uri = f"data:application/{kind};base64,{base64.b64encode(BODY).decode()}"
+    (found,) = decoded(glb(document(buffers=[{"uri": uri, "byteLength": len(BODY)}]))).meshes
+    np.testing.assert_array_equal(found.positions, CORNERS)
+
+
+def test_the_container_of_sloppy_writers() -> None:
+    text = json.dumps(document()).encode()
+    padded = glb(text + bytes(-len(text) % 4), BODY)  # zeros instead of spaces
+    odd = glb({"asset": {}}) + b"later"
+    np.testing.assert_array_equal(decoded(padded + b"\n").meshes[0].positions, CORNERS)
+    with pytest.raises(NerfbakeError, match="has no faces"):
+        decoded(odd.replace(b"BIN\0", b"ODD\0"))
+
+
+def test_texture_coordinates_that_are_not_numbers_are_told() -> None:
+    uvs = CORNER_UVS.copy()
+    uvs[1] = np.nan
+    found = decoded(textured(moved(), uvs))
+    np.testing.assert_array_equal(found.meshes[0].require_uvs()[1], [0, 0])
+    assert found.notes == ("texture coordinates that are not numbers are 0",)
+
+
+def test_copies_that_are_not_read_are_told() -> None:
+    node = {"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0}}}}
+    told = "copies by EXT_mesh_gpu_instancing are not read: each mesh is read once"
+    assert decoded(glb(document(nodes=[node]), BODY)).notes == (told,)
+
+
 def test_poses_that_are_not_applied_are_told() -> None:
     assert decoded(glb(document(), BODY)).notes == ()
     assert decoded(glb(document(nodes=[{"mesh": 0, "skin": 0}]), BODY)).notes == (
@@ -368,6 +416,10 @@ def deep(depth: int) -> dict[str, Any]:
 
 
 NAN = struct.pack("<f", np.nan) + BODY[4:]
+DRACO = "KHR_draco_mesh_compression"
+NO_DATA = {"accessors": [{"componentType": 5126, "count": 4, "type": "VEC3"}, document()["accessors"][1]]}
+# The indices and the values are the first bytes of the other views.
+REPLACED = {"count": 4, "indices": {"bufferView": 1, "componentType": 5123}, "values": {"bufferView": 0}}
 LIES: dict[str, tuple[bytes, str]] = {
     "no glTF": (b"glTF", "is not a .glb"),
     "version 1": (glb(document(), BODY).replace(b"\x02\0\0\0", b"\x01\0\0\0", 1), "has version 1"),
@@ -419,7 +471,24 @@ LIES: dict[str, tuple[bytes, str]] = {
     ),
     "text as positions": (glb(document(**accessor(type="TEXT")), BODY), "accessors[0] is TEXT of 5126"),
     "a list as a type": (glb(document(**accessor(componentType=[])), BODY), "accessors[0] is VEC3 of []"),
-    "sparse": (glb(document(**accessor(sparse={})), BODY), "accessors[0] is sparse"),
+    "sparse": (glb(document(**accessor(sparse={})), BODY), "accessors[0].sparse.count is None"),
+    "sparse of nothing": (
+        glb(document(**accessor(sparse={"count": 1})), BODY),
+        "accessors[0].sparse has no indices or values; allowed: indices of 5121, 5123 or 5125, and values",
+    ),
+    "sparse beyond": (
+        glb(document(**accessor(count=3, sparse=REPLACED)), BODY),
+        "accessors[0].sparse.indices go to 3; allowed: 0 to 2",
+    ),
+    "sparse behind the end": (
+        glb(document(**accessor(sparse=REPLACED | {"count": 1000})), BODY),
+        "accessors[0].sparse.indices has 1,000 entries, up to byte 2,000",
+    ),
+    "terabytes of zeros": (
+        glb(document(accessors=[{"componentType": 5126, "count": 1 << 39, "type": "VEC3"}] * 2), BODY),
+        "accessors[0] has 549,755,813,888 entries without a bufferView; allowed: 1 to 5,592,405, which are zeros",
+    ),
+    "Draco, not required": (glb(document(meshes=primitive(extensions={DRACO: {}}), **NO_DATA), BODY), f"needs {DRACO}; allowed"),
     "another file": (glb(document(buffers=[{"uri": "/etc/passwd"}]), BODY), "is in another file"),
     "a picture elsewhere": (glb(document(**image(uri="file:///etc/passwd")), BODY), "images[0] is in another file"),
     "no picture": (glb(document(**image(bufferView=0)), BODY), "images[0] cannot be read"),
@@ -523,7 +592,7 @@ def test_a_stream_is_known_by_its_first_bytes() -> None:
 def test_a_material_is_two_textures_and_the_albedo_is_read_again() -> None:
     albedo, own = np.full((4, 4, 3), 90, np.uint8), np.full((4, 4, 2), (64, 200), np.uint8)
     scene = Meshes((replace(square(), texture=albedo, material=own),))
-    document = glb_format.Document(memoryview(b"".join(glb_format.encode(scene))))
+    document = Document(memoryview(b"".join(glb_format.encode(scene))))
     (material,) = document.root["materials"]
     specular = material["extensions"]["KHR_materials_specular"]["specularTexture"]["index"]
     surface = material["pbrMetallicRoughness"]

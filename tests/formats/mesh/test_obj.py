@@ -107,6 +107,49 @@ def test_a_material_elsewhere_is_ignored(library: str, material: str, tmp_path: 
     assert load(tmp_path / "below" / "a.obj", Meshes).meshes[0].texture is None
 
 
+INSIDE: dict[str, tuple[str, str]] = {  # of each case: the library of the .obj and the picture of its material
+    "textures/a.png": ("a.mtl", "textures/a.png"),
+    "a backslash": ("a.mtl", "textures\\a.png"),
+    "./textures//a.png": ("a.mtl", "./textures//a.png"),
+    "with options": ("a.mtl", "-bm 1 textures/a.png"),
+    "a library below": ("textures/a.mtl", "a.png"),
+    "a library below, from the .obj": ("textures/a.mtl", "textures/a.png"),
+}
+
+
+@pytest.mark.parametrize("case", INSIDE)
+def test_a_picture_may_be_in_a_folder_below(case: str, tmp_path: Path) -> None:
+    library, picture = INSIDE[case]
+    save(tmp_path / "a.obj", TEXTURED)
+    (tmp_path / "textures").mkdir()
+    (tmp_path / "a.png").rename(tmp_path / "textures" / "a.png")
+    (tmp_path / library).write_text(f"newmtl mesh_0\nmap_Kd {picture}\n")
+    (tmp_path / "a.obj").write_text((tmp_path / "a.obj").read_text().replace("mtllib a.mtl", f"mtllib {library}"))
+    found = load(tmp_path / "a.obj", Meshes)
+    np.testing.assert_array_equal(found.meshes[0].texture, TEXELS)
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize("name", ["textures/a.png", "out/a.png", "textures/../../outside/a.png", "in/../in/a.png"])
+def test_no_name_leads_out_of_the_folder_through_links(name: str, tmp_path: Path) -> None:
+    outside, folder = tmp_path / "outside", tmp_path / "mesh"
+    (folder / "textures").mkdir(parents=True)
+    (folder / "in").mkdir()
+    outside.mkdir()
+    save(outside / "a.obj", TEXTURED)
+    (folder / "a.obj").write_bytes((outside / "a.obj").read_bytes())
+    (folder / "in" / "a.png").write_bytes((outside / "a.png").read_bytes())
+    (folder / "textures" / "a.png").symlink_to(outside / "a.png")
+    (folder / "out").symlink_to(outside)
+    (folder / "a.mtl").write_text(f"newmtl mesh_0\nmap_Kd {name}\n")
+    found = load(folder / "a.obj", Meshes)
+    assert found.meshes[0].texture is None
+    assert found.notes == (f"texture {name!r} is no PNG or JPEG in the folder of the .obj",)
+    (folder / "inside").symlink_to(folder / "in")
+    (folder / "a.mtl").write_text("newmtl mesh_0\nmap_kd inside/a.png\n")
+    assert load(folder / "a.obj", Meshes).meshes[0].texture is not None
+
+
 def test_options_of_a_map_are_skipped(tmp_path: Path) -> None:
     save(tmp_path / "a.obj", TEXTURED)
     (tmp_path / "a.png").rename(tmp_path / "my 2.png")
@@ -226,6 +269,91 @@ def test_a_weight_is_not_a_colour() -> None:
     assert parsed("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n").colours is None
 
 
+def decoded(text: str) -> Meshes:
+    return obj.decode(memoryview(text.encode()))
+
+
+AMBIGUOUS = "vertices with seven numbers are read as x y z, red, green, blue and opacity"
+
+
+@pytest.mark.parametrize(
+    ("rows", "colours", "notes"),
+    [
+        # Opacity, a weight, and both in the same places.
+        (("1 0 0 1", "0 1 0 1", "0 0 1 1"), np.eye(3), ()),
+        (("1 0 0 .5", "0 1 0 .5", "0 0 1 0"), np.eye(3), ()),
+        (("255 0 0 255", "0 255 0 255", "0 0 255 255"), np.eye(3), ("colours go to 255, and are divided by 255",)),
+        (("1 1 0 0", "1 0 1 0", "1 0 0 1"), np.eye(3), ()),
+        (("1.0 1 0 0", "1 0 1 0", "1 0 0 1"), np.eye(3), ()),
+        (("2 1 0 0", "1 0 1 0", "3 0 0 1"), np.eye(3), ()),
+        (("1 0 0 1", "1 .5 0 1", "1 0 .5 1"), [[1, 0, 0], [1, 0.5, 0], [1, 0, 0.5]], (AMBIGUOUS,)),
+        (("1 1 1 1", "1 1 1 1", "1 1 1 1"), np.ones((3, 3)), ()),
+    ],
+)
+def test_seven_numbers_are_a_colour_with_opacity_or_a_weight(rows: Any, colours: Any, notes: Any) -> None:
+    corners = ("0 0 0", "1 0 0", "0 1 0")
+    text = "".join(f"v {corner} {row}\n" for corner, row in zip(corners, rows, strict=True))
+    found = decoded(text + "f 1 2 3\n")
+    np.testing.assert_allclose(np.array(found.meshes[0].colours), colours, atol=1e-6)
+    assert found.notes == notes
+
+
+def test_vertices_without_a_colour_are_grey_beside_others_and_white_on_a_texture(tmp_path: Path) -> None:
+    grey, white = (f"vertices without a colour beside others are {name}" for name in ("grey", "white"))
+    some = "v 0 0 0\nv 1 0 0 1 0 0\nv 0 1 0 7\n"
+    found = decoded(some + "f 1 2 3\n")
+    np.testing.assert_array_equal(found.meshes[0].colours, [[0.75] * 3, [1, 0, 0], [0.75] * 3])
+    assert found.notes == (grey,)
+    two = "o a\nusemtl a\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n"
+    two += "o b\nusemtl {}\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf 4 5 6\n"
+    apart = decoded(two.format("b"))
+    assert ([mesh.colours is None for mesh in apart.meshes], apart.notes) == ([False, True], ())
+    joined = decoded(two.format("a"))
+    np.testing.assert_array_equal(joined.meshes[0].colours, [[1, 0, 0]] * 3 + [[0.75] * 3] * 3)
+    assert joined.notes == (grey,)
+    save(tmp_path / "a.obj", TEXTURED)
+    (tmp_path / "a.obj").write_text((tmp_path / "a.obj").read_text().replace("v -1 -1 0", "v -1 -1 0 1 0 0"))
+    found = load(tmp_path / "a.obj", Meshes)
+    np.testing.assert_array_equal(found.meshes[0].colours, [[1, 0, 0]] + [[1, 1, 1]] * 3)
+    assert found.notes == (white,)
+
+
+def test_colours_that_zbrush_writes_as_comments() -> None:
+    corners, face = "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "f 1 2 3\n"
+    found = decoded(f"{corners}#MRGB ffff0000ff00ff00\n#MRGB 000000FF\n{face}")
+    np.testing.assert_array_equal(found.meshes[0].colours, np.eye(3))
+    told = ("the colours of #MRGB are not read, because they do not fit the vertices",)
+    for paint in ("ffff0000", "ffff000", "ffff000x" * 3):
+        found = decoded(f"{corners}#MRGB {paint}\n{face}")
+        assert (found.meshes[0].colours, found.notes) == (None, told)
+
+
+def test_faces_of_fewer_than_three_corners_are_skipped() -> None:
+    found = decoded("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\nf 3 2 1\nf 1\nusemtl b\nf 1 2 3\nf \n")
+    assert [mesh.faces.tolist() for mesh in found.meshes] == [[[2, 1, 0]], [[0, 1, 2]]]
+    assert found.notes == ("faces of fewer than three corners are skipped (3)",)
+
+
+def test_indices_of_texture_coordinates_that_the_file_lacks_are_told() -> None:
+    found = decoded("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1/1 2/7/1 3/-1\n")
+    assert (found.meshes[0].uvs, found.meshes[0].faces.tolist()) == (None, [[0, 1, 2]])
+    assert found.notes == ("faces name texture coordinates, of which the file has none",)
+
+
+@pytest.mark.parametrize("wrong", ["nan nan", "-nan 1", "-1.#IND00 0", "1.#QNAN 1", "-nan(ind) 0", "nan(snan) 0"])
+def test_texture_coordinates_that_are_not_numbers_are_told(wrong: str) -> None:
+    found = decoded(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt {wrong}\nvt 0 1 # 1.#IND\nf 1/1 2/2 3/3\n")
+    assert found.meshes[0].require_uvs()[1][0] == 0
+    assert found.notes == ("texture coordinates that are not numbers are 0",)
+
+
+@pytest.mark.parametrize("text", ["f 1 \\\n2\\\r\n 3\n", "f 1 2 \\ \t\r\n3\n", "f 1 2 3"])
+def test_lines_are_joined_and_end_as_on_any_system(text: str) -> None:
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    assert parsed(corners + text).faces.tolist() == [[0, 1, 2]]
+    assert parsed((corners + "usemtl a\nf 1 2 3\n").replace("\n", "\r")).faces.tolist() == [[0, 1, 2]]
+
+
 def test_a_texture_coordinate_may_be_one_number() -> None:
     found = parsed("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt .25\nvt 1 .5 0\nvt .75\nf 1/1 2/2 3/3\n")
     np.testing.assert_array_equal(found.require_uvs(), [[0.25, 1], [1, 0.5], [0.75, 1]])
@@ -256,7 +384,8 @@ LIES: dict[str, tuple[bytes, str]] = {
         b"v 0 0 0\nvt 0\nf 1 1 1\nf 1/1 1/0 1\n",
         "face 2 has the vt index 0; allowed: 1 to 1",
     ),
-    "two corners": (b"v 0 0 0\nf 1 1 1\nf 1 1\n", "cannot be read: face 2 has 2 corners; allowed: 3 or more"),
+    "two corners": (b"v 0 0 0\nf 1 1\nf 1\nf \n", "has no faces; allowed: at least one triangle"),
+    "a corner too many behind two corners": (b"v 0 0 0\nf 1 1\nf 1 1 1\nf 1 1 2\n", "face 3 has the v index 2"),
     "a fractional corner": (b"v 0 0 0\nf 1 1 1\nf 1 1.0 1\n", "cannot be read: face 2 has '1.0'"),
     "two numbers": (b"v 0 0 0\n# v\nv 1 0\nf 1 1 1\n", "cannot be read: vertex 2 has 2 numbers; allowed: 3 or more"),
     "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh positions[0, 0] is nan"),
@@ -281,3 +410,12 @@ def test_a_stream_is_known_by_its_first_bytes() -> None:
     assert obj.recognise(memoryview(b"v\t0 0 0\n"))
     assert not obj.recognise(memoryview(b'{"frames": [],\n"v": 1}'))
     assert not obj.recognise(memoryview(b"\0v 1 2 3\nv "))
+
+
+@pytest.mark.data
+def test_odd_files_of_other_programs(data: Path) -> None:
+    folder = data / "reports" / "F9_odd_meshes"
+    assert load(folder / "line2.obj", Meshes).notes == ("faces of fewer than three corners are skipped (1)",)
+    assert load(folder / "vt_none.obj", Meshes).notes == ("faces name texture coordinates, of which the file has none",)
+    found = load(folder / "sub.obj", Meshes)
+    assert (found.meshes[0].texture is not None, found.notes) == (True, ())
