@@ -126,7 +126,7 @@ def odd_plys() -> Iterator[bytes]:
     faces = np.zeros(2, [("n", "u1"), ("v", "<i4", 3), ("m", "u1"), ("c", "<f4", 3)])
     faces["n"], faces["v"], faces["m"] = 3, [[0, 1, 2], [3, 2, 1]], 3
     yield (binary + "by hand\n" + head + end).encode() + points.tobytes() + faces.tobytes()
-    yield (text + head + end + rows + "3 0 1 2 3 1 1 1\n2 1 0 3 1 1 1\n").encode()
+    yield (text + head + end + rows + "3 0 1 2 3 1 1 1\n3 2 1 0 3 1 1 1\n").encode()
     colours = "".join(f"property double {name}\n" for name in ("red", "green", "blue"))
     rows = "".join(f"{row} 255 0 nan\n" for row in rows.splitlines())
     yield (text + head + colours + end + rows + "3 0 1 2 3\n3 1 0 3 1\n").encode().replace(b"\n", b"\r")

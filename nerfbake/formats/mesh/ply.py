@@ -130,11 +130,10 @@ class _Polygons:
         self._corners, self._counts, self.longer = corners, counts, longer
 
     def fit(self, vertices: int) -> bool:
-        """Whether all corners are vertices, and most polygons have three or more."""
-        if not len(self._corners):
-            return not len(self._counts)
-        inside = self._corners.min() >= 0 and self._corners.max() < vertices
-        return bool(inside and 2 * np.count_nonzero(self._counts >= 3) >= len(self._counts))
+        """Whether all corners are vertices, and all polygons have three or more."""
+        if not len(self._corners) or self._counts.min() < 3:
+            return False
+        return bool(self._corners.min() >= 0 and self._corners.max() < vertices)
 
     def of_strips(self) -> _Polygons:
         """Return the triangles, if these are strips. Triangles without an area, which join strips, are left out."""

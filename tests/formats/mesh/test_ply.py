@@ -16,7 +16,7 @@ from nerfbake import Meshes, Splats, load, save
 from nerfbake.errors import NerfbakeError
 from nerfbake.formats.mesh import ply
 from tests.support.hostile import refused_as_it_is
-from tests.support.meshes import assert_same_mesh, cube, painted, polygon_ply, sphere, square
+from tests.support.meshes import assert_same_mesh, cube, odd_plys, painted, polygon_ply, sphere, square
 from tests.support.splats import splats
 
 COLOURS = ("red", "green", "blue")
@@ -197,6 +197,15 @@ def test_elements_behind_the_faces_are_no_longer_rows() -> None:
     joined = head.replace(b"end_header", edges).replace(b"255 0 0\n1", b"255 0 0 1") + b"0 1\n"
     found = ply.decode(memoryview(joined))
     assert (len(found.meshes[0].faces), found.notes) == (3, ())
+
+
+def test_short_binary_rows_that_are_longer_than_declared() -> None:
+    """As declared, the second row would be a polygon without corners and the byte behind it."""
+    content = list(odd_plys())[2]
+    found = ply.decode(memoryview(content))
+    np.testing.assert_array_equal(found.meshes[0].faces, [[0, 1, 2], [3, 2, 1]])
+    assert found.notes == ("the line 'by hand' of the header is skipped", LONGER)
+    assert len(ply.decode(memoryview(content[:-12] + b"abc")).meshes[0].faces) == 1
 
 
 @pytest.mark.parametrize("order", "<>")
