@@ -20,7 +20,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake import memory
 from nerfbake.formats.mesh.colours import GREY, normalised, sound_colours
 from nerfbake.formats.mesh.glb_document import Document, extension_of, inline, list_of, malformed, numbers_of, whole
 from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
