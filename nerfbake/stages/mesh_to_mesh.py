@@ -10,18 +10,26 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Faces
+from nerfbake.kernels.arrays import Faces, Floats
 from nerfbake.kernels.surface.triangles import compacted, turned_over, untangled
 from nerfbake.scene.mesh import Mesh
 
 _FACE_BYTES = 600  # per face, while edges are collapsed
+# The library stops at an absolute error, in a coarse and in a tiny world too late or too early, and has an absolute
+# smallest area. A ball of 1,500 triangles is 10 % off at a size of 0.02, 0.4 % at 2, 0.24 % from 20 to 2,000, and keeps
+# 5,568 triangles at 200,000. So the longest edge of its box becomes 2^6 to 2^7 before the call.
+_SIZE = 7
+# How fast the allowed error grows. Where the library's own 7 stops at too many triangles, further calls start from its
+# result, with new quadrics: a sheet of noise has 129 triangles instead of 50 after the first, and 50 after the second.
+_AGGRESSIVENESS = 7.0, 10.0, 12.0
 _ROUNDS = 30  # of untangling
 
 
 def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
     """Return the surface with at most about `triangles` triangles; a mesh that has so few already stays as it is.
 
-    Texture coordinates, texture and colours are left out. Faces that the collapses turned over are untangled, and
+    A surface that would fold keeps more. The unit of the world does not matter: positions times a power of two give the
+    same faces, and positions times that power. Texture coordinates, texture and colours are left out. Faces that the collapses turned over are untangled, and
     left out if that fails, as at the rim of a hole. Raises InvalidScene, MemoryLimit.
     Source: Garland and Heckbert, "Surface simplification using quadric error metrics" (1997).
 
@@ -35,13 +43,8 @@ def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
         raise InvalidScene(Problem("triangles", f"are {triangles:,}", "4 or more"))
     positions, faces = mesh.positions, mesh.faces
     if len(faces) > triangles:
-        import fast_simplification
-
         memory.require("simplifying the surface", _FACE_BYTES * len(faces))
-        found = fast_simplification.simplify(
-            positions.astype(np.float64), faces.astype(np.int32), target_count=triangles
-        )
-        positions, faces = found[0], found[1].astype(np.uint32)
+        positions, faces = _collapsed(positions.astype(np.float64), faces, triangles)
     faces = _without_doubles(faces)
     straight = untangled(positions.astype(np.float64), faces, _ROUNDS).astype(np.float32)
     # A face that is left out changes the normals of its corners, and with them what counts as turned over.
@@ -51,6 +54,20 @@ def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
         raise InvalidScene(Problem("the mesh", "has no face that looks outwards", "a surface"))
     positions, faces = compacted(straight, faces)
     return memory.kept(Mesh(positions, None, faces))
+
+
+def _collapsed(positions: Floats, faces: Faces, triangles: int) -> tuple[Floats, Faces]:
+    """Collapse edges until `triangles` triangles are left, or more would fold the surface."""
+    import fast_simplification
+
+    corners = np.stack([positions.min(axis=0), positions.max(axis=0)])
+    middle = corners.mean(axis=0)
+    scale = np.ldexp(1.0, _SIZE - int(np.frexp((corners[1] - corners[0]).max())[1]))
+    found = (positions - middle) * scale, faces.astype(np.int32)
+    for aggressiveness in _AGGRESSIVENESS:
+        if len(found[1]) > triangles:
+            found = fast_simplification.simplify(*found, target_count=triangles, agg=aggressiveness)
+    return found[0] / scale + middle, found[1].astype(np.uint32)
 
 
 def _without_doubles(faces: Faces) -> Faces:

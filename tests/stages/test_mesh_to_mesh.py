@@ -15,6 +15,7 @@ import trimesh
 from nerfbake import simplify_surface
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.surface.triangles import turned_over
+from nerfbake.scene.mesh import Mesh
 from tests.support.meshes import sphere
 
 
@@ -25,6 +26,30 @@ def test_a_ball_stays_a_ball() -> None:
     found = trimesh.Trimesh(simpler.positions, simpler.faces, process=False)
     assert found.is_volume
     np.testing.assert_allclose(np.linalg.norm(simpler.positions, axis=1), 1, atol=0.02)
+
+
+@pytest.mark.parametrize("exponent", [-14, -7, 3, 10, 17, 20])
+def test_the_unit_of_the_world_changes_nothing_but_the_positions(exponent: int) -> None:
+    """The limits of the library are absolute: a ball of 2^-7 was 10 % off, and one of 2^17 kept 15,082 triangles."""
+    ball, unit = rough_sphere(), np.float32(2.0**exponent)
+    simpler = simplify_surface(ball, triangles=1500)
+    scaled = simplify_surface(replace(ball, positions=ball.positions * unit), triangles=1500)
+    np.testing.assert_array_equal(scaled.faces, simpler.faces)
+    np.testing.assert_array_equal(scaled.positions, simpler.positions * unit)
+    assert 1470 < len(simpler.faces) <= 1500
+
+
+def test_a_ball_far_from_the_origin_is_as_round() -> None:
+    ball = sphere(64, 128)
+    away = np.array([3e5, -5e5, 1e5], np.float32)
+    simpler = simplify_surface(replace(ball, positions=ball.positions * 64 + away), triangles=1500)
+    assert len(simpler.faces) == 1500
+    np.testing.assert_allclose(np.linalg.norm(simpler.positions - away, axis=1), 64, rtol=0.004)
+
+
+def test_so_many_triangles_as_are_asked_for() -> None:
+    """One call of the library ends with 129 triangles of this sheet of noise."""
+    assert len(simplify_surface(rough_sheet(), triangles=50).faces) <= 50
 
 
 def test_few_triangles_are_refused() -> None:
@@ -51,6 +76,21 @@ def test_the_same_surface_in_one_thread_and_in_another_process() -> None:
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     there = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert there.stdout.strip() == here
+
+
+def rough_sphere() -> Mesh:
+    ball, random = sphere(64, 128), np.random.default_rng(0)
+    return replace(ball, positions=ball.positions + random.normal(0, 0.005, ball.positions.shape).astype(np.float32))
+
+
+def rough_sheet(n: int = 96) -> Mesh:
+    """n x n vertices of distance 1, with random heights."""
+    x, y = np.meshgrid(np.arange(float(n)), np.arange(float(n)), indexing="ij")
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
+    quads = np.stack([corner, corner + n, corner + n + 1, corner + 1], axis=1)
+    faces = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.uint32)
+    heights = np.random.default_rng(0).normal(0, 10, x.size)
+    return Mesh(np.column_stack([x.ravel(), y.ravel(), heights]).astype(np.float32), None, faces)
 
 
 def digest() -> str:
