@@ -5,10 +5,11 @@ Jobs that read PlenOctrees and octrees use sample_splats() to read splats, too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-from nerfbake import progress
-from nerfbake.errors import UsageError
+from nerfbake import memory, progress
+from nerfbake.errors import MemoryLimit, UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
@@ -17,10 +18,12 @@ from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.splats import Splats, Up
-from nerfbake.scene.views import world_box
-from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, inner_box, whole_box, with_z_up
+from nerfbake.scene.views import Views, world_box
+from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, finest_voxels, inner_box, whole_box, with_z_up
 
-RESOLUTION = 256  # voxels along the longest edge, by default
+RESOLUTION = 256  # most voxels along the longest edge, by default
+_COARSEST = 16  # fewest voxels along the longest edge, if they are chosen by the memory that is left
+_COARSER = 0.75  # of the voxels along an edge are tried next, if they do not fit into memory
 EPOCHS = 1
 # Number and edge of the pictures to which voxels are fitted. A real scene in 512^3 has 36.97 dB with 160 pictures that
 # are used once, and 36.82 dB with 80 that are used twice, in a fifth less time. 144 stay below 40 seconds in 256^3.
@@ -97,50 +100,69 @@ def sample_splats(
     those of build_octree_from_splats().
     """
 
-    from nerfbake.jobs.views import orbit_psnr
+    from nerfbake.jobs.views import orbit_psnr, picture_views
     from nerfbake.stages.scene_to_cameras import scatter_cameras
     from nerfbake.stages.splats_to_octree import build_octree_from_splats
 
-    edges = {resolution} if isinstance(resolution, int) else set(resolution or (RESOLUTION,))
+    edges = {resolution} if isinstance(resolution, int) else set(resolution or ())
     if len(edges) > 1:
         raise UsageError("the voxels of splats are cubes; allowed: one number as `resolution`")
     kept, box = choose_splats(steps, source, splats, options, part)
-    cameras = scatter_cameras(kept, frames=_FRAMES, edge=_EDGE)
-    with source.blamed(steps, "filling voxels"):
-        octree = build_octree_from_splats(
-            kept,
-            resolution=edges.pop(),
-            box=box,
-            opacity_min=0,
-            sigma_min=sigma_min,
-            pixel=pixel_of(cameras, box),
-            basis=basis,
-            layout=layout,
-            dtype=dtype,
-        )
+    with source.blamed(steps, "framing"):
+        cameras = scatter_cameras(kept, frames=_FRAMES, edge=_EDGE)
+    size = min(edges, default=0) or finest_voxels(kept, box, most=RESOLUTION)
+    views = None
     if options.epochs:
-        octree = _refitted(steps, source, octree, kept, cameras, options.epochs)
+        with source.blamed(steps, "rendering pictures of the splats"):
+            views = picture_views(kept, cameras, 1)
+
+    def octree_of(size: int) -> SparseVoxelOctree:
+        with source.blamed(steps, "filling voxels"):
+            octree = build_octree_from_splats(
+                kept,
+                resolution=size,
+                box=box,
+                opacity_min=0,
+                sigma_min=sigma_min,
+                pixel=pixel_of(cameras, box),
+                basis=basis,
+                layout=layout,
+                dtype=dtype,
+            )
+        return octree if views is None else _refitted(steps, source, octree, views, options.epochs)
+
+    octree = octree_of(size) if edges else _fitting_into_memory(octree_of, size)
     with source.blamed(steps, "measuring the loss"):
         decibels = orbit_psnr(kept, octree, _JUDGES, _EDGE)
-    voxels = f"{'x'.join(map(str, octree.size))} voxels"
+    why = "" if edges or max(octree.size) == size else " (the finest that fit into memory)"
+    voxels = f"{'x'.join(map(str, octree.size))} voxels{why}"
     steps.say(f"{source.name}: in {voxels}, {decibels:.2f} dB against {_JUDGES} pictures of the splats")
     return octree, kept
 
 
+def _fitting_into_memory(octree_of: Callable[[int], SparseVoxelOctree], size: int) -> SparseVoxelOctree:
+    """Return the octree with `size` voxels along its longest edge, or with as many as fit into memory."""
+    while True:
+        try:
+            with memory.scope():
+                return octree_of(size)
+        except MemoryLimit:
+            if size <= _COARSEST:
+                raise
+        size = max(int(size * _COARSER), _COARSEST)
+
+
 def _refitted(
-    steps: Steps, source: Source, octree: SparseVoxelOctree, splats: Splats, cameras: Cameras, epochs: int
+    steps: Steps, source: Source, octree: SparseVoxelOctree, views: Views, epochs: int
 ) -> SparseVoxelOctree:
     """Return the octree with values fitted to pictures of the splats."""
-    from nerfbake.jobs.views import picture_views
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
     from nerfbake.stages.brick_field_to_octree import fill_octree
     from nerfbake.stages.octree_to_brick_field import build_bricks
 
-    with source.blamed(steps, "rendering pictures of the splats"):
-        posed = picture_views(splats, cameras, 1)
     with source.blamed(steps, "fitting the voxels to them"):
-        count = epochs * _FRAMES
-        for done, state in enumerate(refit_bricks(build_bricks(octree), posed, epochs=epochs)):
+        count = epochs * len(views.pictures)
+        for done, state in enumerate(refit_bricks(build_bricks(octree), views, epochs=epochs)):
             progress.report(done / count, f"epoch {state.epoch + 1} of {epochs}")
         return fill_octree(octree, state.field())
 

@@ -1,8 +1,9 @@
-"""Choose the splats of a scene: the box around them without those that lie far outside, and their up axis."""
+"""Choose the splats of a scene: the box around them without those far outside, its voxels, and their up axis."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,10 @@ OPACITY_MIN = 1 / 255  # pictures of splats leave out what is thinner
 _FROM_Y_DOWN = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])  # x right, z forward to x right, z up
 _STRAYS = 0.01  # share of the splats at each end of an axis that do not count as the middle
 _BEYOND = 0.5  # widths of the middle by which the box may reach beyond it, at each end
+# Share of the splats that may be too small for the voxels, and voxels across a standard deviation. A splat in voxels of
+# 1, 1/2, 1/4 and 1/6 of its standard deviation has 39.3, 46.8, 40.7 and 38.1 dB after a fit to 36 pictures; a fog of
+# 563 equal ones has 39.2 and 39.1 dB in 1 and 1/2.
+_SMALL, _ACROSS = 0.05, 2
 _REACH = 3  # standard deviations of a usual splat around the centres
 
 
@@ -44,6 +49,17 @@ def whole_box(splats: Splats, *, opacity_min: float = OPACITY_MIN) -> Points:
     held = _opaque(splats, opacity_min)
     centres, reach = splats.means[held].astype(np.float64), _usual_reach(splats, held)
     return np.stack([centres.min(axis=0) - reach, centres.max(axis=0) + reach])
+
+
+def finest_voxels(splats: Splats, box: Points, *, most: int) -> int:
+    """Return the number of voxels along the longest edge of a box that these splats need, 1 to `most`.
+
+    Voxels are half as wide as the splats that 95 % are larger than. A lower resolution blurs them, and a higher one
+    takes time and memory, and is worse after the same fit.
+    """
+    narrow = np.sort(splats.scales.min(axis=1))[int(_SMALL * splats.n)]
+    edge = float((box[1] - box[0]).max())
+    return most if edge * _ACROSS >= most * float(narrow) else max(ceil(edge * _ACROSS / float(narrow)), 1)
 
 
 class SplatCut(NamedTuple):

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
 from nerfbake.kernels.maths.elementary import fibonacci, sine_cosine
+from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras, look_at, look_from
 from nerfbake.scene.radiance_field import RadianceField, leaves_of
 from nerfbake.stages._picture import Visible, scene_frame
@@ -31,10 +32,11 @@ def orbit_cameras(scene: Visible, *, frames: int = 1, width: int = 800, height: 
     >>> [(camera.name, camera.width, camera.height) for camera in cameras.cameras]
     [('0000', 16, 12), ('0001', 16, 12), ('0002', 16, 12)]
     """
-    centre, distance, axes = _stand(scene, frames)
+    corners, distance, axes = _stand(scene, frames)
+    centre = corners.mean(axis=0)
     turns = AZIMUTH + 2 * np.pi * np.arange(frames) / frames
     poses = [look_at(centre, turn, ELEVATION, distance, axes) for turn in turns]
-    return _cameras(poses, width, height, 1.0)
+    return _cameras(poses, width, height, 1.0, corners)
 
 
 def scatter_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0) -> Cameras:
@@ -47,9 +49,10 @@ def scatter_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0
     >>> print(scatter_cameras(build_field(sample_n3tree(resolution=16)), frames=3, edge=32))
     3 cameras
     """
-    centre, distance, axes = _stand(scene, frames)
+    corners, distance, axes = _stand(scene, frames)
+    centre = corners.mean(axis=0)
     poses = [look_from(centre, away, distance, axes) for away in fibonacci(frames)]
-    return _cameras(poses, edge, edge, zoom)
+    return _cameras(poses, edge, edge, zoom, corners)
 
 
 def without_strays(field: RadianceField) -> RadianceField:
@@ -66,8 +69,8 @@ def without_strays(field: RadianceField) -> RadianceField:
     return replace(field, box=np.stack([middle - half, middle + half]).clip(*field.box))
 
 
-def _stand(scene: Visible, frames: int) -> tuple[npt.NDArray[np.float64], float, npt.NDArray[np.float64]]:
-    """Return the target and the distance of the cameras, and the scene's axes.
+def _stand(scene: Visible, frames: int) -> tuple[Points, float, Points]:
+    """Return the corners (2, 3) of the scene's box, the distance of the cameras from its middle, and its axes (3, 3).
 
     Raises InvalidScene if the number of frames is out of range.
     """
@@ -76,10 +79,15 @@ def _stand(scene: Visible, frames: int) -> tuple[npt.NDArray[np.float64], float,
     corners, axes = scene_frame(scene)
     radius = length(corners[1] - corners[0]) / 2
     sine, _ = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
-    return corners.mean(axis=0), _MARGIN * radius / sine, axes
+    return corners, _MARGIN * radius / sine, axes
 
 
-def _cameras(poses: list[npt.NDArray[np.float64]], width: int, height: int, zoom: float) -> Cameras:
+def _cameras(poses: list[Points], width: int, height: int, zoom: float, corners: Points) -> Cameras:
+    """Return cameras around a box (2, 3). Raises InvalidScene if one of them would be out of range."""
+    if not max(float(np.abs(pose[:3, 3]).max()) for pose in poses) <= MAX_WORLD:
+        place = ", ".join(f"{value:.3g}" for value in corners.mean(axis=0).tolist())
+        found = f"is {float((corners[1] - corners[0]).max()):.3g} world units wide, around ({place})"
+        raise InvalidScene(Problem("the scene", found, f"one that cameras within {MAX_WORLD:g} world units frame"))
     sine, cosine = (float(part) for part in sine_cosine(FIELD_OF_VIEW / 2))
     focal = zoom * (0.5 * min(width, height) * cosine / sine)
     return Cameras(tuple(Camera(width, height, focal, pose, f"{i:04d}") for i, pose in enumerate(poses)))

@@ -121,11 +121,13 @@ def _filled(gaussians: Gaussians, colours: Singles, size: tuple[int, int, int], 
     counts = np.zeros(grid, np.int32)
     count_in_bricks(gaussians, counts)
     cells, values = [np.zeros((0, 3), np.int32)], [np.zeros((0, colours.shape[1] + 1), np.float32)]
+    held = 0
     for first, last in progress.each(_parts(counts)):
         for some, own in _part(gaussians, colours, counts[first:last], first, size, least):
             cells.append(some)
             values.append(own)
-    memory.require("the voxels", 2 * (memory.size_of(cells) + memory.size_of(values)))
+            held += some.nbytes + own.nbytes
+            memory.require("the voxels", 2 * held)
     return np.concatenate(cells), np.concatenate(values)
 
 

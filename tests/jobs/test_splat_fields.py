@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nerfbake import SparseVoxelOctree, Splats, Volume, load, save
-from nerfbake.errors import BudgetMissed, InvalidScene, UsageError
+from nerfbake.errors import BudgetMissed, InvalidScene, MemoryLimit, UsageError
 from nerfbake.jobs import (
     RefitTarget,
     bake_octree,
@@ -24,7 +26,8 @@ from nerfbake.jobs import (
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
-from nerfbake.jobs.splat_fields import SplatVoxels
+from nerfbake.jobs.splat_fields import USUAL, SplatVoxels
+from nerfbake.memory import memory_limit
 from tests.jobs.listener import Listener
 from tests.support.scenes import n3tree
 from tests.support.splats import ball_of_splats
@@ -42,6 +45,14 @@ def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fewer_rays: None) -> S
     monkeypatch.setattr(splat_fields, "_EDGE", 64)
     save("ball.ply", ball_of_splats())
     return load("ball.ply", Splats)
+
+
+def fog(n: int, *, scale: float) -> Splats:
+    """Splats of one size that fill a cube of edge 2."""
+    made, random = ball_of_splats(n), np.random.default_rng(0)
+    made.means[:] = random.uniform(-1, 1, (n, 3))
+    made.scales[:] = scale
+    return made
 
 
 def decibels(path: str) -> float:
@@ -62,8 +73,8 @@ def test_voxels_are_fitted_to_pictures_of_the_splats(listener: Listener) -> None
     assert abs(float(told.split()[4]) - fitted) < 2
     assert [phase for phase in listener.phases if "splats" in phase or "voxels" in phase] == [
         "cutting the splats",
-        "filling voxels",
         "rendering pictures of the splats",
+        "filling voxels",
         "fitting the voxels to them",
     ]
 
@@ -73,6 +84,40 @@ def test_the_same_bytes_every_time() -> None:
     bake_octree("ball.ply", "one.svo.npz", resolution=16)
     bake_octree("ball.ply", "two.svo.npz", resolution=(16, 16, 16))
     assert Path("one.svo.npz").read_bytes() == Path("two.svo.npz").read_bytes()
+
+
+@pytest.mark.usefixtures("ball")
+def test_large_splats_have_fewer_voxels(listener: Listener) -> None:
+    save("fog.ply", fog(100, scale=0.25))
+    octree = bake_octree("fog.ply", "fog.svo.npz", splats=DIRECT, steps=listener)
+    assert max(octree.size) == 28  # half as wide as a splat, in a box of 3.5
+    assert listener.said[-2].startswith("fog.ply: in 28x28x28 voxels, ")
+    assert bake_octree("fog.ply", "finer.svo.npz", resolution=40, splats=DIRECT).size == (40, 40, 40)
+
+
+@pytest.mark.usefixtures("ball")
+@pytest.mark.parametrize("options", [DIRECT, USUAL], ids=["direct", "fitted"])
+def test_voxels_that_do_not_fit_into_memory_are_larger(options: SplatVoxels, listener: Listener) -> None:
+    """A set of 563 splats filled 6,999,813 voxels of 256^3 and was refused: fitting them needed 1.7 GiB."""
+    save("fog.ply", fog(2000, scale=0.06))
+    with memory_limit(8 << 20):
+        octree = bake_octree("fog.ply", "fog.svo.npz", splats=options, steps=listener)
+        assert 16 <= max(octree.size) <= 56  # 78 are half as wide as a splat
+        [told] = [line for line in listener.said if " dB against 3 pictures" in line]
+        assert re.match(r"fog.ply: in (\d+)x\1x\1 voxels \(the finest that fit into memory\), \d+", told)
+        with pytest.raises(MemoryLimit, match="fog.ply"):
+            bake_octree("fog.ply", "other.svo.npz", resolution=78, splats=options)
+    with memory_limit(1 << 18), pytest.raises(MemoryLimit):
+        bake_octree("fog.ply", "other.svo.npz", splats=options)
+
+
+@pytest.mark.usefixtures("ball")
+def test_cameras_that_nobody_gave_are_not_blamed() -> None:
+    far = fog(50, scale=0.1)
+    save("far.ply", replace(far, means=far.means * np.float32(2e14), scales=far.scales * np.float32(1e14)))
+    for bake, name in ((bake_volume, "a.vdb"), (bake_octree, "a.svo.npz"), (view_file, "a.html")):
+        with pytest.raises(InvalidScene, match=r"^far.ply: the scene is \S+ world units wide, around \(.*\); allowed: one"):
+            bake("far.ply", name)
 
 
 def test_what_is_left_out_is_told(ball: Splats, listener: Listener) -> None:

@@ -14,9 +14,9 @@ from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
 from nerfbake.stages import splats_to_octree
-from nerfbake.stages._splat_box import cut_splats, inner_box
+from nerfbake.stages._splat_box import cut_splats, finest_voxels, inner_box
 from tests.support.scenes import assert_same_octree
-from tests.support.splats import splats
+from tests.support.splats import ball_of_splats, splats
 
 
 def ball(opacity: float, sh: np.ndarray, radius: float = 0.3) -> Splats:
@@ -147,3 +147,18 @@ def test_a_point_without_a_size_is_refused() -> None:
 def test_a_large_grid_is_refused_before_it_is_filled() -> None:
     with memory_limit(1 << 20), pytest.raises(MemoryLimit):
         build_octree_from_splats(splats(20), resolution=4096)
+
+
+def test_voxels_are_half_as_wide_as_small_splats() -> None:
+    scene, box = ball_of_splats(), np.array([[0.0, 0, 0], [3, 6, 1]])
+    scene.scales[:] = (0.5, 0.25, 1)
+    assert finest_voxels(scene, box, most=256) == 48
+    assert finest_voxels(scene, box, most=20) == 20
+    scene.scales[:20] = 1e-4  # as many as every twentieth are not counted
+    assert finest_voxels(scene, box, most=256) == 48
+    scene.scales[20] = 1e-4
+    assert finest_voxels(scene, box, most=256) == 256
+    scene.scales[:] = 0
+    assert finest_voxels(scene, box, most=256) == 256
+    scene.scales[:] = 1e9
+    assert finest_voxels(scene, box, most=256) == 1
