@@ -242,10 +242,11 @@ def fit(
 def _octree(source: Source, console: Console, resolution: Any, *, only: bool) -> Any:
     """Return the octree to measure. only: it is the only scene, so --resolution is an error if it is an octree."""
 
+    from nerfbake.scene.n3tree import N3Tree
     from nerfbake.scene.octree import SparseVoxelOctree
     from nerfbake.stages.n3tree_to_octree import build_octree
 
-    scene = source.read(console)
+    scene = source.read(console, N3Tree, SparseVoxelOctree)
     if isinstance(scene, SparseVoxelOctree):
         if only:
             allowed = "--resolution with a PlenOctree"
