@@ -9,6 +9,7 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, Source, as_source
+from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import renderable_scene, views_of
 from nerfbake.scene.atlas import BakedAtlas
@@ -134,5 +135,6 @@ def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
     fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
     kinds = *fields, Splats, Meshes, Stage1, BakedAtlas
     found = source.read_with_format(steps, *kinds)
+    tell_unused(steps, source, found.scene)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
     return found.scene, facts

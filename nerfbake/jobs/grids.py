@@ -1,17 +1,19 @@
-"""Select the grids of a volume to read or write, and its up axis."""
+"""Select the grids of a volume to read or write, and its up axis; say which ones are left out."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from nerfbake import catalog
+from nerfbake import catalog, io
 from nerfbake.errors import InvalidFile, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
+from nerfbake.kernels.soundness import plural
 
 if TYPE_CHECKING:
     from nerfbake.scene.volume import Volume
 
+_LISTED = 10  # most grids that a line names
 GRIDS = ("density", "Cd", "sh", "index")
 
 
@@ -50,6 +52,20 @@ class GridChoice(NamedTuple):
 
 
 AS_IT_IS = GridChoice()
+
+
+def tell_unused(steps: Steps, source: Source, scene: Any) -> None:
+    """Print the grids of a volume that its field leaves out. Call it before the field is built; for any scene."""
+    from nerfbake.scene.volume import Volume
+    from nerfbake.stages.scene_to_field import unused_grids
+
+    if not isinstance(scene, Volume):
+        return
+    with io.blame(source.name):
+        unused = unused_grids(scene)
+    if unused:
+        more = f" and {len(unused) - _LISTED} more" if len(unused) > _LISTED else ""
+        steps.say(f"{source.name}: leaves out {plural(len(unused), 'grid')}: {', '.join(unused[:_LISTED])}{more}")
 
 
 def require_grids(form: catalog.Format, grids: str | None, *, half: bool) -> tuple[str, ...]:

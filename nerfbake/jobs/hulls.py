@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
@@ -37,6 +38,7 @@ def bake_hull(
     source, target = as_source(source), as_target(target)
     target.require("Meshes", up=up)
     scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume)
+    tell_unused(steps, source, scene)
     with source.blamed(steps, "building the hull"):
         meshes = build_hull(build_field(scene), level=level)
     target.write(steps, meshes, up=up)

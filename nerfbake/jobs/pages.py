@@ -20,7 +20,7 @@ from nerfbake.errors import BudgetMissed, UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
@@ -307,6 +307,7 @@ def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Con
         return _Content(None, octree, splats=splats)
     scene = sample_lattice(steps, source, read.scene) if isinstance(read.scene, LatticeField) else read.scene
     scene = choice.of(steps, source, scene)
+    tell_unused(steps, source, scene)
     if isinstance(scene, Volume):
         if wish.data == "compressed" or wish.anew:
             raise UsageError(f"{source.name} is a volume, which cannot be compressed; allowed: `data=exact`")

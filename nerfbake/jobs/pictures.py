@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
@@ -220,6 +220,7 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
     if lod is not None:
         with source.blamed(steps, f"cutting at level {lod}"):
             scene = cut_octree(scene, level=lod)
+    tell_unused(steps, source, scene)
     with source.blamed(steps, "building the field"):
         return build_field(scene)
 

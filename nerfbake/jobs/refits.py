@@ -9,6 +9,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.lattices import without_scenery
 from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, render_split
@@ -60,6 +61,7 @@ class RefitTarget(NamedTuple):
         scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume, Splats)
         if isinstance(scene, N3Tree) and ((box[1] - box[0]) * scene.invradius < _ALL).all():
             scene = without_scenery(steps, bigger, scene)
+        tell_unused(steps, bigger, scene)
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
             shown = scene if isinstance(scene, Splats) else build_field(scene)
             return render_split(shown, frames=self.frames, edge=self.edge, samples=samples)

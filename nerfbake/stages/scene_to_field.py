@@ -266,21 +266,39 @@ def build_field_from_volume(volume: Volume) -> RadianceField:
     return memory.kept(RadianceField(cells, values[held], place, leaf_box(cells), basis))
 
 
+def unused_grids(volume: Volume) -> list[str]:
+    """Return the labels of the grids that build_field_from_volume() leaves out, and the places of unread ones."""
+    first = volume.grids[0]
+    used: list[VdbTree | IndexGrid] = [first]
+    if not isinstance(first, IndexGrid):
+        used = [volume.density(), *_colour_grids(volume)]
+    labels = [label for label, grid in zip(volume.labels, volume.grids, strict=True) if grid not in used]
+    return labels + [problem.place.removeprefix("grid ") for problem in volume.unread]
+
+
+def _colour_grids(volume: Volume) -> list[VdbTree]:
+    """Return the grids of the colours: sh_0, sh_1, ..., or Cd or color; the first of each name."""
+    grids: dict[str, VdbTree] = {}
+    for grid in volume.grids:
+        if isinstance(grid, VdbTree) and grid.values.shape[1] == 3:
+            grids.setdefault(grid.name, grid)
+    count = next(k for k in range(len(grids) + 1) if f"sh_{k}" not in grids)
+    return [grids[f"sh_{k}"] for k in range(count)] or [grids[name] for name in ("Cd", "color") if name in grids][:1]
+
+
 def _colours(volume: Volume, density: VdbTree) -> tuple[npt.NDArray[np.float32], Basis]:
     """Return (count, 3 B) for the voxels and tiles of the density: all coefficients of red, of green, then of blue."""
-    grids = {grid.name: grid for grid in volume.grids if isinstance(grid, VdbTree) and grid.values.shape[1] == 3}
-    count = next(k for k in range(len(grids) + 1) if f"sh_{k}" not in grids)
-    topology = density.topology
-    if count:
+    grids, topology = _colour_grids(volume), density.topology
+    if not grids:
+        return np.zeros((topology.count, 3), np.float32), parse_basis("RGBA")
+    if grids[0].name == "sh_0":
+        count = len(grids)
         basis = renderable_basis(volume.frame.data_format if volume.frame else f"SH{count}")
         if basis.size != count:
             raise InvalidScene(Problem("the volume", f"has {count} grids sh_k", f"{basis.size} for {basis}"))
-        coefficients = [_values_at(volume, grids[f"sh_{k}"], density) for k in range(count)]
+        coefficients = [_values_at(volume, grid, density) for grid in grids]
         return np.stack(coefficients, axis=2).reshape(topology.count, -1), basis
-    named = [grids[name] for name in ("Cd", "color") if name in grids]
-    if not named:
-        return np.zeros((topology.count, 3), np.float32), parse_basis("RGBA")
-    colour = np.clip(_values_at(volume, named[0], density), _EDGE, 1 - _EDGE)
+    colour = np.clip(_values_at(volume, grids[0], density), _EDGE, 1 - _EDGE)
     return log(colour / (1 - colour)).astype(np.float32), parse_basis("RGBA")
 
 

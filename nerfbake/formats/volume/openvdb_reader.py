@@ -7,6 +7,7 @@ memory limit has been checked.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -133,6 +134,7 @@ _SCALES_AND_MOVES = ("UniformScaleTranslateMap", "ScaleTranslateMap")
 _MAPS = (*_SCALES, *_SCALES_AND_MOVES, "TranslationMap", _AFFINE)
 _TREES = {"float": (1, "<f4"), "double": (1, "<f8"), "vec3s": (3, "<f4"), "vec3d": (3, "<f8")}
 _HALF = "_HalfFloat"
+_HALVES = re.compile(r"Tree_(half|vec[234]h)_5_4_3")  # native halves, which no released library could check
 READABLE = "float, double, vec3s or vec3d, and their halves"
 SEPARATOR = "\x1e"  # precedes the number of a grid whose name is not unique
 
@@ -229,6 +231,9 @@ def _read_header(stream: Stream, *, seekable: bool) -> tuple[_Header, str]:
 
 def _problem_of(header: _Header, read: dict[str, _Grid]) -> Problem | None:
     """Return the reason why a grid cannot be read, or None."""
+    if _HALVES.fullmatch(header.type):
+        found = f"is a {header.type}, a grid of halves as OpenVDB 13 writes it"
+        return Problem(header.what, found, "floats saved as halves (Tree_float_5_4_3_HalfFloat), or floats")
     if _kind_of(header.type) is None:
         return Problem(header.what, f"is a {one_line(header.type[:60])}", f"trees 5_4_3 of {READABLE}")
     if header.parent and header.parent not in read:

@@ -16,6 +16,7 @@ from nerfbake import build_octree, build_octree_from_volume, build_vdb, load, sa
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.volume import openvdb as vdb_openvdb
 from nerfbake.formats.wire.openvdb import text
+from nerfbake.io import check
 from nerfbake.memory import memory_limit
 from nerfbake.scene.vdb import VdbTree
 from nerfbake.scene.volume import Volume
@@ -102,6 +103,23 @@ def test_each_grid_keeps_its_transform() -> None:
 def test_version_225_of_openvdb_13_is_read() -> None:
     data = encoded(volume(tree(SCENES["a cloud"])))
     assert encoded(decoded(data[:8] + struct.pack("<I", 225) + data[12:])) == data
+
+
+@pytest.mark.parametrize("kind", ["Tree_half_5_4_3", "Tree_vec3h_5_4_3"])
+def test_a_grid_of_halves_of_openvdb_13_is_named(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A grid of halves is not one of floats that are saved as halves."""
+    with monkeypatch.context() as patched:
+        patched.setitem(vdb_openvdb.TYPES, (1, "float16"), kind)
+        grids = tree(SCENES["one voxel"]), tree(SCENES["a cloud"], name="heat", dtype=np.float16)
+        both, alone = encoded(volume(*grids)), encoded(volume(grids[1]))
+    (tmp_path / "a.vdb").write_bytes(both)
+    said = f"grid 'heat' is a {kind}, a grid of halves as OpenVDB 13 writes it; allowed: floats saved as halves (Tree_"
+    assert load(tmp_path / "a.vdb", Volume).labels == ["density"]
+    (problem,) = check(tmp_path / "a.vdb")
+    assert str(problem).startswith(said)
+    with pytest.raises(InvalidFile) as caught:
+        decoded(alone)
+    assert str(caught.value).startswith(said)
 
 
 def test_a_grid_in_a_cameras_frustum_leaves_the_others() -> None:
