@@ -21,6 +21,7 @@ from nerfbake.jobs.files import (
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import (
     ALL,
@@ -58,6 +59,7 @@ _RIM_ROUNDS = 2  # of moving the vertices to the rims of the silhouettes
 _TURNS, _MOVES = 2, 4
 _TURN_TEXTURE = 1024  # most texels along an edge in these turns: move_vertices() reduces pictures to about 400 pixels
 _LEAST_TEXTURE = 64  # texels along an edge, of a coarse level of detail
+_COUNTED = 0.03  # share by which the number of triangles may differ from the one that was asked for without a line
 
 Image = Literal["png", "jpeg", "webp"]
 
@@ -352,6 +354,7 @@ def build_mesh(
         told = f" of level {number}" if number else ""
         with source.blamed(steps, f"unwrapping the surface{told}"):
             mesh = simplify_surface(surface, triangles=triangles) if number else surface
+            _tell_count(steps, place.path, len(mesh.faces), triangles)
             unwrapped = unwrap_surface(mesh, edge=edge)
         with source.blamed(steps, f"fitting texture and vertices in turns{told}"):
             for _ in progress.each(range(_TURNS)):
@@ -374,6 +377,13 @@ def _read_light(steps: Steps, source: Source) -> EnvironmentMap:
     with io.blame(source.name):
         light.require_light()
     return light
+
+
+def _tell_count(steps: Steps, path: str, count: int, asked: int) -> None:
+    """Print the number of triangles if it is not about the one that was asked for."""
+    if not asked * (1 - _COUNTED) <= count <= asked * (1 + _COUNTED):
+        why = "its surface has no more" if count < asked else "with fewer, its surface would fold"
+        steps.say(f"{path}: has {count:,} triangles, not {asked:,}: {why}")
 
 
 def _with_materials(
@@ -428,6 +438,7 @@ def _read_field(steps: Steps, source: Source, splats: SplatVoxels) -> RadianceFi
         scene = sample_lattice(steps, source, scene)
     if isinstance(scene, Splats):
         scene, _ = sample_splats(steps, source, scene, options=splats)
+    tell_unused(steps, source, scene)
     with source.blamed(steps, "building the field"):
         if isinstance(scene, N3Tree) and scene.shells > 1:
             steps.say(f"{source.name}: has scenery; the mesh is that of the inner cube")

@@ -152,9 +152,7 @@ def _fitting_into_memory(octree_of: Callable[[int], SparseVoxelOctree], size: in
         size = max(int(size * _COARSER), _COARSEST)
 
 
-def _refitted(
-    steps: Steps, source: Source, octree: SparseVoxelOctree, views: Views, epochs: int
-) -> SparseVoxelOctree:
+def _refitted(steps: Steps, source: Source, octree: SparseVoxelOctree, views: Views, epochs: int) -> SparseVoxelOctree:
     """Return the octree with values fitted to pictures of the splats."""
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
     from nerfbake.stages.brick_field_to_octree import fill_octree

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from nerfbake import io, progress
-from nerfbake.errors import BudgetMissed, Problem
+from nerfbake.errors import BudgetMissed, InvalidScene, Problem
 from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
+from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.lattices import sample_lattice, without_scenery
 from nerfbake.jobs.photographs import (
     ALL,
@@ -185,8 +186,14 @@ def _read(steps: Steps, source: Source) -> RadianceField:
     scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField))
     if isinstance(scene, LatticeField):
         scene = sample_lattice(steps, source, scene)
+    tell_unused(steps, source, scene)
     with source.blamed(steps, "building the field"):
-        return build_field(scene)
+        field = build_field(scene)
+        if not (field.densities > 0).any():
+            raise InvalidScene(
+                Problem("the field", "has no leaf with a density", "at least one, or there is nothing to fit splats to")
+            )
+        return field
 
 
 def _measured(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from nerfbake import Splats, jobs, load, sample_n3tree, save
+from nerfbake import Splats, build_octree, build_vdb, jobs, load, sample_n3tree, save
 from nerfbake.cli.main import run
 from tests.cli.telling import told
 from tests.support.outputs import read_output
@@ -61,6 +63,18 @@ def test_below_the_limit_the_output_is_rejected(capsys: pytest.CaptureFixture[st
     assert "dB on 8 pictures with alpha; allowed: 60 dB or more" in said.err
     assert Path("a.ply.rejected").exists()
     assert not Path("a.ply").exists()
+
+
+@pytest.mark.parametrize("ending", ["npz", "svo.npz", "vdb"])
+def test_a_scene_without_a_density_is_named(ending: str, capsys: pytest.CaptureFixture[str]) -> None:
+    tree = sample_n3tree(resolution=8)
+    empty = replace(tree, data=np.zeros_like(tree.data))
+    octree = build_octree(empty)
+    save(f"empty.{ending}", {"npz": empty, "svo.npz": octree, "vdb": build_vdb(octree)}[ending])
+    assert run(f"splats empty.{ending} a.ply {SMALL}".split()) == 1
+    assert (
+        f"error: empty.{ending}: the field has no leaf with a density; allowed: at least one" in capsys.readouterr().err
+    )
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:

@@ -116,7 +116,9 @@ def test_cameras_that_nobody_gave_are_not_blamed() -> None:
     far = fog(50, scale=0.1)
     save("far.ply", replace(far, means=far.means * np.float32(2e14), scales=far.scales * np.float32(1e14)))
     for bake, name in ((bake_volume, "a.vdb"), (bake_octree, "a.svo.npz"), (view_file, "a.html")):
-        with pytest.raises(InvalidScene, match=r"^far.ply: the scene is \S+ world units wide, around \(.*\); allowed: one"):
+        with pytest.raises(
+            InvalidScene, match=r"^far.ply: the scene is \S+ world units wide, around \(.*\); allowed: one"
+        ):
             bake("far.ply", name)
 
 
