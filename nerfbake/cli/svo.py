@@ -32,7 +32,7 @@ RESAMPLE = (
     "--resolution",
     type=Resolution(),
     help="Voxels along each axis, 1 to 4096; of splats along the longest.  [default: the finest of a tree; twice that "
-    "of a lattice; 256]",
+    "of a lattice; 256, fewer if splats are large or do not fit into memory]",
 )
 @click.option(
     "--box",

@@ -36,7 +36,7 @@ GRIDS = (
     "--resolution",
     type=Resolution(),
     help="Voxels along each axis of a PlenOctree.  [default: its finest; twice that of a lattice; 256 along the longest"
-    " axis of splats]",
+    " axis of splats, fewer if these are large or do not fit into memory]",
 )
 @click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
 @click.option(

@@ -28,9 +28,10 @@ _ROUNDS = 30  # of untangling
 def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
     """Return the surface with at most about `triangles` triangles; a mesh that has so few already stays as it is.
 
-    A surface that would fold keeps more. The unit of the world does not matter: positions times a power of two give the
-    same faces, and positions times that power. Texture coordinates, texture and colours are left out. Faces that the collapses turned over are untangled, and
-    left out if that fails, as at the rim of a hole. Raises InvalidScene, MemoryLimit.
+    A surface that would fold keeps more. The unit of the world does not matter: positions times a power of two give
+    the same faces, and positions times that power. Texture coordinates, texture and colours are left out. Faces
+    that the collapses turned over are untangled, and left out if that fails, as at the rim of a hole. Raises
+    InvalidScene, MemoryLimit.
     Source: Garland and Heckbert, "Surface simplification using quadric error metrics" (1997).
 
     >>> from nerfbake import build_field, build_hull, sample_n3tree, simplify_surface

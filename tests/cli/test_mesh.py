@@ -100,6 +100,15 @@ def test_a_glb_looks_like_its_field_and_is_the_same_again(capsys: pytest.Capture
     assert told(["mesh", "a.svo.pb", "c.glb", *SMALL], capsys)["psnr"] == pytest.approx(facts["psnr"], abs=1)
 
 
+def test_a_surface_without_so_many_triangles_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    save("small.npz", sample_n3tree(resolution=8))
+    small = ["--frames", "4", "--edge", "16", "--triangles", "50k", "--texture", "256"]
+    assert run(["mesh", "small.npz", "small.glb", *small]) == 0
+    (mesh,) = load("small.glb", Meshes).meshes
+    said = f"small.glb: has {len(mesh.faces):,} triangles, not 50,000: its surface has no more"
+    assert said in capsys.readouterr().err.splitlines()
+
+
 def test_every_kind_of_output_stands_where_the_field_does(capsys: pytest.CaptureFixture[str]) -> None:
     field = build_field(load("a.npz"))
     views = picture_views(field, orbit_cameras(field, frames=2, width=64, height=64), 1)

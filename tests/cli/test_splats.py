@@ -72,9 +72,8 @@ def test_a_scene_without_a_density_is_named(ending: str, capsys: pytest.CaptureF
     octree = build_octree(empty)
     save(f"empty.{ending}", {"npz": empty, "svo.npz": octree, "vdb": build_vdb(octree)}[ending])
     assert run(f"splats empty.{ending} a.ply {SMALL}".split()) == 1
-    assert (
-        f"error: empty.{ending}: the field has no leaf with a density; allowed: at least one" in capsys.readouterr().err
-    )
+    said = f"error: empty.{ending}: the field has no leaf with a density; allowed: at least one"
+    assert said in capsys.readouterr().err
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
