@@ -111,6 +111,7 @@ class SplatFormat(FileFormat, Protocol):
     """A format for Gaussian splats that is written."""
 
     MOST_DEGREE: int  # of the spherical harmonics that it can store
+    KEEPS_ORIGIN: bool  # False: positions of splats far from 0 are written relative to their origin
 
 
 class SpreadFormat(FileFormat, Protocol):

@@ -346,6 +346,15 @@ class Cameras(Scene):
         cameras = self.cameras if size is None else tuple(camera.resized(*size) for camera in self.cameras)
         return replace(self, cameras=cameras, samples=self.samples if samples is None else samples)
 
+    def relative_to(self, origin: npt.NDArray[np.float64]) -> Cameras:
+        """These cameras in a world whose origin is this point (3,) of theirs."""
+        if not origin.any():
+            return self
+        shift = np.zeros((4, 4))
+        shift[:3, 3] = origin
+        moved = (replace(camera, pose=camera.pose - shift[: len(camera.pose)]) for camera in self.cameras)
+        return replace(self, cameras=tuple(moved))
+
     @property
     def eyes(self) -> npt.NDArray[np.float64]:
         """The positions (n, 3) of the cameras in the world."""

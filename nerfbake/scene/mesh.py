@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import rotate
 from nerfbake.kernels.soundness import count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
 from nerfbake.scene.compact_repr import CompactRepr
+from nerfbake.scene.origin import no_origin, relative_to, require_origin
 
 Composite = Literal["stop", "ztest"]  # how meshes and a field are composited
 MAX_MESHES = 10_000
 MAX_UV = 1e6  # beyond it float32 cannot resolve texels
-_VISIBLE = 2.0**-12  # of the longest edge: a pixel in a large picture
 UV_MARGIN = 1e-3  # how far outside the texture a coordinate may be, for rounding in files
 
 
@@ -113,6 +114,8 @@ class Meshes(Scene):
 
     coarser: levels of detail of a single mesh, with fewer triangles each; nothing but a .glb stores them
     notes: parts of the file that were left out, and what that means, one line each
+    origin: (3,) float64, the point of the world that all positions are relative to; 0 for all files but those far from
+            it, see scene/origin.py. Cameras of stages are relative to it, too
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes
@@ -124,8 +127,10 @@ class Meshes(Scene):
     meshes: tuple[Mesh, ...]
     coarser: tuple[Mesh, ...] = ()
     notes: tuple[str, ...] = ()
+    origin: Floats = field(default_factory=no_origin)
 
     def __post_init__(self) -> None:
+        require_origin(self.origin)
         if not self.meshes:
             raise InvalidScene(Problem("the mesh", "has no faces", "at least one triangle"))
         require_few(len(self.meshes))
@@ -141,23 +146,21 @@ class Meshes(Scene):
             return self
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float64)
         turned = (replace(m, positions=rotate(m.positions, turn).astype(np.float32)) for m in self.meshes)
-        return Meshes(tuple(turned), notes=self.notes)
+        return Meshes(tuple(turned), notes=self.notes, origin=rotate(self.origin, turn) + 0.0)
+
+    def relative_to(self, origin: Floats) -> Meshes:
+        """The same meshes with another origin. Far from it, float32 rounds their positions."""
+        if np.array_equal(origin, self.origin):
+            return self
+        finest, coarser = (
+            tuple(replace(m, positions=relative_to(m.positions, origin - self.origin)) for m in meshes)
+            for meshes in (self.meshes, self.coarser)
+        )
+        return replace(self, meshes=finest, coarser=coarser, origin=origin)
 
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)
         return f"mesh of {triangles:,} triangles over {sum(len(mesh.positions) for mesh in self.meshes):,} vertices"
-
-
-def rounding_notes(places: npt.NDArray[np.float64]) -> tuple[str, ...]:
-    """A note if float32 moves these positions (v, 3) visibly: they are far from the origin for their extent."""
-    if not len(places):
-        return ()
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = max(float(np.abs(column - column.astype(np.float32)).max()) for column in places.T)
-        edge = float(np.ptp(places, axis=0).max())
-    if not off > edge * _VISIBLE > 0:
-        return ()
-    return (f"its coordinates are far from the origin, and rounded by up to {off:.2g}; its extent is {edge:.3g}",)
 
 
 def vertex_box(meshes: Sequence[Mesh]) -> npt.NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,10 +13,11 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.march.sh import rotation_of_sh
-from nerfbake.kernels.maths.affine import compose, determinant, length, transform_points
+from nerfbake.kernels.maths.affine import compose, determinant, length, rotate, transform_points
 from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems, require_shape
+from nerfbake.scene.origin import no_origin, relative_to, require_origin
 
 BASES = (1, 4, 9, 16, 25)  # coefficients of each colour at degree 0, 1, 2, 3, 4
 MOVING = 200  # bytes a splat that transformed() takes beside its result
@@ -29,6 +30,8 @@ UPS: tuple[Up, ...] = ("x", "-x", "y", "-y", "z", "-z")
 _TO_Y_DOWN: dict[Up, list[list[int]]] = {
     "x": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
     "-x": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+    "y": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "-y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
     "-z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
 }
@@ -47,6 +50,10 @@ class Splats(Scene):
     antialiased  the splats were trained with compensation of their opacity for the blur of a pixel
     dropped      rows of the file that were left out because they cannot be drawn
     notes        parts of the file that were ignored, and assumptions, one line each
+    up           the axis that points up, if the file says so; None: it does not
+    left_out     what of the file was not read, a few words each; notes say what that means
+    origin       (3,) float64: the point of the world that the means are relative to; 0 for all files but those far from
+                 it, see scene/origin.py. Cameras and boxes of stages are relative to it, too
 
     The world is that of the training program, usually with y down and z forward: a .ply holds it as it is. Readers of
     formats whose y points up change the signs of y and z.
@@ -67,6 +74,9 @@ class Splats(Scene):
     antialiased: bool = False
     dropped: int = 0
     notes: tuple[str, ...] = ()
+    up: Up | None = None
+    left_out: tuple[str, ...] = ()
+    origin: Floats = field(default_factory=no_origin)
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -84,6 +94,7 @@ class Splats(Scene):
             ("sh", self.sh, (n, B, 3)),
         ):
             require_shape(name, array, shape, np.float32)
+        require_origin(self.origin)
 
     @property
     def n(self) -> int:
@@ -128,13 +139,21 @@ class Splats(Scene):
         signs = np.array([(-1 if m < 0 else 1) * (-1) ** (degree - abs(m)) for degree, m in degrees], np.float32)
         mirror = np.array([1, -1, -1], np.float32)
         turn = np.array([1, 1, -1, -1], np.float32)
-        return replace(self, means=self.means * mirror, quats=self.quats * turn, sh=self.sh * signs[:, None])
+        return replace(
+            self,
+            means=self.means * mirror,
+            quats=self.quats * turn,
+            sh=self.sh * signs[:, None],
+            up=_turned_up(self.up, np.diag(mirror.astype(np.float64))),
+            origin=self.origin * mirror + 0.0,
+        )
 
     def transformed(self, matrix: Floats) -> Splats:
         """Return the splats moved by a (3, 4) matrix: a rotation or reflection, times one scale, and a translation.
 
         Scales and colours move along: the colour for the direction M d is what it was for d. Raises InvalidScene for a
-        matrix that shears or scales unevenly, because SH cannot represent the result.
+        matrix that shears or scales unevenly, because SH cannot represent the result. The origin moves along, and takes
+        the translation; of splats whose origin is 0 the means take it.
         """
         linear = matrix[:3, :3]
         scale = length(linear[:, 0])
@@ -145,12 +164,15 @@ class Splats(Scene):
             found = "shears, or scales the axes differently"
             raise InvalidScene(Problem("the transform of the splats", found, "a rotation, a reflection, and one scale"))
         proper = turn if determinant(turn) > 0 else -turn  # an ellipsoid equals its point reflection
+        far = bool(self.origin.any())
         return replace(
             self,
-            means=_float32(transform_points(self.means, matrix)),
+            means=_float32(rotate(self.means, linear) if far else transform_points(self.means, matrix)),
             scales=_float32(self.scales * scale),
             quats=_float32(_product(_quaternion(proper), self.quats.astype(np.float64))),
             sh=_turned_sh(self.sh, rotation_of_sh(turn, self.B)),
+            up=_turned_up(self.up, turn),
+            origin=transform_points(self.origin, matrix) if far else self.origin,
         )
 
     def with_up(self, up: Up) -> Splats:
@@ -165,10 +187,18 @@ class Splats(Scene):
         [[0.0, -5.0, 0.0]]
         """
         if up == "-y":
+            turned = self
+        elif up == "y":
+            turned = self.flipped()
+        else:
+            turned = self.transformed(np.column_stack([np.array(_TO_Y_DOWN[up], np.float64), np.zeros(3)]))
+        return turned if turned.up == "-y" else replace(turned, up="-y")
+
+    def relative_to(self, origin: Floats) -> Splats:
+        """Return the same splats with another origin. Far from it, float32 rounds their means."""
+        if np.array_equal(origin, self.origin):
             return self
-        if up == "y":
-            return self.flipped()
-        return self.transformed(np.column_stack([np.array(_TO_Y_DOWN[up], np.float64), np.zeros(3)]))
+        return replace(self, means=relative_to(self.means, origin - self.origin), origin=origin)
 
     def with_degree(self, most: int) -> Splats:
         """Return the splats without the bands of SH above this degree."""
@@ -178,6 +208,24 @@ class Splats(Scene):
 
     def __str__(self) -> str:
         return f"{plural(self.n, 'splat')} of SH degree {self.degree}"
+
+
+def up_axes(up: Up) -> Floats:
+    """Return the axes (3, 3) of a world in which this axis points up: right, forward and up, as rows."""
+    if up == "z":
+        return np.eye(3)
+    return compose(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.array(_TO_Y_DOWN[up], np.float64))
+
+
+def _turned_up(up: Up | None, turn: Floats) -> Up | None:
+    """The axis that `up` becomes by a rotation; None if it becomes none."""
+    if up is None:
+        return None
+    direction = turn[:, "xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+    axis = int(np.argmax(np.abs(direction)))
+    if abs(direction[axis]) < 1 - _EVEN:
+        return None
+    return UPS[2 * axis + int(direction[axis] < 0)]
 
 
 def _quaternion(matrix: Floats) -> Floats:
@@ -222,7 +270,7 @@ def _turned_sh(sh: npt.NDArray[np.float32], rotation: Floats) -> npt.NDArray[np.
 
 
 def join_splats(parts: Sequence[Splats]) -> Splats:
-    """All splats of the parts, in their order. Coefficients that a part does not have are 0.
+    """All splats of the parts, in their order, with the same origin. Coefficients that a part does not have are 0.
 
     The result is antialiased if the first part is.
     """
@@ -235,13 +283,16 @@ def join_splats(parts: Sequence[Splats]) -> Splats:
     means, scales, quats, opacity = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("means", "scales", "quats", "opacity")
     )
-    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
-    dropped = sum(part.dropped for part in parts)
-    return Splats(means, scales, quats, opacity, sh, parts[0].antialiased, dropped, notes)
+    notes, left_out = (
+        tuple(dict.fromkeys(line for part in parts for line in getattr(part, name))) for name in ("notes", "left_out")
+    )
+    dropped, first = sum(part.dropped for part in parts), parts[0]
+    own = first.up, left_out, first.origin
+    return Splats(means, scales, quats, opacity, sh, first.antialiased, dropped, notes, *own)
 
 
 class SplatRows(NamedTuple):
-    """SplatRows of a file: any floats, and quaternions of any length."""
+    """Rows of a file: any floats, and quaternions of any length."""
 
     means: npt.NDArray[Any]  # (n, 3)
     scales: npt.NDArray[Any]  # (n, 3)
@@ -259,15 +310,16 @@ def splats_of_rows(
     *,
     antialiased: bool = False,
     notes: tuple[str, ...] = (),
+    origin: Floats | None = None,
 ) -> Splats:
-    """Make splats of a file's rows: any floats, and quaternions of any length.
+    """Make splats of a file's rows: any floats, and quaternions of any length. origin: what the means are relative to.
 
     A row that cannot be drawn is dropped and counted: it has a number that is not finite, a coordinate or scale above
     MAX_WORLD, or a quaternion of length 0. Raises InvalidScene if these are more than half.
     """
     found, dropped = _drawable(SplatRows(means, scales, quats, opacity, sh))
     _require_most(len(means), dropped)
-    return Splats(*found, antialiased, dropped, notes)
+    return Splats(*found, antialiased, dropped, notes, origin=no_origin() if origin is None else origin)
 
 
 def splats_in_blocks(

@@ -263,6 +263,7 @@ def test_modules_have_the_functions_of_their_protocols() -> None:
             require_functions(form.load_volume_module(), contract.VolumeFormat)
         if form.scene == "Splats" and form.writable:
             assert form.load_splat_module().MOST_DEGREE in range(5)
+            assert form.load_splat_module().KEEPS_ORIGIN in (True, False)
         if form.packed:
             require_functions(form.load_packed_module(), contract.PackedFormat)
     (page,) = catalog.formats_of("Page")

@@ -5,7 +5,6 @@ import pytest
 
 from nerfbake import Meshes
 from nerfbake.errors import NerfbakeError
-from nerfbake.scene.mesh import rounding_notes
 from tests.support.meshes import TEXELS, mesh
 
 
@@ -23,13 +22,17 @@ def test_a_mesh_that_cannot_be_is_refused() -> None:
         mesh(np.eye(3), np.empty((0, 3)))
 
 
-def test_positions_that_float32_moves_visibly_are_told() -> None:
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    assert rounding_notes(corners + 1000.0) == ()
-    assert rounding_notes((corners + 1e6).astype(np.float32).astype(np.float64)) == ()  # exact, wherever they are
-    (told,) = rounding_notes(corners * 0.4 + 1e6)
-    assert told == "its coordinates are far from the origin, and rounded by up to 0.025; its extent is 0.4"
-    for places in (np.empty((0, 3)), np.full((3, 3), np.nan), np.full((3, 3), 0.1)):
-        assert rounding_notes(places) == ()
-    scene = Meshes((mesh(np.eye(3), [[0, 1, 2]]),), notes=("told",))
+def test_meshes_that_turn_or_move_keep_their_notes_and_their_place() -> None:
+    origin = np.array([453000.0, 5012345.0, 120.0])
+    scene = Meshes((mesh(np.eye(3), [[0, 1, 2]]),), notes=("told",), origin=origin)
     assert scene.with_up("z").notes == scene.with_up("y").notes == ("told",)
+    assert scene.with_up("z").origin.tolist() == [453000.0, -120.0, 5012345.0]  # (x, y, z) becomes (x, -z, y)
+    moved = scene.relative_to(origin - [0, 0, 2])
+    assert moved.meshes[0].positions.tolist() == [[1, 0, 2], [0, 1, 2], [0, 0, 3]]
+    assert (moved.notes, moved.origin.tolist()) == (("told",), [453000.0, 5012345.0, 118.0])
+
+
+@pytest.mark.parametrize("origin", [np.zeros(2), np.zeros(3, np.float32), np.full(3, np.nan), np.full(3, 1e16)])
+def test_an_origin_that_cannot_be_is_refused(origin: np.ndarray) -> None:
+    with pytest.raises(NerfbakeError, match="origin"):
+        Meshes((mesh(np.eye(3), [[0, 1, 2]]),), origin=origin)

@@ -49,6 +49,48 @@ def text_ply(scene: Splats) -> bytes:
     return header.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + lines.encode()
 
 
+def _table(data: bytes) -> tuple[bytes, list[tuple[str, str]], np.ndarray]:
+    """The header above the properties, name and type of each property, and the rows of a 3DGS file in floats."""
+    header, _, rows = data.partition(b"end_header\n")
+    kinds = [line.split()[1:3] for line in header.decode().splitlines() if line.startswith("property")]
+    columns = [(name, {"float": "<f4", "double": "<f8", "ushort": "<u2"}[kind]) for kind, name in kinds]
+    return header.partition(b"property")[0], columns, np.frombuffer(rows, columns)
+
+
+def _with_columns(data: bytes, columns: list[tuple[str, Any]], order: str = "little") -> bytes:
+    """The same file with these columns, by name."""
+    head = _table(data)[0].replace(b"little", order.encode())
+    kinds = {"f4": "float", "f8": "double", "u2": "ushort", "f2": "ushort"}
+    text = "".join(f"property {kinds[np.asarray(each).dtype.str[1:]]} {name}\n" for name, each in columns)
+    end = {"little": "<", "big": ">"}[order]
+    rows = np.empty(len(columns[0][1]), [(name, end + np.asarray(each).dtype.str[1:]) for name, each in columns])
+    for name, each in columns:
+        rows[name] = each
+    return head + text.encode() + b"end_header\n" + rows.tobytes()
+
+
+def halved(data: bytes, which: str = "", order: str = "little") -> bytes:
+    """The same file with the numbers whose names start with this as half floats, declared as ushort."""
+    _, names, rows = _table(data)
+    kept = [(name, rows[name].astype("<f2" if name.startswith(which) else "<f4")) for name, _ in names]
+    return _with_columns(data, kept, order)
+
+
+def farther(data: bytes, shift: np.ndarray) -> bytes:
+    """The same file with x y z as doubles, moved."""
+    _, names, rows = _table(data)
+    moved = {axis: rows[axis].astype("<f8") + shift[k] for k, axis in enumerate("xyz")}
+    return _with_columns(data, [(name, moved.get(name, rows[name])) for name, _ in names])
+
+
+def with_property(data: bytes, declared: str) -> bytes:
+    """The same file with one more property of zeros, as `float motion_0`."""
+    _, names, rows = _table(data)
+    kind, name = declared.split()
+    zeros = np.zeros(len(rows), {"float": "<f4", "ushort": "<u2"}[kind])
+    return _with_columns(data, [*((each, rows[each]) for each, _ in names), (name, zeros)])
+
+
 def packed_ply(scene: Splats) -> bytes:
     """PlayCanvas' compressed kind, with bounds of colours and SH in bytes."""
     n, each = scene.n, scene.B - 1

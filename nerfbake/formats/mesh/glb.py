@@ -30,6 +30,7 @@ from nerfbake.kernels.maths.affine import compose, determinant, length, transfor
 from nerfbake.kernels.maths.elementary import cast, sine_cosine
 from nerfbake.kernels.picture.metrics import from_linear, to_linear
 from nerfbake.scene.mesh import Mesh, Meshes, require_few
+from nerfbake.scene.origin import choose_origin, relative_to
 
 _MATERIALS = "KHR_materials_"  # prefix of extensions that only change the reflection of light, which is ignored
 _GLOSSY = "KHR_materials_pbrSpecularGlossiness"  # holds the base colour under names of its own
@@ -45,9 +46,11 @@ _MOVES = frozenset(("matrix", "rotation", "scale", "translation"))
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
-def _meshes_of(document: Document) -> tuple[tuple[Mesh, ...], dict[str, None]]:
+def _meshes_of(document: Document) -> Meshes:
     """Return a mesh for each primitive of each node, with base colour, texture and vertex colours; and notes.
 
+
+    The matrices of the nodes are applied in float64, so that meshes far from 0 keep their digits beside an origin.
     Lines and points are skipped. Raises InvalidFile for invalid glTF 2.0, for files that require another extension or
     another file, and for files without triangles.
     """
@@ -61,6 +64,7 @@ def _meshes_of(document: Document) -> tuple[tuple[Mesh, ...], dict[str, None]]:
             raise malformed("extensionsRequired", f"has {str(extension)[:40]}", allowed)
     looks = _Looks(document)
     found: list[Mesh] = []
+    placed: list[npt.NDArray[Any]] = []  # the positions of each mesh, in float64 unless they are as in the file
     for index, matrix in placed_meshes(document):
         mesh = document.item("meshes", index)
         for k, primitive in enumerate(list_of(mesh, "primitives", f"meshes[{index}]")):
@@ -68,11 +72,16 @@ def _meshes_of(document: Document) -> tuple[tuple[Mesh, ...], dict[str, None]]:
             if not isinstance(primitive, dict):
                 raise malformed(place, f"is a {type(primitive).__name__}", "an object")
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN):
-                found += _primitive(document, looks, primitive, matrix, place)
+                for points, made in _primitive(document, looks, primitive, matrix, place):
+                    placed.append(points)
+                    found.append(made)
             require_few(len(found))
     if not found:
         raise malformed("the mesh", "has no faces", "at least one triangle")
-    return tuple(found), looks.notes
+    if (origin := choose_origin(placed)).any():
+        pairs = zip(found, placed, strict=True)
+        found = [replace(mesh, positions=relative_to(points, origin)) for mesh, points in pairs]
+    return Meshes(tuple(found), notes=(*_notes(document), *looks.notes), origin=origin)
 
 
 def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
@@ -126,7 +135,7 @@ def _matrix(node: dict[str, Any], place: str) -> Floats:
 
 def _primitive(
     document: Document, looks: _Looks, primitive: dict[str, Any], matrix: Floats, place: str
-) -> Iterator[Mesh]:
+) -> Iterator[tuple[npt.NDArray[Any], Mesh]]:
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict):
         raise malformed(f"{place}.attributes", "are missing", "an object with POSITION")
@@ -149,9 +158,10 @@ def _primitive(
         if np.array_equal(matrix, np.eye(4)):  # the most common case, and ten times as fast
             positions = cast(points, np.float32) + np.float32(0)  # positive zeros, as in the result of a matrix product
         else:
-            positions = transform_points(cast(points, np.float64), matrix).astype(np.float32)
+            points = transform_points(cast(points, np.float64), matrix)
+            positions = cast(points, np.float32)
     mesh = Mesh(positions, None, np.ascontiguousarray(faces))
-    yield looks.dress(mesh, primitive, attributes, place)
+    yield points, looks.dress(mesh, primitive, attributes, place)
 
 
 def _faces(indices: npt.NDArray[np.uint32], mode: int) -> npt.NDArray[np.uint32]:
@@ -285,6 +295,7 @@ def encode(
 ) -> list[bytes | memoryview]:
     """Encode meshes. Options as in encode_glb() and parts_of()."""
     options: dict[str, Any] = {"up": up, "lit": lit, "quantised": quantised, "reversible": reversible}
+    options["origin"] = scene.origin
     return encode_glb(parts_of(scene, image), "nerfbake", **options)
 
 
@@ -297,8 +308,7 @@ def decode(view: memoryview) -> Meshes:
     asset = document.root.get("asset")
     extras = asset.get("extras") if isinstance(asset, dict) else None
     turned = isinstance(extras, dict) and extras.get(UP) == "z"
-    meshes, repaired = _meshes_of(document)
-    return Meshes(meshes, notes=(*_notes(document), *repaired)).with_up("z" if turned else "y")
+    return _meshes_of(document).with_up("z" if turned else "y")
 
 
 def _notes(document: Document) -> Iterator[str]:

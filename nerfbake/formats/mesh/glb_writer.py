@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from nerfbake.formats.wire.picture import Coding, encode_picture, encode_texture
 from nerfbake.kernels.arrays import Floats
-from nerfbake.kernels.maths.affine import compose
+from nerfbake.kernels.maths.affine import compose, rotate
 from nerfbake.kernels.picture.metrics import to_linear
 from nerfbake.kernels.surface.normals import welded_normals
 from nerfbake.scene.mesh import Mesh, Meshes
@@ -88,6 +88,7 @@ def encode_glb(
     lit: bool = False,
     quantised: bool = False,
     reversible: bool = False,
+    origin: Floats | None = None,
 ) -> list[bytes | memoryview]:
     """Return the file in chunks.
 
@@ -95,11 +96,12 @@ def encode_glb(
     reversible  record the up axis in the extras of the asset, so that nerfbake reads the positions as they are here
     lit         textures are the base colour of a rough material, with normals; False: unlit (KHR_materials_unlit).
                 A mesh with a material is always lit
+    origin      what the positions are relative to: the translation of the nodes, in the doubles of JSON; None for 0
     quantised   positions, texture coordinates, colours and normals are integers, and indices have 16 bits if possible
     """
     lit = lit or any(part.mesh.material is not None for part in parts)
     body = _Body(lit=lit, quantised=quantised)
-    nodes = [body.add(part, _TURNS[up]) for part in parts]
+    nodes = [_shifted(body.add(part, _TURNS[up]), _TURNS[up], origin) for part in parts]
     levels = [i for i, part in enumerate(parts) if part.coarser]
     if levels:
         nodes[0]["extensions"] = {_LOD: {"ids": levels}}
@@ -124,6 +126,22 @@ def encode_glb(
     }
     document = {name: entry for name, entry in document.items() if entry != []}
     return [*opening_of(document, body.size), *body.pieces]
+
+
+def _shifted(node: dict[str, Any], turn: Mapping[str, Any], origin: Floats | None) -> dict[str, Any]:
+    """Return the node of a mesh whose positions are relative to an origin. turn: the rotation of the node."""
+    if origin is None or not origin.any():
+        return node
+    place = rotate(origin, _matrix_of(turn)[:3, :3])
+    if "matrix" not in node:
+        return {**node, "translation": place.tolist()}
+    matrix = _matrix_of(node)
+    matrix[:3, 3] += place
+    return {**node, "matrix": matrix.T.reshape(-1).tolist()}
+
+
+def _matrix_of(node: Mapping[str, Any]) -> Floats:
+    return np.array(node.get("matrix", np.eye(4).reshape(-1)), np.float64).reshape(4, 4).T.copy()
 
 
 def opening_of(document: dict[str, Any], body_size: int) -> list[bytes]:
@@ -164,8 +182,7 @@ class _Body:
         index = self._append("meshes", {"name": part.name, "primitives": [primitive]})
         node: dict[str, Any] = {"name": part.name, "mesh": index, **turn}
         if matrix is not None:
-            whole = np.array(turn.get("matrix", np.eye(4).reshape(-1))).reshape(4, 4).T
-            node["matrix"] = compose(whole, matrix).T.reshape(-1).tolist()
+            node["matrix"] = compose(_matrix_of(turn), matrix).T.reshape(-1).tolist()
         return node
 
     def _material(self, part: MeshPart) -> dict[str, Any]:

@@ -36,7 +36,8 @@ from nerfbake.formats.wire.picture import encode_picture
 from nerfbake.kernels.arrays import Floats, Ints
 from nerfbake.kernels.soundness import plural
 from nerfbake.kernels.surface.fans import fan
-from nerfbake.scene.mesh import Mesh, Meshes, require_few, rounding_notes
+from nerfbake.scene.mesh import Mesh, Meshes, require_few
+from nerfbake.scene.origin import choose_origin, no_origin, relative_to
 
 _PER_BYTE = 8  # bytes of memory per byte of text while it is parsed
 _PER_CORNER = 200  # and per corner of a polygon; two bytes of text may be one corner
@@ -65,6 +66,8 @@ def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | N
     with memory.lent(name, _PER_BYTE * len(view)):
         text = _Text(view, name)
         points, paint = text.vertices()
+        origin = choose_origin([points])
+        near = relative_to(points, origin)
         places = text.places()
         corners = text.corners(len(points), len(places))
         order = np.argsort(corners.material, kind="stable")
@@ -76,9 +79,9 @@ def decode_obj(view: memoryview, name: str, beside: Mapping[str, memoryview] | N
         for part in sorted(parts, key=lambda part: part[0]):  # in the order in which materials first occur in the file
             placed = not (corners.place[part] < 0).any()
             texture = materials.texture(known[corners.material[part[0]]], placed=placed)
-            found.append(_mesh(corners, part, points, paint, places if placed else None, texture))
+            found.append(_mesh(corners, part, near, paint, places if placed else None, texture))
         notes = dict.fromkeys((*materials.notes, *text.notes, *(paint.notes if paint else ())))
-        return Meshes(tuple(found), notes=(*notes, *rounding_notes(points)))
+        return Meshes(tuple(found), notes=tuple(notes), origin=origin)
 
 
 class _Paint:
@@ -118,7 +121,7 @@ class _Numbers(NamedTuple):
 def _mesh(
     corners: _Corners,
     part: Ints,
-    points: Floats,
+    points: npt.NDArray[np.float32],
     paint: _Paint | None,
     places: Floats | None,
     texture: npt.NDArray[np.uint8] | None,
@@ -133,7 +136,7 @@ def _mesh(
         used, uvs = pairs // len(places), places[pairs % len(places)] * [1, -1] + [0, 1]  # v counts from the bottom
     with np.errstate(over="ignore"):  # overflow becomes infinite, which Mesh rejects
         return Mesh(
-            points[used].astype(np.float32),
+            points[used],
             None if uvs is None else uvs.astype(np.float32),
             faces.reshape(-1, 3).astype(np.uint32),
             texture,
@@ -352,8 +355,16 @@ class _Text:
         return InvalidFile(Problem(self._name, f"cannot be read: {found}", allowed))
 
 
-def encode_obj(meshes: Sequence[Mesh], library: str | None = None, materials: Sequence[str] = ()) -> Iterator[bytes]:
-    """Yield the meshes as text. library: an .mtl file; materials: the name of each mesh's material in it."""
+def encode_obj(
+    meshes: Sequence[Mesh], library: str | None = None, materials: Sequence[str] = (), origin: Floats | None = None
+) -> Iterator[bytes]:
+    """Yield the meshes as text.
+
+    library: an .mtl file; materials: the name of each mesh's material in it; origin: what the positions are relative
+    to, None for 0.
+    """
+    start = no_origin() if origin is None else origin
+    far = bool(start.any())
     if library:
         yield f"mtllib {library}\n".encode("utf-8", "surrogateescape")
     names = materials or ([f"mesh_{number}" for number in range(len(meshes))] if len(meshes) > 1 else [])
@@ -361,8 +372,11 @@ def encode_obj(meshes: Sequence[Mesh], library: str | None = None, materials: Se
     for number, mesh in enumerate(meshes):
         if names:
             yield f"usemtl {names[number]}\n".encode()
-        points = mesh.positions if mesh.colours is None else np.concatenate([mesh.positions, mesh.colours], axis=1)
-        yield _lines("v" + " %.7g" * points.shape[1], points)
+        points: npt.NDArray[Any] = mesh.positions + start if far else mesh.positions
+        form = "v" + (" %.15g" if far else " %.7g") * 3
+        if mesh.colours is not None:
+            points, form = np.concatenate([points, mesh.colours], axis=1), form + " %.7g" * 3
+        yield _lines(form, points)
         faces = mesh.faces.astype(np.int64)
         if mesh.uvs is None:
             yield _lines("f %d %d %d", faces + vertex)
@@ -399,7 +413,7 @@ def encode(scene: Meshes, *, image: Literal["png", "jpeg"] = "png") -> Iterator[
             Problem("the mesh", "has a texture", "meshes without textures, .glb, or an .obj on the disk")
         )
     _require_one_level(scene)
-    return encode_obj(scene.meshes)
+    return encode_obj(scene.meshes, origin=scene.origin)
 
 
 def encode_files(
@@ -412,12 +426,12 @@ def encode_files(
     _require_one_level(scene)
     textures = [mesh.texture for mesh in scene.meshes]
     if all(texture is None for texture in textures):
-        yield ".obj", encode_obj(scene.meshes)
+        yield ".obj", encode_obj(scene.meshes, origin=scene.origin)
         return
     ending = {"png": ".png", "jpeg": ".jpg"}[image]
     pictures = [ending if len(textures) == 1 else f"_{number}{ending}" for number in range(len(textures))]
     names = [f"mesh_{number}" for number in range(len(textures))]
-    yield ".obj", encode_obj(scene.meshes, f"{stem}.mtl", names)
+    yield ".obj", encode_obj(scene.meshes, f"{stem}.mtl", names, scene.origin)
     used = [None if each is None else stem + name for each, name in zip(textures, pictures, strict=True)]
     yield ".mtl", [encode_mtl(list(zip(names, used, strict=True)))]
     for texture, name in zip(textures, pictures, strict=True):

@@ -32,7 +32,8 @@ from nerfbake.formats.mesh.ply_text import LONGER, Rows, read_text
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.surface.fans import fan
-from nerfbake.scene.mesh import Mesh, Meshes, rounding_notes
+from nerfbake.scene.mesh import Mesh, Meshes
+from nerfbake.scene.origin import choose_origin, relative_to
 
 _ALLOWED = "a whole .ply of polygons"
 _VERTEX = 60  # and per vertex
@@ -72,9 +73,9 @@ def decode(view: memoryview) -> Meshes:
         used, corners = np.unique(triangles, return_inverse=True)
         triangles = corners.reshape(-1, 3).astype(np.uint32)
         positions, colours = positions[used], None if colours is None else colours[used]
-    with np.errstate(over="ignore", invalid="ignore"):
-        mesh = Mesh(positions.astype(np.float32), None, triangles, colours=colours)
-    return Meshes((mesh,), notes=(*notes, *_notes(header, colours is None), *rounding_notes(positions)))
+    origin = choose_origin([positions])
+    mesh = Mesh(relative_to(positions, origin), None, triangles, colours=colours)
+    return Meshes((mesh,), notes=(*notes, *_notes(header, colours is None)), origin=origin)
 
 
 def _tables(view: memoryview, header: wire.Header, notes: dict[str, None]) -> tuple[Any, _Polygons]:
@@ -331,7 +332,8 @@ def _colours(rows: Any, header: wire.Header, notes: dict[str, None]) -> npt.NDAr
 def encode(scene: Meshes) -> Iterator[bytes]:
     """Encode meshes as one. Raises InvalidScene for textures and levels of detail.
 
-    Texture coordinates are left out. Where some meshes have colours, the others are grey.
+    Texture coordinates are left out. Where some meshes have colours, the others are grey. x y z are doubles if the
+    meshes have an origin.
     """
     if any(mesh.texture is not None for mesh in scene.meshes):
         raise InvalidScene(Problem("the mesh", "has a texture", "vertex colours, or .glb"))
@@ -341,15 +343,15 @@ def encode(scene: Meshes) -> Iterator[bytes]:
     vertices, triangles = (
         sum(map(len, each)) for each in zip(*((m.positions, m.faces) for m in scene.meshes), strict=True)
     )
-    columns = "".join(f"property float {axis}\n" for axis in "xyz")
+    far = bool(scene.origin.any())
+    columns = "".join(f"property {'double' if far else 'float'} {axis}\n" for axis in "xyz")
     columns += "".join(f"property uchar {name}\n" for name in _RGB if coloured)
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n{columns}"
     yield (head + f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n").encode()
     for mesh in scene.meshes:
-        rows = np.empty(
-            len(mesh.positions), [("place", "<f4", 3), ("colour", "u1", 3)] if coloured else [("place", "<f4", 3)]
-        )
-        rows["place"] = mesh.positions
+        place = ("place", "<f8" if far else "<f4", 3)
+        rows = np.empty(len(mesh.positions), [place, ("colour", "u1", 3)] if coloured else [place])
+        rows["place"] = mesh.positions + scene.origin if far else mesh.positions
         if coloured:
             rows["colour"] = np.rint(255 * (GREY if mesh.colours is None else mesh.colours))
         yield rows.tobytes()

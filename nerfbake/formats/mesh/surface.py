@@ -10,6 +10,7 @@ from nerfbake.formats.mesh.mtl import encode_mtl
 from nerfbake.formats.mesh.obj import decode_obj, encode_obj
 from nerfbake.formats.wire.picture import decode_texture, encode_texture
 from nerfbake.scene.mesh import Mesh, joined_meshes
+from nerfbake.scene.origin import no_origin
 from nerfbake.scene.stage1 import diffuse_name
 
 _MATERIAL = "defaultMat"
@@ -23,7 +24,7 @@ def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None
     name, diffuse = f"mesh_{cascade}.obj", diffuse_name(files, cascade)
     if name not in files:
         return None
-    parts = decode_obj(files[name], name).meshes
+    parts = decode_obj(files[name], name).relative_to(no_origin()).meshes
     texture = decode_texture(files[diffuse], diffuse, any_mode=True) if diffuse else None
     positions, faces, _ = joined_meshes(parts)
     return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture)

@@ -10,9 +10,9 @@ A primitive of points has an accessor for each attribute:
     COLOR_0                                              colour of degree 0 for viewers of points, linear
 
 formats/mesh/glb.py describes the container. glTF's y is up; y and z change their signs here, as in a .spz. The matrices
-of the nodes move the splats and their colours.
+of the nodes move the splats and their colours. The origin of splats far from 0 is the translation of their node.
 
-Source: KhronosGroup/glTF, KHR_gaussian_splatting (release candidate).
+Source: KhronosGroup/glTF, KHR_gaussian_splatting.
 """
 
 from __future__ import annotations
@@ -32,11 +32,14 @@ from nerfbake.formats.mesh.glb_document import Document, malformed
 from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
 from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.picture.metrics import to_linear
+from nerfbake.scene.origin import choose_origin
 from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, join_splats, splats_in_blocks
 
 EXTENSION = "KHR_gaussian_splatting"
 MOST_DEGREE = 3
+KEEPS_ORIGIN = True
 _PREFIX = EXTENSION + ":"
 _HEAD = 20  # bytes before the JSON chunk
 _KNOWN = (EXTENSION, "KHR_mesh_quantization")
@@ -70,7 +73,7 @@ def decode(view: memoryview) -> Splats:
     for extension in required if isinstance(required, list) else [required]:
         if extension not in _KNOWN and not str(extension).startswith(_OF_MESHES):
             raise malformed("extensionsRequired", f"has {str(extension)[:60]}", " and ".join(_KNOWN))
-    parts: list[Splats] = []
+    parts: list[tuple[Splats, Floats]] = []
     notes: dict[str, None] = {}
     for index, matrix in placed_meshes(document):
         primitives = document.item("meshes", index).get("primitives")
@@ -84,15 +87,31 @@ def decode(view: memoryview) -> Splats:
                 raise malformed("the file", f"has more than {_MANY:,} primitives of splats", f"{_MANY:,}")
             with np.errstate(over="ignore", invalid="ignore"):
                 part = _splats(document, primitive, extension, place)
-                if not np.array_equal(matrix, np.eye(4)):
-                    memory.hold("the splats", memory.size_of(part) + MOVING * part.n)
-                    part = part.transformed(matrix[:3])
-                parts.append(part)
+            if not np.array_equal(matrix, np.eye(4)):
+                memory.hold("the splats", memory.size_of(part) + MOVING * part.n)
+            parts.append((part, matrix))
     if not parts:
         raise malformed("the .glb", "has no splats", f"a primitive with {EXTENSION} in the scene")
-    memory.hold("the splats", 2 * sum(map(memory.size_of, parts)))
-    whole = parts[0] if len(parts) == 1 else join_splats(parts)
-    return replace(whole.flipped(), notes=(*whole.notes, *notes))
+    memory.hold("the splats", 2 * sum(memory.size_of(part) for part, _ in parts))
+    whole = replace(_placed(parts).flipped(), left_out=("meshes",) * bool(notes))
+    return replace(whole, notes=(*whole.notes, *notes))
+
+
+def _placed(parts: list[tuple[Splats, Floats]]) -> Splats:
+    """Return the splats of all nodes in the scene's coordinates, relative to its origin if it is far from 0."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        origin = choose_origin([_points(part, matrix) for part, matrix in parts])
+        moved = []
+        for part, matrix in parts:
+            near = matrix.copy()
+            near[:3, 3] -= origin
+            moved.append(part if np.array_equal(near, np.eye(4)) else part.transformed(near[:3]))
+    return replace(moved[0] if len(moved) == 1 else join_splats(moved), origin=origin)
+
+
+def _points(part: Splats, matrix: Floats) -> npt.NDArray[Any]:
+    """The means in the scene's coordinates: as they are stored if nothing moves them."""
+    return part.means if np.array_equal(matrix, np.eye(4)) else transform_points(part.means, matrix)
 
 
 def _extension(primitive: Any, place: str) -> dict[str, Any] | None:
@@ -240,7 +259,9 @@ def encode(scene: Splats) -> Iterator[bytes]:
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "splats", "mesh": 0}],
+        "nodes": [
+            {"name": "splats", "mesh": 0, **({"translation": scene.origin.tolist()} if scene.origin.any() else {})}
+        ],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,

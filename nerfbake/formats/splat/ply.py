@@ -2,7 +2,8 @@ r"""Read Gaussian splats from .ply files (3DGS, 2DGS, Mip-Splatting, PlayCanvas'
 
 3DGS: element `vertex` with x y z, f_dc_0..2, f_rest_0.. (all red, all green, all blue), opacity (logit), scale_0..2
 (natural logarithm), rot_0..3 (w first, of any length), found by name in any order. CloudCompare writes scalar_ before
-all names but x y z; nerfstudio can write uchar red green blue for f_dc_0..2 (--ply-color-mode rgb).
+all names but x y z; nerfstudio can write uchar red green blue for f_dc_0..2 (--ply-color-mode rgb). ply_dialects.py has
+what such files say beyond this.
 
 Compressed: element `chunk` with the bounds of 256 splats each, `vertex` with four uint, `sh` with bytes.
 
@@ -17,6 +18,7 @@ Source: graphdeco-inria/gaussian-splatting (save_ply); playcanvas/splat-transfor
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,14 +26,17 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.formats.splat.ply_dialects import movement_of, stated_up, vertical_axis, with_halves
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
 from nerfbake.scene.base import MAX_WORLD
+from nerfbake.scene.origin import choose_origin
 from nerfbake.scene.splats import BASES, Splats, splats_of_rows
 
 SH0 = 0.28209479177387814  # the first basis function
 MOST_DEGREE = 3
+KEEPS_ORIGIN = True
 _END = b"end_header\n"
 _REST = tuple(3 * (B - 1) for B in BASES)  # numbers of f_rest at degree 0 to 4
 _CHUNK = 256  # splats
@@ -74,9 +79,13 @@ def decode(view: memoryview) -> Splats:
     B = BASES[-1] if "f_rest_45" in names else BASES[MOST_DEGREE]
     memory.require("the splats", len(rows) * 2 * 8 * (12 + 3 * B))
     antialiased = any(comment in ("SplatRenderMode: mip", "antialiased 1") for comment in comments)
+    movement, (up, notes) = movement_of({**properties, "vertex": names}), stated_up(comments)
     if "packed_position" in names:
-        return _unpacked(tables, antialiased)
-    return _plain(rows, antialiased)
+        found = _unpacked(tables, antialiased)
+    else:
+        rows, halves = with_halves(rows)
+        found, notes = _plain(rows, antialiased), (*halves, *notes)
+    return replace(found, up=up, left_out=movement.left_out, notes=(*found.notes, *movement.notes, *notes))
 
 
 def _without_prefix(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -114,7 +123,8 @@ def _with_rest(dc: Floats, rest: Floats, each: int) -> Floats:
 
 def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
     found = _columns(rows, _NEEDED, "vertex")
-    means, logits, scales, quats = found[:, :3], found[:, 3], exp_or_nan(found[:, 4:6]), found[:, 6:]
+    means, origin = _centred(found[:, :3])
+    logits, scales, quats = found[:, 3], exp_or_nan(found[:, 4:6]), found[:, 6:]
     known = rows.dtype.names or ()
     dc = _columns(rows, _DC, "vertex") if _DC[0] in known else (_columns(rows, _RGB, "vertex") / 255 - 0.5) / SH0
     if "scale_2" in known:
@@ -131,7 +141,14 @@ def _plain(rows: npt.NDArray[Any], antialiased: bool) -> Splats:
         scales = grown
     names, each = _rest(rows, "vertex")
     sh = _with_rest(dc, _columns(rows, names, "vertex"), each)
-    return splats_of_rows(means, scales, quats, opacity, sh, antialiased=antialiased)
+    return splats_of_rows(means, scales, quats, opacity, sh, antialiased=antialiased, origin=origin)
+
+
+def _centred(means: Floats) -> tuple[Floats, Floats]:
+    """Return the means relative to the origin that they need, and that origin."""
+    origin = choose_origin([means])
+    with np.errstate(invalid="ignore"):
+        return (means - origin if origin.any() else means), origin
 
 
 def exp_or_nan(logarithms: Floats) -> Floats:
@@ -172,13 +189,15 @@ def _unpacked(tables: dict[str, npt.NDArray[Any]], antialiased: bool) -> Splats:
         if len(coded) != n or any(coded.dtype[name] != np.uint8 for name in names):
             raise InvalidFile(Problem("element sh", f"has {len(coded):,} rows", f"{n:,} rows of uchar"))
         rest = np.where(codes == 0, -4.0, np.where(codes == 255, 4.0, ((codes + 0.5) / 256 - 0.5) * 8))
+    means, origin = _centred(between(_BOUNDS, _shares(position, (21, 11, 0), (11, 10, 11))))
     return splats_of_rows(
-        between(_BOUNDS, _shares(position, (21, 11, 0), (11, 10, 11))),
+        means,
         exp_or_nan(between(_SCALE_BOUNDS, _shares(scale, (21, 11, 0), (11, 10, 11)))),
         _rotations(rotation),
         opacity,
         _with_rest((rgb - 0.5) / SH0, rest, each),
         antialiased=antialiased,
+        origin=origin,
     )
 
 
@@ -208,29 +227,44 @@ def with_largest(three: Floats, largest: Floats, which: npt.NDArray[np.int64]) -
 def encode(scene: Splats) -> Iterator[bytes]:
     """Encode splats as 3DGS: float, little endian. Raises InvalidScene for SH of degree 4.
 
-    Opacities below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these, and scales above _LARGEST, too.
+    x y z are doubles if the splats have an origin. A comment names the up axis if it is known and not -y. Opacities
+    below 1e-30 or above 1 - 2^-24, and scales below 1e-30, become these, and scales above _LARGEST, too.
     """
     if scene.degree > MOST_DEGREE:
         raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {MOST_DEGREE} in a .ply"))
     scene.require_usable()
     each = scene.B - 1
-    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
-    names += [f"f_rest_{k}" for k in range(3 * each)]
-    names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    comment = "comment SplatRenderMode: mip\n" if scene.antialiased else ""
-    head = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {scene.n}\n"
-    yield (head + "".join(f"property float {name}\n" for name in names)).encode() + _END
+    far = bool(scene.origin.any())
+    columns = [(name, "<f8" if far else "<f4") for name in "xyz"]
+    names = ["nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(3 * each)), "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    columns += [(name, "<f4") for name in names]
+    comments = "comment SplatRenderMode: mip\n" if scene.antialiased else ""
+    if scene.up is not None and scene.up != "-y":
+        comments += f"comment {vertical_axis(scene.up)}\n"
+    head = f"ply\nformat binary_little_endian 1.0\n{comments}element vertex {scene.n}\n"
+    kinds = {"<f4": "float", "<f8": "double"}
+    yield (head + "".join(f"property {kinds[kind]} {name}\n" for name, kind in columns)).encode() + _END
     for start in range(0, scene.n, _ROWS):
         part = slice(start, start + _ROWS)
         opacity = np.clip(scene.opacity[part].astype(np.float64), _LEAST, _MOST)
         means, sh = scene.means[part], scene.sh[part]
-        columns = (
-            means,
-            np.zeros_like(means),
-            sh[:, 0],
-            sh[:, 1:].swapaxes(1, 2).reshape(len(sh), 3 * each),
-            (log(opacity) - log(1 - opacity))[:, None],
-            log(np.clip(scene.scales[part].astype(np.float64), _LEAST, _LARGEST)),
-            scene.quats[part],
+        values = np.concatenate(
+            (
+                means + scene.origin if far else means,
+                np.zeros_like(means),
+                sh[:, 0],
+                sh[:, 1:].swapaxes(1, 2).reshape(len(sh), 3 * each),
+                (log(opacity) - log(1 - opacity))[:, None],
+                log(np.clip(scene.scales[part].astype(np.float64), _LEAST, _LARGEST)),
+                scene.quats[part],
+            ),
+            axis=1,
         )
-        yield np.concatenate(columns, axis=1).astype("<f4").tobytes()
+        if not far:
+            yield values.astype("<f4").tobytes()
+            continue
+        rows = np.empty(len(values), columns)
+        for k, (name, _) in enumerate(columns):
+            rows[name] = values[:, k]
+        yield rows.tobytes()

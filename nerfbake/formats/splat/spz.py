@@ -67,6 +67,7 @@ _LARGEST = (1 << 23) - 1
 _LEAST = 1e-30  # scale whose logarithm is taken for 0
 _STEPS = (0, 8, 16, 16, 16)  # by degree, between the codes of SH in a small file: 5 bits, then 4
 MOST_DEGREE = 4
+KEEPS_ORIGIN = False
 _ALLOWED = "a whole .spz"
 
 

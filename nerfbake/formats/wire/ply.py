@@ -267,7 +267,8 @@ class _Text:
         if len(numbers) != count:
             raise InvalidFile(Problem(place, f"has {len(numbers):,} numbers", f"{count:,}"))
         table = np.empty(element.rows, [(each.name, each.kind) for each in element.properties])
-        for each, column in zip(element.properties, numbers.reshape(element.rows, -1).T, strict=True):
+        columns = numbers.reshape(element.rows, len(element.properties)).T
+        for each, column in zip(element.properties, columns, strict=True):
             dtype = np.dtype(each.kind)
             if dtype.kind in "iu" and not ((column >= np.iinfo(dtype).min) & (column <= np.iinfo(dtype).max)).all():
                 raise InvalidFile(Problem(f"{place}.{each.name[:40]}", "has a number outside its type", dtype.name))

@@ -24,7 +24,7 @@ from nerfbake.formats.mesh import glb as glb_format
 from nerfbake.formats.mesh.glb_document import Document
 from nerfbake.memory import memory_limit
 from tests.support.hostile import refused_as_it_is
-from tests.support.meshes import TEXELS, assert_same_mesh, painted, sphere, square
+from tests.support.meshes import TEXELS, assert_same_mesh, cube, painted, sphere, square
 
 
 def test_glb_there_and_back(tmp_path: Path) -> None:
@@ -75,6 +75,33 @@ def test_another_program_finds_quantised_meshes_where_they_are(tmp_path: Path) -
     found: Any = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
     np.testing.assert_allclose(found.vertices, moved.positions, atol=0.51 * 6 / 65535)
     np.testing.assert_array_equal(found.faces, moved.faces)
+
+
+UTM = np.array([453000.125, 5012345.5, 120.25])
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("quantised", [False, True])
+def test_another_program_finds_meshes_on_a_map_to_the_micrometre(up: Any, quantised: bool, tmp_path: Path) -> None:
+    two = Meshes((cube(0.3), cube(0.7)), origin=UTM)
+    save(tmp_path / "a.glb", two, up=up, quantised=quantised, reversible=True)
+    found: Any = trimesh.load(tmp_path / "a.glb", process=False)
+    places = np.concatenate([mesh.positions for mesh in two.meshes]) + UTM
+    turned = places if up == "y" else places[:, [0, 2, 1]] * [1, 1, -1]
+    theirs = np.concatenate([mesh.vertices for mesh in sorted(found.dump(), key=lambda mesh: mesh.extents[0])])
+    np.testing.assert_allclose(theirs, turned, rtol=0, atol=2e-5 if quantised else 1e-6)
+    back = load(tmp_path / "a.glb", Meshes)
+    ours = np.concatenate([mesh.positions for mesh in back.meshes]) + back.origin
+    np.testing.assert_allclose(ours, places, rtol=0, atol=2e-5 if quantised else 1e-6)
+    assert 0 < np.abs(back.origin - UTM).max() < 2
+
+
+def test_a_node_far_from_0_keeps_its_digits() -> None:
+    found = decoded(glb(document(nodes=[{"mesh": 0, "translation": (UTM + 0.1).tolist()}]), BODY))
+    np.testing.assert_allclose(found.meshes[0].positions + found.origin, CORNERS + UTM + 0.1, rtol=0, atol=1e-6)
+    near = decoded(glb(document(nodes=[{"mesh": 0, "translation": [3.3, 0, 0]}]), BODY))
+    assert not near.origin.any()
+    np.testing.assert_array_equal(near.meshes[0].positions, (CORNERS + np.array([3.3, 0, 0])).astype(np.float32))
 
 
 def test_normals_point_outwards_and_have_no_seam(tmp_path: Path) -> None:

@@ -359,11 +359,17 @@ def test_a_texture_coordinate_may_be_one_number() -> None:
     np.testing.assert_array_equal(found.require_uvs(), [[0.25, 1], [1, 0.5], [0.75, 1]])
 
 
-def test_coordinates_of_a_map_are_rounded_with_a_note() -> None:
+def test_coordinates_of_a_map_keep_their_digits(tmp_path: Path) -> None:
     near, far = "v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\n", "v 500000.1 0 5400000.4\nv 500010.1 0 5400000.4\n"
     assert obj.decode(memoryview(near.encode())).notes == ()
     found = obj.decode(memoryview(f"{far}v 500000.1 0 5400010.4\nf 1 2 3\n".encode()))
-    assert found.notes == ("its coordinates are far from the origin, and rounded by up to 0.1; its extent is 10",)
+    assert (found.notes, found.origin.tolist()) == ((), [500010.0, 0.0, 5400010.0])
+    corners = [[500000.1, 0, 5400000.4], [500010.1, 0, 5400000.4], [500000.1, 0, 5400010.4]]
+    for scene in (found, Meshes((replace(found.meshes[0], colours=np.ones((3, 3), np.float32)),), origin=found.origin)):
+        save(tmp_path / "a.obj", scene, force=True)
+        theirs: Any = trimesh.load(tmp_path / "a.obj", process=False)
+        np.testing.assert_allclose(theirs.vertices, corners, rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(load(tmp_path / "a.obj", Meshes).origin, found.origin)
 
 
 def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:

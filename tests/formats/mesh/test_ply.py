@@ -40,6 +40,18 @@ def test_another_program_reads_places_colours_and_corners(tmp_path: Path) -> Non
     np.testing.assert_allclose(found.visual.vertex_colors[:, :3] / 255, colours, atol=0.5 / 255)
 
 
+def test_another_program_reads_coordinates_of_a_map(tmp_path: Path) -> None:
+    origin = np.array([453000.125, 5012345.5, 120.25])
+    scene = Meshes((COLOURED, cube()), origin=origin)
+    save(tmp_path / "a.ply", scene)
+    found: Any = trimesh.load(tmp_path / "a.ply", process=False)
+    places = np.concatenate([COLOURED.positions, cube().positions]) + origin
+    np.testing.assert_allclose(found.vertices, places, rtol=0, atol=1e-6)
+    back = load(tmp_path / "a.ply", Meshes)
+    np.testing.assert_allclose(back.meshes[0].positions + back.origin, places, rtol=0, atol=1e-6)
+    assert (back.notes, np.abs(back.origin - origin).max() < 2) == ((), True)
+
+
 @pytest.mark.parametrize("options", [{}, {"byte_order": ">"}, {"text": True}], ids=["little", "big", "text"])
 def test_another_programs_polygons_are_read_in_every_spelling(options: dict[str, Any]) -> None:
     plyfile = pytest.importorskip("plyfile")

@@ -76,6 +76,60 @@ def test_there_and_back_without_loss(degree: int, tmp_path: Path) -> None:
     assert found.antialiased == scene.antialiased
 
 
+UTM = np.array([453000.125, 5012345.5, 120.25])
+
+
+def placed(document: Document, body: bytes) -> np.ndarray:
+    """The centres in the scene's coordinates, in float64, by a reader of its own."""
+    found = []
+    for node in document["nodes"]:
+        if "mesh" in node:
+            shift = np.array(node.get("translation", [0, 0, 0]), np.float64)
+            found.append(accessor(document, body, "POSITION") + shift)
+    return np.concatenate(found)
+
+
+def test_a_node_far_from_0_keeps_its_digits(tmp_path: Path) -> None:
+    scene = splats(30, degree=1)
+    there = scene.means * [1, -1, -1] + UTM  # glTF's axes
+    data = changed(written(scene), lambda document: document["nodes"][0].update(translation=UTM.tolist()))
+    found = decoded(data)
+    np.testing.assert_allclose(found.means + found.origin, there * [1, -1, -1], rtol=0, atol=1e-6)
+    save(tmp_path / "a.glb", found)
+    np.testing.assert_allclose(placed(*parts_of((tmp_path / "a.glb").read_bytes())), there, rtol=0, atol=1e-6)
+    clouds: Any = trimesh.load(tmp_path / "a.glb")  # trimesh reads the points without the extension
+    (points,) = (part.vertices for part in clouds.dump())
+    np.testing.assert_allclose(points, there, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(load(tmp_path / "a.glb", Splats).origin, found.origin)
+
+
+def test_nodes_share_one_origin_and_compose_in_float64() -> None:
+    scene = splats(30, degree=1)
+
+    def place(document: Document) -> None:
+        document["nodes"] = [
+            {"children": [1, 2], "translation": UTM.tolist(), "scale": [2, 2, 2]},
+            {"mesh": 0},
+            {"mesh": 0, "translation": [0.5, 0, 1.25], "rotation": [0, 1, 0, 0]},
+        ]
+
+    found = decoded(changed(written(scene), place))
+    own = scene.means * [1, -1, -1]
+    there = np.concatenate([2 * own, 2 * (own * [-1, 1, -1] + [0.5, 0, 1.25])]) + UTM
+    np.testing.assert_allclose(found.means + found.origin, there * [1, -1, -1], rtol=0, atol=1e-5)
+    assert np.abs(found.origin - UTM * [1, -1, -1]).max() < 10
+
+
+def test_a_node_near_0_or_without_digits_is_read_as_before() -> None:
+    scene = splats(30, degree=0)
+    for shift in ([3.3, 0, 1 / 3], [0, 0, 0], [1e308, 0, 0]):
+        document, body = parts_of(written(scene))
+        document["nodes"] = [{"mesh": 0, "translation": shift}]
+        found = decoded(file_of(document, body))
+        assert not found.origin.any()
+    assert len(found.problems()) == 1
+
+
 def test_what_the_file_says_by_hand() -> None:
     sh = np.arange(12, dtype=np.float32).reshape(1, 4, 3)
     scene = Splats(
