@@ -64,8 +64,13 @@ def _text(name: str, value: Any) -> str:
         case dict():
             return ", ".join(f"{one_line(str(key))} {_text(key, part)}" for key, part in value.items())
         case [float(), *_]:
-            return f"[{', '.join(f'{part:.6g}' for part in value)}]"
+            return f"[{', '.join(map(_short, value))}]"
         case list():
             return (" x " if name == "resolution" else ", ").join(_text("", part) for part in value)
         case _:
             return one_line(str(value), LONGEST_TOLD)
+
+
+def _short(number: float) -> str:
+    """Six digits, or all before the point and three behind it: coordinates of a map have more."""
+    return f"{number:.6g}" if not 1e5 <= abs(number) < 1e10 else f"{number:.3f}".rstrip("0").rstrip(".")

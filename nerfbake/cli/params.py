@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from inspect import signature
-from typing import Any
+from typing import Any, Literal
 
 import click
 from click.core import ParameterSource
@@ -339,12 +339,13 @@ def grid_options(*, splats: bool = False) -> Callable[[Command], Command]:
     )
 
 
-def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
+def splat_options(up: str, default: Literal["stated"] | None) -> Callable[[Command], Command]:
     """Add --opacity-min, --epochs and an option for the up axis; pass the command `splats`, a SplatVoxels.
 
-    up: the name of that option; default: its default, None to keep the world of the splats.
+    up: the name of that option; default: stated for the axis that the file states, else -y; None to keep the world of
+    the splats.
     """
-    told = "  [default: keep the world of IN]" if default is None else ""
+    told = "keep the world of IN" if default is None else "the axis that IN states, else -y"
 
     def add(function: Command) -> Command:
         @click.option(
@@ -356,9 +357,8 @@ def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
             up,
             "splats_up",
             type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
-            default=default,
-            show_default=default is not None,
-            help=f"Up axis of splats, which becomes z (splats only): -y in every .spz and in most other files.{told}",
+            help="Up axis of splats, which becomes z (splats only): -y in every .spz and in most other files.  "
+            f"[default: {told}]",
         )
         @click.option(
             "--epochs",
@@ -371,7 +371,7 @@ def splat_options(up: str, default: str | None) -> Callable[[Command], Command]:
         ) -> object:
             from nerfbake.jobs.splat_fields import SplatVoxels
 
-            given = {"opacity_min": opacity_min, "up": splats_up, "epochs": epochs}
+            given: dict[str, Any] = {"opacity_min": opacity_min, "up": splats_up or default, "epochs": epochs}
             splats = SplatVoxels(**{name: value for name, value in given.items() if value is not None})
             return function(*args, splats=splats, **others)
 

@@ -54,7 +54,7 @@ GRIDS = (
     help="Part of splats: those that are not far outside, all of them, or those between two opposite corners of a box "
     "in the world of OUT with z up (splats only).",
 )
-@splat_options("--in-up", "-y")
+@splat_options("--in-up", "stated")
 @budget_options
 @console_options
 def vdb(source: Source, target: Target, console: Console, **options: Any) -> None:

@@ -11,7 +11,7 @@ from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import renderable_scene, views_of
+from nerfbake.jobs.views import in_one_world, renderable_scene, views_of
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import Image
@@ -104,6 +104,7 @@ def compare_files(
     if first.path == second.path == io.STREAM:
         raise UsageError("both scenes are stdin, which can be read once; allowed: '-' for one of them")
     (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
+    scene, other = in_one_world(steps, [(first.name, scene), (second.name, other)])
     scene = renderable_scene(steps, scene, first.name)
     views = views_of(
         steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples

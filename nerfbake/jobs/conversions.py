@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,8 +14,10 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
 from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.kernels.soundness import plural
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.origin import lost_origin, no_origin
 from nerfbake.scene.splats import UPS, Splats, Up
 from nerfbake.scene.volume import Volume
 
@@ -115,10 +119,18 @@ def convert_splats(
     if up is not None and up not in ways:
         raise UsageError(f"`up` is {up!r}; allowed: {', '.join(UPS)}")
     options = {"small": True} if small else {}
-    module = target.require("Splats", **options).load_splat_module()
+    form = target.require("Splats", **options)
+    module = form.load_splat_module()
     splats: Splats = source.read(steps, Splats)
+    with source.blamed(steps, "checking the splats"):
+        splats.require_usable()
     if up is not None:
         splats = splats.with_up(ways[up])
+    elif splats.up not in (None, "-y"):
+        steps.say(f"{source.name}: {splats.up} points up, as the file says; only `up={splats.up}` turns the splats")
+    if splats.origin.any() and not module.KEEPS_ORIGIN:
+        steps.say(f"{target.name}: {lost_origin(splats.origin, form.suffix)}")
+        splats = replace(splats, origin=no_origin())
     kept = splats.with_degree(module.MOST_DEGREE)
     with (
         target.writing(steps, kept, **options),
@@ -128,8 +140,16 @@ def convert_splats(
     ):
         found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)
-    steps.say(f"{target.name}: {_told(loss)}")
+    left_out = "".join(f"; not read: {part}" for part in _not_read(splats))
+    steps.say(f"{target.name}: {_told(loss)}{left_out}")
     return found
+
+
+def _not_read(splats: Splats) -> Iterator[str]:
+    """Yield in a few words what of the file is not in these splats."""
+    yield from splats.left_out
+    if splats.dropped:
+        yield plural(splats.dropped, "row")
 
 
 def _told(loss: SplatLoss) -> str:

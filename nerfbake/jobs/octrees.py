@@ -101,7 +101,7 @@ def _require_used(
 ) -> None:
     """Raise UsageError for options of bake_octree() that have no effect on the scene."""
     if isinstance(scene, Splats):
-        splats.require(budget)
+        splats.require(budget, scene)
         if resample != "mean" or scale is not None:
             raise UsageError("`resample` and `scale` have no effect on splats; allowed: with a PlenOctree or a lattice")
         return
@@ -219,7 +219,7 @@ def bake_volume(
     sigma_min   of a PlenOctree, a lattice or splats, as in build_octree()
     up          up axis of `target`; the up axis of `source` is z, or that of `splats`
     box         part of splats, as in bake_octree()
-    splats      how splats become voxels. By default their -y is up
+    splats      how splats become voxels. By default the axis is up that their file states, else -y
 
     Raises NerfbakeError.
 
@@ -239,7 +239,7 @@ def bake_volume(
     judged: N3Tree | SparseVoxelOctree | LatticeField | Splats | None
     judged = None if budget.min_psnr is None else scene  # without a budget, the tree can be freed early
     if isinstance(scene, Splats):
-        splats.require(budget)
+        splats.require(budget, scene)
         scene, shown = sample_splats(
             steps, source, scene, options=splats, part=box, resolution=resolution, sigma_min=sigma_min, layout="compact"
         )

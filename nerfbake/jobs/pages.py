@@ -36,6 +36,7 @@ from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.origin import lost_origin
 from nerfbake.scene.page import Page, PageField
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
@@ -136,6 +137,8 @@ def surface_page(
     if stage1 is not None:
         with steps.phase(f"reading {stage1}"):
             mlp = io.load_folder(stage1, Stage1)
+    if isinstance(scene, Meshes) and scene.origin.any():
+        steps.say(f"{source.name}: {lost_origin(scene.origin, 'a page')}")
     with source.blamed(steps, "arranging the triangles"):
         surface = build_page_surface(scene, stage1=mlp)
     views, first = page_views(steps, scene, look.cameras, name=source.name)
@@ -343,7 +346,8 @@ def _framed(
         field = build_field(read.scene)
         whole = field if scenery is None else build_field(scenery)
         around = () if scenery is None else build_page_shells(scenery)
-    views, first = page_views(steps, field, look.cameras, posed, name=source.name)
+    origin = None if read.splats is None else read.splats.origin
+    views, first = page_views(steps, field, look.cameras, posed, name=source.name, origin=origin)
     previews: tuple[bytes, ...] = ()
     if photographs:
         views, previews = _previews(steps, str(look.cameras), views)

@@ -21,6 +21,7 @@ from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
+from nerfbake.scene.origin import no_origin, step_at
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
@@ -151,9 +152,12 @@ class PlacedMesh(NamedTuple):
     how: Literal["stop", "ztest"] = "stop"
 
     def read(self, steps: Steps) -> Meshes:
-        """Read the meshes and rotate them into the field's world. Raises NerfbakeError."""
+        """Read the meshes and move them into the field's world, which has no origin. Raises NerfbakeError."""
         meshes: Meshes = Source(self.path).read(steps, Meshes)
-        return meshes.with_up(self.up)
+        if meshes.origin.any():
+            told = f"is far from 0, where float32 has steps of {step_at(meshes.origin):.2g}"
+            steps.say(f"{self.path}: {told}, and is placed in the world of the field")
+        return meshes.with_up(self.up).relative_to(no_origin())
 
 
 def render_views(

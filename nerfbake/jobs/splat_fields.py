@@ -17,6 +17,7 @@ from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from nerfbake.scene.origin import lost_origin
 from nerfbake.scene.splats import Splats, Up
 from nerfbake.scene.views import Views, world_box
 from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, finest_voxels, inner_box, whole_box, with_z_up
@@ -37,18 +38,23 @@ class SplatVoxels(NamedTuple):
     """How splats become voxels.
 
     opacity_min  splats that are thinner are left out
-    up           axis of the splats that becomes z; None: the octree keeps the world of the splats
+    up           axis of the splats that becomes z; stated: that which the file states, else -y; None: the octree keeps
+                 the world of the splats
     epochs       passes over the pictures of the splats to which the voxels are fitted; 0: they are not fitted
     """
 
     opacity_min: float = OPACITY_MIN
-    up: Up | None = None
+    up: Up | Literal["stated"] | None = None
     epochs: int = EPOCHS
 
-    def require(self, budget: Budget) -> None:
+    def up_of(self, splats: Splats) -> Up | None:
+        """Return the axis of these splats that becomes z; None to keep their world."""
+        return splats.up or "-y" if self.up == "stated" else self.up
+
+    def require(self, budget: Budget, splats: Splats) -> None:
         """Raise UsageError for cameras in the world that the splats are turned away from."""
-        if self.up not in (None, "z") and budget.cameras is not None:
-            told = f"splats are turned until {self.up} is z, and `cameras` are not"
+        if (up := self.up_of(splats)) not in (None, "z") and budget.cameras is not None:
+            told = f"splats are turned until {up} is z, and `cameras` are not"
             raise UsageError(f"{told}; allowed: z as the up axis of splats, which keeps their world")
 
     def require_default(self) -> None:
@@ -58,22 +64,30 @@ class SplatVoxels(NamedTuple):
             raise UsageError(f"`{given[0]}` has no effect on other scenes than splats; allowed: with splats")
 
 
-USUAL, UPRIGHT = SplatVoxels(), SplatVoxels(up="-y")
+USUAL, UPRIGHT = SplatVoxels(), SplatVoxels(up="stated")
 
 
 def choose_splats(
     steps: Steps, source: Source, splats: Splats, options: SplatVoxels, part: Part = "inner"
 ) -> tuple[Splats, Points]:
-    """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels."""
+    """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels.
+
+    Voxels stand at the origin of the splats. A box of six numbers is in the world before that shift.
+    """
     least = options.opacity_min
+    if options.up == "stated" and splats.up is not None:
+        steps.say(f"{source.name}: {splats.up} points up, as the file says")
     with source.blamed(steps, "cutting the splats"):
-        turned = with_z_up(splats, options.up)
+        splats.require_usable()
+        turned = with_z_up(splats, options.up_of(splats))
+        if turned.origin.any():
+            steps.say(f"{source.name}: {lost_origin(turned.origin, 'voxels')}")
         if part == "inner":
             box = inner_box(turned, opacity_min=least)
         elif part == "all":
             box = whole_box(turned, opacity_min=least)
         else:
-            box = world_box(part)
+            box = world_box(part) - turned.origin
         cut = cut_splats(turned, box, opacity_min=least)
     for note in cut.notes:
         steps.say(f"{source.name}: {note}")

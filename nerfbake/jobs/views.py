@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from nerfbake import io, progress
 from nerfbake.jobs.steps import Steps
+from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.origin import no_origin, told_origin
 from nerfbake.scene.page import COVER
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
+from nerfbake.stages._origins import has_origin, origin_of
 from nerfbake.stages._picture import Visible, renderable
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.pictures_to_views import build_views
@@ -52,21 +56,40 @@ def views_of(
     edge: int,
     size: tuple[int, int] | None = None,
     samples: int | None = None,
+    origin: Floats | None = None,
 ) -> Cameras:
     """Return the cameras of a capture; without one, an orbit of `frames` views, `edge` pixels wide and high.
 
     name     name of the scene in errors
     size     (W, H) pixels; None: that of the capture or orbit
     samples  rays along each edge of a pixel; None: from the capture, else 1
+    origin   the point of the capture's world that the scene is relative to; None: the scene's own origin
     """
     if cameras is None:
         width, height = size or (edge, edge)
         with steps.phase("framing"), io.blame(name):
             orbit = orbit_cameras(scene, frames=frames, width=width, height=height)
         return orbit.chosen(samples=samples)
+    start = origin_of(scene) if origin is None else origin
     read = read_cameras(steps, cameras)
     with io.blame(cameras):
-        return read.chosen(size=size, samples=samples)
+        return read.chosen(size=size, samples=samples).relative_to(start)
+
+
+def in_one_world(steps: Steps, scenes: Sequence[tuple[str, Any]]) -> list[Any]:
+    """Return scenes, given with their names, relative to the same origin: that of the first which has one.
+
+    Scenes without an origin may have lost it to their format, and then are relative to it. Splats and meshes that lie
+    nearer to the origin than to 0 have not.
+    """
+    origin = next((start for _, scene in scenes if (start := origin_of(scene)).any()), no_origin())
+    moved = []
+    for name, scene in scenes:
+        kept = not origin.any() or has_origin(scene, origin)
+        if not kept:
+            steps.say(f"{name}: has no origin; it is taken as relative to {told_origin(origin)}")
+        moved.append(scene.relative_to(origin) if kept and isinstance(scene, Splats | Meshes) else scene)
+    return moved
 
 
 def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
@@ -89,17 +112,23 @@ def picture_views(scene: RadianceField | Splats, cameras: Cameras, samples: int)
 
 
 def page_views(
-    steps: Steps, scene: Any, cameras: str | None, posed: Cameras | None = None, *, name: str
+    steps: Steps,
+    scene: Any,
+    cameras: str | None,
+    posed: Cameras | None = None,
+    *,
+    name: str,
+    origin: Floats | None = None,
 ) -> tuple[Cameras, Camera]:
     """Return the cameras of a page, from views_of(), and the camera of its cover picture.
 
     posed: the cameras without a capture; None: an orbit. The cover is square: it shows what the first camera sees along
-    its shorter edge.
+    its shorter edge. origin: as in views_of().
     """
     if cameras is None and posed is not None:
         views = posed
     else:
-        views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER)
+        views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER, origin=origin)
     first = views.cameras[0]
     focal = first.fx * COVER / min(first.width, first.height)
     with io.blame(cameras or name):

@@ -11,7 +11,7 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes, vertex_box
 from nerfbake.scene.radiance_field import RadianceField, require_field
-from nerfbake.scene.splats import Splats
+from nerfbake.scene.splats import Splats, up_axes
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.lattice_to_image import render_lattice
@@ -23,7 +23,6 @@ from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 Visible = RadianceField | LatticeField | Meshes | Splats | Stage1 | BakedAtlas
 
 _STRAYS = 0.01  # fraction of the splats to ignore at each end of an axis: real files have some far from the object
-_Y_DOWN = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # the axes of most captures' splats, from COLMAP
 
 
 def renderable(scene: Visible | FieldSource) -> Visible:
@@ -48,7 +47,8 @@ def scene_frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np
     """Return opposite corners (2, 3) of the box around the scene, in the world, and the scene's axes (3, 3).
 
     The third axis is up. It is the field's own axis, or for meshes the world's, as in nerf2mesh and its viewer. For
-    splats it is -y, and the box leaves out the outermost 1 % of the centres at each end of each axis.
+    splats it is the one that the file states, else -y, as in COLMAP's captures, and the box leaves out the outermost
+    1 % of the centres at each end of each axis.
     """
     if isinstance(scene, Meshes):
         return vertex_box(scene.meshes), WORLD
@@ -57,7 +57,7 @@ def scene_frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np
     if isinstance(scene, LatticeField):
         return scene.held_box, np.eye(3)
     if isinstance(scene, Splats):
-        return _box_without_strays(scene), _Y_DOWN
+        return _box_without_strays(scene), up_axes(scene.up or "-y")
     field = require_field(scene)
     return field.world(field.box), field.axes
 

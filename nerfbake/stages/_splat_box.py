@@ -92,7 +92,7 @@ def cut_splats(splats: Splats, box: Points, *, opacity_min: float = OPACITY_MIN)
 
 def with_z_up(splats: Splats, up: Up | None) -> Splats:
     """Return the splats rotated so that this axis of their world becomes z; None: as they are."""
-    return splats if up in (None, "z") else splats.with_up(up).transformed(_FROM_Y_DOWN)
+    return splats if up in (None, "z") else replace(splats.with_up(up).transformed(_FROM_Y_DOWN), up="z")
 
 
 def _opaque(splats: Splats, opacity_min: float) -> npt.NDArray[np.bool_]:

@@ -196,13 +196,14 @@ def summary_of_meshes(scene: Meshes) -> dict[str, Any]:
     ignored. All three facts are None if the memory limit is too small to compute them.
     """
     arrays = [(m.positions, m.faces, m.uvs, m.texture, m.colours) for m in scene.meshes]
-    box = vertex_box(scene.meshes)
+    box = vertex_box(scene.meshes) + scene.origin
     return {
         "kind": "triangle mesh",
         "meshes": len(scene.meshes),
         "triangles": sum(len(mesh.faces) for mesh in scene.meshes),
         "vertices": sum(len(mesh.positions) for mesh in scene.meshes),
         **_surface(scene),
+        "origin": scene.origin.tolist(),
         "world_box": box.tolist(),
         "textures": [None if mesh.texture is None else list(mesh.texture.shape[1::-1]) for mesh in scene.meshes],
         "vertex_colours": [mesh.colours is not None for mesh in scene.meshes],
@@ -259,10 +260,12 @@ def summary_of_picture(picture: Image | Depth) -> dict[str, Any]:
 def summary_of_splats(splats: Splats) -> dict[str, Any]:
     """Return the count, SH degree, boxes of the centres, and value ranges.
 
-    inner_box holds 98 % of the centres along each axis: single splats often lie far outside. Scales are standard
-    deviations in world units.
+    inner_box holds 98 % of the centres along each axis: single splats often lie far outside. Boxes are in the world of
+    the file, and None if a centre is not finite. Scales are standard deviations in world units.
     """
-    inner = np.percentile(splats.means, [1, 99], axis=0)
+    with np.errstate(invalid="ignore"):
+        inner = np.percentile(splats.means, [1, 99], axis=0) + splats.origin
+    outer = np.stack([splats.means.min(axis=0), splats.means.max(axis=0)]).astype(np.float64) + splats.origin
     arrays = (splats.means, splats.scales, splats.quats, splats.opacity, splats.sh)
     return {
         "kind": "Gaussian splats",
@@ -270,7 +273,9 @@ def summary_of_splats(splats: Splats) -> dict[str, Any]:
         "dropped_rows": splats.dropped,
         "sh_degree": splats.degree,
         "antialiased": splats.antialiased,
-        "world_box": _numbers(np.stack([splats.means.min(axis=0), splats.means.max(axis=0)])),
+        "up": splats.up,
+        "origin": splats.origin.tolist(),
+        "world_box": _numbers(outer),
         "inner_box": _numbers(inner),
         "ranges": {
             "scale": extremes(splats.scales).range(),

@@ -57,7 +57,7 @@ def measure_splats(before: Splats, after: Splats) -> SplatLoss:
     """
     if before.n != after.n:
         raise InvalidScene(Problem("the second splats", f"are {after.n:,}", f"{before.n:,}, as the first"))
-    moved = after.means.astype(np.float64) - before.means
+    moved = after.means.astype(np.float64) - before.means + (after.origin - before.origin)
     one, other = (np.maximum(splats.scales.astype(np.float64), _TINY) for splats in (before, after))
     return SplatLoss(
         means=_of(np.sqrt((moved * moved).sum(axis=1))),

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from nerfbake import Cameras, Image, build_octree, load, save
+from nerfbake import Cameras, Image, Splats, build_octree, load, orbit_cameras, save
 from nerfbake.errors import BudgetMissed, InvalidScene, MemoryLimit, OutputError, UsageError
 from nerfbake.jobs import (
     ComparedViews,
@@ -23,6 +24,7 @@ from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Lens
 from tests.jobs.listener import Listener
+from tests.support.splats import ball_of_splats
 
 SEEN = ComparedViews(cameras="cameras.json")
 
@@ -112,3 +114,37 @@ def test_a_camera_that_cannot_be_drawn_is_blamed_on_the_file_of_the_cameras() ->
         view_file("a.npz", "a.html", cameras="long.json")
     with pytest.raises(InvalidScene, match=r"^wide\.json: camera 0000 shows nothing"):
         judge_output("a.npz", load("a.npz"), Budget(min_psnr=1, cameras="wide.json"), made_from="a.npz")
+
+
+UTM = np.array([453000.125, 5012345.625, 120.25])
+
+
+def test_splats_and_meshes_on_a_map_are_compared_where_they_are(tmp_path: Path, listener: Listener) -> None:
+    ball = ball_of_splats(60)
+    scenes = {
+        "far.ply": replace(ball, origin=UTM),
+        "near.spz": replace(ball, means=ball.means + np.array([0.125, -0.375, 0.25], np.float32)),
+        "float.ply": replace(ball, means=(ball.means + UTM).astype(np.float32)),
+        "beside.ply": replace(ball, origin=UTM + np.array([0.75, 0, 0])),
+    }
+    for name, scene in scenes.items():
+        save(tmp_path / name, scene)
+
+    def psnr(one: str, other: str, cameras: str | None = None) -> float:
+        seen = ComparedViews(cameras, size=(24, 24))
+        found = compare_files(tmp_path / one, tmp_path / other, seen=seen, steps=listener).found
+        return float(found.means["a_b"]["psnr"])
+
+    assert psnr("far.ply", "far.ply") == 100
+    assert psnr("far.ply", "beside.ply") < 25
+    assert listener.said == []
+    assert psnr("far.ply", "near.spz") > 30  # .spz could not keep the origin
+    told = "has no origin; it is taken as relative to 453000 5012346 120"
+    assert listener.said == [f"{tmp_path / 'near.spz'}: {told}"]
+    listener.said.clear()
+    assert 10 < psnr("float.ply", "far.ply") < 60  # rounded to half a unit, where it is
+    assert listener.said == []
+    # Cameras of a capture are in the world of the file.
+    cameras = orbit_cameras(load(tmp_path / "far.ply", Splats), frames=2, width=24, height=24)
+    save(tmp_path / "cameras.json", cameras.relative_to(-load(tmp_path / "far.ply", Splats).origin))
+    assert psnr("far.ply", "near.spz", str(tmp_path / "cameras.json")) > 30

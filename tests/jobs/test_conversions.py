@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputErro
 from nerfbake.jobs import GridChoice, Target, bake_volume, convert_file, convert_splats, split_volume
 from tests.jobs.listener import Listener
 from tests.support.scenes import assert_same_octree
-from tests.support.splats import gzip_spz, splats
+from tests.support.splats import gzip_spz, splats, with_property
 from tests.support.vdb_readers import tree, volume
 
 VOXELS = [[0, 0, 0], [1, 2, 3], [9, 0, 5]]
@@ -187,3 +188,45 @@ def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
     with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
         convert_file(tmp_path / "a.ply", tmp_path / "b.svo.npz")
     assert not list(tmp_path.glob("b*"))
+
+
+UTM = np.array([453000.125, 5012345.625, 120.25])
+
+
+def test_splats_on_a_map_keep_their_origin_or_are_told_to_lose_it(tmp_path: Path, listener: Listener) -> None:
+    scene = replace(splats(30), origin=UTM)
+    save(tmp_path / "a.ply", scene)
+    for ending in ("ply", "glb"):
+        convert_file(tmp_path / "a.ply", tmp_path / f"b.{ending}", steps=listener)
+        assert listener.said[-1].endswith(": nothing is lost but the rounding of float32")
+        found = load(tmp_path / f"b.{ending}", Splats)
+        np.testing.assert_allclose(found.means + found.origin, scene.means + UTM, rtol=0, atol=1e-6)
+    assert not any("origin" in line for line in listener.said)
+    convert_splats(tmp_path / "a.ply", tmp_path / "b.spz", up="z", steps=listener)
+    kept = load(tmp_path / "a.ply", Splats).with_up("z").origin
+    told = "positions are relative to the origin {:.15g} {:.15g} {:.15g}, which .spz cannot keep".format(*kept)
+    assert f"{tmp_path / 'b.spz'}: {told}" in listener.said
+    assert "world units, scales" in listener.said[-1]
+    near = load(tmp_path / "b.spz", Splats)
+    places = (scene.means + UTM)[:, [0, 2, 1]] * [1, -1, 1]
+    np.testing.assert_allclose(near.means, places - kept, atol=1e-5)
+    assert "centres 1" not in listener.said[-1]  # the shift itself is no loss
+
+
+def test_what_was_not_read_is_in_the_last_line(tmp_path: Path, listener: Listener) -> None:
+    save(tmp_path / "a.ply", splats(30))
+    content = with_property((tmp_path / "a.ply").read_bytes(), "float trbf_center")
+    (tmp_path / "a.ply").write_bytes(content)
+    convert_file(tmp_path / "a.ply", tmp_path / "b.glb", steps=listener)
+    assert listener.said[0].endswith("is left out: the splats of all times are shown together")
+    assert listener.said[-1].endswith("of float32; not read: movement (trbf_*, motion_*, omega_*)")
+
+
+def test_a_stated_axis_is_kept_and_told(tmp_path: Path, listener: Listener) -> None:
+    save(tmp_path / "a.ply", replace(splats(3), up="z"))
+    convert_file(tmp_path / "a.ply", tmp_path / "b.glb", steps=listener)
+    name = str(tmp_path / "a.ply")
+    assert listener.said[0] == f"{name}: z points up, as the file says; only `up=z` turns the splats"
+    convert_splats(tmp_path / "a.ply", tmp_path / "c.ply", up="z", steps=listener)
+    assert not any("as the file says" in line for line in listener.said[1:])
+    assert load(tmp_path / "c.ply", Splats).up is None  # -y, as is usual

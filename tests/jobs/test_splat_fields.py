@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -11,14 +12,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nerfbake import SparseVoxelOctree, Splats, Volume, load, save
-from nerfbake.errors import BudgetMissed, InvalidScene, MemoryLimit, UsageError
+from nerfbake import SparseVoxelOctree, Splats, Volume, load, orbit_cameras, save
+from nerfbake.errors import BudgetMissed, InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
 from nerfbake.jobs import (
     RefitTarget,
     bake_octree,
     bake_volume,
     compare_files,
     compress_file,
+    convert_file,
+    describe_file,
     refit_file,
     splat_fields,
     view_file,
@@ -171,6 +174,87 @@ def test_a_volume_stands_upright(up: Literal["y", "z"], top: list[int]) -> None:
     assert_allclose(colour.values[dense & (towards < -0.9), 1], 1, atol=0.1)
     radius = np.sqrt((places**2).sum(axis=1))
     assert_allclose((density.values[:, 0] * radius).sum() / density.values.sum(), 1, atol=0.02)
+
+
+def stated(name: str, axis: str, ball: Splats) -> None:
+    save(name, ball)
+    content = Path(name).read_bytes()
+    line = f"comment Vertical axis: {axis}\n".encode()
+    Path(name).write_bytes(content.replace(b"element vertex", line + b"element vertex", 1))
+
+
+def test_the_axis_that_a_file_states_is_up_unless_another_is_given(ball: Splats, listener: Listener) -> None:
+    stated("z.ply", "0 0 1", ball)
+    stated("old.ply", "y", ball)
+    usual = SplatVoxels(epochs=0, up="stated")
+    for name, splats, top in (
+        ("z.ply", usual, [0.5, 0.5, 1]),  # z is blue
+        ("old.ply", usual, [0.5, 0, 0.5]),
+        ("z.ply", usual._replace(up="-y"), [0.5, 0, 0.5]),
+    ):
+        octree = bake_octree(name, "a.svo.npz", resolution=16, splats=splats, steps=listener)
+        assert_allclose(colour_at(octree, [0, 0, 1]), top, atol=0.15)
+        Path("a.svo.npz").unlink()
+    assert [line for line in listener.said if "points up" in line] == ["z.ply: z points up, as the file says"]
+    # Splats that are not turned fit the cameras of their capture.
+    with pytest.raises(UsageError, match="until -y is z"):
+        bake_octree("old.ply", "b.svo.npz", splats=usual, budget=Budget(20, "cameras.json"))
+    with pytest.raises(InvalidFile, match=r"cameras\.json"):
+        bake_octree("z.ply", "b.svo.npz", resolution=8, splats=usual, budget=Budget(20, "cameras.json"))
+
+
+def test_a_page_stands_as_the_file_states(ball: Splats, listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splat_fields, "RESOLUTION", 8)
+    stated("z.ply", "0 0 1", ball)
+    view_file("z.ply", "a.html", data="exact", steps=listener)
+    assert "z.ply: z points up, as the file says" in listener.said
+    assert orbit_cameras(load("z.ply", Splats)).cameras[0].pose[2, 3] > 0.5  # pictures are taken from above
+    assert orbit_cameras(ball).cameras[0].pose[1, 3] < -0.5
+
+
+UTM = np.array([453000.125, 5012345.625, 120.25])
+
+
+def test_voxels_stand_at_the_origin_of_splats_on_a_map(ball: Splats, listener: Listener) -> None:
+    save("far.ply", replace(ball, origin=UTM))
+    origin = load("far.ply", Splats).origin
+    near = bake_octree("ball.ply", "near.svo.npz", resolution=16, splats=DIRECT)
+    found = bake_octree("far.ply", "far.svo.npz", resolution=16, splats=DIRECT, steps=listener)
+    told = "positions are relative to the origin 453000 5012346 120, which voxels cannot keep"
+    assert listener.said[0] == f"far.ply: {told}"
+    assert_allclose(found.origin, near.origin + UTM - origin, atol=1e-5)
+    # A box is in the world of the file; the -y of a volume's splats becomes z.
+    box = (*(UTM - [0, 2, 2]).tolist(), *(UTM + 2).tolist())
+    half = bake_octree("far.ply", "half.svo.npz", resolution=16, box=box, splats=DIRECT)
+    assert_allclose(half.origin, np.array([0, -2, -2]) + UTM - origin, atol=1e-5)
+    bake_volume("far.ply", "far.vdb", resolution=8, splats=SplatVoxels(epochs=0, up="stated"), steps=listener)
+    assert any("origin 453000 120 -5012346, which" in line for line in listener.said)
+
+
+def test_values_that_are_not_finite_are_told_with_the_name_of_the_file(ball: Splats) -> None:
+    save("a.glb", ball)
+    content = Path("a.glb").read_bytes()
+    node = b'"nodes":[{"name":"splats","mesh":0}]'
+    worse = b'"nodes":[{"mesh":0,"scale":[1e308,1e308,1e308]}]'
+    size = int.from_bytes(content[12:16], "little")
+    text = content[20 : 20 + size].rstrip().replace(node, worse)
+    text += b" " * (-len(text) % 4)
+    Path("a.glb").write_bytes(
+        content[:8] + (len(content) - size + len(text)).to_bytes(4, "little") + len(text).to_bytes(4, "little")
+        + content[16:20] + text + content[20 + size :]
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for job in (
+            lambda: bake_octree("a.glb", "b.svo.npz"),
+            lambda: convert_file("a.glb", "b.ply"),
+            lambda: compress_file("a.glb", "b.svoq"),
+        ):
+            with pytest.raises(NerfbakeError, match=r"^a\.glb: "):
+                job()
+        with pytest.raises(NerfbakeError, match=r"^a\.glb: "):
+            describe_file("a.glb")
+    assert not list(Path().glob("b.*"))
 
 
 @pytest.mark.usefixtures("ball")
