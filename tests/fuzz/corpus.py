@@ -39,6 +39,7 @@ from tests.support.scenes import n3tree
 from tests.support.snerg import snerg, snerg_folder
 from tests.support.splats import (
     gzip_spz,
+    halved,
     packed_ply,
     sog_files,
     sog_levels,
@@ -46,6 +47,7 @@ from tests.support.splats import (
     splat_rows,
     splats,
     text_ply,
+    with_property,
 )
 from tests.support.svraster import svraster_file, voxels
 from tests.support.tensorf import tensorf, tensorf_file
@@ -56,6 +58,7 @@ Files = dict[str, bytes]
 
 _NO_CHECKSUM = struct.pack("<Q", (1 << 64) - 1)
 _CHECKSUM_AT = slice(8, 16)  # in NanoVDB's GridData
+_MAP = np.array([453000.125, 5012345.5, 120.25])  # the origin of a scene in UTM
 
 
 # Not formats of scenes, but files and folders that may come from untrusted sources.
@@ -242,6 +245,7 @@ def _meshes(name: str) -> Iterator[bytes]:
         painted = replace(textured, colours=np.linspace(0, 1, 12, dtype=np.float32).reshape(4, 3))
         yield _encoded(name, Meshes((painted,), (flat,)), quantised=True, lit=True, image="webp")
         yield sparse_glb()
+    yield _encoded(name, Meshes((plain,), origin=_MAP))
     if name == "ply":
         yield polygon_ply([(0, 1, 2), (0, 2, 3, 1)])
         yield from odd_plys()
@@ -261,6 +265,11 @@ def _splats(name: str) -> Iterator[bytes]:
     if name == "ply":
         yield packed_ply(splats(300, degree=1))
         yield text_ply(splats(4, degree=0))
+        yield _encoded(name, replace(splats(4, degree=0), origin=_MAP, up="z"))
+        yield halved(_encoded(name, splats(3, degree=1)))
+        yield with_property(with_property(_encoded(name, splats(3, degree=0)), "float trbf_center"), "float motion_0")
+    elif name == "glb":
+        yield _encoded(name, replace(splats(4, degree=0), origin=_MAP))
     elif name == "spz":
         yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))
 
