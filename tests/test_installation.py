@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
 import tomllib
 from functools import cache
-from importlib.metadata import packages_distributions
+from importlib.metadata import PackageNotFoundError, packages_distributions
 from pathlib import Path
 
 import pytest
 
 from nerfbake import save
 from nerfbake.bench.access.readers import reading
-from nerfbake.bench.environment import EXTRAS
 from nerfbake.bench.measure import measure
 from nerfbake.cli.main import run
+from nerfbake.errors import NerfbakeError
+from nerfbake.installation import EXTRAS, command_for
+from nerfbake.jobs import find_poses
 from tests.conftest import REPOSITORY
 from tests.support.octrees import small_octree
 from tests.support.source import PACKAGE, imports, modules
@@ -49,7 +52,7 @@ def packages_of(module: str) -> set[str]:
 
 def test_a_plain_installation_brings_every_import_but_those_of_extras() -> None:
     plain = names(PROJECT["dependencies"])
-    assert {module for module in imported() if not packages_of(module) & plain} == set(EXTRAS)
+    assert {module for module in imported() if not packages_of(module) & plain} == {*EXTRAS, "pi_heif"}
 
 
 def test_no_dependency_is_there_for_nothing() -> None:
@@ -61,7 +64,99 @@ def test_each_extra_brings_its_library_and_tests_have_them_all() -> None:
     extras = PROJECT["optional-dependencies"]
     for module, extra in EXTRAS.items():
         assert packages_of(module) & names(extras[extra])
-    assert extras["test"][0] == f"nerfbake[{','.join(EXTRAS.values())}]"
+    assert extras["test"][0] == f"nerfbake[{','.join(dict.fromkeys(EXTRAS.values()))}]"
+
+
+class Installed:
+    """An installation of nerfbake as its metadata tells it."""
+
+    requires = ("numpy>=2.0", "pycolmap>=4.2; extra == 'poses'", 'pillow-heif>=1.8; extra == "heic"')
+
+    def __init__(self, installer: str = "pip", origin: object = None) -> None:
+        self._files = {"INSTALLER": f"{installer}\n", "direct_url.json": origin and json.dumps(origin)}
+
+    def read_text(self, name: str) -> object:
+        return self._files.get(name)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with an active virtual environment `env` and a checkout `nerfbake`."""
+    (tmp_path / "nerfbake").mkdir()
+    (tmp_path / "env" / "bin").mkdir(parents=True)
+    pip = tmp_path / "env" / "bin" / "pip"
+    pip.touch(0o755)
+    monkeypatch.setenv("PATH", str(pip.parent))
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "env"))
+    monkeypatch.setattr(sys, "executable", str(pip.with_name("python")))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def said(installed: Installed, monkeypatch: pytest.MonkeyPatch, module: str = "pycolmap") -> str:
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: installed)
+    return command_for(module)
+
+
+def test_the_command_is_that_of_the_way_in_which_nerfbake_was_installed(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkout = {"url": (place / "nerfbake").as_uri(), "dir_info": {}}
+    editable = checkout | {"dir_info": {"editable": True}}
+    wheel = {"url": (place / "nerfbake-0.1.0-py3-none-any.whl").as_uri(), "archive_info": {}}
+    commit = {"url": "https://example.org/n.git", "vcs_info": {"vcs": "git", "commit_id": "c0ffee"}}
+    archive = {"url": "https://example.org/n.whl", "archive_info": {}}
+    (place / "nerfbake-0.1.0-py3-none-any.whl").touch()
+    commands = {
+        "pip install 'nerfbake[poses]'": Installed(),
+        "pip install './nerfbake[poses]'": Installed(origin=checkout),
+        "pip install --editable './nerfbake[poses]'": Installed(origin=editable),
+        "pip install './nerfbake-0.1.0-py3-none-any.whl[poses]'": Installed(origin=wheel),
+        "pip install 'nerfbake[poses] @ git+https://example.org/n.git@c0ffee'": Installed(origin=commit),
+        "pip install 'nerfbake[poses] @ https://example.org/n.whl'": Installed(origin=archive),
+        f"uv pip install --python {place}/env --editable './nerfbake[poses]'": Installed("uv", editable),
+    }
+    assert [said(installed, monkeypatch) for installed in commands.values()] == [*commands]
+    monkeypatch.chdir(place / "nerfbake")
+    assert said(Installed(origin=editable), monkeypatch) == "pip install --editable '.[poses]'"
+    assert said(Installed(), monkeypatch, "numpy") == ""
+
+
+def test_a_checkout_that_is_gone_is_not_named(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = Installed(origin={"url": (place / "gone").as_uri(), "dir_info": {}})
+    assert said(gone, monkeypatch) == "pip install 'pycolmap>=4.2'"
+    assert said(gone, monkeypatch, "pillow_heif") == "pip install 'pillow-heif>=1.8'"
+
+
+def test_the_pip_is_that_of_the_interpreter(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")  # the environment is not active
+    assert said(Installed(), monkeypatch) == "env/bin/python -m pip install 'nerfbake[poses]'"
+    monkeypatch.chdir("/")
+    assert said(Installed(), monkeypatch) == f"{place}/env/bin/python -m pip install 'nerfbake[poses]'"
+
+
+def test_pipx_has_a_command_of_its_own(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (place / "env" / "pipx_metadata.json").touch()
+    assert said(Installed(), monkeypatch) == "pipx inject nerfbake 'pycolmap>=4.2'"
+
+
+def test_a_checkout_that_nobody_installed_is_named(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(name: str) -> None:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.distribution", none)
+    assert command_for("warp") == f"pip install --editable '{REPOSITORY}[warp]'"
+
+
+def test_poses_without_pycolmap_name_the_command(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: Installed())
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    for name in "abc":
+        (place / f"{name}.jpg").touch()
+    with pytest.raises(NerfbakeError) as refused:
+        find_poses(place)
+    expected = "finding poses needs pycolmap, which is not installed; allowed: pip install 'nerfbake[poses]'"
+    assert str(refused.value) == expected
 
 
 def test_a_plot_without_matplotlib_is_refused_before_anything_is_measured(
@@ -72,8 +167,8 @@ def test_a_plot_without_matplotlib_is_refused_before_anything_is_measured(
     monkeypatch.setattr("nerfbake.bench.formats.comparison.compare_formats", pytest.fail)
     plot = tmp_path / "a.svg"
     assert run(["bench", "formats", str(tmp_path / "a.svo.pb"), "--plot", str(plot)]) == 2
-    said = "--plot needs matplotlib, which is not installed; allowed: pip install 'nerfbake[plot]'"
-    assert capsys.readouterr().err == f"error: {said}\n"
+    told = f"--plot needs matplotlib, which is not installed; allowed: {command_for('matplotlib')}"
+    assert capsys.readouterr().err == f"error: {told}\n"
     assert not plot.exists()
 
 
@@ -84,7 +179,7 @@ def test_a_row_whose_library_is_missing_says_which_extra_brings_it(
     (tmp_path / "warp.py").write_text("raise ModuleNotFoundError('none', name='warp')")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{REPOSITORY}")
     result = measure(reading, name="Warp", folder=str(tmp_path), channels=1, kinds=[], limit=0)
-    assert result.error == "not installed: warp; pip install 'nerfbake[warp]'"
+    assert result.error == f"not installed: warp; {command_for('warp')}"
 
 
 def test_no_command_needs_an_extra_to_say_what_it_does() -> None:

@@ -21,8 +21,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from nerfbake.bench.environment import command_for
 from nerfbake.errors import NerfbakeError
+from nerfbake.installation import command_for
 
 Progress = Callable[[str], AbstractContextManager[object]]
 TIMEOUT = 1800  # seconds for one run

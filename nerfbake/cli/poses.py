@@ -36,7 +36,7 @@ def poses(source: str, as_json: bool, console: Console, **options: Any) -> None:
     """Find the camera poses of photographs.
 
     Reads the pictures in the folder PHOTOS or in its subfolder images. Writes their poses to PHOTOS: transforms.json,
-    and a COLMAP model in sparse/0. Needs pycolmap: pip install 'nerfbake[poses]'.
+    and a COLMAP model in sparse/0. Needs pycolmap, which the extra `poses` installs.
 
     \b
       nerfbake poses photographs && nerfbake fit photographs scene.npz

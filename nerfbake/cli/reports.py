@@ -10,10 +10,10 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.bench.environment import require_installed
 from nerfbake.cli.params import Command, bundled, is_whole, without_effect
 from nerfbake.cli.paths import Writes
 from nerfbake.errors import OutputError, UsageError
+from nerfbake.installation import require_installed
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
+from nerfbake.installation import command_for, require_installed
 from nerfbake.io.own_files import require_no_link
 from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_picture
 from nerfbake.io.targets import replacing_folder
@@ -37,7 +37,6 @@ _CONTENTS = io.FolderContents(
 _PICTURES = "images"
 # Photographs and videos that are not read, so that an error can name one.
 _OTHERS = (".webp", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".mov", ".mp4")
-_EXTRA = "pip install 'nerfbake[poses]'"
 _COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
 _LEAST_ROOM = 1 << 22  # bytes on the disk: with less, pycolmap fails for lack of room
 _ENDS = {"models", "missing", "unread", "failed"}  # what the last line of the process says
@@ -87,8 +86,7 @@ def find_poses(
     if not 0 <= seed <= MAX_SEED:
         raise UsageError(f"`seed` is {seed}; allowed: 0 to {MAX_SEED}")
     place, names = _pictures_of(folder, source.name)
-    if find_spec("pycolmap") is None:
-        raise UsageError(Problem("finding poses", "needs pycolmap, which is not installed", _EXTRA))
+    require_installed("pycolmap", "finding poses")
     _require_outputs(folder, force)
     groups = _same_sizes(steps, place, names)
     if sequential is None:
@@ -242,7 +240,9 @@ def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
     if "models" in event:
         return event
     if "missing" in event:
-        raise UsageError(Problem("pycolmap", f"cannot be imported ({event['missing']})", _EXTRA), source=name)
+        raise UsageError(
+            Problem("pycolmap", f"cannot be imported ({event['missing']})", command_for("pycolmap")), source=name
+        )
     _require_disk(name, request, event.get("failed", ended))
     if "unread" in event:
         picture = str(Path(request["pictures"]) / event["unread"])

@@ -14,6 +14,7 @@ from nerfbake.errors import UsageError
 from nerfbake.kernels.cluster.colours import codes_of
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.maths.elementary import Extremes, extremes
+from nerfbake.kernels.surface.edges import mesh_edges
 from nerfbake.kernels.surface.normals import welded
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.basis import parse_basis
@@ -216,17 +217,14 @@ def _surface(scene: Meshes) -> dict[str, Any]:
     need = sum(_PER_TRIANGLE * len(mesh.faces) + _PER_VERTEX * len(mesh.positions) for mesh in scene.meshes)
     if need > memory.left():
         return {"pieces": None, "closed": None, "same_winding": None}
-    from trimesh import graph  # imported here, because the import is slow and only meshes need it
-
     positions, corners, _ = joined_meshes(scene.meshes)
     faces = welded(positions)[1][corners]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     if not len(faces):
         return {"pieces": 0, "closed": False, "same_winding": True}
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    closed, same_winding = graph.is_watertight(edges)
-    labels = graph.connected_component_labels(edges)  # type: ignore[no-untyped-call]
-    return {"pieces": len(np.unique(labels[faces[:, 0]])), "closed": closed, "same_winding": same_winding}
+    edges = mesh_edges(faces, len(positions))
+    pieces = edges.count_pieces(len(positions))
+    return {"pieces": pieces, "closed": edges.closed, "same_winding": edges.same_winding}
 
 
 def summary_of_light(environment: EnvironmentMap) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from nerfbake.cli.main import run
+from nerfbake.installation import command_for
 from nerfbake.jobs import PosesResult, poses
 from tests.cli.telling import told
 from tests.support.rooms import write_room
@@ -65,7 +66,7 @@ def test_a_missing_library_is_wrong_usage(
     for name in ("a.jpg", "b.jpg", "c.jpg"):
         (tmp_path / name).write_bytes(b"")
     assert run(["poses", str(tmp_path)]) == 2
-    assert "pip install 'nerfbake[poses]'" in capsys.readouterr().err
+    assert capsys.readouterr().err.endswith(f"is not installed; allowed: {command_for('pycolmap')}\n")
 
 
 def test_a_seed_that_is_too_large_is_wrong_usage() -> None:

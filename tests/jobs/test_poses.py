@@ -22,6 +22,7 @@ from PIL import Image as Pillow
 from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
 from nerfbake.errors import InvalidFile
+from nerfbake.installation import command_for
 from nerfbake.jobs import PosesResult, Source, find_poses, poses
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.steps import SILENT
@@ -196,13 +197,13 @@ def test_a_picture_without_features_is_left_out_and_one_may_have_a_long_name_or_
 
 def test_without_pycolmap_its_extra_is_named(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    said = "2 finding poses needs pycolmap, which is not installed; allowed: pip install 'nerfbake[poses]'"
+    said = f"2 finding poses needs pycolmap, which is not installed; allowed: {command_for('pycolmap')}"
     assert refused(photographs) == said
 
 
 def test_a_pycolmap_that_cannot_be_imported_is_told(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replace_pycolmap(photographs, "raise ImportError('libgomp is missing')", monkeypatch)
-    said = "pycolmap cannot be imported (libgomp is missing); allowed: pip install 'nerfbake[poses]'"
+    said = f"pycolmap cannot be imported (libgomp is missing); allowed: {command_for('pycolmap')}"
     assert refused(photographs) == f"2 {photographs}: {said}"
 
 

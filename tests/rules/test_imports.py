@@ -15,25 +15,32 @@ ANY = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.i
 # layer: allowed imports from nerfbake, and from packages other than the standard library
 RULES: dict[str, tuple[set[str], set[str]]] = {
     "errors": (set(), set()),
+    "installation": ({"errors"}, set()),
     "kernels": ({"errors", "memory", "progress", "kernels"}, {"numpy", "numba"}),
     "scene": ({"errors", "memory", "progress", "kernels", "scene"}, {"numpy"}),
     "stages": ({"errors", "memory", "progress", "kernels", "scene", "stages"}, {"numpy"}),
     "contract": ({"errors"}, set()),
-    "formats": ({"errors", "memory", "progress", "contract", "kernels", "scene", "formats"}, {"numpy"}),
+    "formats": (
+        {"errors", "installation", "memory", "progress", "contract", "kernels", "scene", "formats"},
+        {"numpy"},
+    ),
     "memory": ({"errors"}, set()),
     "progress": (set(), set()),
     "catalog": ({"errors", "contract"}, set()),
     "io": ({"errors", "memory", "progress", "contract", "catalog", "io"}, set()),
     "batch": ({"errors", "memory", "progress", "catalog", "io", "formats.wire", "batch", "__version__"}, set()),
     "jobs": (
-        {"errors", "memory", "progress", "kernels", "catalog", "io", "scene", "stages", "batch", "jobs", "__version__"},
+        {
+            *("errors", "installation", "memory", "progress", "kernels", "catalog", "io"),
+            *("scene", "stages", "batch", "jobs", "__version__"),
+        },
         set(),
     ),
     "bench": (ANY - {"cli"}, {"numpy"}),
     "cli": (ANY | {"__version__"}, {"click", "rich"}),
 }
 # Parts of a layer with other rules: `formats/wire` may not import scenes.
-PARTS = {"formats/wire": ({"errors", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})}
+PARTS = {"formats/wire": ({"errors", "installation", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})}
 # Libraries that a single module may import.
 OWN_LIBRARY = {
     "bench/access/warp_reader": {"warp"},  # compared in bench access
@@ -52,7 +59,8 @@ OWN_LIBRARY = {
     "formats/wire/deflate": {"deflate", "zlib_ng"},
     "formats/wire/json": {"orjson"},
     "formats/wire/npz": {"zlib_ng"},
-    "formats/wire/picture": {"PIL", "pillow_heif"},
+    "formats/wire/heif": {"pillow_heif", "pi_heif"},
+    "formats/wire/picture": {"PIL"},
     "formats/wire/png": {"deflate"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
@@ -69,6 +77,7 @@ HEAVY = {
     "numba",
     "PIL",
     "pillow_heif",
+    "pi_heif",
     "bson",
     "capnp",
     "flatbuffers",
@@ -104,8 +113,8 @@ def test_imports_follow_the_rules(path: Path) -> None:
 
 def test_only_io_opens_files() -> None:
     openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
-    # These open a device, bytes in memory, the database of pycolmap, or the cache of compiled kernels.
-    no_files = {"main", "picture", "_pycolmap", "kernel_cache"}
+    # These open a device, bytes in memory, the metadata of a package, the database of pycolmap, or the cache of kernels.
+    no_files = {"main", "picture", "installation", "_pycolmap", "kernel_cache"}
     for path in modules():
         if "io" in path.parts or "bench" in path.parts:  # benchmarks of files open them
             continue

@@ -9,8 +9,8 @@ COLMAP, instant-ngp and nerfstudio estimate poses on the pixels as stored, so th
 of some captures were estimated on pictures that had been rotated upright. There the width of the camera is the height
 of the stored picture; only then is the picture rotated.
 
-HEIC is what an iPhone stores. pillow-heif decodes it, an optional library, whose wheels contain libheif. A HEIC stores
-its rotation in the picture, not in EXIF, and is always decoded upright.
+HEIC is what an iPhone stores (see heif.py). It stores its rotation in the picture, not in EXIF, and is always decoded
+upright.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +30,7 @@ from PIL import Image, UnidentifiedImageError
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats.wire import heif
 from nerfbake.formats.wire.png import require_checksums
 from nerfbake.kernels.soundness import MAX_EDGE
 
@@ -66,9 +68,10 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
     bytes_per_pixel: of memory that is needed in addition to the picture that Pillow decodes; 0 if only its header is
     read, or is there. Else a PNG's checksums are checked first, which takes 0.3 % of the time to decode it.
     """
+    broken: tuple[type[Exception], ...] = _BROKEN
     if "HEIF" in kinds and is_heic(view):
-        _require_heif(name)
-        kinds = ("HEIF",)
+        heif.require_heif(name)
+        kinds, broken = ("HEIF",), heif.BROKEN
     else:
         kinds = tuple(kind for kind in kinds if kind != "HEIF")
     try:
@@ -87,9 +90,9 @@ def opened(view: memoryview, name: str, *kinds: str, bytes_per_pixel: int) -> It
     except Image.DecompressionBombError:
         most = f"178 million, with {MAX_EDGE:,} an edge at most"
         raise InvalidFile(Problem(name, "declares more than 178 million pixels", most)) from None
-    except _BROKEN as error:
+    except broken as error:
         # Pillow's own message has the address of the buffer.
-        reason = _content(bytes(view[:16])) if isinstance(error, UnidentifiedImageError) else error
+        reason = _content(bytes(view[:16])) if isinstance(error, UnidentifiedImageError) else str(error).strip()
         raise InvalidFile(Problem(name, f"cannot be read ({reason})", f"a whole {' or '.join(kinds)}")) from None
 
 
@@ -139,16 +142,6 @@ def _content(head: bytes) -> str:
 def is_photograph(head: memoryview) -> bool:
     """Return whether the first bytes of a file are those of a PNG, a JPEG or a HEIC."""
     return bytes(head[:4]) == b"\x89PNG" or bytes(head[:2]) == b"\xff\xd8" or is_heic(head)
-
-
-def _require_heif(name: str) -> None:
-    """Make Pillow able to read HEIC. Raises InvalidFile if the library for it is missing."""
-    try:
-        from pillow_heif import register_heif_opener
-    except ImportError:
-        allowed = "a PNG or a JPEG, or HEIC after `pip install 'nerfbake[heic]'`"
-        raise InvalidFile(Problem(name, "is HEIC", allowed)) from None
-    register_heif_opener(thumbnails=False)
 
 
 def png_of(picture: Image.Image) -> bytes:
@@ -280,14 +273,36 @@ def _require_mode(picture: Image.Image) -> None:
 
 
 def jpeg_of_heic(view: memoryview) -> bytes:
-    """Encode a HEIC as JPEG of the same size, with its EXIF data. Raises InvalidFile, MemoryLimit."""
+    """Encode a HEIC as JPEG of the same size. Of its EXIF data, only the focal length and the orientation are kept.
+
+    A JPEG holds at most 64 kB of EXIF data, and what an iPhone adds about itself can be more. Raises InvalidFile,
+    MemoryLimit.
+    """
     with opened(view, "the picture", "HEIF", bytes_per_pixel=12) as picture:
         file = io.BytesIO()
-        picture.convert("RGB").save(file, "JPEG", quality=_JPEG_QUALITY, exif=picture.info.get("exif") or b"")
+        picture.convert("RGB").save(file, "JPEG", quality=_JPEG_QUALITY, exif=_lens_of(picture))
         return file.getvalue()
 
 
 _JPEG_QUALITY = 95
+_EXIF, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x920A, 0xA405  # EXIF 2.32, tables 4 and 8
+
+
+def _lens_of(picture: Image.Image) -> bytes:
+    """The orientation and the focal lengths in a picture's EXIF data, as EXIF data; b"" if there are none."""
+    try:
+        found, kept = picture.getexif(), Image.Exif()
+        kept.update(_numbers_of(found, _ORIENTATION))
+        kept.get_ifd(_EXIF).update(_numbers_of(found.get_ifd(_EXIF), _FOCAL_LENGTH, _FOCAL_LENGTH_35MM))
+        return kept.tobytes()
+    except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
+        return b""
+
+
+def _numbers_of(tags: Any, *names: int) -> dict[int, Any]:
+    return {name: tags[name] for name in names if isinstance(tags.get(name), Real)}
+
+
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
 
 

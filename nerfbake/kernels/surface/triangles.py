@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Bits, Faces, Floats, Ints
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.surface.edges import mesh_edges
 from nerfbake.kernels.surface.normals import face_normals
 
 Number = TypeVar("Number", bound=np.floating[Any])
@@ -38,14 +39,10 @@ def compacted(positions: npt.NDArray[Number], faces: Faces) -> tuple[npt.NDArray
 
 def rim_of(faces: Faces, count: int) -> Bits:
     """(count,): the vertices at an edge that does not have exactly one face on either side."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-    low, high = edges.min(axis=1), edges.max(axis=1)
-    along = np.where(edges[:, 0] == low, 1, -1)
-    keys, inverse, times = np.unique(low * count + high, return_inverse=True, return_counts=True)
-    balance = np.bincount(inverse.reshape(-1), weights=along, minlength=len(keys))
-    open_ = keys[(times != 2) | (balance != 0)]
+    edges = mesh_edges(faces, count)
+    open_ = (edges.times != 2) | (edges.balance != 0)
     rim = np.zeros(count, bool)
-    rim[open_ // count] = rim[open_ % count] = True
+    rim[edges.low[open_]] = rim[edges.high[open_]] = True
     return rim
 
 

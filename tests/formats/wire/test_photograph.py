@@ -7,12 +7,14 @@ import struct
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
+from pillow_heif import from_pillow
 
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
 from nerfbake.formats.wire.picture import (
@@ -25,7 +27,7 @@ from nerfbake.formats.wire.picture import (
     jpeg_of_heic,
 )
 from nerfbake.memory import memory_limit
-from tests.support.heic import EXIF, FOCAL, FOCAL_LENGTH, heic_of
+from tests.support.heic import EXIF, FOCAL, FOCAL_LENGTH, ORIENTATION, heic_of
 from tests.support.hostile import damaged
 
 SMOOTH = np.stack(np.broadcast_arrays(*np.ogrid[0:240:48j, 0:190:64j], 99), axis=-1).astype(np.uint8)
@@ -168,14 +170,39 @@ def test_heic_has_the_pixels_that_it_was_made_of(heic: memoryview) -> None:
     assert Pillow.open(io.BytesIO(encode_thumbnail(heic, 32))).size == (32, 24)
 
 
+def test_the_library_without_an_encoder_decodes_the_same(heic: memoryview, monkeypatch: pytest.MonkeyPatch) -> None:
+    photographs = [heic, memoryview(heic_of(Pillow.fromarray(SMOOTH)))]
+    expected = [decode_photograph(view) for view in photographs]
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    for view, pixels in zip(photographs, expected, strict=True):
+        assert_array_equal(decode_photograph(view), pixels)
+    assert "pi_heif" in sys.modules
+
+
 def test_heic_becomes_a_jpeg_of_its_size_and_focal_length(heic: memoryview) -> None:
     made = jpeg_of_heic(heic)
     with Pillow.open(io.BytesIO(made)) as picture:
         assert (picture.format, picture.size) == ("JPEG", (64, 48))
         assert picture.getexif().get_ifd(EXIF)[FOCAL_LENGTH] == FOCAL
+        assert picture.getexif()[ORIENTATION] == 1  # a HEIC is decoded upright
     assert is_heic(heic)
     assert not is_heic(memoryview(made))
     assert np.abs(decode_photograph(memoryview(made)).astype(int) - decode_photograph(heic)).max() <= 8
+
+
+def test_more_exif_than_a_jpeg_holds_is_left_out(heic: memoryview) -> None:
+    whole = memoryview(heic_of(Pillow.fromarray(SMOOTH), quality=-1, note=bytes(range(256)) * 300))
+    assert len(whole) > 76_000
+    assert jpeg_of_heic(whole) == jpeg_of_heic(heic)
+
+
+@pytest.mark.parametrize("exif", [b"Exif\0\0II*\0", b"Exif\0\0II*\0" + b"\xff" * 4])
+def test_damaged_exif_of_heic_is_left_out(exif: bytes) -> None:
+    made = io.BytesIO()
+    from_pillow(Pillow.fromarray(SMOOTH)).save(made, quality=-1, exif=exif)
+    with Pillow.open(io.BytesIO(jpeg_of_heic(memoryview(made.getvalue())))) as picture:
+        assert picture.size == (64, 48)
+        assert FOCAL_LENGTH not in picture.getexif().get_ifd(EXIF)
 
 
 def test_damaged_heic_is_refused(heic: memoryview) -> None:
@@ -186,9 +213,32 @@ def test_damaged_heic_is_refused(heic: memoryview) -> None:
         decode_photograph(heic[: len(heic) // 2])
 
 
+def test_heic_with_one_damaged_bit_is_one_line_or_a_picture() -> None:
+    whole = heic_of(Pillow.fromarray(SMOOTH), quality=60)
+    sizes = whole.index(b"ispe") + 8  # width and height: what libheif refuses with RuntimeError
+    said = set()
+    for bit in (*range(8 * sizes, 8 * sizes + 64), *range(0, 8 * len(whole), 11)):
+        data = bytearray(whole)
+        data[bit // 8] ^= 1 << bit % 8
+        said.add(said_of(check_photograph, bytes(data)))
+    assert any("Memory allocation error" in line for line in said)
+    assert all("cannot be read (" in line or "declares" in line for line in said if line)
+
+
+@pytest.mark.data
+def test_the_damaged_heic_of_the_report_is_one_line(data: Path) -> None:
+    view = memoryview((data / "hostile4/heic_runtime/bad.heic").read_bytes())
+    with pytest.raises(InvalidFile, match=r"the picture cannot be read \(Memory allocation .*; allowed: a whole HEIF"):
+        check_photograph(view)
+    view = memoryview((data / "hostile4/heic_exif/exif70k.heic").read_bytes())
+    assert Pillow.open(io.BytesIO(jpeg_of_heic(view))).size == decode_photograph(view).shape[1::-1]
+
+
 def test_without_its_library_heic_is_named(heic: memoryview, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    allowed = r"a PNG or a JPEG, or HEIC after `pip install 'nerfbake\[heic\]'`"
+    monkeypatch.setitem(sys.modules, "pi_heif", None)
+    monkeypatch.setattr("nerfbake.formats.wire.heif.command_for", "pip install 'nerfbake[{}]'".format)
+    allowed = r"a PNG or a JPEG, or HEIC after: pip install 'nerfbake\[pillow_heif\]'"
     with pytest.raises(InvalidFile, match=f"the picture is HEIC; allowed: {allowed}"):
         decode_photograph(heic)
 
