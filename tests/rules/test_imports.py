@@ -49,7 +49,6 @@ OWN_LIBRARY = {
     "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
     "formats/atlas/folder": {"PIL"},  # for its version in atlas.json
-    "formats/octree/bson": {"bson"},
     "formats/octree/flatbuffers": {"flatbuffers"},
     "formats/octree/json": {"orjson"},
     "formats/picture/depth_png": {"PIL"},
@@ -68,7 +67,6 @@ OWN_LIBRARY = {
     "jobs/_pycolmap": {"pycolmap"},
     "scene/packed_pictures": {"zstandard"},  # in memory alone
     "stages/mesh_to_mesh": {"fast_simplification"},
-    "stages/scene_to_summary": {"trimesh"},
 }
 HEAVY = {
     "fast_simplification",

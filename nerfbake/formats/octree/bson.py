@@ -3,22 +3,22 @@
     report   node_children an array of int32, node_data an array of doubles
     bulk     each a document {dtype, shape, data: binary}; the binary contains the array as it is in memory
 
-pymongo's bson encodes and decodes the small fields. The large arrays are written and read here, because the library
-would create a Python object for every number or copy every blob. A test compares the bytes with those of the library.
+The elements that an octree does not have are skipped, whatever they hold, so nothing nested is followed. A library
+would create a Python object for every number and copy every blob. A test compares the bytes with those of pymongo's
+bson.
 
     document   int32 size | elements | 00          element   type | name 00 | value
 
 An array is a document whose names are "0", "1", "2", ...: 10 to 18 bytes a number. BSON's only float is the double;
-widening to it is exact. Source: bsonspec.org.
+widening to it is exact. Source: BSON 1.1, bsonspec.org.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-import bson
 import numpy as np
 import numpy.typing as npt
 
@@ -38,18 +38,41 @@ from nerfbake.formats.octree.fields import (
 from nerfbake.formats.wire.blob import Blob, blob_of
 from nerfbake.scene.octree import SparseVoxelOctree
 
-DOUBLE, _STRING, DOCUMENT, ARRAY, _BINARY, INT32, _INT64 = 1, 2, 3, 4, 5, 16, 18
-_FIXED_SIZES = {DOUBLE: 8, 7: 12, 8: 1, 9: 8, 10: 0, INT32: 4, 17: 8, _INT64: 8, 19: 16}
+DOUBLE, _STRING, DOCUMENT, ARRAY, _BINARY, _BOOLEAN, _NULL, INT32, _INT64 = 1, 2, 3, 4, 5, 8, 10, 16, 18
+_FIXED_SIZES = {DOUBLE: 8, 7: 12, _BOOLEAN: 1, 9: 8, _NULL: 0, INT32: 4, 17: 8, _INT64: 8, 19: 16}
 _NUMBERS = {DOUBLE: "<f8", INT32: "<i4", _INT64: "<i8"}
 _CHUNK = 1 << 18
 _MAX_SMALL = 1 << 24
 _MAX_ELEMENTS = 1000
-_PER_VALUE = 16  # upper bound: bytes of Python objects for each byte of an array
+_PER_NUMBER = 40  # bytes of a Python object and of its place in a list
+_LARGE = ("node_children", "node_data")
+_SMALL = ("type_url", "width", "height", "depth", "data_format", "data_dim", "level_sizes", "origin", "voxel_size")
+_SMALL += ("extra_data",)
+
+
+def document_of(fields: Mapping[str, Any]) -> bytes:
+    """Encode text, numbers, and lists of them."""
+    body = b"".join(_element(name, value) for name, value in fields.items())
+    return struct.pack("<i", 4 + len(body) + 1) + body + b"\0"
+
+
+def _element(name: str, value: str | float | list[float]) -> bytes:
+    if isinstance(value, str):
+        text = value.encode()
+        kind, data = _STRING, struct.pack("<i", len(text) + 1) + text + b"\0"
+    elif isinstance(value, float):
+        kind, data = DOUBLE, struct.pack("<d", value)
+    elif isinstance(value, list):
+        kind, data = ARRAY, document_of({str(i): number for i, number in enumerate(value)})
+    else:
+        kind = INT32 if -(1 << 31) <= value < 1 << 31 else _INT64
+        data = struct.pack("<i" if kind == INT32 else "<q", value)
+    return bytes([kind]) + name.encode() + b"\0" + data
 
 
 def document_head(small: dict[str, Any], *large: LargeElement) -> tuple[int, bytes]:
     """Return the size of the whole document, and the bytes of its size field and its small fields."""
-    fields = bson.encode(small)[4:-1]
+    fields = document_of(small)[4:-1]
     size = 4 + len(fields) + sum(value.size for value in large) + 1
     return size, struct.pack("<I", size & 0xFFFFFFFF) + fields
 
@@ -69,7 +92,7 @@ class LargeElement(NamedTuple):
             head = struct.pack("<B", ARRAY) + name.encode() + b"\0" + struct.pack("<I", size & 0xFFFFFFFF)
             return LargeElement(head, kind, len(head) - 4 + size)
         dtype = values.dtype.newbyteorder("<")
-        inner = bson.encode({"dtype": dtype.str, "shape": list(values.shape)})[4:-1] + b"\5data\0"
+        inner = document_of({"dtype": dtype.str, "shape": list(values.shape)})[4:-1] + b"\5data\0"
         nbytes = values.size * dtype.itemsize
         inner += struct.pack("<IB", nbytes & 0xFFFFFFFF, 0)
         size = 4 + len(inner) + nbytes + 1
@@ -115,11 +138,10 @@ def _records(rows: range, digits: int, kind: int) -> npt.NDArray[Any]:
     return records
 
 
-def numbers_in(document: memoryview, name: str) -> npt.NDArray[Any] | list[Any]:
-    """Return the numbers of an array.
+def numbers_in(document: memoryview, name: str) -> npt.NDArray[Any]:
+    """Return the numbers of an array, of any mixture of BSON's types of numbers. Raises InvalidFile, MemoryLimit.
 
-    If all have the same type, as in every file from a typed array, no Python object is created for each number.
-    Mixed types are decoded by the library.
+    If all have the same type, as in every file from a typed array, the array is compared in large pieces.
     """
     body = document[4:-1]
     kind = body[0] if len(body) else 0
@@ -137,7 +159,7 @@ def numbers_in(document: memoryview, name: str) -> npt.NDArray[Any] | list[Any]:
                 found = np.frombuffer(body, record, len(part), at)
                 expected = _records(part, digits, kind)
                 if not all((found[key] == expected[key]).all() for key in ("type", "index", "zero")):
-                    return _mixed(document, name)
+                    return _mixed(body, name)
                 parts.append(found["value"])
                 at += found.nbytes
             index += count
@@ -145,57 +167,79 @@ def numbers_in(document: memoryview, name: str) -> npt.NDArray[Any] | list[Any]:
                 break
         if at == len(body):
             return np.concatenate(parts)
-    return _mixed(document, name)
+    return _mixed(body, name)
 
 
-def _mixed(document: memoryview, name: str) -> list[Any]:
-    memory.require(name, _PER_VALUE * len(document))
-    return list(_loads(bytes(document), name).values())
+def _mixed(body: memoryview, name: str) -> npt.NDArray[Any]:
+    """The numbers of an array as int64, or as float64 if one of them is a double."""
+    from nerfbake.kernels.coding.bson import fill_numbers, scan_numbers  # they compile on first use
+
+    data = np.frombuffer(body, np.uint8)
+    count, doubles = scan_numbers(data)
+    if count < 0:
+        raise InvalidFile(Problem(name, "holds a value that is not a number", "a flat list of numbers"))
+    memory.hold(name, 8 * count)
+    numbers = np.empty(count, np.int64)
+    fill_numbers(data, doubles > 0, numbers, numbers.view(np.float64))
+    return numbers.view(np.float64) if doubles else numbers
 
 
-def _loads(document: bytes, name: str) -> dict[str, Any]:
-    try:
-        return bson.decode(document)
-    except (bson.errors.BSONError, ValueError, OverflowError, RecursionError) as error:
-        raise InvalidFile(Problem(name, f"is not BSON ({error})", "a whole document")) from None
+def _value_of(kind: int, value: memoryview, name: str) -> Any:
+    """Decode a small field: a number, a Boolean, null, text, or a list of numbers. Raises InvalidFile, MemoryLimit."""
+    if len(value) > _MAX_SMALL:
+        raise InvalidFile(Problem(name, f"has {len(value):,} bytes", f"{_MAX_SMALL:,} in a small field"))
+    if kind in _NUMBERS:
+        return np.frombuffer(value, _NUMBERS[kind]).item()
+    if kind == _BOOLEAN:
+        return bool(value[0])
+    if kind == _NULL:
+        return None
+    if kind == ARRAY:
+        require_document(value, name)
+        numbers = numbers_in(value, name)
+        memory.hold(name, _PER_NUMBER * numbers.size)
+        return numbers.tolist()
+    if kind == _STRING:
+        try:
+            return str(value[4:-1], "utf-8")
+        except UnicodeDecodeError:
+            raise InvalidFile(Problem(name, "is not text", "UTF-8")) from None
+    raise InvalidFile(Problem(name, f"has BSON type {kind}", "a number, text, or an array of numbers"))
 
 
 def blob_in(document: memoryview, name: str) -> Blob:
-    """Return the blob of a document {dtype, shape, data}. Raises InvalidFile."""
-    fields, large = split_document(document, name, ("data",))
-    kind, value = large.get("data", (0, document))
-    dtype, shape = fields.get("dtype"), fields.get("shape")
+    """Return the blob of a document {dtype, shape, data}. Raises InvalidFile, MemoryLimit."""
+    found = elements_of(document, name)
+    kind, value = found.get("data", (0, document))
+    dtype, shape = (_value_of(*found[key], key) if key in found else None for key in ("dtype", "shape"))
     whole = isinstance(shape, list) and all(type(edge) is int for edge in shape)
     if not (kind == _BINARY and value[4] == 0 and isinstance(dtype, str) and whole):
         raise InvalidFile(Problem(name, "is not a blob", "dtype as text, shape as whole numbers, data as binary"))
     return Blob(dtype, tuple(shape or ()), value[5:])
 
 
-def split_document(
-    document: memoryview, name: str, large: tuple[str, ...]
-) -> tuple[dict[str, Any], dict[str, tuple[int, memoryview]]]:
-    """Return a document's small fields as Python objects, and its large fields as BSON type and bytes."""
+def require_document(document: memoryview, name: str) -> None:
+    """Raise InvalidFile if a document does not have the size that it declares, or does not end with a zero."""
     if len(document) < 5 or _size(document, 0) != len(document) or document[-1]:
         said = f"declares {_size(document, 0):,} of {len(document):,} bytes" if len(document) > 3 else "is cut off"
         raise InvalidFile(Problem(name, said, "a document that ends with the file and a zero"))
-    small, at, end = bytearray(), 4, len(document) - 1
+
+
+def elements_of(document: memoryview, name: str) -> dict[str, tuple[int, memoryview]]:
+    """Return a document's elements by name, as BSON type and bytes of the value. Raises InvalidFile."""
+    require_document(document, name)
+    at, end = 4, len(document) - 1
     found: dict[str, tuple[int, memoryview]] = {}
     for _ in range(_MAX_ELEMENTS):
         if at == end:
-            size = 4 + len(small) + 1
-            return _loads(struct.pack("<i", size) + small + b"\0", name), found
+            return found
         start, kind = at, document[at]
         key = bytes(document[at + 1 : min(at + 80, end)]).partition(b"\0")[0]
         at += 2 + len(key)
         size = _value_size(document, at, kind, start)
         if at + size > end:
             raise InvalidFile(Problem(f"byte {start:,}", f"starts {size:,} bytes", f"{end - at:,} up to the end"))
-        if (known := key.decode("latin-1")) in large:
-            found[known] = (kind, document[at : at + size])
-        elif len(small) + size > _MAX_SMALL:
-            raise InvalidFile(Problem(known, f"has {size:,} bytes", f"{_MAX_SMALL:,} in all small fields"))
-        else:
-            small += document[start : at + size]
+        found[key.decode("latin-1")] = (kind, document[at : at + size])
         at += size
     raise InvalidFile(Problem(name, f"has more than {_MAX_ELEMENTS:,} elements", "the fields of svo.proto"))
 
@@ -242,12 +286,19 @@ def encode(
 
 def decode(view: memoryview) -> SparseVoxelOctree:
     """Read an octree of either profile; blobs are views of the file."""
-    fields, large = split_document(view, "document", ("node_children", "node_data"))
-    for name, (kind, value) in large.items():
-        if kind == ARRAY:
-            fields[name] = numbers_in(value, name)
-        elif kind == DOCUMENT:
-            fields[name] = blob_in(value, name)
-        else:
-            raise InvalidFile(Problem(name, f"has BSON type {kind}", "an array of numbers, or dtype, shape and data"))
+    fields: dict[str, Any] = {}
+    for name, (kind, value) in elements_of(view, "document").items():
+        if name in _SMALL:
+            fields[name] = _value_of(kind, value, name)
+        elif name in _LARGE:
+            fields[name] = _large_value(kind, value, name)
     return octree_from_fields(fields)
+
+
+def _large_value(kind: int, value: memoryview, name: str) -> Any:
+    if kind == ARRAY:
+        require_document(value, name)
+        return numbers_in(value, name)
+    if kind == DOCUMENT:
+        return blob_in(value, name)
+    raise InvalidFile(Problem(name, f"has BSON type {kind}", "an array of numbers, or dtype, shape and data"))

@@ -71,11 +71,34 @@ def test_numbers_of_mixed_types_are_read() -> None:
     assert_same_octree(read("svo.bson", bson.encode(fields)), octree)
 
 
+def test_whole_numbers_of_any_size_are_exact() -> None:
+    octree = small_octree()
+    fields = report_fields(octree)
+    fields["node_children"] = [bson.Int64(child) if i % 3 else child for i, child in enumerate(fields["node_children"])]
+    fields["node_children"] = [-1 if child == 0 else child for child in fields["node_children"]]
+    fields["level_sizes"] = [bson.Int64(fields["level_sizes"][0]), *fields["level_sizes"][1:]]
+    fields["origin"], fields["voxel_size"] = [1, -2.5, bson.Int64(-(2**40))], [1, 1, 1]
+    found = read("svo.bson", bson.encode(fields))
+    assert found.origin.tolist() == [1, -2.5, -(2**40)]
+    assert_same_octree(replace(found, origin=octree.origin, voxel_size=octree.voxel_size), octree)
+
+
+def test_what_an_octree_does_not_have_is_skipped() -> None:
+    more = {
+        "_id": bson.ObjectId(),
+        "extra_data": None,
+        "note": {"deep": [{"er": [None, True, {}]}]},
+        "when": bson.DatetimeMS(0),
+        "raw": b"123",
+    }
+    assert_same_octree(read("svo.bson", bson.encode({**more, **report_fields(small_octree())})), small_octree())
+
+
 def test_mixed_numbers_count_against_max_memory() -> None:
     fields = report_fields(small_octree())
     fields["node_data"][-1] = 1
     with pytest.raises(MemoryLimit, match="node_data needs"):
-        read("svo.bson", bson.encode(fields), limit=10_000)
+        read("svo.bson", bson.encode(fields), limit=3_000)
 
 
 @pytest.mark.parametrize(("profile", "rows"), [("report", 2**31 // (13 * 17)), ("bulk", 2**31 // (13 * 4) + 1)])
@@ -103,7 +126,15 @@ def with_sizes(old: int, new: int) -> bytes:
     return data.replace(struct.pack("<i", old), struct.pack("<i", new), 1)
 
 
-BULK = written("svo.bson", "bulk", small_octree())
+def mixed(elements: bytes) -> bytes:
+    """An octree whose node_data are these elements."""
+    whole = changed("report", node_data=[])
+    array = struct.pack("<i", len(elements) + 5) + elements + b"\0"
+    document = whole[4:-1].replace(b"\4node_data\0" + bson.encode({}), b"\4node_data\0" + array)
+    return struct.pack("<i", len(document) + 5) + document + b"\0"
+
+
+BULK, REPORT = (written("svo.bson", profile, small_octree()) for profile in ("bulk", "report"))
 WHOLE = len(BULK)
 LIES: dict[str, tuple[bytes, str]] = {
     "four bytes": (b"\x04\0\0\0", "document declares"),
@@ -121,7 +152,14 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no data": (changed("report", node_data=[]), "level_sizes adds up to 17 nodes; allowed: 1 to 0"),
     "origin is a number": (changed("report", origin=1.5), "origin is float; allowed: a flat list"),
     "width is a float": (changed("report", width=4.0), "width is 4.0; allowed: a whole number"),
-    "a date": (changed("report", width=bson.DatetimeMS(2**62)), "width is|is not BSON"),
+    "a date": (changed("report", width=bson.DatetimeMS(2**62)), "width has BSON type 9"),
+    "level sizes are fractions": (changed("report", level_sizes=[1.0, 16]), "level_sizes holds a value that is not a"),
+    "level sizes are true": (changed("report", level_sizes=[True, 16]), "level_sizes holds a value that is not a"),
+    "level sizes are lists": (changed("report", level_sizes=[[1], 16]), "level_sizes holds a value that is not a"),
+    "text is not UTF-8": (BULK.replace(b"type.goo", b"t\xffpe.goo"), "type_url is not text; allowed: UTF-8"),
+    "an array without an end": (REPORT[:-2] + b"\1\0", "node_data declares"),
+    "a number without an end": (mixed(b"\x120\0" + bytes(8) + b"\x101\0\0\0"), "node_data holds a value that is not"),
+    "a name without an end": (mixed(b"\x120\0" + bytes(8) + b"\x10111111"), "node_data holds a value that is not"),
     "blob of another dtype": (changed("bulk", node_data=blob(dtype="<f8")), "node_data has dtype"),
     "blob of another shape": (changed("bulk", node_data=blob(shape=[17, 14])), "node_data declares shape"),
     "blob of negative shape": (changed("bulk", node_data=blob(shape=[-17, -13])), "node_data declares shape"),
@@ -129,7 +167,7 @@ LIES: dict[str, tuple[bytes, str]] = {
     "blob of text": (changed("bulk", node_data=blob(data="x" * 884)), "node_data is not a blob"),
     "blob of another subtype": (changed("bulk", node_data=blob(data=Binary(bytes(884), 2))), "node_data is not a blob"),
     "too many elements": (bson.encode({f"x{i}": 1 for i in range(1001)}), "more than 1,000 elements"),
-    "large small fields": (changed("bulk", note="x" * (1 << 24)), "note has 16,777,221 bytes"),
+    "large small fields": (changed("bulk", data_format="x" * (1 << 24)), "data_format has 16,777,221 bytes"),
     "level sizes of another tree": (changed("bulk", level_sizes=[1, 7, 9]), "level_sizes are"),
 }  # fmt: skip
 
