@@ -193,3 +193,51 @@ def test_no_command_needs_an_extra_to_say_what_it_does() -> None:
         sys.exit(run(["bench", "--help"]))"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# What Python has on Linux, and not on Windows or macOS.
+OTHER_SYSTEMS = """if True:
+    import os, signal, sys
+    sys.modules.update(dict.fromkeys(["resource", "fcntl", "termios", "pwd", "grp"]))
+    for name in "wait4 waitid killpg fork getuid sched_getaffinity sysconf pread statvfs O_NOFOLLOW O_CLOEXEC".split():
+        delattr(os, name)
+    del signal.SIGKILL
+    """
+
+
+def elsewhere(tmp_path: Path, code: str) -> str:
+    """Run code on another system, as far as Python shows it; return what it says to stderr."""
+    done = subprocess.run(
+        [sys.executable, "-c", OTHER_SYSTEMS + code], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+def test_a_system_without_some_modules_can_import_them_all_and_show_the_help(tmp_path: Path) -> None:
+    names = [
+        ".".join(("nerfbake", *path.relative_to(PACKAGE).with_suffix("").parts))
+        for path in modules()
+        if not {"kernels", "stages", "_pycolmap", "warp_reader", "__main__"} & {*path.parts, path.stem}
+    ]
+    code = f"""
+    from importlib import import_module
+    from nerfbake.cli.main import run
+    assert run(["--help"]) == run(["bench", "--help"]) == run(["batch", "--help"]) == 0
+    for name in {names}:
+        import_module(name.removesuffix(".__init__"))"""
+    assert elsewhere(tmp_path, code) == ""
+
+
+def test_such_a_system_converts_files_and_refuses_a_batch_in_one_line(tmp_path: Path) -> None:
+    code = """
+    from nerfbake.cli.main import run
+    assert run(["sample", "octree", "a.npz", "--resolution", "8", "--quiet"]) == 0
+    assert run(["svo", "a.npz", "a.svo.bson", "--quiet"]) == 0
+    assert run(["info", "a.svo.bson", "--json"]) == 0
+    from nerfbake.bench.environment import environment
+    assert "unknown memory" in environment()["machine"]
+    assert run(["batch", "info {in}", "a.npz", "--state", "run"]) == 2"""
+    told = "a batch needs os.wait4, which linux has not; allowed: Linux or macOS"
+    assert elsewhere(tmp_path, code) == f"error: {told}\n"

@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from nerfbake.errors import one_line
+from nerfbake.errors import Problem, UsageError, one_line
 from nerfbake.io import results
 from nerfbake.io.own_files import opened_log, trim_log
 
@@ -43,6 +43,12 @@ class ProcessResult(NamedTuple):
     psnr: float | None
     seconds: float
     peak: int
+
+
+def require_processes() -> None:
+    """Raise UsageError on a system without process groups, and without the costs of a process that has ended."""
+    if missing := [name for name in ("wait4", "killpg") if not hasattr(os, name)]:
+        raise UsageError(Problem("a batch", f"needs os.{missing[0]}, which {sys.platform} has not", "Linux or macOS"))
 
 
 class ChildProcesses:

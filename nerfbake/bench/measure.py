@@ -10,7 +10,6 @@ A Progress is a context around each step that reports what the benchmark is doin
 from __future__ import annotations
 
 import json
-import resource
 import statistics
 import subprocess
 import sys
@@ -19,10 +18,13 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from nerfbake.errors import NerfbakeError
 from nerfbake.installation import command_for
+
+if TYPE_CHECKING:
+    import resource
 
 Progress = Callable[[str], AbstractContextManager[object]]
 TIMEOUT = 1800  # seconds for one run
@@ -111,6 +113,8 @@ def _peak() -> int:
     try:
         return _status("VmHWM")
     except OSError:
+        import resource  # Windows has none: there, each row says so
+
         return resident_bytes(resource.getrusage(resource.RUSAGE_SELF))
 
 

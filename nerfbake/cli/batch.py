@@ -9,7 +9,16 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.console import Console
-from nerfbake.cli.params import ByteSize, as_json, bundled, console_options, is_whole, max_memory, without_effect
+from nerfbake.cli.params import (
+    ByteSize,
+    ParamType,
+    as_json,
+    bundled,
+    console_options,
+    is_whole,
+    max_memory,
+    without_effect,
+)
 from nerfbake.cli.paths import Reads, StateFolder, Writes, declared
 from nerfbake.errors import UsageError
 
@@ -21,7 +30,7 @@ if TYPE_CHECKING:
 _MOST_SHARDS = 9_999_999
 
 
-class Shard(click.ParamType[tuple[int, int]]):
+class Shard(ParamType[tuple[int, int]]):
     """i/n: every n-th item, starting with item i, counted from 0."""
 
     name = "i/n"

@@ -12,6 +12,7 @@ from nerfbake.cli.fit import model_options
 from nerfbake.cli.params import (
     Box,
     Number,
+    ParamType,
     as_json,
     console_options,
     parse_count,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from nerfbake.stages.views_to_error import ViewError
 
 
-class TriangleCounts(click.ParamType[tuple[int, ...]]):
+class TriangleCounts(ParamType[tuple[int, ...]]):
     """Numbers of triangles: 50000, 50k or 1.5M; several where `several` is set."""
 
     name = "N"

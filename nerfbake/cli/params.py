@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from inspect import signature
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 from click.core import ParameterSource
@@ -24,6 +24,17 @@ from nerfbake.cli.paths import Capture, JudgedOutput, Reads, Stage1AndFolder
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
+
+if TYPE_CHECKING:
+    from click import ParamType
+else:
+
+    class ParamType(click.ParamType):
+        """click's class, which is generic since click 8.5: with an older one, ParamType[int] is ParamType."""
+
+        def __class_getitem__(cls, value):
+            return cls
+
 
 codec_option = click.option(
     "--codec",
@@ -62,7 +73,7 @@ def is_whole(word: str, low: int, high: int) -> bool:
     return word.isdecimal() and len(word) <= len(str(high)) and low <= int(word) <= high
 
 
-class ByteSize(click.ParamType[int]):
+class ByteSize(ParamType[int]):
     """A number of bytes: 512MB, 4GiB or 1000000."""
 
     name = "size"
@@ -80,7 +91,7 @@ class ByteSize(click.ParamType[int]):
         return int(size)
 
 
-class Resolution(click.ParamType[tuple[int, int, int]]):
+class Resolution(ParamType[tuple[int, int, int]]):
     """R or WxHxD voxels, each from 1 to 4096."""
 
     name = "R|WxHxD"
@@ -95,7 +106,7 @@ class Resolution(click.ParamType[tuple[int, int, int]]):
         return w, h, d
 
 
-class Box(click.ParamType[tuple[float, ...]]):
+class Box(ParamType[tuple[float, ...]]):
     """Two opposite corners of a box in world coordinates."""
 
     name = "x0,y0,z0,x1,y1,z1"
@@ -129,7 +140,7 @@ def parse_count(word: str) -> int:
     return round(float(match[1]) * factor[match[2].lower()]) if match else 0
 
 
-class PixelSize(click.ParamType[tuple[int, int]]):
+class PixelSize(ParamType[tuple[int, int]]):
     """WxH pixels, each from 1 to 16384."""
 
     name = "WxH"

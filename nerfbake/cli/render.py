@@ -13,6 +13,7 @@ from nerfbake.cli.params import (
     CAPTURE,
     Command,
     NumberRange,
+    ParamType,
     PixelSize,
     bundled,
     console_options,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from nerfbake.jobs.pictures import PictureOutputs, ViewSelection
 
 
-class Background(click.ParamType[tuple[float, float, float] | None]):
+class Background(ParamType[tuple[float, float, float] | None]):
     """white, black, transparent, or R,G,B in 0..255."""
 
     name = "colour"

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import Command, bundled, is_whole, without_effect
+from nerfbake.cli.params import Command, ParamType, bundled, is_whole, without_effect
 from nerfbake.cli.paths import Writes
 from nerfbake.errors import OutputError, UsageError
 from nerfbake.installation import require_installed
@@ -96,7 +96,7 @@ def report_options(*, rounds: int | None, chart: str) -> Callable[[Command], Com
     )
 
 
-class Resolutions(click.ParamType[tuple[int, ...]]):
+class Resolutions(ParamType[tuple[int, ...]]):
     """One or several resolutions, in voxels along each axis."""
 
     name = "R,..."
@@ -110,7 +110,7 @@ class Resolutions(click.ParamType[tuple[int, ...]]):
         return tuple(dict.fromkeys(map(int, edges)))
 
 
-class Names(click.ParamType[tuple[str, ...]]):
+class Names(ParamType[tuple[str, ...]]):
     """One or several names. allowed: the known names; none: any."""
 
     name = "NAME,..."

@@ -11,6 +11,7 @@ from nerfbake.cli.console import Console
 from nerfbake.cli.fit import model_options
 from nerfbake.cli.params import (
     Number,
+    ParamType,
     as_json,
     console_options,
     parse_count,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _MOST = 20_000_000
 
 
-class SplatCount(click.ParamType[int]):
+class SplatCount(ParamType[int]):
     """A number of splats: 150000, 150k or 1.5M."""
 
     name = "N"

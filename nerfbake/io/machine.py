@@ -16,8 +16,13 @@ def cores() -> int:
 
 def machine() -> str:
     """Processor, cores, memory and operating system, as one line."""
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return f"{_processor()}, {cores()} cores, {format_size(memory)}, {platform.system()} {platform.machine()}"
+    return f"{_processor()}, {cores()} cores, {_memory()}, {platform.system()} {platform.machine()}"
+
+
+def _memory() -> str:
+    if not hasattr(os, "sysconf"):  # Windows
+        return "unknown memory"
+    return format_size(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
 
 
 def _processor() -> str:

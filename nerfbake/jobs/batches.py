@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nerfbake import __version__, progress
-from nerfbake.batch.child import ChildProcesses, nerfbake_command
+from nerfbake.batch.child import ChildProcesses, nerfbake_command, require_processes
 from nerfbake.batch.crew import ItemEvent, MemoryQueue, RunPlan, WorkerPool
 from nerfbake.batch.items import Item as Item
 from nerfbake.batch.items import require_apart
@@ -88,6 +88,8 @@ def run_batch(
     >>> run_batch([item], state="run").ran
     0
     """
+    if run is not None:
+        require_processes()
     keep = [str(state), *([str(report_to)] if report_to else [])]
     require_apart(items, keep)
     require_report(state, report_to)
