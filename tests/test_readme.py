@@ -23,7 +23,7 @@ from tests.support.pages import broken_links
 README = REPOSITORY / "README.md"
 SHADERS = REPOSITORY / "nerfbake" / "shaders" / "README.md"
 PAGES = [README, SHADERS, *(page for name in ("docs", "schemas") for page in sorted((REPOSITORY / name).rglob("*.md")))]
-LINKED = [*PAGES, REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "CHANGELOG.md"]
+LINKED = [*PAGES, REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "CHANGELOG.md", REPOSITORY / "SECURITY.md"]
 BLOCK = re.compile(r"^```(sh|python|make)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
