@@ -111,7 +111,7 @@ def test_imports_follow_the_rules(path: Path) -> None:
 
 def test_only_io_opens_files() -> None:
     openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
-    # These open a device, bytes in memory, the metadata of a package, the database of pycolmap, or the cache of kernels.
+    # These open a device, bytes in memory, metadata of a package, the database of pycolmap, or the cache of kernels.
     no_files = {"main", "picture", "installation", "_pycolmap", "kernel_cache"}
     for path in modules():
         if "io" in path.parts or "bench" in path.parts:  # benchmarks of files open them
