@@ -67,7 +67,7 @@ Image = Literal["png", "jpeg", "webp"]
 class MeshViews(NamedTuple):
     """The pictures that a mesh is textured from.
 
-    views   a capture; None: pictures of the field, from all sides
+    views   a capture; None: pictures of the scene, from all sides
     frames  number of these pictures; edge: their width and height in pixels
     album   options for the photographs of the capture
     """
@@ -82,14 +82,18 @@ class MeshViews(NamedTuple):
         """The paths that are read."""
         return (self.views, self.album.masks, self.album.test)
 
-    def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
-        """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else."""
+    def posed(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None) -> SplitViews:
+        """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else.
+
+        splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
+        """
         if self.views is not None:
             posed = read_photographs_of(steps, Source(self.views), self.album, field)
             require_alike(steps, source, field, posed.judges, self.views)
             return posed
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            return render_split(field, frames=self.frames, edge=self.edge, samples=SAMPLES)
+            shown = field if splats is None else splats
+            return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field)
 
 
 class MeshOptions(NamedTuple):
@@ -248,8 +252,9 @@ def bake_mesh(
     else:
         Budget(min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    field = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
-    posed = model.posed(steps, source, field)
+    field, splats = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
+    posed = model.posed(steps, source, field, splats)
+    del splats
     clock = Clock()
     scene = build_mesh(steps, source, field, posed.trained, place, recipe)
     materials: tuple[Material, ...] = ()
@@ -431,13 +436,17 @@ def _judged(
         return found, measure_mesh(found, judges, told=told)
 
 
-def _read_field(steps: Steps, source: Source, splats: SplatVoxels) -> RadianceField:
-    """Return the field of a scene; of a scene with scenery, that of its inner cube. splats: how these become voxels."""
+def _read_field(steps: Steps, source: Source, voxels: SplatVoxels) -> tuple[RadianceField, Splats | None]:
+    """Return the field of a scene, and its splats if it has any, in the same world.
+
+    Of a scene with scenery, it is the field of the inner cube. voxels: how splats become voxels.
+    """
+    splats = None
     scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats)
     if isinstance(scene, LatticeField):
         scene = sample_lattice(steps, source, scene)
     if isinstance(scene, Splats):
-        scene, _ = sample_splats(steps, source, scene, options=splats)
+        scene, splats = sample_splats(steps, source, scene, options=voxels)
     tell_unused(steps, source, scene)
     with source.blamed(steps, "building the field"):
         if isinstance(scene, N3Tree) and scene.shells > 1:
@@ -448,7 +457,7 @@ def _read_field(steps: Steps, source: Source, splats: SplatVoxels) -> RadianceFi
             raise InvalidScene(
                 Problem("the field", "has no leaf with a density", "at least one, or there is no surface")
             )
-        return field
+        return field, splats
 
 
 def _levels(scene: Meshes | Stage1) -> list[Mesh]:

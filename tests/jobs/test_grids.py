@@ -81,12 +81,11 @@ def test_every_command_tells_the_second_density(ending: str, listener: Listener)
             save(name, named("density"))
         Path("two.nvdb").write_bytes(Path("one.nvdb").read_bytes() + Path("other.nvdb").read_bytes())
     name = f"two.{ending}"
-    small = {"size": (8, 8)}
     commands: list[Callable[[], Any]] = [
         lambda: bake_hull(name, "a.obj", steps=listener),
-        lambda: render_views(name, PictureOutputs("a.png"), ViewSelection(**small), steps=listener),
+        lambda: render_views(name, PictureOutputs("a.png"), ViewSelection(size=(8, 8)), steps=listener),
         lambda: view_file(name, "a.html", steps=listener),
-        lambda: compare_files(name, name, seen=ComparedViews(**small), steps=listener),
+        lambda: compare_files(name, name, seen=ComparedViews(size=(8, 8)), steps=listener),
     ]
     for number, command in enumerate(commands):
         command()

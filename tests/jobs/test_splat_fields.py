@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -16,12 +17,14 @@ from nerfbake import SparseVoxelOctree, Splats, Volume, load, orbit_cameras, sav
 from nerfbake.errors import BudgetMissed, InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
 from nerfbake.jobs import (
     RefitTarget,
+    bake_mesh,
     bake_octree,
     bake_volume,
     compare_files,
     compress_file,
     convert_file,
     describe_file,
+    meshes,
     refit_file,
     splat_fields,
     view_file,
@@ -31,6 +34,7 @@ from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
 from nerfbake.jobs.splat_fields import USUAL, SplatVoxels
 from nerfbake.memory import memory_limit
+from nerfbake.scene.radiance_field import RadianceField
 from tests.jobs.listener import Listener
 from tests.support.scenes import n3tree
 from tests.support.splats import ball_of_splats
@@ -114,11 +118,35 @@ def test_voxels_that_do_not_fit_into_memory_are_larger(options: SplatVoxels, lis
         bake_octree("fog.ply", "other.svo.npz", splats=options)
 
 
+class Shown(Exception):
+    """What a mesh would be fitted to."""
+
+
+@pytest.mark.usefixtures("ball")
+def test_a_mesh_is_fitted_to_pictures_of_the_splats_not_of_their_voxels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splat_fields, "RESOLUTION", 16)
+
+    def show(scene: Any, *, framed: Any, **options: Any) -> None:
+        raise Shown(scene, framed)
+
+    monkeypatch.setattr(meshes, "render_split", show)
+    with pytest.raises(Shown) as caught:
+        bake_mesh("ball.ply", "ball.glb")
+    scene, framed = caught.value.args
+    assert isinstance(scene, Splats)
+    assert isinstance(framed, RadianceField)
+    # -y of the splats is up in both: green is y, so the highest splat has none.
+    assert scene.sh[np.argmax(scene.means[:, 2]), 0, 1] < -1.5
+    assert_allclose(framed.world(framed.box.mean(axis=0)), 0, atol=0.2)
+
+
 @pytest.mark.usefixtures("ball")
 def test_cameras_that_nobody_gave_are_not_blamed() -> None:
     far = fog(50, scale=0.1)
     save("far.ply", replace(far, means=far.means * np.float32(2e14), scales=far.scales * np.float32(1e14)))
-    for bake, name in ((bake_volume, "a.vdb"), (bake_octree, "a.svo.npz"), (view_file, "a.html")):
+    bakers: list[tuple[Callable[..., Any], str]]
+    bakers = [(bake_volume, "a.vdb"), (bake_octree, "a.svo.npz"), (view_file, "a.html")]
+    for bake, name in bakers:
         with pytest.raises(InvalidScene, match=r"^far.ply: the scene is \S+ world units wide, around .*; allowed: one"):
             bake("far.ply", name)
 
