@@ -342,7 +342,8 @@ def splats_in_blocks(
             end += len(found.means)
             dropped += without
     _require_most(n, dropped)
-    return Splats(*(array[:end] for array in arrays), antialiased, dropped, notes)
+    means, scales, quats, opacity, sh = (array[:end] for array in arrays)
+    return Splats(means, scales, quats, opacity, sh, antialiased, dropped, notes)
 
 
 _BLOCK = 1 << 13  # rows

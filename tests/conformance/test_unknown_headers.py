@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nerfbake import build_octree, build_vdb, load
+from nerfbake import EnvironmentMap, build_octree, build_vdb, load
 from nerfbake.formats.octree import npz, svoq
 from nerfbake.formats.splat import glb, ply, spz
 from nerfbake.formats.volume import nanovdb, openvdb
 from nerfbake.formats.volume import npz as volume_npz
 from nerfbake.formats.wire import nanovdb as nano
+from nerfbake.formats.wire.torch_writer import torch_file
 from tests.support import environments
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import polygon_ply
@@ -30,7 +31,6 @@ from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
 from tests.support.splats import gzip_spz, packed_ply, sog_files, sog_zip, splats
 from tests.support.svraster import svraster, voxels
-from tests.support.torch_files import torch_file
 
 
 def changed(data: bytes, at: int, value: bytes) -> bytes:
@@ -181,7 +181,7 @@ def test_what_is_known_is_read(tmp_path: Path) -> None:
 def test_the_correction_of_colours_is_a_factor_of_each(tmp_path: Path) -> None:
     (tmp_path / "a.hdr").write_bytes(environments.flat())
     (tmp_path / "b.hdr").write_bytes(environments.flat().replace(b"\n\n", b"\nCOLORCORR=1 2 4\n\n", 1))
-    plain, found = (load(tmp_path / f"{name}.hdr").radiance for name in "ab")
+    plain, found = (load(tmp_path / f"{name}.hdr", EnvironmentMap).radiance for name in "ab")
     np.testing.assert_allclose(found, plain / [1, 2, 4], rtol=1e-6)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
@@ -17,6 +18,7 @@ from tests.fuzz.breaking_torch import break_torch
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
 from tests.fuzz.breaking_zip import archive_of, break_npy, break_zip, members_of
 
+_GZIP = b"\x1f\x8b"
 Breaker = Callable[[Random, bytes, bytes], bytes]
 
 # By file extension. The first match counts.
@@ -45,6 +47,7 @@ _BREAKERS: dict[str, Breaker] = {
     "ply": break_ply,
     "sog": lambda random, data, other: _broken_archive(random, data, other),
     "splat": break_words,
+    "spz": lambda random, data, other: _broken_spz(random, data, other),
 }
 
 
@@ -69,6 +72,8 @@ def case_of(seed: int, number: int) -> Case:
     data = _broken(random, form, random.choice(files), random.choice(files))
     if random.random() < 0.1:
         data, suffix = _compressed(random, data), suffix + ".zst"
+    elif random.random() < 0.1:
+        data, suffix = _wrapped(random, data, suffix)
     return Case(number, form, f"case{suffix}", data)
 
 
@@ -94,6 +99,37 @@ def _broken_archive(random: Random, data: bytes, other: bytes) -> bytes:
     breaker = next((breaker for ending, breaker in _BREAKERS.items() if name.endswith(ending)), break_bytes)
     members[name] = breaker(random, members[name], others.get(name, b""))
     return archive_of(list(members.items()), stored=random.random() < 0.5)
+
+
+def _gzipped(data: bytes) -> bytes:
+    return gzip.compress(data, 1, mtime=0)
+
+
+def _broken_spz(random: Random, data: bytes, other: bytes) -> bytes:
+    """Break what is inside gzip, whose checksum would otherwise find every change."""
+    if data[:2] != _GZIP or random.random() < 0.1:
+        return break_bytes(random, data, other)
+    inner = gzip.decompress(data)
+    return _gzipped(break_bytes(random, inner, gzip.decompress(other) if other[:2] == _GZIP else other))
+
+
+def _wrapped(random: Random, data: bytes, suffix: str) -> tuple[bytes, str]:
+    """Put a file into gzip or a zip archive: whole, damaged, twice, beside others, or with a bomb."""
+    if random.random() < 0.5:
+        packed = _gzipped(data)
+        if (kind := random.randrange(4)) == 0:
+            packed = break_bytes(random, packed, data)
+        elif kind == 1:
+            packed += _gzipped(bytes(random.choice((0, 1, 1 << 20, 1 << 26))))
+        elif kind == 2:
+            packed = _gzipped(packed)
+        return packed, suffix + random.choice((".gz", ""))
+    folder = random.choice(("", "a/", "__MACOSX/", "../", "a/b/c/"))
+    members = [(f"{folder}case{suffix}", data)]
+    if random.random() < 0.5:
+        members.append((random.choice(("._case", "meta.json", "b/case" + suffix, "a.png", "x.txt")), data[:9]))
+    packed = archive_of(members, stored=random.random() < 0.5)
+    return break_zip(random, packed, data) if random.random() < 0.4 else packed, random.choice((".zip", suffix))
 
 
 def _broken_folder(random: Random, form: str) -> dict[str, bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import struct
 import tempfile
@@ -44,6 +45,7 @@ from tests.support.splats import (
     sog_files,
     sog_levels,
     sog_zip,
+    spark_spz,
     splat_rows,
     splats,
     text_ply,
@@ -259,6 +261,7 @@ def _splats(name: str) -> Iterator[bytes]:
         return
     if name == "sog":
         yield from (sog_zip(files) for files in _sogs())
+        yield sog_zip({f"a/{name}": data for name, data in sog_files(splats(5, degree=0)).items()})
         return
     yield _encoded(name, splats(5))
     yield _encoded(name, splats(3, degree=0))
@@ -272,6 +275,8 @@ def _splats(name: str) -> Iterator[bytes]:
         yield _encoded(name, replace(splats(4, degree=0), origin=_MAP))
     elif name == "spz":
         yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))
+        yield gzip.decompress(gzip_spz(splats(4), 2))
+        yield spark_spz(splats(4), [(2, 1), (0, 0), (1, 3), (0, 0)])
 
 
 def _sogs() -> Iterator[Files]:

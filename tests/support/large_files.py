@@ -21,6 +21,7 @@ from nerfbake.formats.mesh.glb_writer import MeshPart, encode_glb
 from nerfbake.formats.octree import svoq
 from nerfbake.formats.splat import glb, ply, spz
 from nerfbake.formats.wire.picture import encode_texture
+from nerfbake.formats.wire.torch_writer import torch_file
 from nerfbake.formats.wire.zstd import compress
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.mesh import Mesh, Meshes
@@ -31,7 +32,6 @@ from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.splats import gzip_spz, packed_ply, sog_files, sog_levels, sog_zip, spark_spz, splat_rows, splats
 from tests.support.splats import text_ply as text_splats
-from tests.support.torch_files import torch_file
 
 Maker = Callable[[Path], Any]
 Files = dict[str, bytes]
@@ -90,8 +90,7 @@ def _merf() -> Files:
 
 def _snerg() -> Files:
     """Blocks of 31 voxels, and an atlas that is larger than they are."""
-    sizes = {"BLOCK": 30, "GRID": (80, 60, 110), "ATLAS": (100, 70, 68)}
-    with patch.multiple(snerg, **sizes):
+    with patch.multiple(snerg, BLOCK=30, GRID=(80, 60, 110), ATLAS=(100, 70, 68)):
         return snerg.snerg_folder(snerg.snerg())
 
 
@@ -156,7 +155,7 @@ def _unlike() -> bytes:
 
 def _alike(path: Path) -> None:
     corners = np.ones((100_000, 3), np.float32)
-    save(path, Meshes((Mesh(corners, None, np.zeros((300_000, 3), np.uint32) + np.arange(3, dtype=np.uint32)),)))
+    save(path, Meshes((Mesh(corners, None, np.tile(np.arange(3, dtype=np.uint32), (300_000, 1))),)))
 
 
 def _text_mesh() -> bytes:

@@ -203,8 +203,7 @@ def _scale_kind(scales: npt.NDArray[Any], asset: Any) -> tuple[bool, str]:
     """
     generator = str(asset.get("generator", "")) if isinstance(asset, dict) else ""
     version = _GENERATOR.match(generator)
-    early = version is not None and (int(version[1]), int(version[2])) < _LINEAR_SINCE
-    if early:
+    if version is not None and (int(version[1]), int(version[2])) < _LINEAR_SINCE:
         return True, f"its scales are logarithms, as {version[0]} wrote them"
     if bool((scales < 0).any()):
         return True, "its scales are logarithms, as in an early draft of the extension"

@@ -206,12 +206,13 @@ def _leaves(parts: list[memoryview], tree: memoryview, n: int) -> tuple[list[mem
     chosen = [np.frombuffer(part, np.uint8).reshape(n, -1)[leaves] for part in parts]
     chosen[1] = np.minimum(chosen[1].astype(np.uint16) * 2, 255).astype(np.uint8)
     note = f"of the levels of detail (flag 0x80), only the finest is read: {len(leaves):,} of {n:,} rows"
-    return [memoryview(np.ascontiguousarray(each).reshape(-1)) for each in chosen], note
+    return [memoryview(np.ascontiguousarray(each).reshape(-1).data) for each in chosen], note
 
 
 def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
     """Return the directions of the axes, and a note for each extension. Raises InvalidFile."""
-    system, notes, at = "RUB", [], 0
+    system, at = "RUB", 0
+    notes: list[str] = []
     while at + 8 <= len(extensions):
         kind, size = struct.unpack_from("<II", extensions, at)
         payload = extensions[at + 8 : at + 8 + size]
