@@ -8,13 +8,14 @@ from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Run the command line and exit. Ctrl-C during the imports also ends with one line."""
+    """Run the command line and exit. Ctrl-C during the imports and the preparations also ends with one line."""
     try:
         from nerfbake.cli.main import main as run
+
+        run()
     except KeyboardInterrupt:
         os.write(2, b"error: stopped\n")
         sys.exit(130)
-    run()
 
 
 if __name__ == "__main__":

@@ -193,7 +193,8 @@ def replacing_files(target: Path, names: Sequence[str], *, force: bool) -> Itera
         except BudgetMissed:
             contents = _these((*beside, target.name))
             require_no_folder(rejected, contents, force=force)
-            _put_folder(part, rejected, contents, force=force)
+            with blame(str(rejected), OutputError):
+                _put_folder(part, rejected, contents, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -232,7 +233,8 @@ def replacing_folder(target: Path, contents: FolderContents, *, force: bool) -> 
             _put_folder(part, target, contents, force=force)
         except BudgetMissed:
             require_no_folder(rejected, contents, force=force)
-            _put_folder(part, Path(os.path.realpath(rejected)), contents, force=force)
+            with blame(str(rejected), OutputError):
+                _put_folder(part, Path(os.path.realpath(rejected)), contents, force=force)
             raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -259,8 +261,7 @@ def _put_folder(part: Path, target: Path, contents: FolderContents, *, force: bo
         if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
             raise
     if not force:
-        found = "was written by another process; allowed: a new or empty folder, or `force`"
-        raise OutputError(found, source=str(target))
+        raise OutputError("was written by another process; allowed: a new or empty folder, or `force`")
     _require_replaceable(target, contents, force=force)
     if not _exchange(part, target):
         old = part.with_suffix(f".{_OLD}")

@@ -42,7 +42,8 @@ def _recognise(files: Mapping[str, memoryview]) -> bool:
     return PAGE in files and bytes(files[PAGE][: len(_TITLE)]) == _TITLE
 
 
-_PATHS = (PAGE, *(_path(language, name) for language in LANGUAGES for name in NEEDS if _path(language, name)))
+_NAMES = {*NEEDS, *(name for names in NEEDS.values() for name in names)}
+_PATHS = (PAGE, *(_path(language, name) for language in LANGUAGES for name in _NAMES if _path(language, name)))
 CONTENTS = io.FolderContents("nerfbake's shaders", re.compile("|".join(map(re.escape, _PATHS))), _recognise)
 
 

@@ -202,6 +202,23 @@ def test_a_folder_with_anything_else_is_never_replaced(
     assert sorted(path.name for path in place.iterdir()) == ["home", "link", "out", "work"]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("place")
+@pytest.mark.parametrize(
+    ("command", "variants"),
+    [
+        ("atlas stage1 ../out --map-size 4 --directions 8 --up z", ["--method grid --nodes 2", "--method affine"]),
+        ("lattice a.npz ../out --rounds 1", ["--merged", ""]),
+        ("shaders ../out", [""]),
+        ("sample nerf2mesh ../out --resolution 16", ["--seed 1"]),
+    ],
+)
+def test_a_folder_with_any_variant_of_its_kind_is_replaced(command: str, variants: list[str]) -> None:
+    """Whatever a command writes is known to be its own."""
+    for variant in [*variants, variants[0]]:
+        assert run([*command.split(), *variant.split(), "--force", "-q"]) == 0
+
+
 def test_a_folder_of_another_kind_is_not_replaced(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for names in (["mesh_0.obj", "mesh_0.mtl"], ["README.md"], ["transforms.json"], ["scene.glb"]):
         out = place / "out"

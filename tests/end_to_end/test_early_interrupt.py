@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from nerfbake.__main__ import main
+
 # Sends itself SIGINT when the n-th module is looked for, and prints how many there were.
 CODE = """
 import os, signal, sys
@@ -29,3 +31,15 @@ def test_ctrl_c_during_imports_is_one_line(moment: int) -> None:
     done = subprocess.run(command, capture_output=True, check=False)
     assert (done.returncode, done.stderr.lstrip()) == (130, b"error: stopped\n")  # click ends the line of ^C first
     assert done.stdout == b""
+
+
+def test_ctrl_c_before_the_command_line_is_parsed_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nerfbake.cli.main.main", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert (stopped.value.code, capfd.readouterr().err) == (130, "error: stopped\n")
