@@ -197,7 +197,7 @@ class _Looks:
         if "COLOR_0" in attributes:
             stored = self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3]
             values, repaired = normalised(stored)
-            values, told = sound_colours(values, grey=float(to_linear(np.float64(GREY))))
+            values, told = sound_colours(values, grey=float(to_linear(np.array(GREY))))
             light = light * values
             self.notes |= dict.fromkeys((*repaired, *told))
         if isinstance(base.texture, dict):

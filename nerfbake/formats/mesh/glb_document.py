@@ -21,6 +21,7 @@ from nerfbake.kernels.arrays import Floats
 
 _VERSION = "2.0"
 _COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
+_PADDING = 3  # bytes at most behind the JSON
 _ZEROS = 1 << 24  # numbers of an accessor without data: a few bytes of JSON may declare any number of them
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -35,13 +36,13 @@ class Document:
 
     def __init__(self, view: memoryview) -> None:
         json_chunk, self._bin = _chunks(view)
+        last = bytes(json_chunk[-_PADDING:])  # some exporters pad with zeros, instead of spaces
+        text = json_chunk[: len(json_chunk) - len(last) + len(last.rstrip(b"\0"))]
+        self.root = parse_object(text, "the JSON chunk")
         self._inlined: dict[int, memoryview] = {}  # buffers in data URIs
-        tail = bytes(json_chunk[-3:])
-        end = len(json_chunk) - len(tail) + len(tail.rstrip(b"\0"))  # some programs pad with zeros
-        self.root = parse_object(json_chunk[:end], "the JSON chunk")
         asset = self.root.get("asset")
-        for key in ("version", "minVersion") if isinstance(asset, dict) else ():
-            found = str(asset.get(key, _VERSION))[:40]
+        for key in ("version", "minVersion"):
+            found = str(asset.get(key, _VERSION))[:40] if isinstance(asset, dict) else _VERSION
             if found != _VERSION and (key == "minVersion" or not found.startswith("2.")):
                 raise malformed(f"asset.{key}", f"is {found}", _VERSION)
 
@@ -102,24 +103,22 @@ class Document:
         """Return a copy of an accessor with the entries that `sparse` replaces."""
         if not isinstance(sparse, dict):
             raise malformed(place, f"is {kind_of(sparse)}", "an object")
-        count, component = whole(sparse, "count", place), None
-        parts = sparse.get("indices"), sparse.get("values")
-        if isinstance(parts[0], dict):
-            component = parts[0].get("componentType")
-        if not all(isinstance(part, dict) for part in parts) or component not in (5121, 5123, 5125):
+        count, indices, values = whole(sparse, "count", place), sparse.get("indices"), sparse.get("values")
+        component = indices.get("componentType") if isinstance(indices, dict) else None
+        if not (isinstance(indices, dict) and isinstance(values, dict) and component in (5121, 5123, 5125)):
             raise malformed(place, "has no indices or values", "indices of 5121, 5123 or 5125, and values")
-        rows = self._items(parts[0], f"{place}.indices", count, 1, _DTYPES[component])[:, 0]
-        values = self._items(parts[1], f"{place}.values", count, array.shape[1], array.dtype.str)
+        rows = self._items(indices, f"{place}.indices", count, 1, _DTYPES[component])[:, 0]
+        new = self._items(values, f"{place}.values", count, array.shape[1], array.dtype.str)
         if rows.max() >= len(array):
             raise malformed(f"{place}.indices", f"go to {rows.max():,}", f"0 to {len(array) - 1:,}")
         found = array.copy()
-        found[rows] = values
+        found[rows] = new
         return found
 
     def view(self, index: Any) -> memoryview:
         """Return the bytes of a bufferView."""
         place, entry = f"bufferViews[{index}]", self.item("bufferViews", index)
-        number = entry.get("buffer")
+        number: Any = entry.get("buffer")
         buffer = self.item("buffers", number)
         if "uri" in buffer:
             if number not in self._inlined:

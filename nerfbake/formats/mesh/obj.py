@@ -216,7 +216,7 @@ class _Text:
 
         A weight is 1 everywhere while the last number is not, or it is beyond 0 to 1 while colours are within.
         """
-        seven = found.counts == 7
+        seven: npt.NDArray[np.bool_] = found.counts == 7
         if not seven.any():
             return seven
         w, a = found.values[first[seven]], found.values[first[seven] + 3]
@@ -224,9 +224,9 @@ class _Text:
         if (w == 1).all() and (a == 1).all():
             if not (rest == 1).all():  # else both are white
                 self.notes.append("vertices with seven numbers are read as x y z, red, green, blue and opacity")
-            return np.zeros_like(seven)
+            return np.zeros(len(seven), bool)
         beyond = ((w < 0) | (w > 1)).any() and ((rest >= 0) & (rest <= 1)).all()
-        return seven & bool((w == 1).all() or beyond)
+        return seven if (w == 1).all() or beyond else np.zeros(len(seven), bool)
 
     def _polypaint(self, count: int) -> _Paint | None:
         """Return the colours in ZBrush's comments; None if there are none."""

@@ -129,9 +129,11 @@ def _lengths(values: Floats) -> Ints:
 def _entries(numbers: Floats, at: Ints, counts: Ints) -> Floats:
     """Return the entries of lists that start at `at`, one list after the other."""
     if len(counts) and (counts == counts[0]).all():
-        return numbers[at[:, None] + np.arange(counts[0])].reshape(-1)
-    inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return numbers[np.repeat(at, counts) + inside]
+        places = (at[:, None] + np.arange(counts[0])).reshape(-1)
+    else:
+        places = np.repeat(at, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    found: Floats = numbers[places]
+    return found
 
 
 def _by_number(numbers: Floats, elements: Sequence[Element], lists: Sequence[int]) -> tuple[list[Rows], int]:

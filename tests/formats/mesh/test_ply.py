@@ -297,9 +297,9 @@ def test_strips_of_triangles(form: str) -> None:
     for lie in ((0, 1, 5), (0, 1, -2)):
         with pytest.raises(NerfbakeError, match=f"has a corner at vertex {lie[2]}"):
             strips(*lie, form=form)
-    for lie in ((), (0,), (0, 1, -1, 2, 3)):
+    for empty in ([], [0], [0, 1, -1, 2, 3]):
         with pytest.raises(NerfbakeError, match="has no faces"):
-            strips(*lie, form=form)
+            strips(*empty, form=form)
 
 
 @pytest.mark.parametrize("ends", [b"\r", b"\r\n"])
