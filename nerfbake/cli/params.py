@@ -26,7 +26,7 @@ from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
 
 if TYPE_CHECKING:
-    from click import ParamType
+    from click import ParamType as ParamType
 else:
 
     class ParamType(click.ParamType):

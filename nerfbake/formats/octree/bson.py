@@ -46,8 +46,8 @@ _MAX_SMALL = 1 << 24
 _MAX_ELEMENTS = 1000
 _PER_NUMBER = 40  # bytes of a Python object and of its place in a list
 _LARGE = ("node_children", "node_data")
-_SMALL = ("type_url", "width", "height", "depth", "data_format", "data_dim", "level_sizes", "origin", "voxel_size")
-_SMALL += ("extra_data",)
+_SMALL = ("type_url", "width", "height", "depth", "data_format", "data_dim")
+_SMALL_ARRAYS = ("level_sizes", "origin", "voxel_size", "extra_data")
 
 
 def document_of(fields: Mapping[str, Any]) -> bytes:
@@ -288,7 +288,7 @@ def decode(view: memoryview) -> SparseVoxelOctree:
     """Read an octree of either profile; blobs are views of the file."""
     fields: dict[str, Any] = {}
     for name, (kind, value) in elements_of(view, "document").items():
-        if name in _SMALL:
+        if name in (*_SMALL, *_SMALL_ARRAYS):
             fields[name] = _value_of(kind, value, name)
         elif name in _LARGE:
             fields[name] = _large_value(kind, value, name)

@@ -8,6 +8,8 @@ only one of the two, because its last release, 1.4.0, has an older libde265: one
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.installation import command_for
 
@@ -19,11 +21,18 @@ BROKEN = (OSError, SyntaxError, ValueError, EOFError, RuntimeError, MemoryError)
 def require_heif(name: str) -> None:
     """Make Pillow able to read HEIC. Raises InvalidFile if the library for it is missing."""
     try:
+        register = _opener()
+    except ImportError:
+        allowed = f"a PNG or a JPEG, or HEIC after: {command_for('pillow_heif')}"
+        raise InvalidFile(Problem(name, "is HEIC", allowed)) from None
+    register(thumbnails=False)
+
+
+def _opener() -> Callable[..., None]:
+    try:
         from pillow_heif import register_heif_opener
     except ImportError:
-        try:
-            from pi_heif import register_heif_opener
-        except ImportError:
-            allowed = f"a PNG or a JPEG, or HEIC after: {command_for('pillow_heif')}"
-            raise InvalidFile(Problem(name, "is HEIC", allowed)) from None
-    register_heif_opener(thumbnails=False)
+        from pi_heif import register_heif_opener as register_decoder
+
+        return register_decoder  # type: ignore[no-any-return]
+    return register_heif_opener

@@ -84,7 +84,7 @@ def test_whole_numbers_of_any_size_are_exact() -> None:
 
 
 def test_what_an_octree_does_not_have_is_skipped() -> None:
-    more = {
+    more: dict[str, Any] = {
         "_id": bson.ObjectId(),
         "extra_data": None,
         "note": {"deep": [{"er": [None, True, {}]}]},
