@@ -22,7 +22,7 @@ import zstandard
 from PIL import Image
 
 from nerfbake.errors import NerfbakeError
-from nerfbake.formats.octree.bson import split_document
+from nerfbake.formats.octree.bson import elements_of
 from nerfbake.formats.wire import picture
 from nerfbake.formats.wire.blosc import unblosc
 from nerfbake.formats.wire.deflate import gunzip, inflate
@@ -87,10 +87,10 @@ def decoders() -> dict[str, Decoder]:
         "zstd exactly": Decoder("formats/wire/zstd", lambda view: decompress_exactly(view, size, "x"), (zstd,)),
         "blosc": Decoder("formats/wire/blosc", lambda view: unblosc(view, size, "x"), (blosc.compress(DATA, 4),)),
         "zlib": Decoder("formats/wire/deflate", lambda view: inflate(view, size, "x"), (zlib.compress(DATA),)),
-        "gzip": Decoder("formats/wire/deflate", lambda view: gunzip(view, size, "x"), (gzip.compress(DATA),)),
+        "gzip": Decoder("formats/wire/deflate", lambda view: gunzip(view, "x"), (gzip.compress(DATA),)),
         "zip": Decoder("formats/wire/zip_reader", unzipped, (zipped(),)),
         "json": Decoder("formats/wire/json", lambda view: parse(view, "x", comments=True), (b'{"a": [1, "x"]} // c',)),
-        "bson": Decoder("formats/octree/bson", lambda view: split_document(view, "x", ()), (document,)),
+        "bson": Decoder("formats/octree/bson", lambda view: elements_of(view, "x"), (document,)),
         "pictures": Decoder(
             "formats/wire/picture",
             photographs,
