@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup tools demo ruff mypy pytest pytest-rest test test-quick test-rest test-all test-cpus test-haswell cpus-here fuzz lint schemas golden api bench clean
+.PHONY: help setup tools demo ruff mypy pytest pytest-rest test test-quick test-rest test-all test-cpus test-haswell cpus-here fuzz lint schemas golden api bench findings clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -152,6 +152,11 @@ api: setup  ## docs/api.md anew, from the docstrings
 
 bench: setup  ## the figures of the documentation, anew: benchmarks/results; hours
 	$(BIN)/python -m benchmarks
+
+findings:  ## surprises of other libraries, run again: findings/README.md; NAME=one of them
+	@failed=; for file in findings/$(or $(NAME),*).sh; do \
+		echo "== $$file"; bash $$file || failed="$$failed $$file"; \
+	done; test -z "$$failed" || { echo "changed:$$failed"; false; }
 
 clean:  ## what make made
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis

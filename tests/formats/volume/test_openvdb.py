@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nerfbake import build_octree, build_octree_from_volume, build_vdb, load, sample_n3tree, save
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit
 from nerfbake.formats.volume import openvdb as vdb_openvdb
+from nerfbake.formats.volume import openvdb_writer
 from nerfbake.formats.wire.openvdb import text
 from nerfbake.io import check
 from nerfbake.memory import memory_limit
@@ -109,7 +110,7 @@ def test_version_225_of_openvdb_13_is_read() -> None:
 def test_a_grid_of_halves_of_openvdb_13_is_named(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A grid of halves is not one of floats that are saved as halves."""
     with monkeypatch.context() as patched:
-        patched.setitem(vdb_openvdb.TYPES, (1, "float16"), kind)
+        patched.setitem(openvdb_writer.TYPES, (1, "float16"), kind)
         grids = tree(SCENES["one voxel"]), tree(SCENES["a cloud"], name="heat", dtype=np.float16)
         both, alone = encoded(volume(*grids)), encoded(volume(grids[1]))
     (tmp_path / "a.vdb").write_bytes(both)
