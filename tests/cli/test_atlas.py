@@ -64,7 +64,10 @@ HOSTILE: dict[str, tuple[dict[str, bytes | None], str]] = {
     "wrong inputs": ({"mlp_json": changed_mlp("net.0.weight", weights(7, 8))}, "has shape (7, 8)"),
     "wrong outputs": ({"mlp_json": changed_mlp("net.1.weight", weights(8, 4))}, "has shape (8, 4); allowed: (8, 3)"),
     "widths apart": ({"mlp_json": changed_mlp("net.1.weight", weights(9, 3))}, "has shape (9, 3); allowed: (8, 3)"),
-    "NaN": ({"mlp_json": changed_mlp("net.1.weight", weights(8, 3, float("nan")))}, "mlp.json cannot be parsed"),
+    "NaN": (
+        {"mlp_json": changed_mlp("net.1.weight", weights(8, 3, float("nan")))},
+        "net.1.weight[0, 0] is NaN; allowed",
+    ),
     "infinity": ({"mlp_json": changed_mlp("net.0.weight", weights(6, 8, 1e300))}, "net.0.weight[0, 0] is 1e+300"),
     "a bias": ({"mlp_json": changed_mlp("net.0.bias", [0])}, "has net.0.bias"),
     "no cascades": ({"mlp_json": mlp_json(cascade=0)}, "cascade is 0; allowed: a whole number from 1 to 16"),
