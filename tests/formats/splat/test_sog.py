@@ -181,7 +181,7 @@ LIES: dict[str, tuple[dict[str, bytes], str]] = {
         "scales.codebook is not a table of numbers",
     ),
     "a huge codebook": (changed(lambda meta: meta["scales"].update(codebook=[1e3] * 256)), "9 rows of 9 that cannot"),
-    "NaN": ({**SOUND, "meta.json": SOUND["meta.json"].replace(b'"count": 9', b'"count": NaN')}, "shN.count is NaN; allowed"),
+    "NaN": ({**SOUND, "meta.json": SOUND["meta.json"].replace(b'"count": 9', b'"count": NaN')}, "shN.count is NaN"),
     "labels": (
         changed(lambda meta: meta["shN"].update(count=3)),
         "meta.json: shN.files[1] names entry 8; allowed: below 3, the palette's",
