@@ -42,12 +42,12 @@ def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
     """
     if triangles < 4:
         raise InvalidScene(Problem("triangles", f"are {triangles:,}", "4 or more"))
-    corners, faces = mesh.positions.astype(np.float64), mesh.faces
+    positions, faces = mesh.positions.astype(np.float64), mesh.faces
     if len(faces) > triangles:
         memory.require("simplifying the surface", _FACE_BYTES * len(faces))
-        corners, faces = _collapsed(corners, faces, triangles)
+        positions, faces = _collapsed(positions, faces, triangles)
     faces = _without_doubles(faces)
-    straight = untangled(corners, faces, _ROUNDS).astype(np.float32)
+    straight = untangled(positions, faces, _ROUNDS).astype(np.float32)
     # A face that is left out changes the normals of its corners, and with them what counts as turned over.
     while (over := turned_over(straight.astype(np.float64), faces)).any():
         faces = faces[~over]
