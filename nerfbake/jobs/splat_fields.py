@@ -130,7 +130,7 @@ def sample_splats(
         with source.blamed(steps, "rendering pictures of the splats"):
             views = picture_views(kept, cameras, 1)
 
-    def octree_of(size: int) -> SparseVoxelOctree:
+    def octree_of(size: int) -> tuple[SparseVoxelOctree, float]:
         with source.blamed(steps, "filling voxels"):
             octree = build_octree_from_splats(
                 kept,
@@ -143,19 +143,22 @@ def sample_splats(
                 layout=layout,
                 dtype=dtype,
             )
-        return octree if views is None else _refitted(steps, source, octree, views, options.epochs)
+        if views is not None:
+            octree = _refitted(steps, source, octree, views, options.epochs)
+        with source.blamed(steps, "measuring the loss"):
+            return octree, orbit_psnr(kept, octree, _JUDGES, _EDGE)
 
-    octree = octree_of(size) if edges else _fitting_into_memory(octree_of, size)
-    with source.blamed(steps, "measuring the loss"):
-        decibels = orbit_psnr(kept, octree, _JUDGES, _EDGE)
+    octree, decibels = octree_of(size) if edges else _fitting_into_memory(octree_of, size)
     why = "" if edges or max(octree.size) == size else " (the finest that fit into memory)"
     voxels = f"{'x'.join(map(str, octree.size))} voxels{why}"
     steps.say(f"{source.name}: in {voxels}, {decibels:.2f} dB against {_JUDGES} pictures of the splats")
     return octree, kept
 
 
-def _fitting_into_memory(octree_of: Callable[[int], SparseVoxelOctree], size: int) -> SparseVoxelOctree:
-    """Return the octree with `size` voxels along its longest edge, or with as many as fit into memory."""
+def _fitting_into_memory(
+    octree_of: Callable[[int], tuple[SparseVoxelOctree, float]], size: int
+) -> tuple[SparseVoxelOctree, float]:
+    """Return the octree with `size` voxels along its longest edge, or with as many as fit into memory, and its PSNR."""
     while True:
         try:
             with memory.scope():

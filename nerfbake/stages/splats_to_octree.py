@@ -96,11 +96,13 @@ def build_octree_from_splats(
         cells, values = _filled(gaussians, colours, (W, H, D), least)
     if not len(cells):
         raise InvalidScene(Problem("the splats", "fill no voxel", "an opacity and a box that leave some of them"))
-    with progress.part(0.8, 1):
-        data = cast_values(_converted(values, splats.B, wanted, h), np.dtype(dtype), what="the field", asked="float16")
     frame = OctreeFrame((W, H, D), str(wanted), layout, corners[0].copy(), np.full(3, h))
-    blocks = [Block(cells.astype(np.int64), 0, np.arange(len(cells)))]
-    return memory.kept(octree_of_blocks(blocks, data, frame))
+    with progress.part(0.8, 1), memory.scope():
+        memory.hold("the voxels", cells.nbytes + values.nbytes + 4 * wanted.data_dim * len(cells))
+        data = cast_values(_converted(values, splats.B, wanted, h), np.dtype(dtype), what="the field", asked="float16")
+        del values
+        blocks = [Block(cells.astype(np.int64), 0, np.arange(len(cells)))]
+        return memory.kept(octree_of_blocks(blocks, data, frame))
 
 
 def _gaussians(splats: Splats, held: Bits, low: Floats, h: float, pixel: float) -> tuple[Gaussians, Singles]:
