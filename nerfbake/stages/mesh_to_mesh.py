@@ -53,8 +53,8 @@ def simplify_surface(mesh: Mesh, *, triangles: int) -> Mesh:
         faces = faces[~over]
     if not len(faces):
         raise InvalidScene(Problem("the mesh", "has no face that looks outwards", "a surface"))
-    positions, faces = compacted(straight, faces)
-    return memory.kept(Mesh(positions, None, faces))
+    corners, faces = compacted(straight, faces)
+    return memory.kept(Mesh(corners, None, faces))
 
 
 def _collapsed(positions: Floats, faces: Faces, triangles: int) -> tuple[Floats, Faces]:
