@@ -215,6 +215,7 @@ def elsewhere(tmp_path: Path, code: str) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
 def test_a_system_without_some_modules_can_import_them_all_and_show_the_help(tmp_path: Path) -> None:
     names = [
         ".".join(("nerfbake", *path.relative_to(PACKAGE).with_suffix("").parts))
@@ -230,6 +231,7 @@ def test_a_system_without_some_modules_can_import_them_all_and_show_the_help(tmp
     assert elsewhere(tmp_path, code) == ""
 
 
+@pytest.mark.slow
 def test_such_a_system_converts_files_and_refuses_a_batch_in_one_line(tmp_path: Path) -> None:
     code = """
     from nerfbake.cli.main import run

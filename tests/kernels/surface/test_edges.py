@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from trimesh import graph
 
 from nerfbake.kernels.surface.edges import mesh_edges
@@ -38,6 +39,7 @@ def test_two_triangles_by_hand() -> None:
     assert facts_of(np.array([[0, 1, 2], [1, 2, 4]]), 5) == (1, False, False)
 
 
+@pytest.mark.slow
 def test_the_facts_are_those_of_trimesh() -> None:
     # Closed surfaces, holes, several pieces, faces that are turned over, and edges of three faces and more.
     random = np.random.default_rng(0)
