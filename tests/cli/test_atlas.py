@@ -77,7 +77,7 @@ HOSTILE: dict[str, tuple[dict[str, bytes | None], str]] = {
     "a palette": ({"feat1_0_png": png("P")}, "holds P texels"),
     "no picture": ({"feat1_0_png": b"GIF89a"}, "cannot be read"),
     "an empty picture": ({"feat1_0_png": b""}, "cannot be read"),
-    "a bomb": ({"feat1_0_png": bomb(13000, 13000)}, "feat1_0.png needs 483.5 MiB"),
+    "a bomb": ({"feat1_0_png": bomb(13000, 13000)}, "feat1_0.png needs 1.1 GiB"),
     "a wider bomb": ({"feat1_0_png": bomb(2**30, 2**30)}, "feat1_0.png declares more than 178 million"),
     "binary mesh": ({"mesh_0_obj": bytes(range(256))}, "mesh_0.obj has no faces"),
     "empty mesh": ({"mesh_0_obj": b""}, "mesh_0.obj"),
