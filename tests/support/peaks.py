@@ -62,7 +62,9 @@ class Peaks:
 
     def close(self) -> None:
         assert self._server.stdin
+        assert self._server.stdout
         self._server.stdin.close()
+        self._server.stdout.close()
         self._server.wait()
 
 
