@@ -137,18 +137,17 @@ def test_clusters_and_sizes_out_of_range(
     assert names(tmp_path) == ["in"]
 
 
-def test_nothing_is_replaced_unasked_and_all_of_it_when_asked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_atlas_is_replaced_when_asked_for_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, out = stage1_folder(tmp_path / "in"), tmp_path / "out"
     arguments = ["atlas", str(folder), str(out), "--clusters", "3", "--map-size", "8"]
     out.mkdir()
-    (out / "mine.txt").write_text("mine")
+    (out / "labels_9.png").touch()
+    (out / "atlas.json").touch()
     assert run(arguments) == 4
     assert "exists already; allowed: a new or empty folder, or --force" in capsys.readouterr().err
-    assert names(out) == ["mine.txt"]
+    assert names(out) == ["atlas.json", "labels_9.png"]
     assert run([*arguments, "--force"]) == 0
-    assert "mine.txt" not in names(out)
+    assert "labels_9.png" not in names(out)
     assert names(tmp_path) == ["in", "out"]
 
 
