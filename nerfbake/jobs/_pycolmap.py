@@ -139,7 +139,7 @@ def _find(pycolmap: Any, request: Request, tell: Callable[..., None]) -> None:
     models = _map(pycolmap, request, path, effort, tell)
     models.sort(key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
     facts = {"points": 0, "error": 0.0}
-    shutil.rmtree(work)  # frees more room than the model needs: pycolmap does not notice that the disk is full
+    shutil.rmtree(work)  # frees more room than the model needs, whose writing pycolmap might not check
     if models:
         _adjust(pycolmap, models[0])
         best = work / "best"
