@@ -96,6 +96,9 @@ COMPRESS = {
     "encoding's peak, x the octree": Aim("at most", 4),
 }
 
+# compress: how much of a promised loss is measured, on the scene with most of it
+COMPRESS_PROMISES = Aim("at most", 1)
+
 # view: pages of the real chair at 256^3. Frame times are ratios to those of an octree that is traversed from its root;
 # those of the MLP, with its weights in textures, are ratios to those of the kmeans atlas
 VIEW = {

@@ -44,7 +44,7 @@ SUITE = (
     Benchmark("splats", ("splats.md",)),
     Benchmark("atlas", ("atlas.md", "atlas.png")),
     Benchmark("view", ("view.md",)),
-    Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg")),
+    Benchmark("compress", ("compress.md", "compress.csv", "compress.json", "compress.svg", "compress_promises.md")),
 )
 
 # It shows photographs that are not this project's.

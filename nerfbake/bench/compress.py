@@ -39,7 +39,7 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages._coefficients import visible_leaves
-from nerfbake.stages._loss import measuring_judge, predicting_judge
+from nerfbake.stages._loss import SOURCE_PSNR, measuring_judge, predicting_judge
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field
@@ -157,15 +157,14 @@ def _half(values: npt.NDArray[Any]) -> npt.NDArray[np.float16]:
     return found
 
 
-SOURCE_PSNR = 35.0  # dB, the default of `nerfbake compress`
 LOSSES = (0.05, 0.1, 0.2, 0.4, 0.8)  # dB
 COLUMNS = ["file", "MB", "predicted dB", "measured dB", "PSNR to the scene", "encode s", "decode s", "peak MB"]
 _GROUP = {"range": "svoq", "deflate": "svoq, deflate"}
 _LEAST = 1e-3  # dB, the smallest loss in a chart
 _LN_10 = 2.302585092994046
 NOTES = [
-    f"predicted: loss of PSNR for a source of {SOURCE_PSNR:g} dB, from views all around the scene; measured: loss of "
-    "the mean PSNR against the photographs.",
+    f"predicted: at most this loss of PSNR for a source of {SOURCE_PSNR:g} dB, from views all around the scene; "
+    "measured: loss of the mean PSNR against the photographs.",
     "svoq: `nerfbake compress --max-loss`, including its search. The other methods pack the leaves only, without inner "
     "nodes.",
     "peak: memory that encoding added to its process. decode: .svoq only, from the file to the octree.",
@@ -258,7 +257,7 @@ def _octree(path: str) -> SparseVoxelOctree:
 
 def _costs(octree: SparseVoxelOctree, field: RadianceField, cameras: str | None, truth: str | None) -> dict[str, Any]:
     own, measured = build_field(octree), None
-    cost = predicting_judge(own, source_psnr=SOURCE_PSNR).cost(field)
+    cost = predicting_judge(own).cost(field)
     psnr = -10 / _LN_10 * float(log(cost.error)) if cost.error > 0 else None
     if cameras and truth:
         views = io.load(cameras, Cameras)

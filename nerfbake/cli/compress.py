@@ -53,7 +53,7 @@ def quality_options(function: Command) -> Command:
     @click.option(
         "--source-psnr",
         type=NumberRange(min=1, max=80),
-        help="PSNR of IN against its photographs in dB, to predict the loss from.  [default: 35]",
+        help="PSNR of IN against its photographs in dB, to predict the loss from.  [default: 30.5]",
     )
     @min_psnr
     @wraps(function)

@@ -19,7 +19,7 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.stages.octree_to_compression import compress_octree
 
-MAX_LOSS, SOURCE_PSNR = 0.1, 35.0  # dB
+MAX_LOSS = 0.1  # dB
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class GroundTruth:
 
     cameras      a capture
     truth        a folder with a photograph NAME.png for each of the cameras
-    source_psnr  PSNR of the source against its photographs in dB, to predict the loss from
+    source_psnr  PSNR of the source against its photographs in dB, to predict the loss from; None: 30.5
     samples      rays along each edge of a pixel; None: from the cameras, else 1
 
     Without cameras and truth, the loss is measured on the pixels of photographs that a fitted PlenOctree stores. If the
@@ -75,7 +75,7 @@ class GroundTruth:
         if not (self.truth and self.cameras):
             if held_out is not None and self.source_psnr is None:
                 return {"held_out": held_out}
-            return {"source_psnr": SOURCE_PSNR if self.source_psnr is None else self.source_psnr}
+            return {} if self.source_psnr is None else {"source_psnr": self.source_psnr}
         read = read_cameras(steps, self.cameras).chosen(samples=self.samples)
         truth = io.Truth(self.truth, read.names, Image)
         with steps.phase(f"reading {self.truth}"), io.blame(self.cameras):

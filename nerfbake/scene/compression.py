@@ -17,7 +17,8 @@ class Compression(CompactRepr):
     pruned       the share of the leaves with a density that were pruned
     size         bytes of the file
     error        the mean squared difference of its pictures from the original's, sRGB in 0..1
-    loss         dB of PSNR against photographs: measured, or predicted as 10 log10(1 + error / M)
+    loss         dB of PSNR against photographs: measured, or at most this, as predicted with a margin
+    expected     dB, the same as loss if it is measured; else predicted without a margin, as 10 log10(1 + error / M)
     source_psnr  dB of the original against photographs, measured, or assumed to compute M
     views        the number of views for error and loss
 
@@ -25,7 +26,7 @@ class Compression(CompactRepr):
     >>> octree = build_octree(sample_n3tree(resolution=16))
     >>> found = compress_octree(octree, coded_size=lambda quantised: quantised.m, step=0.1)
     >>> found.quantised.colour_step, found.source_psnr
-    (0.1, 35.0)
+    (0.1, 30.5)
     """
 
     quantised: QuantisedOctree
@@ -33,13 +34,15 @@ class Compression(CompactRepr):
     size: int
     error: float
     loss: float
+    expected: float
     measured: bool
     source_psnr: float
     views: int
 
     def __str__(self) -> str:
-        how = f"measured on {self.views} views" if self.measured else f"predicted on {self.views} views"
-        return f"{100 * self.pruned:.1f} % pruned, {self.loss:.3f} dB {how} of a source of {self.source_psnr:.2f} dB"
+        how = "measured" if self.measured else f"at most ({self.expected:.3f} dB expected), predicted"
+        source = f"on {self.views} views of a source of {self.source_psnr:.2f} dB"
+        return f"{100 * self.pruned:.1f} % pruned, {self.loss:.3f} dB {how} {source}"
 
     @property
     def facts(self) -> dict[str, Any]:

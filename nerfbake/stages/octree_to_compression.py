@@ -19,7 +19,7 @@ from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages._coefficients import STEPS, Coefficients, Rows, transform, visible_leaves
-from nerfbake.stages._loss import Loss, LossMeter, measuring_judge, predicting_judge
+from nerfbake.stages._loss import SOURCE_PSNR, Loss, LossMeter, measuring_judge, predicting_judge
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.octree_to_octree import lower_basis, require_lower
 from nerfbake.stages.scene_to_cameras import scatter_cameras, without_strays
@@ -90,7 +90,7 @@ def compress_octree(
     step: float | None = None,
     basis: str | None = None,
     held_out: HeldOut | None = None,
-    source_psnr: float = 35.0,
+    source_psnr: float = SOURCE_PSNR,
     field: RadianceField | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Compression:
@@ -102,8 +102,9 @@ def compress_octree(
     step      of colour, used as it is; only the leaves to prune are searched
 
     basis: SHk of a lower degree; its error is part of the loss. Pruning may cause about 6 % of the loss.
-    The loss is measured on held_out, pixels of photographs, or else predicted for a source of source_psnr. field:
-    build_field() of the octree, if you have already built it. tell() is called with a line of text for each trial.
+    The loss is measured on held_out, pixels of photographs, or else predicted for a source of source_psnr, with a
+    margin. field: build_field() of the octree, if you have already built it. tell() is called with a line of text for
+    each trial.
     Raises InvalidScene for an octree that cannot be rendered, BudgetMissed if the limit cannot be met, MemoryLimit.
 
     >>> from nerfbake import build_octree, compress_octree, sample_n3tree
@@ -280,9 +281,10 @@ class _Search:
 
     def _made(self, tried: _Tried) -> Compression:
         size, judge, measured = self._size(tried), self._judge, self._judge.truth is not None
-        octree, cost = self._quantised(tried), (tried.error, tried.loss)
-        pruned = 1 - octree.m / len(self._order)
-        return Compression(octree, pruned, size, *cost, measured, judge.source_psnr, judge.views)
+        octree, pruned = self._quantised(tried), 1 - self._quantised(tried).m / len(self._order)
+        expected = tried.loss if measured else judge.expected_loss(tried.error)
+        costs = tried.error, tried.loss, expected
+        return Compression(octree, pruned, size, *costs, measured, judge.source_psnr, judge.views)
 
     def _step_for_size(self, share: float, aim: float, points: list[tuple[float, float]]) -> float:
         """Return the step with this estimated size, or one between earlier steps if a file was too large and one not.

@@ -104,5 +104,5 @@ def commands_as_forks(forks: Forks, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         facts = {"stdout": done.stdout.decode()} if keep else {}
         return Result(seconds, peak=1, facts={**facts, "worked": seconds})
 
-    for module in ("benchmarks.captures", "benchmarks.fit", "benchmarks.inputs", "benchmarks.view"):
-        monkeypatch.setattr(f"{module}.measure_process", measured)
+    for module in ("captures", "fit", "inputs", "promises", "view"):
+        monkeypatch.setattr(f"benchmarks.{module}.measure_process", measured)

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image as Pillow
 
 from benchmarks import __main__ as entry
-from benchmarks import atlas, captures, fit, inputs, mesh, outputs, papers, svo, view, wires
+from benchmarks import atlas, captures, fit, inputs, mesh, outputs, papers, promises, svo, view, wires
 from benchmarks.aims import CAPTURES, FINER, FIT, INPUTS, MESH, PAPERS, VIEW
 from benchmarks.browser import SWIFTSHADER
 from benchmarks.processes import measure_process
@@ -35,7 +35,7 @@ from tests.support.browser import with_a_browser_of_its_own
 from tests.support.outputs import read_output
 
 SHORT = ("--epochs", "cells=32,scale=2,epochs=1,density=0.05/cells=32,epochs=1,split=0.3", "--basis", "SH1")
-SHARED = {"__init__", "__main__", "aims", "browser", "processes", "scenes", "suite"}
+SHARED = {"__init__", "__main__", "aims", "browser", "processes", "promises", "scenes", "suite"}
 
 
 def once(*works: Callable[[], Any], rounds: int) -> list[list[Any]]:
@@ -347,10 +347,19 @@ def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.usefixtures("in_this_process", "commands_as_forks")
 def test_compress(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.bench.compress.LOSSES", (0.1,))
+    for name, value in (("GOALS", (0.3,)), ("FRAMES", 8), ("EDGE", 16), ("FIT", SHORT)):
+        monkeypatch.setattr(promises, name, value)
     files = small("compress", scenes)
+    rows = tables(files, "compress_promises.md")["Promised and measured"]
+    assert rows[-1][0] == "biker, splats as 256^3: not there"
+    own, usual = [row for row in rows if row[0] == "chair, 128^3"]
+    assert [own[2] == own[1][:-1], usual[2], own[3]] == [True, "-", "0.30"]
+    assert all(float(row[5]) < float(row[6]) <= 0.3 for row in rows[:-1])  # expected, promised
+    left = tables(files, "compress_promises.md")["Left out"]
+    assert [row[0] for row in left] == list(dict.fromkeys(row[0] for row in rows[:-1]))
     found = tables(files, "compress.md")
     assert [row[0] for row in found["Compression"]][:2] == ["svoq range, 0.1 dB", "svoq deflate, 0.1 dB"]
     assert len(found["Aims"]) == 6

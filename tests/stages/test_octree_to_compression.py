@@ -9,6 +9,7 @@ import pytest
 
 from nerfbake.errors import BudgetMissed, InvalidScene
 from nerfbake.kernels.maths.elementary import log
+from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.compression import Compression
 from nerfbake.scene.held_out import HeldOut
@@ -18,9 +19,10 @@ from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.stages._coefficients import STEPS, transform, visible_leaves
 from nerfbake.stages._loss import measuring_judge, predicting_judge
 from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.field_to_importance import weigh_leaves
 from nerfbake.stages.n3tree_to_octree import build_octree
-from nerfbake.stages.octree_to_compression import compress_octree, next_step
-from nerfbake.stages.scene_to_cameras import orbit_cameras
+from nerfbake.stages.octree_to_compression import compress_octree, next_step, quantise_octree
+from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.scene_to_field import build_field_from_octree
 from nerfbake.stages.shapes_to_n3tree import sample_n3tree
 from tests.support.scenes import n3tree
@@ -104,10 +106,33 @@ def test_a_trial_has_the_bits_of_the_octree_that_would_be_written(octree: Sparse
 
 def test_the_loss_is_that_of_the_octree_that_comes_back(octree: SparseVoxelOctree) -> None:
     found = compressed(octree, max_loss=0.1)
-    judge = predicting_judge(build_field_from_octree(octree), source_psnr=35.0)
+    judge = predicting_judge(build_field_from_octree(octree))
     cost = judge.cost(build_field_from_octree(found.quantised.restored()))
     assert cost.error == pytest.approx(found.error, rel=1e-6)
-    assert found.loss == pytest.approx(10 * float(log(1 + cost.error / 10**-3.5)) / np.log(10), rel=1e-6)
+    # 30.5 dB, with a margin for the loss.
+    assert found.expected == pytest.approx(10 * float(log(1 + cost.error / 10**-3.05)) / np.log(10), rel=1e-6)
+    assert found.loss == pytest.approx(10 * float(log(1 + 3.5 * cost.error / 10**-3.05)) / np.log(10), rel=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_promise_is_kept_where_the_original_already_lacks_what_rounding_removes(
+    octree: SparseVoxelOctree, share: float
+) -> None:
+    own = build_field_from_octree(octree)
+    importance = weigh_leaves(own, scatter_cameras(own, frames=8, edge=64))
+    rounded = build_field_from_octree(quantise_octree(octree, importance, step=0.1).restored())
+    promised = predicting_judge(own, source_psnr=30.0).cost(rounded)
+    cameras, truth = noisy(octree, 10**-1.5)  # 30 dB
+    before, after = [], []
+    for camera, image in zip(cameras.cameras, truth, strict=True):
+        one, other = (render_field(field, camera).colour for field in (own, rounded))
+        # The original's error has half the error of rounding in it, so their covariance doubles what rounding adds.
+        photograph = image.colour - share * (other - one)
+        before.append(psnr(one, photograph))
+        after.append(psnr(other, photograph))
+    loss = np.mean(before) - np.mean(after)
+    assert np.mean(before) == pytest.approx(30.0, abs=0.05)
+    assert 0 < loss <= promised.loss
 
 
 @pytest.mark.parametrize("most", [3_000, 6_000, 15_000])
@@ -120,7 +145,7 @@ def test_a_loss_gives_way_to_a_size_where_both_are_given(octree: SparseVoxelOctr
     free = compressed(octree, max_loss=0.1)
     assert compressed(octree, max_loss=0.1, max_size=free.size).facts == free.facts
     tight = compressed(octree, max_loss=0.1, max_size=free.size // 2)
-    assert 0.95 * (free.size // 2) <= tight.size <= free.size // 2
+    assert 0.9 * (free.size // 2) <= tight.size <= free.size // 2  # larger ones that were tried lose more
     assert tight.loss > 0.1
 
 
@@ -240,5 +265,5 @@ def test_a_leaf_far_away_does_not_dilute_the_prediction() -> None:
     for tree in (alone, far):
         field = build_field_from_octree(build_octree(tree))
         faded = replace(field, values=field.values * np.float32(0.99))
-        costs.append(predicting_judge(field, source_psnr=35.0).cost(faded).loss)
+        costs.append(predicting_judge(field).cost(faded).loss)
     assert costs[1] == pytest.approx(costs[0], rel=0.05)
