@@ -28,7 +28,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.mesh.colours import GREY, are_bytes_in_shorts, sound_colours
-from nerfbake.formats.mesh.ply_text import LONGER, Rows, read_text
+from nerfbake.formats.mesh.ply_text import LONGER, TextRows, parse_text
 from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.surface.fans import fan
@@ -92,7 +92,7 @@ def _tables(view: memoryview, header: wire.Header, notes: dict[str, None]) -> tu
     vertices = header.elements[names.index("vertex")].rows
     if header.kind == wire.TEXT:
         after = sum(element.rows * len(element.properties) for element in later)
-        rows, told = read_text(body, elements, lists, after)
+        rows, told = parse_text(body, elements, lists, after)
         notes |= dict.fromkeys(told)
         tables = {each.name: _text_rows(each, found) for each, found in zip(elements, rows, strict=True)}
     else:
@@ -277,7 +277,7 @@ def _alike(
     return _Polygons(corners.reshape(-1), counts, longer=stride > 0), body[element.rows * at :]
 
 
-def _text_rows(element: wire.Element, rows: Rows) -> Any:
+def _text_rows(element: wire.Element, rows: TextRows) -> Any:
     """Return the columns of an element by name, or the polygons of its list."""
     if element.name == "vertex":
         memory.hold("the mesh", _VERTEX * element.rows)

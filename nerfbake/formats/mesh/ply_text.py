@@ -25,7 +25,7 @@ _WORD = 90  # bytes of memory per word of text
 LONGER = "rows have more numbers than the header declares, which are skipped"
 
 
-class Rows(NamedTuple):
+class TextRows(NamedTuple):
     """The rows of an element: its numbers by name, or the entries of a list, row after row, and their counts."""
 
     columns: dict[str, Floats]
@@ -33,16 +33,16 @@ class Rows(NamedTuple):
     counts: Ints
 
 
-_EMPTY = Rows({}, np.empty(0), np.empty(0, np.int64))
+_EMPTY = TextRows({}, np.empty(0), np.empty(0, np.int64))
 
 
 class _Short(Exception):
     """A line has fewer numbers than its row."""
 
 
-def read_text(
+def parse_text(
     view: memoryview, elements: Sequence[Element], lists: Sequence[int], after: int
-) -> tuple[list[Rows], list[str]]:
+) -> tuple[list[TextRows], list[str]]:
     """Return the rows of each element, and notes. Raises InvalidFile, MemoryLimit.
 
     view: from the first row on; lists: the index of the wanted list of each element, -1 for none; after: how many
@@ -81,7 +81,7 @@ def _parsed(text: bytes) -> tuple[Floats, Ints]:
 
 def _by_line(
     numbers: Floats, lines: Ints, elements: Sequence[Element], lists: Sequence[int]
-) -> tuple[list[Rows], bool]:
+) -> tuple[list[TextRows], bool]:
     """Read each row from a line, and tell whether lines are longer than rows. Raises _Short if any is shorter."""
     found, first, longer = [], 0, False
     for element, wanted in zip(elements, lists, strict=True):
@@ -136,7 +136,7 @@ def _entries(numbers: Floats, at: Ints, counts: Ints) -> Floats:
     return found
 
 
-def _by_number(numbers: Floats, elements: Sequence[Element], lists: Sequence[int]) -> tuple[list[Rows], int]:
+def _by_number(numbers: Floats, elements: Sequence[Element], lists: Sequence[int]) -> tuple[list[TextRows], int]:
     """Read as many numbers for each row as the header declares, and return how many are left. Raises InvalidFile."""
     found, at = [], 0
     for element, wanted in zip(elements, lists, strict=True):
@@ -146,7 +146,7 @@ def _by_number(numbers: Floats, elements: Sequence[Element], lists: Sequence[int
             raise InvalidFile(Problem(f"element {element.name[:40]}", what, _ALLOWED))
         if element.lists:
             starts, counts, at = _walk(numbers, element, wanted, at)
-            found.append(Rows({}, _entries(numbers, starts, counts), counts))
+            found.append(TextRows({}, _entries(numbers, starts, counts), counts))
             continue
         table = numbers[at : at + element.rows * columns].reshape(element.rows, columns)
         found.append(_EMPTY._replace(columns={each.name: table[:, k] for k, each in enumerate(element.properties)}))
