@@ -23,7 +23,8 @@ from nerfbake.errors import (
 from tests.support.source import parsed
 
 PACKAGE = Path(nerfbake.__file__).parent
-FLAGS = {"batch/items.py", "formats/wire/page.py"}  # a command line of its own, and CSS
+# A command line of its own, CSS, and the options of pip and uv.
+FLAGS = {"batch/items.py", "formats/wire/page.py", "installation.py"}
 
 
 def test_a_short_line_stays_as_it_is() -> None:

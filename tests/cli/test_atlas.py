@@ -114,7 +114,7 @@ def test_a_picture_cut_anywhere_is_one_line(tmp_path: Path, capsys: pytest.Captu
             (folder / name).write_bytes(content[: len(content) * percent // 100])
             assert run(["atlas", str(folder), str(tmp_path / "out"), "--clusters", "3"]) == 1
             (line,) = capsys.readouterr().err.splitlines()
-            assert f"{name} cannot be read" in line
+            assert f"{name} cannot be read" in line or f"{name} ends within a chunk" in line
         (folder / name).unlink()
 
 

@@ -30,6 +30,7 @@ from nerfbake.formats.wire.json import parse
 from nerfbake.formats.wire.zip_reader import ZipReader
 from nerfbake.formats.wire.zstd import decompress, decompress_exactly
 from tests.rules.test_imports import OWN_LIBRARY
+from tests.support.heic import heic_of
 from tests.support.pngs import chunks_of, png_of_chunks
 
 DATA = bytes(range(256)) * 8
@@ -91,6 +92,7 @@ def decoders() -> dict[str, Decoder]:
         "zip": Decoder("formats/wire/zip_reader", unzipped, (zipped(),)),
         "json": Decoder("formats/wire/json", lambda view: parse(view, "x", comments=True), (b'{"a": [1, "x"]} // c',)),
         "bson": Decoder("formats/octree/bson", lambda view: elements_of(view, "x"), (document,)),
+        "heic": Decoder("formats/wire/heif", photographs, (heic_of(Image.fromarray(PIXELS)),)),
         "pictures": Decoder(
             "formats/wire/picture",
             photographs,
