@@ -5,7 +5,7 @@
 | NaN | grey |
 | beyond 0 to 1, and infinite | clamped |
 | all above 1, up to 255 | divided by 255 |
-| integers without `normalized` in glTF, or 8 bits in 16 in PLY | divided by the largest integer, or 255 |
+| integers without "normalized" in glTF, or 8 bits in 16 in PLY | divided by the largest integer, or 255 |
 
 A file is not refused for its colours, because its triangles are valid.
 """
@@ -28,7 +28,7 @@ _ROUNDING = 1 / 255  # clamped without a note
 _NOT_NUMBERS = "colours that are not numbers are grey"
 _BYTES = "colours go to 255, and are divided by 255"
 _CLAMPED = "colours outside 0 to 1 are clamped"
-_INTEGERS = "colours are integers without `normalized`, and are read as if they had it"
+_INTEGERS = "colours are integers that are not marked as normalized, and are read as if they were"
 
 
 def sound_colours(values: npt.NDArray[Any], *, grey: float = GREY, scaled: bool = False) -> tuple[Floats, list[str]]:

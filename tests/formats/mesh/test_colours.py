@@ -19,7 +19,7 @@ from tests.formats.mesh.test_glb import glb as glb_of
 PLACES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 NAN, BYTES = "colours that are not numbers are grey", "colours go to 255, and are divided by 255"
 CLAMPED = "colours outside 0 to 1 are clamped"
-INTEGERS = "colours are integers without `normalized`, and are read as if they had it"
+INTEGERS = "colours are integers that are not marked as normalized, and are read as if they were"
 nan, inf = float("nan"), float("inf")
 HALF = [0.5, 0.5, 0.5]
 GREY = [0.75] * 3
