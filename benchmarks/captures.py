@@ -177,13 +177,18 @@ def _capture(row: Row, scenes: Scenes, folder: Path) -> Path:
     _require(given)
     if row.shrink == 1:
         return given
+    shrink_capture(given, made, row.shrink)
+    return made
+
+
+def shrink_capture(given: Path, made: Path, shrink: int) -> None:
+    """Copy a capture with pictures and masks whose pixels are means of shrink x shrink."""
     shutil.copytree(given, made, ignore=shutil.ignore_patterns("images", "masks"))
     for path in (*given.glob("images/*"), *given.glob("masks/*")):
         own = made / path.relative_to(given)  # the cameras name the pictures with their extensions
         own.parent.mkdir(exist_ok=True)
         with Pillow.open(path) as picture:
-            picture.reduce(row.shrink).save(own, format="PNG")
-    return made
+            picture.reduce(shrink).save(own, format="PNG")
 
 
 def _require(capture: Path) -> None:

@@ -22,9 +22,9 @@ _LN_10 = 2.302585092994046
 # These positions differ from those of the cameras that importance is computed from. The zoom is a little above 1: the
 # real chair covers a little more of these pictures (0.24) than of its photographs (0.20), on which M is measured.
 _FRAMES, _EDGE, _ZOOM = 24, 144, 1.13
-# A predicted loss is that of MARGIN times the squared error. In the calibration of benchmarks/results/compress.md, the
-# measured losses are those of up to 1.7 times. Twice that, because the original's own error can be correlated with that
-# of rounding: on another scene, which lacked detail that rounding removes, their covariance doubled the error.
+# A predicted loss is that of MARGIN times the squared error. The losses measured on the calibration scenes of
+# docs/compression.md are those of up to 1.87 times. The margin is almost twice as large, because the original's own
+# error can be correlated with that of rounding: on another scene, their covariance doubled what rounding added.
 MARGIN = 3.5
 SOURCE_PSNR = 30.5  # dB: the original's PSNR if it is unknown
 

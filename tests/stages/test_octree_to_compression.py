@@ -125,7 +125,7 @@ def test_a_promise_is_kept_where_the_original_already_lacks_what_rounding_remove
     cameras, truth = noisy(octree, 10**-1.5)  # 30 dB
     before, after = [], []
     for camera, image in zip(cameras.cameras, truth, strict=True):
-        one, other = (render_field(field, camera).colour for field in (own, rounded))
+        one, other = (render_field(field, camera).colour.astype(np.float64) for field in (own, rounded))
         # The original's error has half the error of rounding in it, so their covariance doubles what rounding adds.
         photograph = image.colour - share * (other - one)
         before.append(psnr(one, photograph))
