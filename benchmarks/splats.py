@@ -24,7 +24,7 @@ from nerfbake.jobs import SplatsModel, SplatsOptions, bake_splats
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.photographs import ALL, read_photographs
-from nerfbake.jobs.splat_fields import EPOCHS, SplatVoxels, sample_splats
+from nerfbake.jobs.splat_voxels import EPOCHS, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT
 from nerfbake.stages.views_to_error import measure_views
 

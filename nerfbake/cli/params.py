@@ -380,7 +380,7 @@ def splat_options(up: str, default: Literal["stated"] | None) -> Callable[[Comma
         def command(
             *args: object, opacity_min: float | None, splats_up: Any, epochs: int | None, **others: object
         ) -> object:
-            from nerfbake.jobs.splat_fields import SplatVoxels
+            from nerfbake.jobs.splat_voxels import SplatVoxels
 
             given: dict[str, Any] = {"opacity_min": opacity_min, "up": splats_up or default, "epochs": epochs}
             splats = SplatVoxels(**{name: value for name, value in given.items() if value is not None})

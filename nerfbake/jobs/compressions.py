@@ -10,7 +10,7 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
-from nerfbake.jobs.octrees import read_octree_and_held_out
+from nerfbake.jobs.readings import read_octree_and_held_out
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
 from nerfbake.scene.compression import Compression

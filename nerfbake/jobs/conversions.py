@@ -12,7 +12,7 @@ from nerfbake import catalog, io, memory
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
-from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.readings import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.lattice_field import LatticeField

@@ -22,7 +22,6 @@ from nerfbake.jobs.files import (
 )
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.grids import tell_unused
-from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import (
     ALL,
     PhotographOptions,
@@ -32,7 +31,8 @@ from nerfbake.jobs.photographs import (
     render_split,
     require_alike,
 )
-from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, SplatVoxels, sample_splats
+from nerfbake.jobs.readings import sample_lattice
+from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.lattice_field import LatticeField

@@ -10,10 +10,9 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
-from nerfbake.jobs.lattices import compact_octree, sample_lattice, without_scenery
-from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
+from nerfbake.jobs.readings import compact_octree, sample_lattice, without_scenery
+from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
@@ -170,27 +169,6 @@ def bake_lod(
     with target.writing(steps, cut, no_child=no_child) as written:
         judge_output(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return cut
-
-
-def read_octree(steps: Steps, source: Source) -> SparseVoxelOctree:
-    """Read an octree, or convert a PlenOctree (at its own resolution), a lattice or splats to one."""
-    return read_octree_and_held_out(steps, source)[0]
-
-
-def read_octree_and_held_out(steps: Steps, source: Source) -> tuple[SparseVoxelOctree, HeldOut | None]:
-    """Like read_octree(), and also return the pixels of photographs that a fitted PlenOctree stores."""
-
-    from nerfbake.stages.n3tree_to_octree import build_octree
-
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField, Splats))
-    if isinstance(scene, SparseVoxelOctree):
-        return scene, None
-    if isinstance(scene, Splats):
-        return sample_splats(steps, source, scene)[0], None
-    if isinstance(scene, LatticeField):
-        return sample_lattice(steps, source, scene), None
-    with source.blamed(steps, "building the octree"):
-        return build_octree(scene), scene.held_out
 
 
 def bake_volume(

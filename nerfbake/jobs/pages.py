@@ -21,10 +21,10 @@ from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
-from nerfbake.jobs.lattices import sample_lattice
 from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
-from nerfbake.jobs.splat_fields import UPRIGHT, USUAL, sample_splats
+from nerfbake.jobs.readings import sample_lattice
+from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, sample_splats
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import orbit_psnr, page_views
 from nerfbake.scene.atlas import BakedAtlas

@@ -11,7 +11,7 @@ from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
-from nerfbake.jobs.lattices import sample_lattice
+from nerfbake.jobs.readings import sample_lattice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
 from nerfbake.scene.atlas import BakedAtlas

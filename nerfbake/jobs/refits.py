@@ -10,9 +10,8 @@ from nerfbake.jobs.budgets import EDGE
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.grids import tell_unused
-from nerfbake.jobs.lattices import without_scenery
-from nerfbake.jobs.octrees import read_octree
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, render_split
+from nerfbake.jobs.readings import read_octree, without_scenery
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.scene.brick_field import BrickField

@@ -11,7 +11,6 @@ from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.grids import tell_unused
-from nerfbake.jobs.lattices import sample_lattice, without_scenery
 from nerfbake.jobs.photographs import (
     ALL,
     PhotographOptions,
@@ -21,6 +20,7 @@ from nerfbake.jobs.photographs import (
     render_split,
     require_alike,
 )
+from nerfbake.jobs.readings import sample_lattice, without_scenery
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree

@@ -10,7 +10,7 @@ from benchmarks import splats as benchmark
 from benchmarks.aims import SPLAT_FILES, SPLAT_OCTREES
 from benchmarks.scenes import Scenes
 from nerfbake import sample_n3tree, save
-from nerfbake.jobs import SplatsModel, SplatsOptions, splat_fields
+from nerfbake.jobs import SplatsModel, SplatsOptions, splat_voxels
 from tests.support.photographs import write_scene
 from tests.support.splats import ball_of_splats
 
@@ -24,9 +24,9 @@ def test_every_row_has_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (benchmark, "PICTURE", 48),
         (benchmark, "EDGE", 48),
         (benchmark, "JUDGES", 2),
-        (splat_fields, "_FRAMES", 8),
-        (splat_fields, "_EDGE", 48),
-        (splat_fields, "_JUDGES", 1),
+        (splat_voxels, "_FRAMES", 8),
+        (splat_voxels, "_EDGE", 48),
+        (splat_voxels, "_JUDGES", 1),
     ):
         monkeypatch.setattr(module, name, value)
     chair = Scenes(tmp_path, tmp_path).chair

@@ -64,7 +64,7 @@ def place(tmp_path: Path, tree_file: Path, sample: Path, monkeypatch: pytest.Mon
         (work / "stage1" / file.name).hardlink_to(file)
     (tmp_path / "home").mkdir()
     (tmp_path / "link").symlink_to("work")
-    monkeypatch.setattr("nerfbake.jobs.lattices._EDGE", 8)  # of the pictures on which they are measured
+    monkeypatch.setattr("nerfbake.jobs.readings._EDGE", 8)  # of the pictures on which they are measured
     monkeypatch.setattr("nerfbake.jobs.budgets.EDGE", 8)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.chdir(work)

@@ -22,7 +22,7 @@ from nerfbake import (
 )
 from nerfbake.cli.main import run
 from nerfbake.errors import BudgetMissed, InvalidFile, OutputError, UsageError
-from nerfbake.jobs import Budget, ComparedViews, PictureOutputs, PlacedMesh, ViewSelection, lattices
+from nerfbake.jobs import Budget, ComparedViews, PictureOutputs, PlacedMesh, ViewSelection, readings
 from tests.jobs.listener import Listener
 from tests.support.lattices import SHAPE, svox2, svox2_file
 from tests.support.meshes import cube
@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(lattices, "_EDGE", 24)  # pixels: what is said is looked at, not what it is worth
+    monkeypatch.setattr(readings, "_EDGE", 24)  # pixels: what is said is looked at, not what it is worth
 
 
 def test_svo_says_what_it_cost() -> None:

@@ -21,7 +21,7 @@ from nerfbake import (
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
 from nerfbake.jobs import RefitOptions, RefitTarget, Source, bake_octree, refit_file
 from nerfbake.jobs.photographs import read_photographs
-from nerfbake.jobs.splat_fields import Part
+from nerfbake.jobs.splat_voxels import Part
 from nerfbake.jobs.steps import SILENT
 from tests.jobs.listener import Listener
 from tests.support.brick_fields import some_shelled_field

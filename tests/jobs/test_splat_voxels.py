@@ -26,13 +26,13 @@ from nerfbake.jobs import (
     describe_file,
     meshes,
     refit_file,
-    splat_fields,
+    splat_voxels,
     view_file,
 )
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
-from nerfbake.jobs.splat_fields import USUAL, SplatVoxels
+from nerfbake.jobs.splat_voxels import USUAL, SplatVoxels
 from nerfbake.memory import memory_limit
 from nerfbake.scene.radiance_field import RadianceField
 from tests.jobs.listener import Listener
@@ -47,9 +47,9 @@ DIRECT = SplatVoxels(epochs=0)
 def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fewer_rays: None) -> Splats:
     """ball.ply, with few and small pictures to fit to."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(splat_fields, "_FRAMES", 24)
-    monkeypatch.setattr(splat_fields, "_JUDGES", 3)
-    monkeypatch.setattr(splat_fields, "_EDGE", 64)
+    monkeypatch.setattr(splat_voxels, "_FRAMES", 24)
+    monkeypatch.setattr(splat_voxels, "_JUDGES", 3)
+    monkeypatch.setattr(splat_voxels, "_EDGE", 64)
     save("ball.ply", ball_of_splats())
     return load("ball.ply", Splats)
 
@@ -124,7 +124,7 @@ class Shown(Exception):
 
 @pytest.mark.usefixtures("ball")
 def test_a_mesh_is_fitted_to_pictures_of_the_splats_not_of_their_voxels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splat_fields, "RESOLUTION", 16)
+    monkeypatch.setattr(splat_voxels, "RESOLUTION", 16)
 
     def show(scene: Any, *, framed: Any, **options: Any) -> None:
         raise Shown(scene, framed)
@@ -232,7 +232,7 @@ def test_the_axis_that_a_file_states_is_up_unless_another_is_given(ball: Splats,
 
 
 def test_a_page_stands_as_the_file_states(ball: Splats, listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splat_fields, "RESOLUTION", 8)
+    monkeypatch.setattr(splat_voxels, "RESOLUTION", 8)
     stated("z.ply", "0 0 1", ball)
     view_file("z.ply", "a.html", data="exact", steps=listener)
     assert "z.ply: z points up, as the file says" in listener.said
@@ -295,7 +295,7 @@ def test_a_missed_budget_is_measured_against_the_splats() -> None:
 
 @pytest.mark.usefixtures("ball")
 def test_other_commands_read_splats(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splat_fields, "RESOLUTION", 16)
+    monkeypatch.setattr(splat_voxels, "RESOLUTION", 16)
     compress_file("ball.ply", "ball.svoq", goal=CompressionGoal(step=0.2))
     assert load("ball.svoq", SparseVoxelOctree).size == (16, 16, 16)
     view_file("ball.ply", "ball.html", min_psnr=20, steps=listener)

@@ -1,6 +1,6 @@
 """Convert splats to octrees: cut them to a box, fill voxels, and fit these to pictures of the splats.
 
-Jobs that read PlenOctrees and octrees use sample_splats() to read splats, too.
+readings.py uses sample_splats() for all jobs.
 """
 
 from __future__ import annotations
