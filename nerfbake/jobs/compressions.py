@@ -10,7 +10,7 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
-from nerfbake.jobs.readings import read_octree_and_held_out
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
 from nerfbake.scene.compression import Compression
@@ -105,7 +105,7 @@ def compress_file(
     steps: Steps = SILENT,
     report: Callable[[Compression], None] | None = None,
 ) -> Compression:
-    """Compress a PlenOctree or an octree and return the result. This is `nerfbake compress`.
+    """Compress the octree of a scene and return the result. This is `nerfbake compress`.
 
     Reads `source`, the photographs and the cameras of the budget. Writes `target`, or `target`.rejected if the budget
     is missed. Raises NerfbakeError.
@@ -122,7 +122,9 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", coding=coding)
     budget.require(target)
-    octree, held_out = read_octree_and_held_out(steps, source)
+    reading = Reading(steps, source)
+    octree, held_out = reading.octree(), reading.held_out
+    del reading
     options |= photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, coding)

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from nerfbake import catalog, io, memory
-from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
-from nerfbake.jobs.readings import sample_lattice
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.lattice_field import LatticeField
+from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin, no_origin
 from nerfbake.scene.splats import UPS, Splats, Up
@@ -42,8 +43,8 @@ def convert_file(
 ) -> SparseVoxelOctree | Volume | Splats:
     """Write an octree, a volume or splats in another format and return what was written. This is `nerfbake convert`.
 
-    Reads `source` and writes `target`, whose format selects what is written. A lattice from another program is first
-    converted to an octree. Splats are converted by convert_splats().
+    Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees and
+    lattices become octrees as in bake_octree(). Splats are converted by convert_splats().
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
@@ -57,6 +58,8 @@ def convert_file(
     >>> convert_file("octree.svo.npz", "compact.svo.json", layout="compact").layout
     'compact'
     """
+    from nerfbake.stages.vdb_to_vdb import cast_volume
+
     source, target = as_source(source), as_target(target)
     if _is_ending(target, "Splats"):
         if layout or no_child or codec or half or choice.grids:
@@ -69,17 +72,23 @@ def convert_file(
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
     target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
-    read = source.read(steps, SparseVoxelOctree, Volume, LatticeField)
-    if isinstance(read, LatticeField):
-        read = sample_lattice(steps, source, read)
-    if half and not isinstance(read, Volume):
+    reading = Reading(steps, source, N3Tree, SparseVoxelOctree, Volume, LatticeField, choice=choice)
+    if isinstance(reading.scene, Volume):
+        _require_axes(reading.scene, choice)
+        if half:
+            with source.blamed(steps, "rounding"):
+                reading.scene = cast_volume(reading.scene, dtype="float16")
+    elif half:
         raise UsageError("`half` is for volumes; allowed: `nerfbake svo --dtype float16`")
-    octree: SparseVoxelOctree | Volume = choice.of(steps, source, read)
-    if isinstance(octree, Volume):
-        octree = _octree_of(steps, source, octree, choice, half=half)
+    octree = reading.octree()
     octree = octree.with_layout(layout or octree.layout)
     target.write(steps, octree, no_child=no_child, codec=codec)
     return octree
+
+
+def _require_axes(volume: Volume, choice: GridChoice) -> None:
+    if volume.frame is not None and choice.up and not choice.grids:
+        raise UsageError("the octree in IN keeps its own axes; allowed: no `up`, or `grid` for the density only")
 
 
 def _is_ending(target: Target, scene: str) -> bool:
@@ -236,30 +245,3 @@ def _rounded(steps: Steps, source: Source, target: Target, volume: Volume, *, ha
             volume = cast_volume(volume, dtype="float16" if half else "float32")
     warn_about_halves(steps, form, volume)
     return volume
-
-
-def _octree_of(steps: Steps, source: Source, volume: Volume, choice: GridChoice, *, half: bool) -> SparseVoxelOctree:
-    from nerfbake.stages.vdb_to_octree import build_octree_from_density, build_octree_from_volume
-    from nerfbake.stages.vdb_to_vdb import cast_volume
-
-    foreign = volume.frame is None or bool(choice.grids)
-    if not foreign and choice.up:
-        raise UsageError("the octree in IN keeps its own axes; allowed: no `up`, or `grid` for the density only")
-    with source.blamed(steps, "making the octree"):
-        if foreign:
-            _report_left_out(steps, source, volume)
-        if half:
-            volume = cast_volume(volume, dtype="float16")
-        return build_octree_from_density(volume) if foreign else build_octree_from_volume(volume)
-
-
-def _report_left_out(steps: Steps, source: Source, volume: Volume) -> None:
-    """Report the grids that are left out besides `density`. Raises InvalidScene if none of several is `density`."""
-    labels = [*volume.labels, *(problem.place for problem in volume.unread)]
-    if len(labels) == 1:
-        return
-    if "density" not in labels:
-        found = f"has the grids {', '.join(labels)}"
-        raise InvalidScene(Problem("the volume", found, "`grid=NAME` for an octree of that density only"))
-    others = ", ".join(label for label in labels if label != "density")
-    steps.say(f"{source.name}: the octree gets the density only, without {others}")

@@ -5,14 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
-from nerfbake.jobs.grids import tell_unused
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.mesh import Meshes
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_to_mesh import build_hull
-from nerfbake.stages.scene_to_field import build_field
 
 LEVEL = 5
 
@@ -27,7 +23,8 @@ def bake_hull(
 ) -> Meshes:
     """Build a mesh that encloses everything visible in a field and return it. This is `nerfbake hull`.
 
-    Reads `source`, a PlenOctree, an octree or a volume; writes `target`. Raises NerfbakeError.
+    Reads `source`, any scene with a field; a scenery is enclosed, too, and splats keep their world. Writes `target`.
+    Raises NerfbakeError.
 
     level  as in build_hull()
     up     for a .glb: the up axis of `source`; with z, the nodes rotate z to y; None: no rotation
@@ -37,9 +34,10 @@ def bake_hull(
     """
     source, target = as_source(source), as_target(target)
     target.require("Meshes", up=up)
-    scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume)
-    tell_unused(steps, source, scene)
+    reading = Reading(steps, source)
+    reading.tell_scenery()
+    field = reading.field()
     with source.blamed(steps, "building the hull"):
-        meshes = build_hull(build_field(scene), level=level)
+        meshes = build_hull(field, level=level)
     target.write(steps, meshes, up=up)
     return meshes

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from nerfbake import catalog, io, progress
-from nerfbake.errors import BudgetMissed, InvalidScene, Problem, UsageError
+from nerfbake.errors import BudgetMissed, Problem, UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import (
     AnySource,
@@ -21,7 +21,6 @@ from nerfbake.jobs.files import (
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock
-from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.photographs import (
     ALL,
     PhotographOptions,
@@ -31,20 +30,14 @@ from nerfbake.jobs.photographs import (
     render_split,
     require_alike,
 )
-from nerfbake.jobs.readings import sample_lattice
-from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, SplatVoxels, sample_splats
+from nerfbake.jobs.readings import Reading, upright_without
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.environment import EnvironmentMap
-from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views, world_box
-from nerfbake.scene.volume import Volume
-from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views
 
 if TYPE_CHECKING:
@@ -252,7 +245,11 @@ def bake_mesh(
     else:
         Budget(min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    field, splats = _read_field(steps, source, UPRIGHT if model.views is None else USUAL)
+    reading = Reading(steps, source, splats=upright_without(model.views))
+    reading.use_inner_cube()
+    field = reading.field(visible="no surface")
+    splats = reading.shown if isinstance(reading.shown, Splats) else None
+    del reading
     posed = model.posed(steps, source, field, splats)
     del splats
     clock = Clock()
@@ -434,30 +431,6 @@ def _judged(
             folder = isinstance(place, FolderTarget)
             found: Meshes | Stage1 = io.load_folder(path, Stage1) if folder else io.load(path, Meshes)
         return found, measure_mesh(found, judges, told=told)
-
-
-def _read_field(steps: Steps, source: Source, voxels: SplatVoxels) -> tuple[RadianceField, Splats | None]:
-    """Return the field of a scene, and its splats if it has any, in the same world.
-
-    Of a scene with scenery, it is the field of the inner cube. voxels: how splats become voxels.
-    """
-    splats = None
-    scene = source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats)
-    if isinstance(scene, LatticeField):
-        scene = sample_lattice(steps, source, scene)
-    if isinstance(scene, Splats):
-        scene, splats = sample_splats(steps, source, scene, options=voxels)
-    tell_unused(steps, source, scene)
-    with source.blamed(steps, "building the field"):
-        if isinstance(scene, N3Tree) and scene.shells > 1:
-            steps.say(f"{source.name}: has scenery; the mesh is that of the inner cube")
-            scene = scene.inner_cube()
-        field = build_field(scene)
-        if not (field.densities > 0).any():
-            raise InvalidScene(
-                Problem("the field", "has no leaf with a density", "at least one, or there is no surface")
-            )
-        return field, splats
 
 
 def _levels(scene: Meshes | Stage1) -> list[Mesh]:

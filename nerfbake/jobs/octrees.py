@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from nerfbake import memory
-from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source, as_target
+from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
-from nerfbake.jobs.readings import compact_octree, sample_lattice, without_scenery
-from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
+from nerfbake.jobs.readings import FIELDS, TAKEN, Reading
+from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, Part, SplatVoxels
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
+from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
 
 if TYPE_CHECKING:
     from nerfbake.stages.n3tree_to_octree import Resample
-
-Size = int | tuple[int, int, int]
 
 
 def bake_octree(
@@ -42,7 +39,7 @@ def bake_octree(
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> SparseVoxelOctree:
-    """Resample a PlenOctree, a lattice or splats to a sparse voxel octree and return it. This is `nerfbake svo`.
+    """Make a sparse voxel octree of a scene and return it. This is `nerfbake svo`.
 
     Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed. Raises
     NerfbakeError; errors that depend on the arguments alone are raised before anything is read.
@@ -56,85 +53,33 @@ def bake_octree(
     scale     scale factor for world coordinates (lattices only)
 
     resolution, resample, layout, dtype and sigma_min are those of build_octree(), build_octree_from_lattice() and
-    build_octree_from_splats().
+    build_octree_from_splats(). Octrees and volumes, which have their own voxels, take the layout alone.
 
     >>> octree = bake_octree("a.npz", "a.svo.pb", resolution=16, budget=Budget(min_psnr=20))
     >>> octree.size
     (16, 16, 16)
     """
 
-    from nerfbake.stages.n3tree_to_octree import build_octree
-
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    scene = source.read(steps, N3Tree, LatticeField, Splats)
-    _require_used(scene, splats=splats, box=box, resample=resample, basis=basis, scale=scale, budget=budget)
-    if box == "inner":
-        scene = without_scenery(steps, source, scene)
-    elif isinstance(scene, N3Tree):
-        resolution = _with_scenery(steps, source, scene, resolution)
-    made: dict[str, Any] = {"resolution": resolution, "layout": layout, "dtype": dtype, "sigma_min": sigma_min}
-    if isinstance(scene, Splats):
-        octree, scene = sample_splats(steps, source, scene, options=splats, part=box, basis=basis, **made)
-    elif isinstance(scene, LatticeField):
-        scene = scene if scale is None else scene.scaled(scale)
-        octree = sample_lattice(steps, source, scene, basis=basis or "SH9", **made)
-    else:
-        with source.blamed(steps, "building the octree"):
-            octree = build_octree(scene, resample=resample, **made)
+    reading = Reading(steps, source, splats=splats, part=box)
+    reading.require(
+        budget, resolution=resolution, sigma_min=sigma_min, dtype=dtype, resample=resample, basis=basis, scale=scale
+    )
+    octree = reading.octree(
+        resolution=resolution,
+        basis=basis,
+        scale=scale,
+        resample=resample,
+        layout=layout,
+        dtype=dtype,
+        sigma_min=sigma_min,
+    )
+    octree = octree.with_layout(layout)  # of an octree, which is not made anew
     with target.writing(steps, octree, no_child=no_child) as written:
-        judge_output(written.path, scene, budget, made_from=source.name, name=target.path, steps=steps)
+        judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, steps=steps)
     return octree
-
-
-def _require_used(
-    scene: N3Tree | LatticeField | Splats,
-    *,
-    splats: SplatVoxels,
-    box: Part,
-    resample: Resample,
-    basis: str | None,
-    scale: float | None,
-    budget: Budget,
-) -> None:
-    """Raise UsageError for options of bake_octree() that have no effect on the scene."""
-    if isinstance(scene, Splats):
-        splats.require(budget, scene)
-        if resample != "mean" or scale is not None:
-            raise UsageError("`resample` and `scale` have no effect on splats; allowed: with a PlenOctree or a lattice")
-        return
-    splats.require_default()
-    if not isinstance(box, str):
-        raise UsageError("`box` of six numbers has no effect on other scenes than splats; allowed: inner, all")
-    if isinstance(scene, LatticeField):
-        if box != "inner":
-            raise UsageError("`box` has no effect on a lattice, which has no shells; allowed: with a PlenOctree")
-        if resample != "mean":
-            raise UsageError("`resample` has no effect on a lattice, which has no leaves; allowed: with a PlenOctree")
-    elif basis is not None or scale is not None:
-        raise UsageError("a PlenOctree has its own basis and world; allowed: `basis` and `scale` with a lattice")
-
-
-def _with_scenery(steps: Steps, source: Source, tree: N3Tree, resolution: Size | None) -> Size | None:
-    """Return the resolution of the whole cube, at most the largest of an octree; print what the inner cube gets of it.
-
-    A tree without scenery keeps its resolution.
-    """
-    if tree.shells == 1:
-        return resolution
-    with source.blamed(steps, "reading the tree"):
-        finest = tree.resolution
-    size = min(finest, MAX_SIZE) if resolution is None else resolution
-    times = 1 << (tree.shells - 1)
-    inner = f"{_told(size, times)} of them in the inner cube of {finest // times}^3"
-    steps.say(f"{source.name}: uses all of the scene: {_told(size, 1)} voxels, {inner}")
-    return size
-
-
-def _told(size: Size, times: int) -> str:
-    edges = (size,) * 3 if isinstance(size, int) else size
-    return "x".join(f"{edge / times:g}" for edge in edges)
 
 
 def bake_lod(
@@ -186,7 +131,7 @@ def bake_volume(
     budget: Budget = UNLIMITED,
     steps: Steps = SILENT,
 ) -> Volume:
-    """Convert a PlenOctree, an octree, a lattice or splats to VDB grids and return the volume. This is `nerfbake vdb`.
+    """Convert a scene to VDB grids and return the volume. This is `nerfbake vdb`.
 
     Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed.
 
@@ -212,32 +157,18 @@ def bake_volume(
     form = target.require("Volume", codec=codec)
     budget.require(target)
     wanted = require_grids(form, grids, half=half)
-    scene: N3Tree | SparseVoxelOctree | LatticeField | Splats
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField, Splats))
-    judged: N3Tree | SparseVoxelOctree | LatticeField | Splats | None
-    judged = None if budget.min_psnr is None else scene  # without a budget, the tree can be freed early
-    if isinstance(scene, Splats):
-        splats.require(budget, scene)
-        scene, shown = sample_splats(
-            steps, source, scene, options=splats, part=box, resolution=resolution, sigma_min=sigma_min, layout="compact"
-        )
-        resolution = None
-        if judged is not None:
-            judged = shown
-    else:
-        splats._replace(up=None).require_default()
-        if box != "inner":
-            raise UsageError("`box` has no effect on other scenes than splats; allowed: with splats")
-    if isinstance(scene, LatticeField):
-        scene, resolution = sample_lattice(steps, source, scene, resolution=resolution, sigma_min=sigma_min), None
+    reading = Reading(steps, source, splats=splats, part=box)
+    reading.require(budget, taken=TAKEN | {"box": (Splats,), "up": FIELDS}, resolution=resolution)
+    tree, lattice = (isinstance(reading.scene, kind) for kind in (N3Tree, LatticeField))
+    octree = reading.octree(resolution=resolution, sigma_min=sigma_min, layout="full" if lattice else "compact")
+    if budget.min_psnr is None:
+        reading.shown = None  # without a budget, the tree is freed here
     with source.blamed(steps, "building the grids"):
-        own = not isinstance(scene, N3Tree)
-        scene = compact_octree(scene, resolution, sigma_min)
-        volume = build_vdb(scene, grids=wanted, half=half, up=up, sigma_min=sigma_min)
-        volume = volume if own else _with_full_layout(volume)
+        volume = build_vdb(octree, grids=wanted, half=half, up=up, sigma_min=sigma_min)
+        volume = _with_full_layout(volume) if tree else volume
     warn_about_halves(steps, form, volume)
     with target.writing(steps, volume, codec=codec) as written:
-        judge_output(written.path, judged, budget, made_from=source.name, name=target.path, up=up, steps=steps)
+        judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, up=up, steps=steps)
     return volume
 
 

@@ -23,8 +23,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source,
 from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
 from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
-from nerfbake.jobs.readings import sample_lattice
-from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, sample_splats
+from nerfbake.jobs.readings import FIELDS, Reading, upright_without
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import orbit_psnr, page_views
 from nerfbake.scene.atlas import BakedAtlas
@@ -35,7 +34,6 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin
 from nerfbake.scene.page import Page, PageField
 from nerfbake.scene.quantised_octree import QuantisedOctree
@@ -47,7 +45,6 @@ from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
 from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.field_to_page_field import build_page_field, round_field
 from nerfbake.stages.meshes_to_image import render_meshes
-from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.n3tree_to_page_shells import build_page_shells
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field, build_field_from_page, round_to_bytes
@@ -301,29 +298,19 @@ class _Content(NamedTuple):
 
 def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Content:
     """Read the source."""
-    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats
-    read = source.read_with_format(steps, *fields, Meshes, Stage1, BakedAtlas)
-    if isinstance(read.scene, Splats):
-        options = UPRIGHT if wish.photographs.cameras is None else USUAL
-        octree, splats = sample_splats(steps, source, read.scene, options=options)
-        choice.of(steps, source, octree)
-        return _Content(None, octree, splats=splats)
-    scene = sample_lattice(steps, source, read.scene) if isinstance(read.scene, LatticeField) else read.scene
-    scene = choice.of(steps, source, scene)
-    tell_unused(steps, source, scene)
-    if isinstance(scene, Volume):
+    standing = upright_without(wish.photographs.cameras)
+    reading = Reading(steps, source, *FIELDS, Meshes, Stage1, BakedAtlas, choice=choice, splats=standing)
+    tell_unused(steps, source, reading.scene)
+    if isinstance(reading.scene, Volume):
         if wish.data == "compressed" or wish.anew:
             raise UsageError(f"{source.name} is a volume, which cannot be compressed; allowed: `data=exact`")
         if wish.data is None:
             steps.say(f"{source.name}: volumes are not compressed, so the page carries its values in float16")
-    scenery = scene if isinstance(scene, N3Tree) and scene.shells > 1 else None
-    if scenery is not None:
-        with source.blamed(steps, "reading the inner cube"):
-            scene = scenery.inner_cube()
-    if wish.data != "exact" and isinstance(scene, N3Tree):
-        with source.blamed(steps, "building the octree"):
-            return _Content(None, build_octree(scene), scene.held_out, scenery)
-    return _Content(read.data, scene, None, scenery)
+    reading.use_inner_cube(keep=True)
+    if isinstance(reading.scene, LatticeField | Splats) or (isinstance(reading.scene, N3Tree) and wish.data != "exact"):
+        reading.octree()
+    splats = reading.shown if isinstance(reading.shown, Splats) else None
+    return _Content(reading.data, reading.scene, reading.held_out, reading.scenery, splats)
 
 
 def _framed(

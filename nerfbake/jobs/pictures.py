@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
-from nerfbake.jobs.readings import sample_lattice
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
 from nerfbake.scene.atlas import BakedAtlas
@@ -31,7 +31,6 @@ from nerfbake.stages.field_to_image import RenderOptions, render_field
 from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.octree_to_octree import cut_octree
-from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
@@ -214,19 +213,13 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, 
     """
     shapes = (Splats, Meshes, Stage1, BakedAtlas) if alone else ()
     others = () if lod is not None else (N3Tree, Volume, LatticeField, *shapes)
-    scene = choice.of(steps, source, source.read(steps, *others, SparseVoxelOctree))
-    if isinstance(scene, Shapes):
-        return scene
-    if isinstance(scene, LatticeField):
-        if alone:
-            return scene
-        scene = sample_lattice(steps, source, scene)
+    reading = Reading(steps, source, *others, SparseVoxelOctree, choice=choice)
+    if alone and isinstance(reading.scene, Shapes | LatticeField):
+        return reading.scene
     if lod is not None:
         with source.blamed(steps, f"cutting at level {lod}"):
-            scene = cut_octree(scene, level=lod)
-    tell_unused(steps, source, scene)
-    with source.blamed(steps, "building the field"):
-        return build_field(scene)
+            reading.scene = cut_octree(reading.scene, level=lod)
+    return reading.field()
 
 
 def _renderer(

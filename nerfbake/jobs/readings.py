@@ -1,74 +1,244 @@
-"""What was read, as the octree that a job needs: of PlenOctrees the inner cube, and lattices and splats in voxels."""
+"""A source that is read once, and what the jobs make of it: an octree or a field.
+
+All that differs between the kinds of scenes is here: which options they take, the inner cube of scenery, the up axis of
+splats, the grids of a volume, and the loss of becoming voxels. Jobs do their own work on what they get.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from nerfbake.errors import UsageError
+from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.jobs.budgets import UNLIMITED, Budget
 from nerfbake.jobs.files import Source
-from nerfbake.jobs.splat_voxels import sample_splats
+from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
+from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import Layout, SparseVoxelOctree
+from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.scene.splats import Splats
+from nerfbake.scene.volume import Volume
 
 if TYPE_CHECKING:
     from nerfbake.scene.radiance_field import RadianceField
+    from nerfbake.stages.n3tree_to_octree import Resample
 
 _FRAMES, _EDGE = 4, 200  # number and edge of the pictures on which the loss of a conversion is measured
 
-
-def read_octree(steps: Steps, source: Source) -> SparseVoxelOctree:
-    """Read an octree, or convert a PlenOctree (at its own resolution), a lattice or splats to one."""
-    return read_octree_and_held_out(steps, source)[0]
-
-
-def read_octree_and_held_out(steps: Steps, source: Source) -> tuple[SparseVoxelOctree, HeldOut | None]:
-    """Like read_octree(), and also return the pixels of photographs that a fitted PlenOctree stores."""
-
-    from nerfbake.stages.n3tree_to_octree import build_octree
-
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, LatticeField, Splats))
-    if isinstance(scene, SparseVoxelOctree):
-        return scene, None
-    if isinstance(scene, Splats):
-        return sample_splats(steps, source, scene)[0], None
-    if isinstance(scene, LatticeField):
-        return sample_lattice(steps, source, scene), None
-    with source.blamed(steps, "building the octree"):
-        return build_octree(scene), scene.held_out
-
-
-def without_scenery(steps: Steps, source: Source, scene: Any) -> Any:
-    """Return the inner cube of a PlenOctree with scenery, and print what is left out; else the scene itself."""
-    if not isinstance(scene, N3Tree) or scene.shells == 1:
-        return scene
-    with source.blamed(steps, "reading the inner cube"):
-        inner = scene.inner_cube()
-    steps.say(f"{source.name}: uses the inner cube of {inner.resolution}^3 and leaves out the scenery around it")
-    return inner
+Size = int | tuple[int, int, int]
+FIELDS = (N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats)  # all that becomes an octree or a field
+_NOUNS = dict(zip(FIELDS, ("a PlenOctree", "an octree", "a volume", "a lattice", "splats"), strict=True))
+_RESAMPLED = (N3Tree, LatticeField, Splats)
+# The scenes on which an option has an effect. Octrees and volumes have their own voxels.
+TAKEN: dict[str, tuple[type, ...]] = {
+    "resolution": _RESAMPLED,
+    "sigma_min": _RESAMPLED,
+    "dtype": _RESAMPLED,
+    "resample": (N3Tree,),
+    "box": (N3Tree, Splats),
+    "box of six numbers": (Splats,),
+    "basis": (LatticeField, Splats),
+    "scale": (LatticeField,),
+    "opacity_min": (Splats,),
+    "up": (Splats,),
+    "epochs": (Splats,),
+}
+_DEFAULTS = {"resample": "mean", "box": "inner", "dtype": "float32"}  # of all other options it is None
 
 
-def compact_octree(
-    scene: N3Tree | SparseVoxelOctree,
-    resolution: int | tuple[int, int, int] | None,
-    sigma_min: float | None,
-) -> SparseVoxelOctree:
-    """Return a compact octree of a PlenOctree; an octree is returned unchanged.
+def upright_without(cameras: str | None) -> SplatVoxels:
+    """Return how splats become voxels that are looked at: upright, or in the world of their cameras if there are any.
 
-    A compact octree has no child slots for leaves, which saves a third of the memory. Raises UsageError if an octree is
-    given with a resolution.
+    Octrees of splats keep their world by default, and volumes are upright.
+    """
+    return UPRIGHT if cameras is None else USUAL
+
+
+class Reading:
+    """What was read from a source.
+
+    scene    what was read, or the octree that it became
+    shown    what results are compared with: what was read, of scenery the inner cube; or the splats that the octree
+             shows, in its world
+    scenery  the whole scene while use_inner_cube() keeps it; else None
+    data     the bytes of an already compressed file; None: the file is not compressed
     """
 
-    from nerfbake.stages.n3tree_to_octree import build_octree
+    scene: Any
+    shown: Any
+    scenery: N3Tree | None = None
 
-    if isinstance(scene, N3Tree):
-        return build_octree(scene, resolution=resolution, sigma_min=sigma_min, layout="compact")
-    if resolution is not None:
-        raise UsageError("an octree has its own resolution; allowed: `resolution` with a PlenOctree")
-    return scene
+    def __init__(
+        self,
+        steps: Steps,
+        source: Source,
+        *kinds: type,
+        choice: GridChoice = AS_IT_IS,
+        splats: SplatVoxels = USUAL,
+        part: Part = "inner",
+    ) -> None:
+        """Read a scene of one of these types; by default of one that becomes an octree. Raises NerfbakeError.
+
+        choice  the grids of a volume, and its up axis
+        splats  how splats become voxels
+        part    of the scene, as in bake_octree()
+        """
+        self._steps, self._source, self._choice, self._splats, self._part = steps, source, choice, splats, part
+        read = source.read_with_format(steps, *(kinds or FIELDS))
+        self.data = read.data
+        self.scene = self.shown = choice.of(steps, source, read.scene)
+        self._held_out: HeldOut | None = None
+
+    def require(
+        self, budget: Budget = UNLIMITED, *, taken: dict[str, tuple[type, ...]] = TAKEN, **options: object
+    ) -> None:
+        """Raise UsageError for options that have no effect on what was read. Call it before octree() and field().
+
+        budget   its cameras must be in the world of the octree
+        taken    the scenes on which an option has an effect
+        options  by name; how splats become voxels, and their part, are known
+        """
+        if isinstance(self.scene, Splats):
+            self._splats.require(budget, self.scene)
+        given = {name for name, value in options.items() if value not in (None, _DEFAULTS.get(name))}
+        given |= self._splats.given
+        if not isinstance(self._part, str):
+            given.add("box of six numbers")
+        elif self._part != "inner":
+            given.add("box")
+        for name in (name for name in taken if name in given):
+            if not isinstance(self.scene, taken[name]):
+                option, *more = name.split(maxsplit=1)
+                told = " ".join([f"`{option}`", *more])
+                *others, last = (_NOUNS[kind] for kind in taken[name])
+                allowed = f"{', '.join(others)} or {last}" if others else last
+                raise UsageError(f"{told} has no effect on {_NOUNS[type(self.scene)]}; allowed: with {allowed}")
+
+    @property
+    def held_out(self) -> HeldOut | None:
+        """The pixels of photographs that a fitted PlenOctree stores."""
+        return self.scene.held_out if isinstance(self.scene, N3Tree) else self._held_out
+
+    def use_inner_cube(self, *, keep: bool = False) -> None:
+        """Use the inner cube of a scene with scenery alone, and print that. keep: keep the whole scene as `scenery`."""
+        if not isinstance(self.scene, N3Tree) or self.scene.shells == 1:
+            return
+        with self._source.blamed(self._steps, "reading the inner cube"):
+            inner = self.scene.inner_cube()
+        rest = "shows the scenery around it as walls" if keep else "leaves out the scenery around it"
+        self._steps.say(f"{self._source.name}: uses the inner cube of {inner.resolution}^3 and {rest}")
+        self.scenery = self.scene if keep else None
+        self.scene = self.shown = inner
+
+    def tell_scenery(self) -> None:
+        """Print that the scenery is used, of a scene that has it."""
+        if isinstance(self.scene, N3Tree) and self.scene.shells > 1:
+            self._steps.say(f"{self._source.name}: uses all of the scene, also the scenery around the inner cube")
+
+    def octree(
+        self,
+        *,
+        resolution: Size | None = None,
+        basis: str | None = None,
+        scale: float | None = None,
+        resample: Resample = "mean",
+        layout: Layout = "full",
+        dtype: Literal["float32", "float16"] = "float32",
+        sigma_min: float | None = None,
+    ) -> SparseVoxelOctree:
+        """Return the octree of the scene, in which `shown` is its equal. An octree is returned unchanged.
+
+        Prints what is left out, and the loss of lattices and splats. Options are those of bake_octree(); octrees and
+        volumes have none. Raises NerfbakeError.
+        """
+        steps, source = self._steps, self._source
+        made: dict[str, Any] = {"resolution": resolution, "layout": layout, "dtype": dtype, "sigma_min": sigma_min}
+        if self._part == "inner":
+            self.use_inner_cube()
+        if isinstance(self.scene, Splats):
+            part, options = self._part, self._splats
+            self.scene, self.shown = sample_splats(
+                steps, source, self.scene, options=options, part=part, basis=basis, **made
+            )
+        elif isinstance(self.scene, LatticeField):
+            self.shown = self.scene if scale is None else self.scene.scaled(scale)
+            self.scene = sample_lattice(steps, source, self.shown, basis=basis or "SH9", **made)
+        elif isinstance(self.scene, Volume):
+            self.scene = self._octree_of_volume(self.scene)
+        elif isinstance(self.scene, N3Tree):
+            from nerfbake.stages.n3tree_to_octree import build_octree
+
+            made["resolution"] = self._finest(resolution)
+            self._held_out = self.scene.held_out
+            with source.blamed(steps, "building the octree"):
+                self.scene = build_octree(self.scene, resample=resample, **made)
+        found: SparseVoxelOctree = self.scene
+        return found
+
+    def field(self, *, visible: str | None = None) -> RadianceField:
+        """Return the field of the scene. Prints what is left out, and the loss of lattices and splats.
+
+        visible: what cannot be made of a field without a density, which is then refused. Raises NerfbakeError.
+        """
+        from nerfbake.stages.scene_to_field import build_field
+
+        if isinstance(self.scene, LatticeField | Splats):
+            self.octree()
+        tell_unused(self._steps, self._source, self.scene)
+        with self._source.blamed(self._steps, "building the field"):
+            field = build_field(self.scene)
+            if visible is not None and not (field.densities > 0).any():
+                allowed = f"at least one, or there is {visible}"
+                raise InvalidScene(Problem("the field", "has no leaf with a density", allowed))
+            return field
+
+    def _finest(self, resolution: Size | None) -> Size | None:
+        """Return the resolution of a whole cube, at most the largest of an octree; print what its inner cube gets.
+
+        A tree without scenery keeps its resolution.
+        """
+        tree = self.scene
+        if tree.shells == 1:
+            return resolution
+        with self._source.blamed(self._steps, "reading the tree"):
+            finest = tree.resolution
+        size = min(finest, MAX_SIZE) if resolution is None else resolution
+        times = 1 << (tree.shells - 1)
+        inner = f"{_told(size, times)} of them in the inner cube of {finest // times}^3"
+        self._steps.say(f"{self._source.name}: uses all of the scene: {_told(size, 1)} voxels, {inner}")
+        return size
+
+    def _octree_of_volume(self, volume: Volume) -> SparseVoxelOctree:
+        """Return the octree that a volume of `nerfbake vdb` contains, or that of the density of another one."""
+        from nerfbake.stages.vdb_to_octree import build_octree_from_density, build_octree_from_volume
+
+        foreign = volume.frame is None or bool(self._choice.grids)
+        with self._source.blamed(self._steps, "making the octree"):
+            if not foreign:
+                return build_octree_from_volume(volume)
+            _report_left_out(self._steps, self._source, volume)
+            return build_octree_from_density(volume)
+
+
+def _told(size: Size, times: int) -> str:
+    edges = (size,) * 3 if isinstance(size, int) else size
+    return "x".join(f"{edge / times:g}" for edge in edges)
+
+
+def _report_left_out(steps: Steps, source: Source, volume: Volume) -> None:
+    """Report the grids that are left out besides `density`. Raises InvalidScene if none of several is `density`."""
+    labels = [*volume.labels, *(problem.place for problem in volume.unread)]
+    if len(labels) == 1:
+        return
+    if "density" not in labels:
+        found = f"has the grids {', '.join(labels)}"
+        raise InvalidScene(
+            Problem("the volume", found, "`nerfbake convert` with `grid=NAME` for an octree of that density only")
+        )
+    others = ", ".join(label for label in labels if label != "density")
+    steps.say(f"{source.name}: the octree gets the density only, without {others}")
 
 
 def sample_lattice(

@@ -9,16 +9,13 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
-from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, render_split
-from nerfbake.jobs.readings import read_octree, without_scenery
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.splats import Splats
-from nerfbake.scene.volume import Volume
 from nerfbake.stages.brick_field_to_octree import fill_octree
 from nerfbake.stages.octree_to_brick_field import build_bricks
 from nerfbake.stages.scene_to_field import build_field
@@ -30,7 +27,7 @@ _ALL = 0.75  # of the width of a scene with scenery; its inner cube has half of 
 class RefitTarget(NamedTuple):
     """What an octree is fitted to: a finer scene or photographs.
 
-    like    a PlenOctree, an octree, a volume or splats, rendered from all sides
+    like    a PlenOctree, an octree, a volume, a lattice or splats, rendered from all sides
     frames  number of these pictures; edge: their width and height in pixels
     views   a capture; album: options for its photographs
     """
@@ -57,12 +54,11 @@ class RefitTarget(NamedTuple):
         if self.views is not None:
             return read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
         bigger = Source(str(self.like))
-        scene = bigger.read(steps, N3Tree, SparseVoxelOctree, Volume, Splats)
-        if isinstance(scene, N3Tree) and ((box[1] - box[0]) * scene.invradius < _ALL).all():
-            scene = without_scenery(steps, bigger, scene)
-        tell_unused(steps, bigger, scene)
+        reading = Reading(steps, bigger)
+        if isinstance(reading.scene, N3Tree) and ((box[1] - box[0]) * reading.scene.invradius < _ALL).all():
+            reading.use_inner_cube()
+        shown = reading.scene if isinstance(reading.scene, Splats) else reading.field()
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
-            shown = scene if isinstance(scene, Splats) else build_field(scene)
             return render_split(shown, frames=self.frames, edge=self.edge, samples=samples)
 
 
@@ -114,8 +110,8 @@ def refit_file(
 ) -> RefitResult:
     """Fit the leaf values of an octree to a finer scene or to photographs. This is `nerfbake refit`.
 
-    Reads `source`, a PlenOctree or an octree, and the files of `model`. Writes the octree `target`, which has the nodes
-    of `source`. Returns the quality before and after. Raises NerfbakeError.
+    Reads `source`, which becomes an octree as in bake_octree(), and the files of `model`. Writes the octree `target`,
+    which has the same nodes. Returns the quality before and after. Raises NerfbakeError.
 
     no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
 
@@ -126,7 +122,7 @@ def refit_file(
     source, target = as_source(source), as_target(target)
     model.require()
     _require(target, no_child)
-    octree = read_octree(steps, source)
+    octree = Reading(steps, source).octree()
     with source.blamed(steps, "preparing"):
         cells = build_bricks(octree)
     posed = model.posed(steps, again.samples, cells.box)

@@ -57,11 +57,11 @@ class SplatVoxels(NamedTuple):
             told = f"splats are turned until {up} is z, and `cameras` are not"
             raise UsageError(f"{told}; allowed: z as the up axis of splats, which keeps their world")
 
-    def require_default(self) -> None:
-        """Raise UsageError if an option is not the default, for scenes other than splats."""
-        given = [name for name, value in self._asdict().items() if value != self._field_defaults[name]]
-        if given:
-            raise UsageError(f"`{given[0]}` has no effect on other scenes than splats; allowed: with splats")
+    @property
+    def given(self) -> set[str]:
+        """The options that are not the default; the axis that a file states is one, too."""
+        plain = self._replace(up=None) if self.up == "stated" else self
+        return {name for name, value in plain._asdict().items() if value != self._field_defaults[name]}
 
 
 USUAL, UPRIGHT = SplatVoxels(), SplatVoxels(up="stated")

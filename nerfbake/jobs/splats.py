@@ -6,11 +6,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from nerfbake import io, progress
-from nerfbake.errors import BudgetMissed, InvalidScene, Problem
+from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
-from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.photographs import (
     ALL,
     PhotographOptions,
@@ -20,18 +19,13 @@ from nerfbake.jobs.photographs import (
     render_split,
     require_alike,
 )
-from nerfbake.jobs.readings import sample_lattice, without_scenery
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.scene.lattice_field import LatticeField
-from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
-from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_to_splats import COUNT, build_splats
 from nerfbake.stages.scene_to_cameras import without_strays
-from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import ViewError, measure_views
 
 EDGE = 400  # width and height of rendered pictures, in pixels
@@ -52,15 +46,19 @@ class SplatsModel(NamedTuple):
     frames: int = PICTURES
     edge: int = EDGE
 
-    def posed(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
-        """Return the training views and the held-out views. Raises NerfbakeError if they show something else."""
+    def posed(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None = None) -> SplitViews:
+        """Return the training views and the held-out views. Raises NerfbakeError if they show something else.
+
+        splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
+        """
         if self.views is not None:
             posed = read_photographs_of(steps, Source(self.views), self.album, field)
             require_alike(steps, source, field, posed.judges, self.views)
             return posed
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             framed = without_strays(field)
-            return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM)
+            shown = field if splats is None else splats
+            return render_split(shown, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM)
 
 
 FROM_FIELD = SplatsModel()
@@ -116,10 +114,10 @@ def bake_splats(
 ) -> SplatsResult:
     """Turn a field into Gaussian splats, fit them to pictures, and return the quality of the file.
 
-    This is `nerfbake splats`. Reads `source` (a PlenOctree, an octree, a volume or a lattice) and the photographs of
-    `model`. Writes `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes
-    the current state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept
-    under this name. Raises NerfbakeError.
+    This is `nerfbake splats`. Reads `source`, any scene with a field, and the photographs of `model`. Writes `target`,
+    or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes the current state as
+    `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this name.
+    Raises NerfbakeError.
 
     report  is called with the result, also if it is below `min_psnr`
 
@@ -131,9 +129,14 @@ def bake_splats(
     source, target = as_source(source), as_target(target)
     model.album.require()
     _require(target, min_psnr)
-    field = _read(steps, source)
+    reading = Reading(steps, source)
+    reading.use_inner_cube()
+    field = reading.field(visible="nothing to fit splats to")
+    own = reading.shown if isinstance(reading.shown, Splats) else None
+    del reading
     clock = Clock()
-    posed = model.posed(steps, source, field)
+    posed = model.posed(steps, source, field, own)
+    del own
     steps.say(f"{source.name}: fits splats to {posed.trained}, measures on {posed.judges}")
     with interrupts() as asked:
         with source.blamed(steps, "choosing leaves"):
@@ -180,20 +183,6 @@ def _require(target: Target, min_psnr: float | None) -> None:
     target.require_measurable("splats measures the file that it wrote")
     target.require("Splats")
     Budget(min_psnr).require(target)
-
-
-def _read(steps: Steps, source: Source) -> RadianceField:
-    scene = without_scenery(steps, source, source.read(steps, N3Tree, SparseVoxelOctree, Volume, LatticeField))
-    if isinstance(scene, LatticeField):
-        scene = sample_lattice(steps, source, scene)
-    tell_unused(steps, source, scene)
-    with source.blamed(steps, "building the field"):
-        field = build_field(scene)
-        if not (field.densities > 0).any():
-            raise InvalidScene(
-                Problem("the field", "has no leaf with a density", "at least one, or there is nothing to fit splats to")
-            )
-        return field
 
 
 def _measured(

@@ -122,11 +122,9 @@ def test_a_merged_folder_that_loses_too_much_is_set_aside(tmp_path: Path) -> Non
     assert load(rejected, LatticeField).dialect == "PlenVDB, merged"
 
 
-def test_only_what_has_voxels_becomes_a_lattice(tmp_path: Path) -> None:
-    with pytest.raises(InvalidFile, match="holds a lattice field"):
-        jobs.bake_lattice("ckpt.npz", tmp_path / "out")
+def test_an_octree_keeps_its_own_voxels(tmp_path: Path) -> None:
     save("f.svo.pb", build_octree(n3tree(data_format="SH1")))
-    with pytest.raises(UsageError, match="an octree has its own resolution"):
+    with pytest.raises(UsageError, match="`resolution` has no effect on an octree; allowed: with a PlenOctree, a l"):
         jobs.bake_lattice("f.svo.pb", tmp_path / "out", resolution=8)
 
 
@@ -134,7 +132,7 @@ def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="`resample` has no effect on a lattice"):
         jobs.bake_octree("ckpt.npz", "e.svo.npz", resample="nearest")
     jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=8)
-    with pytest.raises(UsageError, match="`basis` and `scale` with a lattice"):
+    with pytest.raises(UsageError, match="`basis` has no effect on a PlenOctree; allowed: with a lattice or splats"):
         jobs.bake_octree(tmp_path / "tree.npz", "e.svo.npz", basis="SH4")
     with pytest.raises(InvalidFile, match=r"holds a lattice field \(`nerfbake svo` makes an octree of it\)"):
         jobs.bake_lod("ckpt.npz", "e.svo.npz", level=1)

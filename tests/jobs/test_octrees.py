@@ -20,7 +20,7 @@ from nerfbake import (
     save,
 )
 from nerfbake.errors import BudgetMissed, OutputError, UsageError
-from nerfbake.jobs import Budget, Target, bake_lod, bake_octree, octrees
+from nerfbake.jobs import Budget, Target, bake_lod, bake_octree, readings
 from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import look_at
 from tests.jobs.listener import Listener
@@ -99,7 +99,7 @@ def test_the_box_of_scenery_is_the_inner_cube_or_everything(scenery: N3Tree, lis
 def test_a_whole_scene_is_coarser_where_an_octree_would_be_too_large(
     scenery: N3Tree, listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(octrees, "MAX_SIZE", 128)
+    monkeypatch.setattr(readings, "MAX_SIZE", 128)
     octree = bake_octree("s.npz", "all.svo.npz", box="all", steps=listener)
     assert_same_octree(octree, build_octree(scenery, resolution=128))
     said = "s.npz: uses all of the scene: 128x128x128 voxels, 32x32x32 of them in the inner cube of 64^3"

@@ -314,9 +314,9 @@ def test_an_octree_is_refitted_to_splats() -> None:
 @pytest.mark.usefixtures("ball")
 def test_options_without_effect_are_refused() -> None:
     save("a.npz", n3tree())
-    with pytest.raises(UsageError, match="`box` of six numbers has no effect on other scenes than splats"):
+    with pytest.raises(UsageError, match="`box` of six numbers has no effect on a PlenOctree; allowed: with splats"):
         bake_octree("a.npz", "b.svo.npz", box=(0, 0, 0, 1, 1, 1))
-    with pytest.raises(UsageError, match="`opacity_min` has no effect on other scenes than splats"):
+    with pytest.raises(UsageError, match="`opacity_min` has no effect on a PlenOctree; allowed: with splats"):
         bake_octree("a.npz", "b.svo.npz", splats=SplatVoxels(opacity_min=0.5))
     with pytest.raises(UsageError, match="`up` has no effect"):
         bake_octree("a.npz", "b.svo.npz", splats=SplatVoxels(up="y"))
@@ -324,7 +324,7 @@ def test_options_without_effect_are_refused() -> None:
         bake_volume("a.npz", "b.vdb", splats=DIRECT)
     with pytest.raises(UsageError, match="`box` has no effect"):
         bake_volume("a.npz", "b.vdb", box="all")
-    with pytest.raises(UsageError, match="`resample` and `scale` have no effect on splats"):
+    with pytest.raises(UsageError, match="`scale` has no effect on splats; allowed: with a lattice"):
         bake_octree("ball.ply", "b.svo.npz", scale=2.0)
     with pytest.raises(UsageError, match="the voxels of splats are cubes; allowed: one number as `resolution`"):
         bake_octree("ball.ply", "b.svo.npz", resolution=(16, 16, 8))

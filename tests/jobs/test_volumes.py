@@ -23,7 +23,8 @@ def test_a_tree_and_its_octree_make_the_same_volume(source: str, listener: Liste
         assert isinstance(one, VdbTree)
         assert isinstance(other, VdbTree)
         np.testing.assert_array_equal(one.values, other.values)
-    assert listener.phases[:3] == [f"reading {source}", "building the grids", "writing b.vdb"]
+    phases = [phase for phase in listener.phases if phase != "building the octree"]
+    assert phases[:3] == [f"reading {source}", "building the grids", "writing b.vdb"]
     assert listener.said[-1].endswith(f"dB against {source}")
 
 
@@ -39,7 +40,7 @@ def test_what_arguments_alone_can_tell_is_told_before_anything_is_read(folder: P
         bake_volume("none", "b.vdb", grids="fog")
     with pytest.raises(UsageError, match="`min_psnr` needs an output file"):
         bake_volume("none", Target("-", to="vdb"), budget=Budget(1))
-    with pytest.raises(UsageError, match="an octree has its own resolution"):
+    with pytest.raises(UsageError, match="`resolution` has no effect on an octree"):
         bake_volume("a.svo.pb", "b.vdb", resolution=3)
     assert not (folder / "b.vdb").exists()
 
