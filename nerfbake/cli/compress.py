@@ -1,4 +1,4 @@
-"""`nerfbake compress`: compress a PlenOctree or an octree to a few megabytes."""
+"""`nerfbake compress`: compress a scene to a few megabytes."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ def quality_options(function: Command) -> Command:
 def compress(source: Source, target: Target, as_json: bool, console: Console, **options: Any) -> None:
     """Compress a scene with little loss.
 
-    Compresses the PlenOctree, octree, lattice or splats IN to the smallest OUT that keeps the loss of quality within
-    --max-loss, or to the best OUT that is no larger than --max-size.
+    Compresses the PlenOctree, octree, volume, lattice or splats IN to the smallest OUT that keeps the loss of quality
+    within --max-loss, or to the best OUT that is no larger than --max-size.
 
     \b
       nerfbake compress chair.npz chair.svoq

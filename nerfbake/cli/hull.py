@@ -30,8 +30,8 @@ from nerfbake.jobs.files import Source, Target
 def hull(source: Source, target: Target, console: Console, **options: Any) -> None:
     """Build a tight mesh around a scene, for engines.
 
-    Writes OUT, a mesh of boxes that encloses everything visible in the PlenOctree, octree or volume IN. An engine draws
-    the mesh, and marches rays through the field only inside it. `nerfbake mesh` makes a mesh that looks like the scene.
+    Writes OUT, a mesh of boxes that encloses everything visible in the field or the splats IN. An engine draws the
+    mesh, and marches rays through the field only inside it. `nerfbake mesh` makes a mesh that looks like the scene.
 
     \b
       nerfbake hull chair.npz hull.glb

@@ -1,4 +1,4 @@
-"""`nerfbake lattice`: convert a PlenOctree or an octree to a PlenVDB folder, a lattice with an MLP."""
+"""`nerfbake lattice`: convert a field or splats to a PlenVDB folder, a lattice with an MLP."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from nerfbake.jobs.files import FolderTarget, Source
 @budget_options
 @console_options
 def lattice(source: Source, target: str, force: bool, console: Console, **options: Any) -> None:
-    """Convert an octree to a PlenVDB folder.
+    """Convert a field or splats to a PlenVDB folder.
 
     Writes OUT_DIR, a lattice with an MLP in the layout that PlenVDB trains and renders.
 

@@ -92,8 +92,8 @@ def refit(
 ) -> None:
     """Make a coarse scene look like a finer one.
 
-    Fits the values of the octree or PlenOctree IN to a finer scene or splats (--like) or to photographs (--views). OUT
-    has the same nodes as IN.
+    Fits the values of the octree IN, or of the octree of another scene, to a finer scene or splats (--like) or to
+    photographs (--views). OUT has the same nodes as IN.
 
     \b
       nerfbake refit chair_128.svo.pb chair_better.svo.pb --like chair.npz

@@ -74,8 +74,8 @@ RESAMPLE = (
 def svo(source: Source, target: Target, console: Console, **options: Any) -> None:
     """Convert a field or splats to an octree.
 
-    Resamples IN, a PlenOctree, a lattice from another program or Gaussian splats, to the sparse voxel octree OUT.
-    Voxels of splats are fitted to pictures of the splats from all sides.
+    Resamples IN, a PlenOctree, a lattice from another program or Gaussian splats, to the sparse voxel octree OUT. An
+    octree or a volume keeps its voxels. Voxels of splats are fitted to pictures of the splats from all sides.
 
     \b
       nerfbake svo chair.npz chair.svo.pb --resolution 128

@@ -1,4 +1,4 @@
-"""`nerfbake vdb`: convert a PlenOctree, an octree or splats to OpenVDB or NanoVDB."""
+"""`nerfbake vdb`: convert a field or splats to OpenVDB or NanoVDB."""
 
 from __future__ import annotations
 
