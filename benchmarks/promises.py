@@ -28,9 +28,9 @@ from nerfbake.bench.report import Report, Table
 from nerfbake.errors import NerfbakeError
 from nerfbake.jobs import CompressionGoal, GroundTruth, compress_file
 from nerfbake.jobs.files import Source
-from nerfbake.jobs.octrees import read_octree_and_held_out
+from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.samples import write_sample_capture
-from nerfbake.jobs.splat_fields import sample_splats
+from nerfbake.jobs.splat_voxels import sample_splats
 from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import Image
@@ -161,8 +161,9 @@ def _require(path: Path) -> None:
 
 
 def _known(path: Path, target: Path, held_out: HeldOut | None = None) -> Known:
-    octree, stored = read_octree_and_held_out(SILENT, Source(str(path)))
-    held_out = stored if held_out is None else held_out
+    read = Reading(SILENT, Source(str(path)))
+    octree = read.octree()
+    held_out = read.held_out if held_out is None else held_out
     if held_out is None:
         raise NerfbakeError("no held-out pixels")
     return Known(target, octree, held_out)
