@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import all_within, count_problem
-from nerfbake.scene.compact_repr import CompactRepr, described
+from nerfbake.scene.compact_repr import CompactRepr, notebook_html
 
 MAX_WORLD = 1e15  # largest coordinate, edge and 1 / edge in world units: their squares stay finite
 
@@ -18,8 +18,8 @@ class Scene(CompactRepr):
     """A scene. The constructor checks shapes and dtypes; the methods report an invalid structure and invalid values."""
 
     def _repr_html_(self) -> str | None:
-        """Facts and a thumbnail for a notebook cell; None for a scene that is a picture itself."""
-        return None if hasattr(self, "_repr_png_") else described(self)
+        """A page, or facts and a thumbnail, for a notebook cell; None for a scene that is a picture itself."""
+        return notebook_html(self)
 
     def structure_problems(self) -> list[Problem]:
         """Problems that prevent reading the scene."""

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.kernels.picture import drawing
 from nerfbake.scene.base import Scene
-from nerfbake.scene.compact_repr import encode_first, framed
 from nerfbake.scene.image import GAP, Image
 
 AMPLIFIED = 8  # factor of the difference pictures
@@ -51,10 +50,6 @@ class Comparison(Scene):
     values: dict[str, Any]
     pictures: tuple[tuple[Image | None, Image, Image], ...]
     samples: int = 1
-
-    def _repr_html_(self) -> str:
-        """The comparison page, for a notebook cell."""
-        return framed(encode_first(self), scripts=False, height=700)
 
     @property
     def means(self) -> dict[str, Any]:

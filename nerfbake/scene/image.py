@@ -13,7 +13,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.soundness import MAX_EDGE, count_problem
 from nerfbake.scene.base import MAX_WORLD, Scene, number_problems
-from nerfbake.scene.compact_repr import encode_first
+from nerfbake.scene.compact_repr import notebook_png
 
 WHITE = (1.0, 1.0, 1.0)
 GAP = 4  # pixels between the pictures of a contact sheet
@@ -48,7 +48,7 @@ class Image(Scene):
 
     def _repr_png_(self) -> bytes:
         """The picture, for a notebook cell."""
-        return encode_first(self)
+        return notebook_png(self)
 
     def __str__(self) -> str:
         return f"image of {self.size[0]}x{self.size[1]}"

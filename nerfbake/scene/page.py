@@ -18,7 +18,7 @@ from nerfbake.kernels.soundness import plural
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.camera import Cameras
-from nerfbake.scene.compact_repr import CompactRepr, encode_first, framed
+from nerfbake.scene.compact_repr import CompactRepr, notebook_html
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Composite, Mesh
 from nerfbake.scene.octree import Lookup
@@ -249,9 +249,9 @@ class Page(CompactRepr):
                 Problem("the meshes", "are combined with a surface", "meshes with a field, or a surface alone")
             )
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """The page, for a notebook cell."""
-        return framed(encode_first(self), scripts=True, height=500)
+        return notebook_html(self)
 
     def __str__(self) -> str:
         if isinstance(self.content, bytes):

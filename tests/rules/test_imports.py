@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
-from tests.support.source import PACKAGE, imports, modules, parsed
+from tests.support.source import PACKAGE, import_graph, imports, imports_by_name, modules, parsed
 
 ANY = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
 # layer: allowed imports from nerfbake, and from packages other than the standard library
@@ -36,11 +37,20 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
         },
         set(),
     ),
+    "display": ({"errors", "catalog", "scene", "stages"}, set()),
     "bench": (ANY - {"cli"}, {"numpy"}),
     "cli": (ANY | {"__version__"}, {"click", "rich"}),
 }
 # Parts of a layer with other rules: `formats/wire` may not import scenes.
 PARTS = {"formats/wire": ({"errors", "installation", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})}
+# What a single module may import from a layer above its own: a scene is displayed with stages and formats.
+UPWARD = {"scene/compact_repr": {"display"}}
+# What a single module may import by import_module(): * is any module.
+BY_NAME = {
+    "catalog": {"nerfbake.formats"},  # formats are imported when a file needs them
+    "cli/params": {"*"},  # classes of jobs are imported when a command runs
+    "bench/measure": {"*"},  # a function for a child process
+}
 # Libraries that a single module may import.
 OWN_LIBRARY = {
     "bench/access/warp_reader": {"warp"},  # compared in bench access
@@ -100,6 +110,7 @@ HEAVY = {
 def test_imports_follow_the_rules(path: Path) -> None:
     place = path.relative_to(PACKAGE).with_suffix("")
     ours, outside = PARTS.get(str(place.parent)) or RULES[place.parts[0]]
+    ours = ours | UPWARD.get(str(place), set())
     for name in imports(path):
         top, _, rest = name.partition(".")
         if top == "nerfbake":
@@ -107,6 +118,20 @@ def test_imports_follow_the_rules(path: Path) -> None:
             assert {parts[0], ".".join(parts[:2])} & ours, f"{place} may not import {name}"
         elif top not in sys.stdlib_module_names:
             assert top in outside | OWN_LIBRARY.get(str(place), set()), f"{place} may not import {name}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_import_module_follows_the_rules(path: Path) -> None:
+    place = path.relative_to(PACKAGE).with_suffix("")
+    allowed = BY_NAME.get(str(place), set())
+    for name in imports_by_name(path):
+        assert name in allowed or ".".join(name.split(".")[:2]) in allowed, f"{place} may not import {name} by name"
+
+
+def test_imports_form_no_circle() -> None:
+    """An import inside a function counts, except those of UPWARD."""
+    upward = {PACKAGE / f"{place}.py": {PACKAGE / f"{name}.py" for name in names} for place, names in UPWARD.items()}
+    TopologicalSorter({path: found - upward.get(path, set()) for path, found in import_graph().items()}).prepare()
 
 
 def test_only_io_opens_files() -> None:

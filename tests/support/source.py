@@ -35,6 +35,49 @@ def imports(path: Path) -> set[str]:
     return found
 
 
+def imports_by_name(path: Path) -> set[str]:
+    """The dotted names of nerfbake's modules that a file passes to import_module(): constants, and what f-strings
+    begin with. A name that is computed is `*`.
+    """
+    constants = {
+        target.id: node.value
+        for node in parsed(path).body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    found = set()
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in _IMPORTERS:
+            name = node.args[0]
+            name = constants.get(name.id, name) if isinstance(name, ast.Name) else name
+            name = name.values[0] if isinstance(name, ast.JoinedStr) else name
+            text = name.value if isinstance(name, ast.Constant) else "nerfbake."
+            found |= {"*" if text == "nerfbake." else str(text).rstrip(".")}
+    return found
+
+
+_IMPORTERS = {"import_module", "__import__"}
+
+
+def import_graph() -> dict[Path, set[Path]]:
+    """{module: modules of nerfbake that it imports with import statements, also inside functions}."""
+    files = modules()
+    return {path: _imported_files(path).intersection(files) for path in files}
+
+
+def _imported_files(path: Path) -> set[Path]:
+    found = set()
+    for node in ast.walk(parsed(path)):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
+        found |= {PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names}
+    return found
+
+
 def public_names(package: str = "nerfbake") -> dict[str, str]:
     """{name: module that defines it} for the public names in the stub of a package."""
     stub = PACKAGE.parent.joinpath(*package.split("."), "__init__.pyi")
