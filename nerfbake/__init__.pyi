@@ -1,4 +1,5 @@
-from .cli.python import fit as fit
+from . import jobs as jobs
+from .api import fit as fit
 from .errors import NerfbakeError as NerfbakeError
 from .io import load as load
 from .io import save as save

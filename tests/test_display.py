@@ -60,7 +60,8 @@ class Frames(HTMLParser):
         raise AssertionError(data)
 
 
-def framed(text: str) -> dict[str, Any]:
+def framed(text: str | None) -> dict[str, Any]:
+    assert text is not None
     (frame,) = Frames(text).frames
     return frame
 

@@ -7,8 +7,8 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import as_json, budget_options, console_options, seed, stage1_arguments, without_effect
+from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Stage1Source
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     ByteSize,
     ParamType,
@@ -20,6 +19,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Reads, StateFolder, Writes, declared
+from nerfbake.console import Console
 from nerfbake.errors import UsageError
 
 if TYPE_CHECKING:

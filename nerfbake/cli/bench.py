@@ -10,10 +10,10 @@ from typing import Any, Literal
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import CAPTURE, Resolution, console_options, max_memory, source_argument, without_effect
 from nerfbake.cli.paths import Capture, PhotographsPath, Reads, StateFolder
 from nerfbake.cli.reports import Destination, Names, Resolutions, report_options
+from nerfbake.console import Console
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import as_json, console_options, source_argument
+from nerfbake.console import Console
 from nerfbake.errors import for_shell, one_line
 from nerfbake.jobs.files import Source
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
     Number,
@@ -21,6 +20,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Capture, Reads, Writes
+from nerfbake.console import Console
 from nerfbake.errors import one_line
 from nerfbake.jobs.files import Source
 

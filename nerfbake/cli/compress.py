@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
     Command,
@@ -26,6 +25,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Capture
+from nerfbake.console import Console
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source, Target
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     ALL,
     codec_option,
@@ -16,6 +15,7 @@ from nerfbake.cli.params import (
     source_argument,
     without_effect,
 )
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
     Box,
@@ -27,6 +26,7 @@ from nerfbake.cli.params import (
 from nerfbake.cli.paths import MeshOutput, PhotographsPath, Reads, StateFolder, Writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import console_options, source_argument, target_argument
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 

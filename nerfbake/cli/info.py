@@ -7,8 +7,8 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import LONGEST_TOLD, Console
 from nerfbake.cli.params import as_json, console_options, source_argument
+from nerfbake.console import LONGEST_TOLD, Console
 from nerfbake.errors import format_size, one_line
 from nerfbake.jobs.files import Source
 

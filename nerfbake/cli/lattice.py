@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import NumberRange, Resolution, budget_options, console_options, seed, source_argument
 from nerfbake.cli.paths import JudgedOutput
+from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Source
 
 

@@ -19,8 +19,8 @@ from click.core import ParameterSource
 from click.types import FloatParamType
 
 from nerfbake import catalog, memory
-from nerfbake.cli.console import Console, Mode
 from nerfbake.cli.paths import Capture, JudgedOutput, Reads, Stage1AndFolder
+from nerfbake.console import Console, Mode
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target

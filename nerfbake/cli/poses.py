@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import as_json, console_options, max_memory
 from nerfbake.cli.paths import PhotographsWithPoses
+from nerfbake.console import Console
 
 
 @click.command()

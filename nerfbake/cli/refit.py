@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.fit import photograph_options
 from nerfbake.cli.params import (
     CAPTURE,
@@ -20,6 +19,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import PhotographsPath, Reads
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:

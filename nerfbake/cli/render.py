@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
     Command,
@@ -25,6 +24,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Capture, DeclaredPaths, Reads, Writes
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source
 
 if TYPE_CHECKING:

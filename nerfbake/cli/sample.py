@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import console_options, max_memory, seed, sh_bases, target_argument
 from nerfbake.cli.paths import Writes
+from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Target
 
 

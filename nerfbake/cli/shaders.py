@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import console_options, max_memory
 from nerfbake.cli.paths import Writes
+from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget
 from nerfbake.jobs.shaders import LANGUAGES, NEEDS, write_shaders
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.console import Console
 from nerfbake.cli.fit import model_options
 from nerfbake.cli.params import (
     Number,
@@ -19,6 +18,7 @@ from nerfbake.cli.params import (
     source_argument,
     target_argument,
 )
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:

@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     NumberRange,
     PartBox,
@@ -17,6 +16,7 @@ from nerfbake.cli.params import (
     source_argument,
     splat_options,
 )
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 RESAMPLE = (

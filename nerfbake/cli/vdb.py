@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     NumberRange,
     PartBox,
@@ -18,6 +17,7 @@ from nerfbake.cli.params import (
     splat_options,
     target_argument,
 )
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 GRIDS = (

@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.console import Console
 from nerfbake.cli.params import (
     CAPTURE,
     bundled,
@@ -23,6 +22,7 @@ from nerfbake.cli.params import (
 )
 from nerfbake.cli.paths import Capture, Reads
 from nerfbake.cli.render import Background, mesh_options
+from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 

@@ -10,7 +10,7 @@ Tell = Callable[[str], None]
 
 
 class Steps(Protocol):
-    """The `steps` argument of every job. cli.console.Console is one implementation, SILENT another."""
+    """The `steps` argument of every job. console.Console is one implementation, SILENT another."""
 
     def say(self, text: str) -> None:
         """Print a line about something that was found or written."""

@@ -13,6 +13,7 @@ from nerfbake.cli.main import cli, run
 from nerfbake.cli.params import ByteSize
 from nerfbake.jobs import fits, hulls, lattices, splat_voxels
 from nerfbake.scene.camera import MAX_SAMPLES
+from tests.conftest import Shell
 
 REFUSED = [
     ("atlas in out --nodes 7", "--nodes has no effect with --method kmeans; allowed: --nodes with --method grid"),
@@ -154,3 +155,24 @@ def test_what_the_help_repeats_is_what_the_jobs_have() -> None:
     assert f"its finest, at most {lattices.FINEST}]" in help_of("lattice")
     written = ", ".join(dict.fromkeys(form.name for scene in fits.KINDS for form in catalog.formats_of(scene)))
     assert f"if its extension names none: {written}." in help_of("fit")
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_quiet_and_verbose(shell: Shell) -> None:
+    assert shell("svo", "a.npz", "b.svo.pb", "-q").stderr == b""
+    words = shell("svo", "a.npz", "c.svo.pb", "-v").stderr.decode().splitlines()
+    assert [line.split(":")[0] for line in words] == [
+        "reading a.npz",
+        "building the octree",
+        "writing c.svo.pb",
+        "c.svo.pb",
+    ]
+
+
+@pytest.mark.usefixtures("tree_file")
+def test_every_command_takes_progress(shell: Shell) -> None:
+    assert shell("svo", "a.npz", "b.svo.pb", "--progress", "json").stderr.count(b"\n") == 1
+    assert (
+        b"--progress has no effect with --quiet"
+        in shell("svo", "a.npz", "c.svo.pb", "-q", "--progress", "plain").stderr
+    )

@@ -37,9 +37,11 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
         },
         set(),
     ),
+    "console": ({"errors", "progress", "kernels", "io"}, {"rich"}),
+    "api": ({"errors", "scene", "stages", "jobs", "console"}, set()),
     "display": ({"errors", "catalog", "scene", "stages"}, set()),
     "bench": (ANY - {"cli"}, {"numpy"}),
-    "cli": (ANY | {"__version__"}, {"click", "rich"}),
+    "cli": (ANY | {"__version__"}, {"click"}),
 }
 # Parts of a layer with other rules: `formats/wire` may not import scenes.
 PARTS = {"formats/wire": ({"errors", "installation", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})}
@@ -164,6 +166,15 @@ def _loaded(arguments: list[str], names: set[str]) -> set[str]:
 @pytest.mark.parametrize("arguments", [["--help"], ["svo", "--help"], ["--version"]])
 def test_the_help_loads_nothing_heavy(arguments: list[str]) -> None:
     assert _loaded(arguments, HEAVY) == set()
+
+
+def test_the_api_does_not_load_click() -> None:
+    code = """if True:
+        import sys
+        import nerfbake
+        nerfbake.jobs.FitOptions, nerfbake.fit
+        print(*{"click", "rich"} & {*sys.modules})"""
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
 
 def test_commands_that_need_no_kernels_do_not_load_numba(tmp_path: Path) -> None:

@@ -79,12 +79,12 @@ def _imported_files(path: Path) -> set[Path]:
 
 
 def public_names(package: str = "nerfbake") -> dict[str, str]:
-    """{name: module that defines it} for the public names in the stub of a package."""
+    """{name: module that defines it} for the classes and functions in the stub of a package."""
     stub = PACKAGE.parent.joinpath(*package.split("."), "__init__.pyi")
     return {
         alias.name: f"{package}.{node.module}"
         for node in ast.parse(stub.read_text()).body
-        if isinstance(node, ast.ImportFrom)
+        if isinstance(node, ast.ImportFrom) and node.module
         for alias in node.names
     }
 

@@ -11,8 +11,8 @@ from nerfbake import save
 from nerfbake.bench.formats import comparison
 from nerfbake.bench.formats.comparison import PAPER, compare_formats
 from nerfbake.bench.measure import Result, measure
-from nerfbake.cli.console import Console
 from nerfbake.cli.main import run
+from nerfbake.console import Console
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.bench.conftest import quiet
 from tests.conftest import Shell

@@ -16,27 +16,13 @@ from pathlib import Path
 
 import pytest
 
-from nerfbake.cli.console import ConsoleStep
-from tests.conftest import Shell
+from nerfbake.console import ConsoleStep
 from tests.support.outputs import read_output
-
-
-@pytest.mark.usefixtures("tree_file")
-def test_quiet_and_verbose(shell: Shell) -> None:
-    assert shell("svo", "a.npz", "b.svo.pb", "-q").stderr == b""
-    words = shell("svo", "a.npz", "c.svo.pb", "-v").stderr.decode().splitlines()
-    assert [line.split(":")[0] for line in words] == [
-        "reading a.npz",
-        "building the octree",
-        "writing c.svo.pb",
-        "c.svo.pb",
-    ]
-
 
 SLOW_STEP = """if True:
     import sys, time
     from nerfbake import progress
-    from nerfbake.cli import console
+    from nerfbake import console
     console.EVERY |= {"plain": 0.3, "json": 0.3}
     with console.Console(quiet=False, verbose=False, mode=sys.argv[1]).phase("thinking hard") as tell:
         time.sleep(1.2)
@@ -101,7 +87,7 @@ def test_json_lines_have_shares_and_seconds() -> None:
 def test_one_bar_shows_the_innermost_of_two_steps() -> None:
     code = """if True:
         import time
-        from nerfbake.cli.console import Console
+        from nerfbake.console import Console
         words = Console(quiet=False, verbose=False)
         with words.phase("judging"):
             time.sleep(1.3)
@@ -128,7 +114,7 @@ def test_the_time_left_is_that_of_this_run() -> None:
 def test_kernels_that_are_compiled_are_told(tmp_path: Path) -> None:
     code = """if True:
         import sys
-        from nerfbake.cli import console
+        from nerfbake import console
         console.PATIENCE, console.EVERY["plain"] = 0.05, 0.05
         with console.Console(quiet=False, verbose=False, mode="plain").phase("rendering"):
             import nerfbake.kernels.maths.linear as products
@@ -137,12 +123,3 @@ def test_kernels_that_are_compiled_are_told(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True)
     assert "compiling kernels, once on this machine: " in done.stderr
-
-
-@pytest.mark.usefixtures("tree_file")
-def test_every_command_takes_progress(shell: Shell) -> None:
-    assert shell("svo", "a.npz", "b.svo.pb", "--progress", "json").stderr.count(b"\n") == 1
-    assert (
-        b"--progress has no effect with --quiet"
-        in shell("svo", "a.npz", "c.svo.pb", "-q", "--progress", "plain").stderr
-    )

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Literal
 
-import click
-
 from nerfbake import io, progress
 from nerfbake.errors import for_shell, one_line
 
@@ -93,8 +91,7 @@ class Console:
 
     def say(self, text: str) -> None:
         if not self._quiet:
-            with suppress(OSError):  # a full stderr must not stop the command
-                click.echo(one_line(for_shell(text), LONGEST_TOLD), err=True)
+            _print(one_line(for_shell(text), LONGEST_TOLD))
 
     @contextmanager
     def phase(self, text: str) -> Iterator[Callable[[str], None]]:
@@ -143,8 +140,7 @@ class Console:
             return
         while not done.wait(EVERY[mode]):
             step = self._innermost()
-            with suppress(OSError):
-                click.echo(io.json_line(step.facts) if mode == "json" else step.plain, err=True)
+            _print(io.json_line(step.facts) if mode == "json" else step.plain)
 
     def _innermost(self) -> ConsoleStep:
         """The innermost step that has lasted longer than PATIENCE or whose share is known, else the outermost step."""
@@ -157,6 +153,12 @@ class Console:
         if jit is not None and jit.uncached and not self._told:
             self._told = True
             self.say("note: no cache folder can be written (read-only, or full), so kernels are compiled again")
+
+
+def _print(line: str) -> None:
+    if sys.stderr is not None:  # a program without a terminal, on Windows, has none
+        with suppress(OSError):  # a full stderr must not stop the work
+            print(line, file=sys.stderr, flush=True)
 
 
 def _draw(step: Callable[[], ConsoleStep], done: threading.Event) -> None:

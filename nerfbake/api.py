@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Literal
 
-from nerfbake.cli.console import Console
+from nerfbake.console import Console
 from nerfbake.jobs.files import AnySource
 from nerfbake.jobs.steps import SILENT
 
