@@ -42,6 +42,15 @@ def test_long_schedules_divide_cells_twice() -> None:
     assert [preset_schedule(name).epochs for name in PRESETS] == [8, 11, 15]
 
 
+def test_cells_are_divided_twice_from_six_epochs_with_split_cells() -> None:
+    """Figures of the schedules that `--minutes` selects: five epochs are one stage, six are two of three."""
+    found = {}
+    for minutes in range(1, 101):
+        last = [stage.epochs for stage in schedule_for(minutes / 10) if stage.split]
+        found[sum(last)] = last
+    assert [found[epochs] for epochs in (5, 6, 7)] == [[5], [3, 3], [4, 3]]
+
+
 def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() -> None:
     assert preset_schedule(edge=599) == preset_schedule()
     small, large = preset_schedule("best"), preset_schedule("best", edge=800)
