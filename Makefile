@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup tools demo ruff mypy pytest pytest-rest test test-quick test-rest test-all test-cpus test-haswell cpus-here fuzz lint schemas golden api bench findings clean
+.PHONY: help setup tools demo ruff mypy commits pytest pytest-rest test test-quick test-rest test-all test-cpus test-haswell cpus-here fuzz lint schemas golden api bench findings clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -84,7 +84,7 @@ demo: $(VENV)/program  ## synthetic scenes, converted, fitted, rendered, inspect
 		'  atlas/scene.glb       the mesh for any viewer of glTF' \
 		"Next: '$(BIN)/nerfbake --help', README.md."
 
-lint: ruff mypy  ## ruff and mypy --strict
+lint: ruff mypy commits  ## ruff, mypy --strict, and the subjects of commits
 
 ruff: setup
 	$(BIN)/ruff check .
@@ -92,6 +92,9 @@ ruff: setup
 
 mypy: setup
 	$(BIN)/mypy
+
+commits: setup
+	$(BIN)/pytest tests/rules/test_commits.py
 
 # Compiled modules are kept, also where the environment asks for none. The number of workers follows.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --dist loadfile -n
