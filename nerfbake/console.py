@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from nerfbake import io, progress
 from nerfbake.errors import for_shell, one_line
+from nerfbake.kernels import compile_times
 
 LONGEST_TOLD = 2000  # characters: some messages are meant to be copied, such as the schedule of a fit
 PATIENCE = 1.0  # seconds before a step is displayed
@@ -149,8 +150,7 @@ class Console:
         return next(known, steps[0])
 
     def _tell_of_uncached_kernels(self) -> None:
-        jit = sys.modules.get("nerfbake.kernels.jit")
-        if jit is not None and jit.uncached and not self._told:
+        if compile_times.uncached and not self._told:
             self._told = True
             self.say("note: no cache folder can be written (read-only, or full), so kernels are compiled again")
 
@@ -191,5 +191,4 @@ def _clock(seconds: float) -> str:
 
 def _is_compiling() -> bool:
     """Return whether numba has been compiling a kernel for longer than PATIENCE."""
-    seconds = getattr(sys.modules.get("nerfbake.kernels.jit"), "compiling_for", None)  # None while it is being imported
-    return seconds is not None and seconds() > PATIENCE
+    return compile_times.compiling_for() > PATIENCE

@@ -6,7 +6,6 @@ A run that was killed resumes from its last checkpoint and writes the same bytes
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +18,7 @@ from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, Problem, St
 from nerfbake.jobs.files import Target
 from nerfbake.jobs.photographs import SplitViews
 from nerfbake.jobs.steps import Steps
+from nerfbake.kernels.compile_times import compiling
 from nerfbake.scene.schedule import Schedule, Stage
 from nerfbake.scene.views import Views
 
@@ -68,13 +68,11 @@ class Clock:
 
 
 def _working() -> float:
-    jit = sys.modules.get("nerfbake.kernels.jit")
-    return time.process_time() - (jit.compiling().worked if jit else 0.0)
+    return time.process_time() - compiling().worked
 
 
 def _passing() -> float:
-    jit = sys.modules.get("nerfbake.kernels.jit")
-    return time.perf_counter() - (jit.compiling().passed if jit else 0.0)
+    return time.perf_counter() - compiling().passed
 
 
 def _cost(stage: Stage) -> float:

@@ -8,63 +8,30 @@ writable, or the disk is full, every run compiles. Compiled kernels release the 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numba
 from numba.core import event, types
 from numba.extending import intrinsic
 
+from nerfbake.kernels import compile_times
 from nerfbake.kernels.kernel_cache import harden_cache
 
-uncached: list[str] = []  # names of kernels that are compiled again in every process
 
-
-class CompileTime(NamedTuple):
-    """CPU seconds of the compiling thread, and elapsed seconds."""
-
-    worked: float = 0.0
-    passed: float = 0.0
-
-
-class _Stopwatch(event.Listener):
-    """Measures compile times. Compiling one kernel may start the compilation of another."""
-
-    def __init__(self) -> None:
-        self.total, self._depth, self._start = CompileTime(), 0, CompileTime()
+class _Listener(event.Listener):
+    """Tells compile_times when numba compiles."""
 
     def on_start(self, event: object) -> None:
-        if not self._depth:
-            self._start = CompileTime(time.thread_time(), time.perf_counter())
-        self._depth += 1
-
-    @property
-    def seconds(self) -> float:
-        """Seconds since the outermost compilation in progress started; 0 if there is none."""
-        return time.perf_counter() - self._start.passed if self._depth else 0.0
+        compile_times.stopwatch.start()
 
     def on_end(self, event: object) -> None:
-        self._depth -= 1
-        if not self._depth:
-            worked = self.total.worked + time.thread_time() - self._start.worked
-            self.total = CompileTime(worked, self.total.passed + time.perf_counter() - self._start.passed)
+        compile_times.stopwatch.stop()
 
 
-_stopwatch = _Stopwatch()
-event.register("numba:compile", _stopwatch)  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-def compiling() -> CompileTime:
-    """Return the time that this process has spent on compiling kernels: only a first run compiles."""
-    return _stopwatch.total
-
-
-def compiling_for() -> float:
-    """Return for how many seconds a kernel has been compiling; 0 if none is."""
-    return _stopwatch.seconds
 
 
 def compiled(*, inline: bool = False, merged: bool = False) -> Callable[[Function], Function]:
@@ -89,9 +56,9 @@ def compiled(*, inline: bool = False, merged: bool = False) -> Callable[[Functio
         try:
             result: Any = numba.njit(function, cache=True, **options)
             if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-                harden_cache(result._cache, lambda: uncached.append(function.__name__))
+                harden_cache(result._cache, lambda: compile_times.uncached.append(function.__name__))
         except RuntimeError:  # numba found no writable cache folder
-            uncached.append(function.__name__)
+            compile_times.uncached.append(function.__name__)
             result = numba.njit(function, **options)
         return cast(Function, result)
 

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from nerfbake.kernels import jit
+from nerfbake.kernels import compile_times
 from nerfbake.kernels.kernel_cache import KernelCacheFile
 
 CODE = """
@@ -30,7 +30,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Load:
     """Import a module with a kernel, as a new process would. Its cache is in tmp_path/cache."""
     (tmp_path / "kernel.py").write_text(CODE)
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(jit, "uncached", [])
+    monkeypatch.setattr(compile_times, "uncached", [])
 
     def load() -> Any:
         spec = importlib.util.spec_from_file_location("kernel", tmp_path / "kernel.py")
@@ -83,7 +83,7 @@ def test_a_damaged_cache_is_compiled_anew_and_replaced(ending: str, damage: str,
     mended = load()
     assert mended(3.0) == 6.0
     assert hits(mended) == 1
-    assert jit.uncached == []
+    assert compile_times.uncached == []
 
 
 def test_a_folder_in_place_of_a_file_is_no_obstacle(load: Load, tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_a_folder_in_place_of_a_file_is_no_obstacle(load: Load, tmp_path: Path) 
     path.unlink()
     path.mkdir()
     assert load()(3.0) == 6.0
-    assert jit.uncached == ["twice"]
+    assert compile_times.uncached == ["twice"]
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
@@ -108,7 +108,7 @@ def test_a_cache_that_cannot_be_written_leaves_the_kernel_in_memory(
     monkeypatch.setattr(owner, step, fail)
     assert kernel(3.0) == 6.0
     assert kernel(3) == 6
-    assert jit.uncached == ["twice", "twice"]
+    assert compile_times.uncached == ["twice", "twice"]
     assert not [path for path in files(tmp_path, "") if path.is_file()]
 
 
