@@ -15,6 +15,7 @@ import pytest
 
 from tests.support.compression import with_fewer_rays
 from tests.support.forks import Forks
+from tests.support.kernels import kernels_that_ran
 
 REPOSITORY = Path(__file__).parents[1]
 DATA = Path(os.environ.get("NERFBAKE_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -78,6 +79,13 @@ def shell(tmp_path: Path, forks: Forks) -> Shell:
 @pytest.fixture
 def fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
     with_fewer_rays(monkeypatch)
+
+
+RUN_AT_IMPORT = pytest.StashKey[list[str]]()  # the kernels that ran while tests were collected
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    session.config.stash[RUN_AT_IMPORT] = kernels_that_ran()
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -127,8 +128,9 @@ def test_equal_corners_look_like_constant_densities() -> None:
     assert_allclose(marched(smooth)[0], marched(made)[0], rtol=1e-6)
 
 
-@pytest.mark.parametrize("made", [bricks(), smooth_bricks()], ids=["constant", "interpolated"])
-def test_tasks_share_a_view_without_changing_it(made: BrickGrid) -> None:
+@pytest.mark.parametrize("make", [bricks, smooth_bricks], ids=["constant", "interpolated"])
+def test_tasks_share_a_view_without_changing_it(make: Callable[[], BrickGrid]) -> None:
+    made = make()
     one, many = marched(made, 2, 1, 0.1), marched(made, 2, 5, 0.1)
     assert_allclose(one[0], many[0], rtol=1e-6)
     for column in (COLOUR_SUM, WEIGHT, DENSITY_SUM, CURVATURE):
