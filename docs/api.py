@@ -63,7 +63,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Baking atlases": (
         nerfbake,
         "stages.stage1_to_atlas stages.specular_to_atlas stages.specular_to_clusters stages.shapes_to_stage1"
-        " stages.field_to_mesh",
+        " stages.field_to_hull",
     ),
     "Pictures": (
         nerfbake,

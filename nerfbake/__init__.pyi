@@ -40,9 +40,9 @@ from .stages.brick_field_to_octree import fill_octree as fill_octree
 from .stages.brick_field_to_vdb import build_vdb_from_bricks as build_vdb_from_bricks
 from .stages.field_and_meshes_to_image import render_field_and_meshes as render_field_and_meshes
 from .stages.field_and_views_to_views import cut_out_field as cut_out_field
+from .stages.field_to_hull import build_hull as build_hull
 from .stages.field_to_image import render_field as render_field
 from .stages.field_to_importance import weigh_leaves as weigh_leaves
-from .stages.field_to_mesh import build_hull as build_hull
 from .stages.field_to_page_field import build_page_field as build_page_field
 from .stages.field_to_page_field import round_field as round_field
 from .stages.field_to_splats import build_splats as build_splats

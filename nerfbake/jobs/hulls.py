@@ -8,7 +8,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.mesh import Meshes
-from nerfbake.stages.field_to_mesh import build_hull
+from nerfbake.stages.field_to_hull import build_hull
 
 LEVEL = 5
 
