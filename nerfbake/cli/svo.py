@@ -39,8 +39,8 @@ RESAMPLE = (
     type=PartBox(),
     default="inner",
     show_default=True,
-    help="Part of the scene. inner: of a scene with scenery its inner cube, of splats those that are not far outside; "
-    "all: all of it; or two opposite corners of a box in the world of OUT (splats only).",
+    help="Part of the scene. inner: without scenery and distant splats. all: the whole scene. X0,...,Z1: two opposite "
+    "corners of a box, in world coordinates of OUT (splats only).",
 )
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
