@@ -35,7 +35,7 @@ from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import Image
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.stages._loss import MARGIN, SOURCE_PSNR, measuring_judge
+from nerfbake.stages.loss import MARGIN, SOURCE_PSNR, measuring_judge
 from nerfbake.stages.scene_to_field import build_field_from_octree
 
 GOALS = (0.1, 0.3)  # dB

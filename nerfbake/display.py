@@ -15,7 +15,7 @@ from nerfbake.errors import NerfbakeError, format_size, one_line
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import Image
 from nerfbake.scene.page import Page
-from nerfbake.stages._picture import render_picture, renderable
+from nerfbake.stages.picture import render_picture, renderable
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scene_to_summary import summarise_scene
 

@@ -38,8 +38,8 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import Image
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages._coefficients import visible_leaves
-from nerfbake.stages._loss import SOURCE_PSNR, measuring_judge, predicting_judge
+from nerfbake.stages.coefficients import visible_leaves
+from nerfbake.stages.loss import SOURCE_PSNR, measuring_judge, predicting_judge
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field

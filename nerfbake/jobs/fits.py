@@ -34,11 +34,11 @@ from nerfbake.scene.schedule import (
 )
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views, world_box
-from nerfbake.stages._half import LARGEST
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
 from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
 from nerfbake.stages.field_to_splats import build_splats
+from nerfbake.stages.half import LARGEST
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr

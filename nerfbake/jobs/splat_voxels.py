@@ -20,7 +20,7 @@ from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin
 from nerfbake.scene.splats import Splats, Up
 from nerfbake.scene.views import Views, world_box
-from nerfbake.stages._splat_box import OPACITY_MIN, cut_splats, finest_voxels, inner_box, whole_box, with_z_up
+from nerfbake.stages.splat_box import OPACITY_MIN, cut_splats, finest_voxels, inner_box, whole_box, with_z_up
 
 RESOLUTION = 256  # most voxels along the longest edge, by default
 _COARSEST = 16  # fewest voxels along the longest edge, if they are chosen by the memory that is left

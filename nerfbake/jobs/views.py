@@ -15,9 +15,9 @@ from nerfbake.scene.page import COVER
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
-from nerfbake.stages._origins import has_origin, origin_of
-from nerfbake.stages._picture import Visible, renderable
 from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.origins import has_origin, origin_of
+from nerfbake.stages.picture import Visible, renderable
 from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scenes_to_comparison import compare_scenes

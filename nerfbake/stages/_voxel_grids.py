@@ -21,7 +21,7 @@ from nerfbake.scene.rows import RowsOfNodes
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology, topology_of_leaves
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
-from nerfbake.stages._half import cast_values
+from nerfbake.stages.half import cast_values
 
 GRIDS = ("density", "Cd", "sh", "index")
 WORK_BYTES = 64  # per voxel, for its node and position while the tree is built

@@ -16,7 +16,7 @@ from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.vdb.bitmask import exclusive_sum
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.stages._half import cast_values
+from nerfbake.stages.half import cast_values
 
 _CHUNK = 256  # bricks at a time: their cells stay in the second-level cache
 

@@ -18,7 +18,7 @@ from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.volume import OctreeFrame
 from nerfbake.stages._cube_levels import Block, octree_of_blocks
-from nerfbake.stages._half import cast_values
+from nerfbake.stages.half import cast_values
 
 
 def build_octree_from_bricks(field: BrickField, *, layout: Layout = "full") -> SparseVoxelOctree:

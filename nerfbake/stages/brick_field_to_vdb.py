@@ -14,8 +14,8 @@ from nerfbake.kernels.vdb.bitmask import words_of
 from nerfbake.kernels.vdb.bricks import Bricks
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.volume import OctreeFrame, Up, Volume
-from nerfbake.stages._half import cast_values
 from nerfbake.stages._voxel_grids import WORK_BYTES, require_grids, volume_of_voxels
+from nerfbake.stages.half import cast_values
 
 _CHUNK = 512  # bricks at a time
 

@@ -26,8 +26,8 @@ from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
 from nerfbake.scene.volume import OctreeFrame
 from nerfbake.stages._cube_levels import Block, octree_of_blocks
 from nerfbake.stages._deferred import diffuse_and_inputs
-from nerfbake.stages._half import cast_values
 from nerfbake.stages._lattice import features_of, fit_of, fit_of_inputs, nodes_of, table_of
+from nerfbake.stages.half import cast_values
 from nerfbake.stages.octree_to_octree import cut_octree
 
 _TOGETHER = 1 << 18  # samples that are evaluated at a time

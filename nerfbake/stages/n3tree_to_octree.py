@@ -18,7 +18,7 @@ from nerfbake.kernels.octree.node_values import NodeRows, parts_of, to_float32
 from nerfbake.kernels.octree.pyramid import children_table, drop_empty, mean_edge, mean_of_runs, merge_equal, opacity
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
-from nerfbake.stages._half import cast_values
+from nerfbake.stages.half import cast_values
 
 _CHUNK = 1 << 13  # rows at a time, so that temporaries stay in the cache and memory is bounded
 

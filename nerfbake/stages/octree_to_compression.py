@@ -18,9 +18,9 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages._coefficients import STEPS, Coefficients, Rows, transform, visible_leaves
-from nerfbake.stages._loss import SOURCE_PSNR, Loss, LossMeter, measuring_judge, predicting_judge
+from nerfbake.stages.coefficients import STEPS, Coefficients, Rows, transform, visible_leaves
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
+from nerfbake.stages.loss import SOURCE_PSNR, Loss, LossMeter, measuring_judge, predicting_judge
 from nerfbake.stages.octree_to_octree import lower_basis, require_lower
 from nerfbake.stages.scene_to_cameras import scatter_cameras, without_strays
 from nerfbake.stages.scene_to_field import build_field_from_octree

@@ -13,7 +13,7 @@ from nerfbake.kernels.maths.elementary import fibonacci, sine_cosine
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras, look_at, look_from
 from nerfbake.scene.radiance_field import RadianceField, leaves_of
-from nerfbake.stages._picture import Visible, scene_frame
+from nerfbake.stages.picture import Visible, scene_frame
 
 FIELD_OF_VIEW = np.radians(40)
 _MARGIN = 1.05

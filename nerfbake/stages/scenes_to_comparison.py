@@ -15,7 +15,7 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages._picture import Visible, render_picture, renderable
+from nerfbake.stages.picture import Visible, render_picture, renderable
 from nerfbake.stages.scene_to_field import FieldSource
 
 MAX_POINTS = 200_000  # most leaves whose values are compared

@@ -22,8 +22,8 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import world_box
 from nerfbake.scene.volume import OctreeFrame
 from nerfbake.stages._cube_levels import Block, octree_of_blocks
-from nerfbake.stages._half import cast_values
-from nerfbake.stages._splat_box import OPACITY_MIN, inner_box
+from nerfbake.stages.half import cast_values
+from nerfbake.stages.splat_box import OPACITY_MIN, inner_box
 
 _THINNEST = 0.001  # optical depth of a voxel below which it is empty
 # Variance that pictures of splats add to a splat, in squared pixels. Voxels blur as well, so splats get only a share of

@@ -14,7 +14,7 @@ from nerfbake.formats.octree.svoq import coded_size
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.volume import Volume
-from nerfbake.stages._coefficients import transform, visible_leaves
+from nerfbake.stages.coefficients import transform, visible_leaves
 from tests.conftest import DATA, Shell
 from tests.support.scenes import assert_same_octree, world_centres
 

@@ -26,7 +26,7 @@ from nerfbake.errors import NerfbakeError
 from nerfbake.jobs.batches import Batch, Item, run_batch
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
-from nerfbake.stages._picture import render_picture, renderable
+from nerfbake.stages.picture import render_picture, renderable
 from nerfbake.stages.views_to_field import FitState
 from tests.fuzz.breakage import Case
 from tests.fuzz.corpus import CHECKPOINT, LINES, STATE

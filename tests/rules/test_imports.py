@@ -130,6 +130,16 @@ def test_import_module_follows_the_rules(path: Path) -> None:
         assert name in allowed or ".".join(name.split(".")[:2]) in allowed, f"{place} may not import {name} by name"
 
 
+def test_a_private_module_is_imported_by_its_own_package_alone() -> None:
+    foreign = [
+        (path.name, found.name)
+        for path, imported in import_graph().items()
+        for found in imported
+        if found.name.startswith("_") and found.parent != path.parent
+    ]
+    assert foreign == []
+
+
 def test_imports_form_no_circle() -> None:
     """An import inside a function counts, except those of UPWARD."""
     upward = {PACKAGE / f"{place}.py": {PACKAGE / f"{name}.py" for name in names} for place, names in UPWARD.items()}

@@ -16,10 +16,10 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import Image
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.quantised_octree import QuantisedOctree
-from nerfbake.stages._coefficients import STEPS, transform, visible_leaves
-from nerfbake.stages._loss import measuring_judge, predicting_judge
+from nerfbake.stages.coefficients import STEPS, transform, visible_leaves
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.field_to_importance import weigh_leaves
+from nerfbake.stages.loss import measuring_judge, predicting_judge
 from nerfbake.stages.n3tree_to_octree import build_octree
 from nerfbake.stages.octree_to_compression import compress_octree, next_step, quantise_octree
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras

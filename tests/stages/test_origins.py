@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from nerfbake import Meshes
-from nerfbake.stages._origins import has_origin, origin_of
+from nerfbake.stages.origins import has_origin, origin_of
 from tests.support.meshes import cube
 from tests.support.scenes import n3tree
 from tests.support.splats import ball_of_splats

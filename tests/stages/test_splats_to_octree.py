@@ -14,7 +14,7 @@ from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import look_at
 from nerfbake.stages import splats_to_octree
-from nerfbake.stages._splat_box import cut_splats, finest_voxels, inner_box
+from nerfbake.stages.splat_box import cut_splats, finest_voxels, inner_box
 from tests.support.scenes import assert_same_octree
 from tests.support.splats import ball_of_splats, splats
 

@@ -9,7 +9,7 @@ import pytest
 SWITCH = "NERFBAKE_TEST_FEWER_RAYS"
 EDGES = {
     "nerfbake.jobs.budgets.EDGE": 64,
-    "nerfbake.stages._loss._EDGE": 40,
+    "nerfbake.stages.loss._EDGE": 40,
     "nerfbake.stages.octree_to_lattice._EDGE": 64,
     "nerfbake.stages.octree_to_compression._EDGE": 60,
 }

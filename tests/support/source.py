@@ -60,8 +60,12 @@ def imports_by_name(path: Path) -> set[str]:
 _IMPORTERS = {"import_module", "__import__"}
 
 
+@cache
 def import_graph() -> dict[Path, set[Path]]:
-    """{module: modules of nerfbake that it imports with import statements, also inside functions}."""
+    """{module: modules of nerfbake that it imports with import statements, also inside functions}.
+
+    Do not change it.
+    """
     files = modules()
     return {path: _imported_files(path).intersection(files) for path in files}
 
