@@ -182,7 +182,7 @@ def test_the_api_does_not_load_click() -> None:
     code = """if True:
         import sys
         import nerfbake
-        nerfbake.jobs.FitOptions, nerfbake.fit
+        nerfbake.jobs.Steps, nerfbake.fit
         print(*{"click", "rich"} & {*sys.modules})"""
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
