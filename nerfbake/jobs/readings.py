@@ -234,9 +234,8 @@ def _report_left_out(steps: Steps, source: Source, volume: Volume) -> None:
         return
     if "density" not in labels:
         found = f"has the grids {', '.join(labels)}"
-        raise InvalidScene(
-            Problem("the volume", found, "`nerfbake convert` with `grid=NAME` for an octree of that density only")
-        )
+        allowed = "`grid=NAME` of `nerfbake convert`, for an octree of that density only"
+        raise InvalidScene(Problem("the volume", found, allowed))
     others = ", ".join(label for label in labels if label != "density")
     steps.say(f"{source.name}: the octree gets the density only, without {others}")
 

@@ -47,7 +47,7 @@ class QuantisedOctree(Scene):
     >>> octree = build_octree(sample_n3tree(resolution=16))
     >>> quantised = compress_octree(octree, coded_size=lambda quantised: quantised.m, step=0.1).quantised
     >>> quantised.values.shape, quantised.restored().data_format
-    ((526, 28), 'SH9')
+    ((545, 28), 'SH9')
     """
 
     size: tuple[int, int, int]

@@ -104,7 +104,7 @@ def _data(volume: Volume) -> tuple[VdbTopology, npt.NDArray[Any]]:
     density, names = volume.grid("density"), [grid.name for grid in volume.grids]
     coefficients = [volume.grid(f"sh_{k}") for k in range(len(volume.grids) - 1) if f"sh_{k}" in names]
     if not coefficients:
-        allowed = "density,sh or index; `nerfbake convert` with `grid=NAME` for an octree of that density alone"
+        allowed = "density,sh or index; `grid=NAME` of `nerfbake convert`, for an octree of that density alone"
         raise InvalidScene(Problem("the volume", f"has the grids {', '.join(volume.labels)}", allowed))
     for grid in coefficients:
         same = grid.topology.same_as(density.topology)

@@ -17,7 +17,7 @@ from nerfbake import Camera, LatticeField, build_octree_from_lattice, jobs, load
 from nerfbake.cli.main import run
 from nerfbake.errors import MemoryLimit
 from nerfbake.formats.field import merf as reader
-from nerfbake.jobs import lattices
+from nerfbake.jobs import readings
 from nerfbake.kernels.lattice.harmonics import LEAST
 from nerfbake.kernels.lattice.nodes import densities
 from nerfbake.kernels.march.sh import sh_basis
@@ -177,7 +177,7 @@ def test_chunks_do_not_show(lattice: LatticeField, monkeypatch: pytest.MonkeyPat
 def test_as_many_voxels_as_fit_and_a_line_that_says_so(
     made: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lattices, "_EDGE", 16)
+    monkeypatch.setattr(readings, "_EDGE", 16)
     folder = written(tmp_path / "baked", merf_folder(made))
     sizes, said = [], []
     for coarsest in (64, 4):
