@@ -29,6 +29,8 @@ Load = Callable[[], Any]
 def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Load:
     """Import a module with a kernel, as a new process would. Its cache is in tmp_path/cache."""
     (tmp_path / "kernel.py").write_text(CODE)
+    # In both places: numba reads the environment anew when it compiles after any of its variables has changed.
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(compile_times, "uncached", [])
 
