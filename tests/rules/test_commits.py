@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import REPOSITORY
 
-SINCE = "6bb7224399751a2cd7ee250b3e8650afe56cd77c"
+SINCE = "ed6809836f79d2d0d0cdd5b2d36ff7a8bfa6be3e"
 LONGEST = 72  # characters
 SUBJECT = re.compile(r"[\w./-]+(, [\w./-]+)*: \S.*")
 
