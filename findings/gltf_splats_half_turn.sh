@@ -13,40 +13,20 @@
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
+cp "$(dirname "$0")/splat_rows.py" "$folder"
 cd "$folder"
-cat >rows.py <<'PYTHON'
-import numpy as np
-
-NAMES = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
-
-
-def write(path, *rows):
-    """Write a .ply of 3DGS. rows: x, y, z and the logit of the opacity of each splat."""
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n"
-    head += "".join(f"property float {name}\n" for name in NAMES) + "end_header\n"
-    table = np.array([[*row[:3], 0, 0, 0, 0.1, 0.2, 0.3, row[3], -3, -3, -3, 1, 0, 0, 0] for row in rows], "<f4")
-    open(path, "wb").write(head.encode() + table.tobytes())
-
-
-def read(path):
-    """Return the columns of a .ply by name."""
-    head, _, body = open(path, "rb").read().partition(b"end_header\n")
-    names = [line.split()[-1] for line in head.decode().splitlines() if line.startswith("property")]
-    return dict(zip(names, np.frombuffer(body, "<f4").reshape(-1, len(names)).T, strict=True))
-
-PYTHON
 python3 -m venv venv
 venv/bin/pip install -q --disable-pip-version-check numpy==2.4.6 gaussforge==0.6.0
 npm init -y >/dev/null
 npm install --silent --no-audit --no-fund @playcanvas/splat-transform@3.7.0
-venv/bin/python -c 'from rows import write; write("in.ply", (1, 2, 3, 0))'
+venv/bin/python -c 'from splat_rows import write; write("in.ply", (1, 2, 3, 0))'
 for ending in spz glb; do node_modules/.bin/splat-transform -w in.ply out.$ending >log 2>&1; done
 venv/bin/python - <<'PYTHON' 2>log
 import json
 
 import gaussforge
 import numpy as np
-from rows import read
+from splat_rows import read
 
 data = open("out.glb", "rb").read()
 size = int.from_bytes(data[12:16], "little")
