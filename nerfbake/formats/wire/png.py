@@ -5,7 +5,7 @@ r"""Check the checksums of a PNG's pixels, which Pillow skips.
 Numbers are big endian.
 
 Pillow checks the CRC of all other chunks. It stops inflating at the last row, so that it does not always reach the
-Adler-32 of the stream: of 400 single bits flipped in a small texture, 119 gave other texels.
+Adler-32 of the stream: a texture with one flipped bit may be read with other texels.
 
 Source: PNG (W3C, third edition), sections 5.3 and 5.4.
 """
