@@ -12,6 +12,7 @@ from .scene.camera import Cameras as Cameras
 from .scene.comparison import Comparison as Comparison
 from .scene.compression import Compression as Compression
 from .scene.environment import EnvironmentMap as EnvironmentMap
+from .scene.function_field import FunctionField as FunctionField
 from .scene.held_out import HeldOut as HeldOut
 from .scene.image import Animation as Animation
 from .scene.image import Depth as Depth

@@ -107,6 +107,7 @@ FORMATS = (
     Format("nvdb", "Volume", ".nvdb", "volume.nanovdb", "NanoVDB grid"),
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
+    Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh", beside=True, spread=(".mtl", ".png", ".jpg")),
     Format("glb", "Splats", ".glb", "splat.glb", "Gaussian splats in glTF 2.0"),
@@ -162,6 +163,7 @@ NOUNS = {
     "Comparison": "a page of a comparison",
     "Depth": "a depth map",
     "EnvironmentMap": "an environment map",
+    "FunctionField": "a trained field",
     "Image": "a picture",
     "LatticeField": "a lattice field",
     "Meshes": "a mesh",
@@ -176,6 +178,7 @@ NOUNS = {
 ADVICE = {
     "Cameras": "`cameras` takes them",
     "EnvironmentMap": "`mesh --environment` takes it",
+    "FunctionField": "`nerfbake svo` makes an octree of it",
     "LatticeField": "`nerfbake svo` makes an octree of it",
     "N3Tree": "`nerfbake svo` makes an octree of it",
     "SparseVoxelOctree": "`nerfbake convert` writes it in other formats, and `nerfbake vdb` as a volume",

@@ -355,6 +355,17 @@ class Cameras(Scene):
         moved = (replace(camera, pose=camera.pose - shift[: len(camera.pose)]) for camera in self.cameras)
         return replace(self, cameras=tuple(moved))
 
+    def transformed(self, frame: npt.NDArray[np.float64]) -> Cameras:
+        """These cameras in another world. frame (3, 4): to its coordinates; a rotation times a scale, a translation."""
+        scale = np.sqrt(np.square(frame[:, 0]).sum())
+        moved = []
+        for camera in self.cameras:
+            pose = np.eye(4)
+            pose[:3, :3] = rotate(camera.pose[:3, :3].T, frame[:, :3] / scale).T
+            pose[:3, 3] = rotate(camera.pose[:3, 3], frame[:, :3]) + frame[:, 3]
+            moved.append(replace(camera, pose=pose))
+        return replace(self, cameras=tuple(moved))
+
     @property
     def eyes(self) -> npt.NDArray[np.float64]:
         """The positions (n, 3) of the cameras in the world."""

@@ -1,0 +1,1 @@
+"""Networks of radiance fields: perceptrons, hash grids, planes, and the encodings of positions and directions."""
