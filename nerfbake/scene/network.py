@@ -104,10 +104,10 @@ class Frequencies:
     def features(self) -> int:
         return 3 + 6 * len(self.frequencies)
 
-    def __call__(self, points: Points) -> Singles:
+    def __call__(self, points: Points | Singles) -> Singles:
         """(3 + 6 k, m) float32 code of points or directions (m, 3)."""
         angles = np.asarray(points, np.float64).T[:, None, :] * self.frequencies[:, None]
-        sine, cosine = sine_cosine(angles.reshape(-1, len(points)))
+        sine, cosine = sine_cosine(angles.reshape(3 * len(self.frequencies), len(points)))
         return np.concatenate([np.asarray(points).T, sine, cosine]).astype(np.float32)
 
     def problems(self) -> list[Problem]:
@@ -157,7 +157,7 @@ class HashGrid:
     def features(self) -> int:
         return int(len(self.scale) * self.table.shape[1])
 
-    def __call__(self, points: Points) -> Singles:
+    def __call__(self, points: Points | Singles) -> Singles:
         """(L F, m) float32 features of points (m, 3) in the unit cube; float32 as in the programs."""
         levels = Levels(self.table, self.first, self.scale, self.shift, self.dense)
         return grid_features(levels, np.asarray(points, np.float32))
